@@ -61,9 +61,8 @@ _INTERNAL = """
     fg_orient/formats/*_checks.py fg_orient/formats/gdal.py fg_orient/formats/toml.py
     fg_orient/formats/rpc/fields.py fg_orient/formats/schema.py fg_orient/kernels/batch* fg_orient/model/cells.py
     fg_orient/model/messages fg_orient/rectification/job.py fg_orient/rectification/record.py
-    fg_orient/rectification/remarks.py fg_orient/rectification/study.py fg_orient/rectification/synthetic.py
-    fg_orient/rectification/adjusted.py fg_orient/rectification/grid.py fg_orient/rectification/lattice.py
-    fg_orient/rectification/ortho*.py fg_orient/rectification/output.py fg_orient/report/*.py fg_orient/run
+    fg_orient/rectification/study.py fg_orient/rectification/adjusted.py fg_orient/rectification/grid.py
+    fg_orient/rectification/lattice.py fg_orient/rectification/ortho*.py fg_orient/report/*.py fg_orient/run
     fg_orient/result/s*.py fg_orient/result/tables.py fg_orient/result/provenance.py
     fg_orient/simulate/* fg_orient/studies/claims*.py fg_orient/studies/comparison/* fg_orient/studies/published
     fg_orient/studies/reproduce fg_orient/studies/rfm_twin.py fg_orient/studies/study.py

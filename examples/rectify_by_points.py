@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from fg_orient.rectification.fit import Observations, fit, plain_rmse
-from fg_orient.rectification.models import find_model
 from fg_orient.rectification.outliers import point_tests
 from fg_orient.rectification.standards import check_accuracy
+from fg_orient.rectification.transformation import find_model
 
 
 def scene(n: int, rng: np.random.Generator) -> Observations:

@@ -59,10 +59,10 @@ def dlt(
     overwrite: Overwrite = False,
 ) -> None:
     """Orient photos of unknown cameras by a direct linear transformation."""
-    from fg_orient.closerange.job import run_dlt
+    from fg_orient.closerange.job import Output, run_dlt
 
     record = run_dlt(points, distortion=_words(distortion), sigma=_positive("sigma", sigma), iterate=not direct,
-                     out=out, report=report, overwrite=overwrite, command=command_line())  # fmt: skip
+                     output=Output(out, report, overwrite, command_line()))  # fmt: skip
     answer(record, _show, record, _show_photos)
 
 
@@ -77,10 +77,10 @@ def resect(
     overwrite: Overwrite = False,
 ) -> None:
     """Orient photos of known cameras by control points."""
-    from fg_orient.closerange.job import run_resect
+    from fg_orient.closerange.job import Output, run_resect
 
-    record = run_resect(points, camera, sigma=_positive("sigma", sigma), out=out, report=report,
-                        overwrite=overwrite, command=command_line())  # fmt: skip
+    output = Output(out, report, overwrite, command_line())
+    record = run_resect(points, camera, sigma=_positive("sigma", sigma), output=output)
     answer(record, _show, record, _show_photos)
 
 
@@ -95,10 +95,10 @@ def intersect(
     overwrite: Overwrite = False,
 ) -> None:
     """Intersect points of oriented photos."""
-    from fg_orient.closerange.job import run_intersect
+    from fg_orient.closerange.job import Output, run_intersect
 
-    record = run_intersect(points, photos, sigma=_positive("sigma", sigma), out=out, report=report,
-                           overwrite=overwrite, command=command_line())  # fmt: skip
+    output = Output(out, report, overwrite, command_line())
+    record = run_intersect(points, photos, sigma=_positive("sigma", sigma), output=output)
     answer(record, _show, record, _show_points)
 
 
@@ -150,6 +150,7 @@ def bundle(
 ) -> None:
     """Adjust photos and points together: self-calibration, control points, constraints."""
     from fg_orient.closerange.bundle_job import run_bundle
+    from fg_orient.closerange.job import Output
 
     if sigma_control != 0.0:
         _positive("sigma_control", sigma_control)
@@ -158,8 +159,7 @@ def bundle(
             points, photos, control=control, start=start, constraints=constraints,
             stations=stations, check=check, sigma=_positive("sigma", sigma), sigma_control_m=sigma_control,
             unknown=_words(unknown), shared=_words(shared), backend=backend,
-            out=out, report=report, overwrite=overwrite, command=command_line(), callback=watch.iteration,
-            stage=watch.stage,
+            output=Output(out, report, overwrite, command_line()), callback=watch.iteration, stage=watch.stage,
         )  # fmt: skip
     answer(record, _show, record, _show_bundle)
 
@@ -234,11 +234,11 @@ def surface(
     overwrite: Overwrite = False,
 ) -> None:
     """Fit a sphere, spheroid, ellipsoid or quadric to points."""
-    from fg_orient.closerange.job import run_surface
+    from fg_orient.closerange.job import Output, run_surface
 
     record = run_surface(points, kind, axis=axis, method=method, sigma_m=_positive("sigma", sigma),
-                         priors=_priors(prior or []), out=out, report=report, overwrite=overwrite,
-                         command=command_line())  # fmt: skip
+                         priors=_priors(prior or []),
+                         output=Output(out, report, overwrite, command_line()))  # fmt: skip
     answer(record, _show, record, _show_surface)
 
 

@@ -60,7 +60,7 @@ def fit(
 ) -> None:
     """Fit a transformation between image and map to points, with check points and outlier tests."""
     from fg_orient.rectification.job import rectify_fit
-    from fg_orient.rectification.models import find_model
+    from fg_orient.rectification.transformation import find_model
 
     chosen = find_model(model or ("affine" if degree is None else "polynomial"), degree)
     record = rectify_fit(

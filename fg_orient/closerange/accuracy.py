@@ -1,15 +1,13 @@
-"""Measures by which methods are compared: sums of squares and RMS per axis, control points apart."""
+"""Differences of points from their reference: sums of squares and RMS per axis, control points separately."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from fg_orient.closerange.fitting import as_points, plain_rms
-from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
@@ -37,44 +35,34 @@ class Measures:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A method against reference points: all, control points and the others.
+    """Differences of all points, of control points, and of the others.
 
-    Only the others say how accurate a method is: control points took part in it.
+    Only the others measure the accuracy of a method, because it uses the control points.
     """
 
-    method: str
     every: Measures
     control: Measures
     other: Measures
 
-    def as_dict(self) -> dict[str, Any]:
-        """Content for files."""
-        parts = {"all": self.every, "control": self.control, "other": self.other}
-        return {"method": self.method} | {name: vars(measures) for name, measures in parts.items()}
 
-
-def compare_points(
-    method: str, reference_m: npt.ArrayLike, points_m: npt.ArrayLike, control: npt.ArrayLike
-) -> Comparison:
+def compare_points(reference_m: npt.ArrayLike, points_m: npt.ArrayLike, control: npt.ArrayLike) -> Comparison:
     """Compare points with their reference, ``F = reference - points``.
 
     Parameters
     ----------
-    method : str
-        Its name.
     reference_m, points_m : (n, 3) arrays
     control : (n,) bool array
-        Points that took part in the method.
+        Points used by the compared method.
 
     Raises
     ------
     InputError
-        Arrays that do not fit.
+        Arrays of other shapes.
     """
-    reference = as_points(reference_m, 3, "reference", InputError.of)
-    difference = reference - as_points(points_m, 3, "points", InputError.of)
+    reference = as_points(reference_m, 3, "reference")
+    difference = reference - as_points(points_m, 3, "points")
     used = np.asarray(control, bool)
-    return Comparison(method, *(_measures(difference[rows]) for rows in (used | True, used, ~used)))
+    return Comparison(*(_measures(difference[rows]) for rows in (used | True, used, ~used)))
 
 
 def _measures(difference: Array) -> Measures:

@@ -15,13 +15,19 @@ from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import OPTIMIZERS, Callback, LoopResult
 from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, NetworkRows, bordered_inverse, dependent
-from fg_orient.closerange.bundle_determined import require_determined, require_rays
+from fg_orient.closerange.bundle_checks import (
+    HELD,
+    missed_most,
+    require_consistent,
+    require_determined,
+    require_rays,
+    require_slopes,
+)
 from fg_orient.closerange.bundle_network import Built, build
 from fg_orient.closerange.bundle_quality import Quality, quality_of
-from fg_orient.closerange.consistent import HELD, missed_most, require_consistent, require_slopes
 from fg_orient.closerange.constraints import JUDGED, Constraint
 from fg_orient.closerange.fitting import as_points, require_sigmas, unit_weight
-from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
 
 Array = npt.NDArray[np.float64]
@@ -30,18 +36,18 @@ Residual = Literal["image", "condition"]
 
 BACKENDS: Final[dict[str, Callable[[Network], Any]]] = {"dense": DenseNetwork, "graph": GraphNetwork}
 MAX_ITERATIONS: Final = 100
-#: Steps to rounding: metres, radians, and steps of camera parameters.
+#: Step that ends the iteration, at rounding level: metres, radians, and units of camera parameters.
 TOLERANCE: Final = 1e-12
 
 
 @dataclass(frozen=True)
 class BundlePhoto:
-    """A photo and what is known of it.
+    """Photo of a bundle: start values, unknowns and observations.
 
     Parameters
     ----------
     name : str
-    interior : Interior
+    interior : PhotoInterior
         Start values.
     rotation : (3, 3) array
         Start: camera axes from ground axes.
@@ -50,26 +56,26 @@ class BundlePhoto:
     unknown : tuple of str
         Camera parameters of this photo alone (photo-variant): c, x0, y0, the names of
         ``factors.cameras.image_corrections``, a1 to a21 of ``factors.cameras.additional_parameters``, and the names of
-        ``factors.cameras.image_variants``, whose radius is that of the camera's outermost image point.
+        ``factors.cameras.image_variants``, relative to the radius of the camera's outermost image point.
         ``closerange.corrections`` has sets of them.
     camera : str
         Photos of one camera have its ``shared`` unknowns in common.
     shared : tuple of str
-        Unknown parameters of the camera (block-invariant), start values of its first photo.
+        Unknown parameters of the camera (block-invariant), with start values of its first photo.
     observed : mapping
-        Observed camera parameters, value and sigma, by name; of shared ones once per camera.
+        Observed camera parameters, value and sigma, by name; shared ones once per camera.
     sigma_centre_m : (3,) array, optional
-        The centre is observed: ``observed_centre_m``, or as given.
+        The centre is observed: ``observed_centre_m``, by default the start.
     sigma_turn_rad : (3,) array, optional
-        The attitude is observed, as given: turns about the camera's axes X right, Y down, Z along the view.
+        The start attitude is observed: rotations about the camera's axes X right, Y down, Z along the view.
     held : bool
         Rotation and centre are exact.
     observed_centre_m : (3,) array, optional
-        What was observed of the centre, where it does not begin there.
+        Observed centre, if it is not the start.
     """
 
     name: str
-    interior: Interior
+    interior: PhotoInterior
     rotation: Array
     centre_m: Array
     unknown: tuple[str, ...] = ()
@@ -99,23 +105,23 @@ class BundlePhoto:
         if self.observed_centre_m is not None:
             seen = np.asarray(self.observed_centre_m, float)
             if self.sigma_centre_m is None or seen.shape != (3,) or not np.isfinite(seen).all():
-                raise self.fault("observed_centre_m", seen.tolist(), "three numbers, and sigma_centre_m beside them")
+                raise self.fault("observed_centre_m", seen.tolist(), "three numbers, together with sigma_centre_m")
             object.__setattr__(self, "observed_centre_m", seen)
 
     @property
     def key(self) -> str:
-        """Name of its camera; a photo that names none has one of its own."""
+        """Name of its camera, by default of the photo."""
         return self.camera or self.name
 
     def fault(self, place: str, value: object, expected: str) -> InputError:
-        """What is wrong with the photo."""
+        """Error of the photo."""
         return InputError.of("closerange.bundle", place=f"photo {self.name}, {place}", value=value,
                              expected=expected)  # type: ignore[return-value]  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Adjustment:
-    """A photo or figure after the adjustment: values and standard deviations by name.
+    """Adjusted photo or figure: values and standard deviations by name.
 
     Parameters
     ----------
@@ -141,7 +147,7 @@ class Adjustment:
 
 
 @dataclass(frozen=True)
-class Bundle:
+class BundleResult:
     """Result of :func:`adjust_bundle`.
 
     Parameters
@@ -150,25 +156,25 @@ class Bundle:
         Camera parameters by name, then ``turn_x, turn_y, turn_z`` (rad, about the camera's axes, from the start) and
         ``X0, Y0, Z0`` (m).
     cameras : tuple of Adjustment
-        Parameters that photos of a camera share.
+        Shared parameters of the cameras.
     interiors, rotations, centres_m
-        Of the photos. An interior has what :class:`Interior` can hold: k1 to affinity_b.
+        Of the photos. An interior contains the corrections of :class:`PhotoInterior`: k1 to affinity_b.
     ids : tuple of str
         Of the points.
     points_m, sigma_m : (n, 3) arrays
-        ``sigma_m`` is None without redundancy, 0 of a held point.
+        ``sigma_m`` is None without redundancy, 0 for a fixed point.
     figures : tuple of Adjustment
     residuals : (m, 2) array
-        Computed minus ideal image coordinates, in the order of the observations, in their unit (times metres for
+        Computed minus ideal image coordinates, in the order of the observations and in their unit (times metres for
         residuals of conditions).
     state : (u,) array
     labels : tuple of str
         Of the unknowns.
     cofactors : (u,) array
-        Diagonal, for the sigmas given.
+        Diagonal, for the given sigmas.
     m0 : float or None
     redundancy, iterations : int
-        Iterations with all constraints; those before, without spheres and spheroids, are not counted.
+        Iterations with all constraints; iterations without spheres and spheroids are not counted.
     backend : str
     quality : Quality
         Redundancy numbers, covariances, weak directions.
@@ -176,7 +182,7 @@ class Bundle:
 
     photos: tuple[Adjustment, ...]
     cameras: tuple[Adjustment, ...]
-    interiors: tuple[Interior, ...]
+    interiors: tuple[PhotoInterior, ...]
     rotations: tuple[Array, ...]
     centres_m: tuple[Array, ...]
     ids: tuple[str, ...]
@@ -195,7 +201,7 @@ class Bundle:
 
     @property
     def beyond(self) -> list[str]:
-        """Parameters of cameras that no photo file holds."""
+        """Camera parameters that a photo file cannot contain."""
         names = (name for part in (*self.photos, *self.cameras) for name in part.names)
         return list(dict.fromkeys(name for name in names if name in NAMES[10:]))
 
@@ -205,7 +211,7 @@ class Bundle:
         Raises
         ------
         InputError
-            Cameras have parameters that a photo file cannot hold.
+            Cameras have parameters that a photo file cannot contain.
         """
         if self.beyond:
             raise InputError.of("closerange.bundle", place="photos", value=", ".join(self.beyond),
@@ -220,7 +226,7 @@ def adjust_bundle(
     control: Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]] | None = None, constraints: Sequence[Constraint] = (),
     residual: Residual = "image", backend: str = "dense", optimizer: str = "levenberg-marquardt",
     callback: Callback | None = None,
-) -> Bundle:  # fmt: skip
+) -> BundleResult:  # fmt: skip
     """Adjust photos and points together.
 
     Parameters
@@ -240,7 +246,7 @@ def adjust_bundle(
         Observed points: coordinates and sigmas, m; sigma 0: held.
     constraints : sequence of Constraint
     residual : "image" or "condition"
-        Least squares of the image residuals, or of the conditions F = e R3 (Ayhan 1996, eq. 77), whose weights do
+        Least squares of the image residuals, or of the conditions F = e R3 (Ayhan 1996, eq. 77), with weights that do
         not depend on the depth.
     backend : "dense" or "graph"
         Normal equations bordered by hard constraints, with correlates; or a GTSAM graph, hard constraints as factors
@@ -252,26 +258,25 @@ def adjust_bundle(
 
     Returns
     -------
-    Bundle
+    BundleResult
 
     Raises
     ------
     InputError
-        Sizes or values that do not fit; points without two rays; motions of the whole block that are open; unknowns
-        that nothing determines (without a prior of their own their standard deviation exceeds 1000 times that of
-        their observations), named with their direction; hard constraints that depend on or contradict each other;
-        more than 2000 unknowns.
+        Invalid sizes or values; points without two rays; undetermined motions of the whole block; other undetermined
+        unknowns (without a prior their standard deviation exceeds 1000 times that of their observations), named with
+        their direction; hard constraints that depend on or contradict each other; more than 2000 unknowns.
     NoSolutionError
         The iteration does not converge, or a point lies behind a photo.
     """
     if backend not in BACKENDS:
         raise InputError.of("closerange.backend", place="backend", value=backend, known=", ".join(BACKENDS))
-    measured = as_points(image, 2, "image", InputError.of)
+    measured = as_points(image, 2, "image")
     given = np.broadcast_to(np.asarray(sigma, float), measured.shape)
     require_sigmas(given)
     which, of = np.asarray(photo, np.intp), np.asarray(point, np.intp)
     with one_blas_thread():
-        start = as_points(start_m, 3, "points", InputError.of)
+        start = as_points(start_m, 3, "points")
 
         def made(stated: Sequence[Constraint], begin: tuple[Built, Array] | None = None) -> Built:
             return build(photos, tuple(ids), start, which, of, measured, given, control or {}, stated,
@@ -291,10 +296,10 @@ def _begun(
     made: Callable[[Sequence[Constraint]], Built], constraints: Sequence[Constraint], which: Index, of: Index,
     optimizer: str,
 ) -> tuple[Built, Array] | None:  # fmt: skip
-    """The bundle without spheres and spheroids and its state, or None where these are needed or there are none.
+    """Bundle without spheres and spheroids and its state; None if these are needed or absent.
 
-    Start points that are far off determine no figure, though their rays do; and from there a figure of small sigma is
-    a narrow bent valley, along which damped steps creep.
+    Inaccurate start points do not determine a figure, although their rays do. From such a start a figure of small sigma
+    is a narrow bent valley with many small damped steps.
     """
     others = [c for c in constraints if c.kind not in JUDGED]
     if len(others) == len(constraints):
@@ -310,7 +315,7 @@ def _begun(
 
 
 def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None) -> LoopResult[Array]:
-    """Run the loop; the start and the end must determine all unknowns."""
+    """Result of the loop; start and end must determine all unknowns."""
     network = built.network
     try:
         rows = network.rows(network.start)
@@ -323,8 +328,8 @@ def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None
             raise _not_converged(network, found.end.message)
         rows = network.rows(found.state)
         if len(rows.condition) and np.abs(rows.condition).max() > HELD:
-            raise _not_converged(network, "hard constraints are not met where the steps end")
-        _require_independent(network, rows)  # some follow from others only where these hold
+            raise _not_converged(network, "hard constraints are not satisfied where the steps end")
+        _require_independent(network, rows)  # some depend on others only where these are satisfied
         require_determined(built, rows)
     except (NotFiniteError, RuntimeError) as error:
         raise _not_converged(network, str(error)) from error
@@ -332,7 +337,7 @@ def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None
 
 
 def _require_independent(network: Network, rows: NetworkRows) -> None:
-    """Refuse a hard constraint that follows from those before it: redundancy and cofactors would count it twice."""
+    """Refuse a hard constraint that depends on those before it: redundancy and cofactors would count it twice."""
     require_slopes(network, rows)
     label = dependent(network, rows)
     if label:
@@ -340,19 +345,13 @@ def _require_independent(network: Network, rows: NetworkRows) -> None:
 
 
 def _not_converged(network: Network, reason: str) -> NoSolutionError:
-    """Why the loop ended; names the hard constraint that the start misses most.
-
-    Raises
-    ------
-    InputError
-        Hard constraints contradict each other.
-    """
+    """Error with the reason and the hard constraint of the largest misclosure; InputError if they are contradictory."""
     require_consistent(network)
-    told = missed_most(network)
-    return NoSolutionError.of("closerange.not_converged", place="bundle", reason=f"{reason}{told}")  # type: ignore[return-value]
+    reason += missed_most(network)
+    return NoSolutionError.of("closerange.not_converged", place="bundle", reason=reason)  # type: ignore[return-value]
 
 
-def _result(built: Built, engine: Any, found: LoopResult[Array], which: Index, of: Index, sigma: Array) -> Bundle:
+def _result(built: Built, engine: Any, found: LoopResult[Array], which: Index, of: Index, sigma: Array) -> BundleResult:
     network, state = built.network, found.state
     rows = network.rows(state)
     built.require_in_front(state, which, of)
@@ -360,7 +359,7 @@ def _result(built: Built, engine: Any, found: LoopResult[Array], which: Index, o
     whole, parts = bordered_inverse(rows), [network.part(k) for k in range(len(network.variables))]
     is_dense = isinstance(engine, DenseNetwork)
     blocks = [whole[p, p] for p in parts] if is_dense else engine.cofactors(state)
-    # what hard conditions fix has variance 0, which rounding may put below
+    # hard conditions give variances of 0, which rounding can make negative
     cofactors = np.maximum(np.concatenate([block.diagonal() for block in blocks]), 0.0)
     scaled = cofactors * built.steps**2
     values = built.values(state)
@@ -376,7 +375,7 @@ def _result(built: Built, engine: Any, found: LoopResult[Array], which: Index, o
     for j, k in built.point_variables.items():
         points[j], spread[j] = values[network.part(k)], scaled[network.part(k)]
     interiors, rotations, centres = built.oriented(state)
-    return Bundle(
+    return BundleResult(
         tuple(of_variables(p.name, ks) for p, ks in zip(built.photos, built.photo_variables, strict=True)),
         tuple(of_variables(name, [k]) for name, k in built.camera_variables.items()),
         tuple(interiors), tuple(rotations), tuple(centres), built.ids, points,
@@ -384,5 +383,5 @@ def _result(built: Built, engine: Any, found: LoopResult[Array], which: Index, o
         tuple(of_variables(network.variables[k].name, [k]) for k in built.figure_variables),
         -rows.residual[: 2 * len(of)].reshape(-1, 2) * sigma, state, tuple(network.labels), cofactors, m0,
         network.redundancy, len(found.log), engine.name,
-        quality_of(built, state, rows, whole, rotations, found.log),
+        quality_of(built, rows, whole, rotations, found.log),
     )  # fmt: skip

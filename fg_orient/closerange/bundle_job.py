@@ -1,4 +1,4 @@
-"""What the command ``closerange bundle`` does: read tables, photos and constraints, adjust, give the record."""
+"""Work of the command ``closerange bundle``: read tables, photos and constraints, adjust, make the record."""
 
 from __future__ import annotations
 
@@ -14,26 +14,35 @@ from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
 from fg_orient.closerange.bundle_record import bundle_record
 from fg_orient.closerange.constraints import Constraint
 from fg_orient.closerange.corrections import parameters_of
-from fg_orient.closerange.files import Observed, interiors, photo_text, read_ground_points, read_image_points
+from fg_orient.closerange.files import (
+    Observed,
+    Station,
+    interiors,
+    photo_text,
+    read_ground_points,
+    read_image_points,
+    read_stations,
+    station_sigmas,
+)
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.job import (
+    NONE,
+    Output,
     Record,
     finished,
     of_name,
     require_absolute,
-    require_outputs,
     unit_of_weights,
     weights_of,
 )
-from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.closerange.resection import resect
-from fg_orient.closerange.stations import Station, read_stations, station_sigmas
 from fg_orient.formats.closerange import ConstraintEntry, read_constraints, read_photos
 from fg_orient.model.errors import Finding, InputError, finding
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-#: Told of each stage of the work: its name, and the number of image points where it is known.
+#: Called at each stage of the work with its name and the number of image points (0 if unknown).
 Stage = Callable[[str, int], None]
 
 
@@ -41,9 +50,7 @@ def run_bundle(
     path: Path, photos: Path, *, control: Path | None = None, start: Path | None = None,
     constraints: Path | None = None, stations: Path | None = None, check: Path | None = None,
     sigma: float | None = None, sigma_control_m: float = 0.0,
-    unknown: Sequence[str] = (), shared: Sequence[str] = (), backend: str = "dense",
-    out: Path | None = None, report: Path | None = None, overwrite: bool = False,
-    command: Sequence[str] = (),
+    unknown: Sequence[str] = (), shared: Sequence[str] = (), backend: str = "dense", output: Output = NONE,
     callback: Callback | None = None, stage: Stage | None = None,
 ) -> Record:  # fmt: skip
     """Adjust the photos and points of a table.
@@ -53,31 +60,29 @@ def run_bundle(
     path : Path
         Image points, see :func:`fg_orient.closerange.files.read_image_points`.
     photos : Path
-        Photo file; a photo that is not oriented is resected from the points in it whose place is known.
+        Photo file; a photo without orientation is resected from its points with known coordinates.
     control : Path, optional
         Points with coordinates, see :func:`fg_orient.closerange.files.read_ground_points`.
     start : Path, optional
-        New points, all to be determined, with start coordinates in the same columns; others are intersected.
+        New points with start coordinates in the same columns; other new points are intersected.
     constraints : Path, optional
         See ``formats.constraints``.
     stations : Path, optional
-        Observed projection centres and attitudes, see :func:`fg_orient.closerange.stations.read_stations`.
+        Observed projection centres and attitudes, see :func:`fg_orient.closerange.files.read_stations`.
     check : Path, optional
-        Points whose coordinates take no part and judge the result, in the columns of ``control``.
+        Check points, whose coordinates are not used in the adjustment, in the columns of ``control``.
     sigma : float, optional
-        Of image coordinates without a sigma of their own; without it they all have weight 1, and m0 is their sigma.
+        Of image coordinates without sigma in the table; by default all have weight 1, and m0 is their sigma.
     sigma_control_m : float
-        Of control points without a sigma of their own; 0: they are exact.
+        Of control points without sigma in their table; 0: they are exact.
     unknown, shared : sequence of str
-        Unknown camera parameters of each photo, and those that all photos share: names, and sets of them
+        Unknown camera parameters of each photo, and common to all photos: names of parameters and of sets
         (``closerange.corrections``).
     backend : str
         "dense" or "graph".
-    out, report, overwrite, command
-        Folder of the results; a single HTML report; replace them; words of the command line, for the record.
+    output : Output, optional
     callback, stage : callable, optional
-        Called with an ``IterationRecord`` after each iteration; with the name of each stage as it begins, and the
-        number of image points (0 before they are read).
+        Called with an ``IterationRecord`` after each iteration; see ``Stage``.
 
     Raises
     ------
@@ -85,9 +90,9 @@ def run_bundle(
         See :func:`fg_orient.closerange.bundle.adjust_bundle`; sigmas of control points or constraints where image
         coordinates have none.
     """
-    require_outputs(out, report, overwrite)
-    tell = stage or (lambda name, count: None)
-    tell("reading", 0)
+    output.require_possible()
+    report_progress = stage or (lambda name, count: None)
+    report_progress("reading", 0)
     table = read_image_points(path)
     own, common = parameters_of(unknown, "<unknown>"), parameters_of(shared, "<shared>")
     known, begun = _control(control, sigma_control_m), _control(start, 0.0)
@@ -106,12 +111,12 @@ def run_bundle(
         path, table, sigma,
         [*_own_sigmas(control, sigma_control_m, known), *_stated(constraints, entries), *station_sigmas(stations, seen)]
     )  # fmt: skip
-    tell("start values", len(table.ids))
+    report_progress("start values", len(table.ids))
     with one_blas_thread():
         starts, doubts = _starts(photos, names, table, which, of, ids, places, weights_of(table, sigma), seen)
         given = [_photo(n, start, seen.get(n), own, common) for n, start in zip(names, starts, strict=True)]
         begin = _points(starts, names, table, which, of, ids, places)
-        tell("iterations", len(table.ids))
+        report_progress("iterations", len(table.ids))
         found = adjust_bundle(
             given, ids, begin, which, of, table.image, sigma=weights_of(table, sigma),
             control={i: known[i] for i in ids if i in known}, constraints=stated, backend=backend, callback=callback,
@@ -126,7 +131,7 @@ def run_bundle(
         found, table, known, which, of, weights, unit["weights"] == "absolute", seen, judges, doubts
     )
     beside = (photos, control, check, start, constraints, stations)
-    return finished(record, path, table, out, overwrite, command, texts, report, beside)
+    return finished(record, path, table, output, texts, beside)
 
 
 def _own_sigmas(
@@ -163,14 +168,14 @@ def _control(path: Path | None, sigma_m: float) -> dict[str, tuple[Array, Array]
     return {name: (table.ground[k], sigma[k]) for k, name in enumerate(table.ids)}
 
 
-Start = tuple[Interior, Array, Array]
+Start = tuple[PhotoInterior, Array, Array]
 
 
 def _starts(
     path: Path, names: Sequence[str], table: Observed, which: Index, of: Index, ids: Sequence[str],
     known: Mapping[str, tuple[Array, Array]], sigma: Array, seen: Mapping[str, Station],
 ) -> tuple[list[Start], list[Finding]]:  # fmt: skip
-    """Interior, rotation and centre of each photo, and what to doubt there.
+    """PhotoInterior, rotation and centre of each photo, and what to doubt there.
 
     An observed attitude begins as observed, the rest as the file says, else by resection.
     """
@@ -191,8 +196,7 @@ def _starts(
         ground = np.array([known[ids[of[a]]][0] for a in rows])
         found = resect(interior, ground, table.image[rows], sigma=sigma[rows], name=name)
         out.append((interior, found.rotation, found.photo.origin_m))
-        if found.rival is not None:
-            doubts.append(found.rival.finding(f"the bundle begins with a resection of photo {name}"))
+        doubts += found.second_pose(f"the bundle begins with a resection of photo {name}")
     return out, doubts
 
 

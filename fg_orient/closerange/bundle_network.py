@@ -27,7 +27,7 @@ from fg_orient.closerange.constraints import (
     require_one_value,
     variable_of,
 )
-from fg_orient.closerange.photo import Interior
+from fg_orient.closerange.photo import PhotoInterior
 from fg_orient.model.errors import InputError, NoSolutionError
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ _NONE: Final = np.zeros((2, 0))
 
 @dataclass
 class Built:
-    """A bundle as a network, and how its unknowns are read. Coordinates in it are about ``origin``."""
+    """Network of a bundle, and the positions of its unknowns. Coordinates are relative to ``origin``."""
 
     photos: tuple[BundlePhoto, ...]
     ids: tuple[str, ...]
@@ -68,7 +68,7 @@ class Built:
     figures: list[tuple[Constraint, Figure]] = field(default_factory=list)
 
     def add(self, variable: Variable, steps: Array, offset: Array) -> int:
-        """Add a variable: its number. Values are offset + steps times unknowns."""
+        """Number of an added variable. Its values are offset + steps times unknowns."""
         self.variables.append(variable)
         self.steps_of.append(steps)
         self.offset_of.append(offset)
@@ -76,7 +76,7 @@ class Built:
 
     @cached_property
     def network(self) -> Network:
-        """The network, once it is complete."""
+        """Network, at first use, when it is complete."""
         return Network(tuple(self.variables), tuple(self.observations))
 
     @property
@@ -96,7 +96,7 @@ class Built:
 
     @property
     def observed(self) -> Array:
-        """Whether an unknown has an observation of its own (u,)."""
+        """Whether an unknown is observed directly (u,)."""
         out = np.zeros(self.network.n_unknowns, bool)
         for o in self.observations:
             if o.equation is not EXTENDED_COLLINEARITY and not o.hard and len(o.unknowns) == 1:
@@ -105,7 +105,7 @@ class Built:
         return out
 
     def units(self, rows: NetworkRows) -> Array:
-        """Accuracy (u,) that one observation of the images gives each unknown; of a figure that of its points."""
+        """Accuracy (u,) of each unknown from one image observation; for a figure that of its points."""
         seen = rows.design[: 2 * self.n_images]
         count = np.maximum(np.count_nonzero(seen, axis=0), 1)
         length = np.linalg.norm(seen, axis=0) / np.sqrt(count)
@@ -119,7 +119,7 @@ class Built:
 
     @property
     def n_images(self) -> int:
-        """Image observations; they stand first."""
+        """Number of image observations, which are the first ones."""
         return sum(o.equation is EXTENDED_COLLINEARITY for o in self.observations)
 
     def rotation(self, k: int, state: Array) -> Array:
@@ -133,7 +133,7 @@ class Built:
         x = unknown if isinstance(unknown, np.ndarray) else state[self.network.part(unknown)]
         return np.asarray(x + self.origin)
 
-    def oriented(self, state: Array) -> tuple[list[Interior], list[Array], list[Array]]:
+    def oriented(self, state: Array) -> tuple[list[PhotoInterior], list[Array], list[Array]]:
         """Interiors, rotations, centres of the photos at a state."""
         values, interiors = self.values(state), []
         for photo, own, shared in zip(self.photos, self.own, self.shared, strict=True):
@@ -142,7 +142,7 @@ class Built:
                 if not isinstance(unknown, np.ndarray):
                     camera[[NAMES.index(n) for n in names]] = values[self.network.part(unknown)]
             c, principal, corrections = float(camera[CAMERA.c]), camera[CAMERA.principal], camera[CAMERA.lens]
-            interiors.append(Interior(c, principal, corrections, photo.interior.y_axis))
+            interiors.append(PhotoInterior(c, principal, corrections, photo.interior.y_axis))
         every = range(len(self.photos))
         return interiors, [self.rotation(k, state) for k in every], [self.place(c, state) for c in self.centres]
 
@@ -162,7 +162,7 @@ class Built:
                     raise NoSolutionError.of("closerange.behind", place=where)
 
 
-def camera_of(interior: Interior) -> Array:
+def camera_of(interior: PhotoInterior) -> Array:
     """Camera parameters (40,) of an interior orientation."""
     out = np.zeros(CAMERA.size)
     out[CAMERA.c], out[CAMERA.principal], out[CAMERA.lens] = interior.focal, interior.principal, interior.corrections
@@ -174,9 +174,9 @@ def build(
     sigma: Array, control: Control, constraints: Sequence[Constraint], is_condition: bool,
     begin: tuple[Built, Array] | None = None,
 ) -> Built:  # fmt: skip
-    """Make the network of a bundle; see :func:`fg_orient.closerange.bundle.adjust_bundle`.
+    """Network of a bundle; see :func:`fg_orient.closerange.bundle.adjust_bundle`.
 
-    ``begin``: the same bundle with fewer constraints, and the state (u,) where the unknowns begin.
+    ``begin``: the same bundle with fewer constraints, and the start (u,) of its unknowns.
     """
     _require_sizes(photos, ids, start, which, of, image)
     origin = start.mean(axis=0)
@@ -194,20 +194,16 @@ def build(
     for a in range(len(of)):
         _add_image_point(built, int(which[a]), int(of[a]), image[a], sigma[a], reach, is_condition)
     built.observations += extras
-    if begin is not None:
-        _begin_at(built, *begin)
+    if begin is not None:  # the variables of figures follow those of photos and points
+        other, state = begin
+        for k, variable in enumerate(built.variables):
+            built.variables[k] = replace(variable, start=state[other.network.part(k)])
+        for j, k in built.point_variables.items():
+            built.start[j] = built.variables[k].start + built.origin
     require_one_value(constraints)
     for constraint in constraints:
         _add_constraint(built, constraint)
     return built
-
-
-def _begin_at(built: Built, other: Built, state: Array) -> None:
-    """Begin where another bundle of the same photos and points ended; figures stand behind both of them."""
-    for k, variable in enumerate(built.variables):
-        built.variables[k] = replace(variable, start=state[other.network.part(k)])
-    for j, k in built.point_variables.items():
-        built.start[j] = built.variables[k].start + built.origin
 
 
 def _require_sizes(
@@ -224,7 +220,7 @@ def _require_sizes(
 
 
 def camera_steps(names: Sequence[str], reach: float) -> Array:
-    """Steps of camera parameters that move a point at the edge of the image by a thousandth of its distance or so."""
+    """Units of camera parameters, which move a point at the edge of the image by about 1/1000 of its distance."""
     power = {"c": 0, "x0": 0, "y0": 0, "k1": 3, "k2": 5, "k3": 7, "p1": 2, "p2": 2, "affinity_a": 1, "affinity_b": 1}
     brown = (1, 1, 2, 2, 3, 3, 4, 2, 2, 3, 3, 4, 2, 4, 4, 3, 5, 7, 0, 0, 0)
     power |= {f"a{j + 1}": p for j, p in enumerate(brown)}
@@ -269,7 +265,7 @@ def _camera_variable(
     built: Built, name: str, names: tuple[str, ...], start: Array, reach: float, photo: BundlePhoto,
     extras: list[Observation],
 ) -> int | Array:  # fmt: skip
-    """Variable of camera parameters with its observed ones; an empty array if there are none."""
+    """Variable of camera parameters, with observations of some; an empty array without parameters."""
     if not names:
         return np.zeros(0)
     steps, offset = camera_steps(names, reach), start[[NAMES.index(n) for n in names]]
@@ -319,7 +315,7 @@ def _add_image_point(
     common = built.steps_of[shared] if not isinstance(shared, np.ndarray) else np.zeros(0)
     steps = np.concatenate([camera_steps(photo.unknown, reach[k]), common])
     start = camera_of(photo.interior)
-    if len(common):  # all photos of a camera start from its first one
+    if len(common):  # all photos of a camera start from the values of its first photo
         assert not isinstance(shared, np.ndarray)
         start[[NAMES.index(n) for n in photo.shared]] = built.offset_of[shared]
     setup = np.ascontiguousarray(np.array([[NAMES.index(n) for n in names], steps], float).reshape(2, len(names)))
@@ -363,9 +359,9 @@ def _add_constraint(built: Built, constraint: Constraint) -> None:
 
 
 def _accuracy(built: Built, members: Sequence[int]) -> Array | None:
-    """Standard deviations (n, 1) of points by their own observations, photos held; None if those leave one open.
+    """Standard deviations (n, 1) of points from their observations with fixed photos; None if one is undetermined.
 
-    Root mean square of the three axes. A held point counts as well known as the best of the others.
+    Root mean square of the three axes. A fixed point has the smallest value of the others.
     """
     variables = [k for j in members if not isinstance(k := built.points[j], np.ndarray)]
     normal = {k: np.zeros((3, 3)) for k in variables}

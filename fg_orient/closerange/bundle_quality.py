@@ -1,4 +1,4 @@
-"""What the cofactors of a bundle say beside standard deviations: redundancy, covariances, weak directions."""
+"""Quality of a bundle from its cofactors: redundancy numbers, covariances, weak directions."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from fg_orient.sensors.frame import opk_of_rotation
 
 Array = npt.NDArray[np.float64]
 
-#: Elements of a direction that are named, by the largest; and how many.
+#: Elements of a direction above this share of the largest are named; and how many at most.
 _NAMED: Final = 0.3
 _FEW: Final = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """Of a bundle at its solution; cofactors are those of the sigmas given.
+    """Quality of a bundle at its solution; cofactors are for the given sigmas.
 
     Parameters
     ----------
@@ -31,17 +31,17 @@ class Quality:
     others : tuple of str
         Other soft observations, element by element.
     others_whitened, others_redundancy : (k,) arrays
-        Their residuals over their sigmas, and redundancy numbers.
+        Their whitened residuals and redundancy numbers.
     points : (n, 3, 3) array
-        Cofactors of the points; 0 of held ones.
+        Cofactors of the points; 0 for fixed points.
     angles_deg : (p, 3, 3) array
-        Cofactors of omega, phi, kappa of the photos; 0 of held ones.
+        Cofactors of omega, phi, kappa of the photos; 0 for fixed photos.
     orientation : (o, o) array
-        Cofactors of all unknowns but those of points.
+        Cofactors of all unknowns except those of points.
     labels : tuple of str
         Of these.
     units : (o,) array
-        The accuracy that one image point gives each of these; beyond 1000 of it an unknown is not determined.
+        Their accuracy from one image point; an unknown that is 1000 times less accurate is not determined.
     history : tuple of IterationRecord
     """
 
@@ -57,7 +57,7 @@ class Quality:
     history: tuple[IterationRecord, ...]
 
     def correlations(self) -> Array:
-        """Of the orientation (o, o); nan with unknowns that hard conditions hold."""
+        """Correlations (o, o) of the orientation; nan for unknowns that hard conditions fix."""
         root = np.sqrt(np.maximum(self.orientation.diagonal(), 0.0))
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.clip(self.orientation / np.outer(root, root), -1.0, 1.0))
@@ -65,7 +65,7 @@ class Quality:
     def weak_directions(self) -> tuple[Array, Array]:
         """Singular values (o,) of the orientation, weakest first, and their directions as rows, in ``units``.
 
-        A direction with the value s has a standard deviation of 1/s units; what hard conditions hold has inf.
+        A direction with the value s has a standard deviation of 1/s units; s is inf if hard conditions fix it.
         """
         if not len(self.units):
             return np.zeros(0), np.zeros((0, 0))
@@ -74,8 +74,8 @@ class Quality:
             singular = np.where(values > 0.0, 1.0 / np.sqrt(np.maximum(values, 0.0)), np.inf)
         return singular[::-1], np.asarray(vectors.T[::-1])
 
-    def in_words(self, direction: Array) -> str:
-        """The unknowns that a direction is mostly made of."""
+    def describe(self, direction: Array) -> str:
+        """Main unknowns of a direction."""
         size = np.abs(direction)
         order = [int(k) for k in np.argsort(-size, kind="stable")[:_FEW] if size[k] >= _NAMED * size.max()]
         sign = np.sign(direction[order[0]]) or 1.0
@@ -83,31 +83,13 @@ class Quality:
 
 
 def quality_of(
-    built: Built,
-    state: Array,
-    rows: NetworkRows,
-    whole: Array,
-    rotations: list[Array],
-    history: tuple[IterationRecord, ...],
+    built: Built, rows: NetworkRows, whole: Array, rotations: list[Array], history: tuple[IterationRecord, ...]
 ) -> Quality:
-    """Take a bundle's figures out of its cofactors.
-
-    Parameters
-    ----------
-    built : Built
-    state : (u,) array
-    rows : NetworkRows
-        At the state, with derivatives.
-    whole : (u, u) array
-        Cofactors of all unknowns.
-    rotations : list of (3, 3) arrays
-        Adjusted.
-    history : tuple of IterationRecord
-    """
+    """Quality of a bundle from the cofactors (u, u) of all unknowns and the rows with derivatives at its state."""
     n, network, units = 2 * built.n_images, built.network, built.units(rows)
     redundancy = 1.0 - np.einsum("ij,ij->i", rows.design @ whole, rows.design)
-    names = [o.label if o.n_residuals == 1 else f"{o.label}, {element}" for o in network.observations
-             if not o.hard for element in _elements(o.n_residuals)][n:]  # fmt: skip
+    names = [o.label if o.n_residuals == 1 else f"{o.label}, {element}" for o in network.observations if not o.hard
+             for element in ("XYZ" if o.n_residuals == 3 else range(1, o.n_residuals + 1))][n:]  # fmt: skip
     points = np.zeros((len(built.ids), 3, 3))
     for j, k in built.point_variables.items():
         points[j] = whole[network.part(k), network.part(k)]
@@ -125,8 +107,3 @@ def quality_of(
         redundancy[:n].reshape(-1, 2), tuple(names), rows.residual[n:], redundancy[n:], points, angles,
         whole[np.ix_(where, where)] * np.outer(steps, steps), tuple(labels), units[where] * steps, history,
     )  # fmt: skip
-
-
-def _elements(count: int) -> tuple[str, ...]:
-    """Names of the elements of an observation."""
-    return ("X", "Y", "Z") if count == 3 else tuple(str(k) for k in range(1, count + 1))

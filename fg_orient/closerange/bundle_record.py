@@ -1,4 +1,4 @@
-"""What ``closerange.json`` holds of a bundle."""
+"""Content of ``closerange.json`` for a bundle."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ import numpy.typing as npt
 
 from factors.cameras.extended_collinearity import NAMES
 from fg_orient.closerange.accuracy import compare_points
-from fg_orient.closerange.bundle import Adjustment, Bundle
+from fg_orient.closerange.bundle import Adjustment, BundleResult
 from fg_orient.closerange.bundle_network import camera_of
 from fg_orient.closerange.bundle_quality import Quality
-from fg_orient.closerange.distortion import profile
-from fg_orient.closerange.files import Observed
+from fg_orient.closerange.corrections import profile
+from fg_orient.closerange.files import Observed, Station, observed_record
 from fg_orient.closerange.job import Record, covariances, exterior_record, no_redundancy, xyz
-from fg_orient.closerange.stations import Station, observed_record
 from fg_orient.model.errors import Finding, as_record, finding
 from fg_orient.quality.reliability import ALPHA, CHECKABLE, POWER, noncentrality
 
@@ -31,14 +30,14 @@ _WEAK: Final = 5
 
 
 def bundle_record(
-    found: Bundle, table: Observed, known: Known, which: Index, of: Index, sigma: Array, absolute: bool,
+    found: BundleResult, table: Observed, known: Known, which: Index, of: Index, sigma: Array, absolute: bool,
     seen: Mapping[str, Station], check: Mapping[str, Array], started: Sequence[Finding] = (),
 ) -> Record:  # fmt: skip
-    """Give the record of a bundle.
+    """Record of a bundle.
 
     Parameters
     ----------
-    found : Bundle
+    found : BundleResult
     table : Observed
         Image points.
     known : mapping
@@ -48,11 +47,11 @@ def bundle_record(
     sigma : (m, 2) array
         Of the image coordinates.
     absolute : bool
-        These are standard deviations; else weights are relative and m0 takes their place in tests.
+        These are standard deviations; else weights are relative, and m0 replaces the sigmas in tests.
     seen : mapping
         Observed stations by photo.
     check : mapping
-        Coordinates of points that took no part.
+        Coordinates of check points.
     started : sequence of Finding
         On the start values.
     """
@@ -76,7 +75,7 @@ def _numbers(one: Adjustment, names: Sequence[str] | None = None) -> list[Record
     return [{"name": n, "value": one[n][0], "sigma": one[n][1]} for n in (names or one.names)]
 
 
-def _photos(found: Bundle, which: Index, seen: Mapping[str, Station]) -> list[Record]:
+def _photos(found: BundleResult, which: Index, seen: Mapping[str, Station]) -> list[Record]:
     photos = []
     for k, (one, rotation, centre) in enumerate(zip(found.photos, found.rotations, found.centres_m, strict=True)):
         sigma = [one[n][1] for n in ("X0", "Y0", "Z0")]
@@ -96,8 +95,8 @@ def _photos(found: Bundle, which: Index, seen: Mapping[str, Station]) -> list[Re
     return photos
 
 
-def _distortion(found: Bundle, table: Observed, which: Index) -> list[Record]:
-    """Corrections along the radius of each camera: that of all photos, of each photo, or held ones that are not 0."""
+def _distortion(found: BundleResult, table: Observed, which: Index) -> list[Record]:
+    """Corrections along the radius of each camera: common ones, of each photo, or fixed ones that are not 0."""
     labels, out = found.quality.labels, list[Record]()
     m0 = found.m0 or 0.0
     groups: dict[tuple[object, ...], list[int]] = {}
@@ -122,7 +121,7 @@ def _distortion(found: Bundle, table: Observed, which: Index) -> list[Record]:
     return out
 
 
-def _points(found: Bundle, known: Known, of: Index, check: Mapping[str, Array]) -> list[Record]:
+def _points(found: BundleResult, known: Known, of: Index, check: Mapping[str, Array]) -> list[Record]:
     n = len(found.ids)
     rays = np.bincount(of, minlength=n)
     misfit = np.sqrt(np.bincount(of, np.sum(found.residuals**2, axis=1), n) / np.maximum(rays, 1))
@@ -140,7 +139,7 @@ def _points(found: Bundle, known: Known, of: Index, check: Mapping[str, Array]) 
     return out
 
 
-def _residuals(found: Bundle, table: Observed, sigma: Array, unit: float) -> list[Record]:
+def _residuals(found: BundleResult, table: Observed, sigma: Array, unit: float) -> list[Record]:
     """Image points: residuals (computed minus measured, corrected), redundancy numbers, w and detectable errors."""
     own, detectable = _tested(found.residuals, sigma * unit, found.quality.redundancy)
     columns = {"": table.image, "residual_": found.residuals, "sigma_": sigma,
@@ -153,7 +152,7 @@ def _residuals(found: Bundle, table: Observed, sigma: Array, unit: float) -> lis
 
 
 def _tested(residual: Array, sigma: Array, redundancy: Array) -> tuple[Array, Array]:
-    """Residuals over their own standard deviations, and minimal detectable errors; nan where nothing checks them."""
+    """Normalised residuals and minimal detectable biases; nan if the observation is not checked."""
     root = np.sqrt(np.where(redundancy >= CHECKABLE, redundancy, np.nan))
     return residual / (sigma * root), np.sqrt(noncentrality()) * sigma / root
 
@@ -163,27 +162,27 @@ def _finite(value: Any) -> float | None:
 
 
 def _others(quality: Quality, unit: float) -> list[Record]:
-    """Observations other than image coordinates: what, redundancy number, residual over its own standard deviation."""
+    """Observations other than image coordinates: name, redundancy number, normalised residual."""
     own, _ = _tested(quality.others_whitened, np.full(len(quality.others), unit), quality.others_redundancy)
     return [{"what": name, "redundancy": float(r), "w": _finite(w)}
             for name, r, w in zip(quality.others, quality.others_redundancy, own, strict=True)]  # fmt: skip
 
 
-def _check(found: Bundle, check: Mapping[str, Array]) -> Record | None:
-    """Figures of adjusted minus given coordinates of the check points; None without any."""
+def _check(found: BundleResult, check: Mapping[str, Array]) -> Record | None:
+    """Statistics of adjusted minus given coordinates of the check points; None without check points."""
     place = {name: k for k, name in enumerate(found.ids)}
     rows = [name for name in check if name in place]
     if not rows:
         return None
     at = np.array([place[name] for name in rows])
     given, ours = np.array([check[name] for name in rows]), found.points_m[at]
-    measures = compare_points("bundle", given, ours, np.zeros(len(rows), bool)).other
+    measures = compare_points(given, ours, np.zeros(len(rows), bool)).other
     return {"n": len(rows), "rms_mm": measures.rms_mm[:3], "worst_mm": measures.worst_mm,
             "mean_mm": (1e3 * (ours - given).mean(axis=0)).tolist()}  # fmt: skip
 
 
 def _reliability(quality: Quality) -> Record:
-    """What redundancy numbers say in sum."""
+    """Summary of the redundancy numbers."""
     r = quality.redundancy
     return {
         "redundancy_of_images": float(r.sum()), "mean": float(r.mean()), "least": float(r.min()), "alpha": ALPHA,
@@ -216,7 +215,7 @@ def _directions(quality: Quality) -> Record:
     finite = values[np.isfinite(values)]
     return {
         "singular_values": finite.tolist(), "held": int(len(values) - len(finite)),
-        "weakest": [{"value": float(values[k]), "words": quality.in_words(rows[k])}
+        "weakest": [{"value": float(values[k]), "words": quality.describe(rows[k])}
                     for k in range(min(_WEAK, len(finite)))],
     }  # fmt: skip
 
@@ -228,9 +227,9 @@ def _history(quality: Quality) -> list[Record]:
 
 
 def _findings(
-    found: Bundle, known: Known, seen: Mapping[str, Station], check: Mapping[str, Array]
+    found: BundleResult, known: Known, seen: Mapping[str, Station], check: Mapping[str, Array]
 ) -> list[Finding]:  # fmt: skip
-    """What the user should know."""
+    """Warnings on the result."""
     out = no_redundancy(found.m0)
     for code, names, measured in (
         ("closerange.unseen_control", known, found.ids),

@@ -1,4 +1,4 @@
-"""Constraints of a bundle: what a user states, and the observations and figures it becomes."""
+"""Constraints of a bundle, and their figures and observations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-#: Kinds with the fewest members; those of photos last.
+#: Kinds with their smallest number of members; those of photos last.
 LEAST: Final = {
     "distance": 2, "parallel": 4, "plane": 3, "line": 2, "plumb line": 1, "circle": 3, "horizontal circle": 3,
     "sphere": 4, "spheroid": 5, "base": 2, "equal attitude": 2,
@@ -28,7 +28,7 @@ OF_PHOTOS: Final = ("base", "equal attitude")
 #: Kinds that need a value, m, and those with a fixed number of members.
 MEASURED: Final = ("distance", "base")
 EXACT: Final = ("distance", "parallel", *OF_PHOTOS)
-#: Figures that are refused if their points do not determine them, before the bundle is adjusted.
+#: Figures that are refused before the adjustment if their points do not determine them.
 JUDGED: Final = ("sphere", "spheroid")
 AXES: Final = ("x", "y", "z")
 _NONE: Final = np.zeros((2, 0))
@@ -36,7 +36,7 @@ _NONE: Final = np.zeros((2, 0))
 
 @dataclass(frozen=True)
 class Constraint:
-    """A relation between points or photos.
+    """Relation between points or photos.
 
     Parameters
     ----------
@@ -48,19 +48,19 @@ class Constraint:
     value_m : float, optional
         Distance or base.
     sigma : float, optional
-        m; rad for "parallel" and "equal attitude". None: the constraint is hard and holds exactly.
+        m; rad for "parallel" and "equal attitude". None: a hard constraint, which holds exactly.
     observed : mapping
-        Observed numbers of the figure, value and sigma, m: ``radius`` of circles and spheres, ``a`` (across the axis)
-        and ``b`` of a spheroid.
+        Observed parameters of the figure, value and sigma, m: ``radius`` of circles and spheres, ``a`` (across the
+        axis) and ``b`` of a spheroid.
     axis : str
         Of a spheroid: "x", "y" or "z".
     offset : (3, 3) array
-        Of "equal attitude": the second camera's axes from the first one's; default: equal.
+        For "equal attitude": axes of the second camera from those of the first; default: equal.
 
     Raises
     ------
     InputError
-        A kind, number of members or value that is not possible.
+        An impossible kind, number of members or value.
     """
 
     kind: str
@@ -99,7 +99,7 @@ class Constraint:
         return f"{self.kind} of {', '.join(self.members)}"
 
     def fault(self, place: str, value: object, expected: str) -> InputError:
-        """What is wrong with the constraint."""
+        """Error of the constraint."""
         text = f"{self.kind} of {', '.join(self.members[:6])}" if self.kind in LEAST else "constraint"
         text += ", ..." if len(self.members) > 6 else ""
         return InputError.of("closerange.constraint", place=f"{text}, {place}", value=value, expected=expected)  # type: ignore[return-value]
@@ -107,7 +107,7 @@ class Constraint:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure near its start: unknowns x are corrections to ``base``.
+    """Figure near its start; the unknowns are corrections to ``base``.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Figure:
     base : (k,) array
     n_residuals : int
     scale : float
-        Factor of the record's s that makes a residual metres.
+        Factor of the record's s for residuals in metres.
     frame : (3, 3) array
         Of planes, lines and circles: normal or direction, then two axes across it.
     origin : (3,) array
@@ -150,7 +150,7 @@ class _Kind:
 
 
 def _axes(points: Array, along: int) -> Array:
-    """Frame (3, 3) of points: direction of largest (0) or smallest (2) extent, then two across, right-handed."""
+    """Right-handed frame (3, 3) of points: direction of largest (0) or smallest (2) extent, then two across."""
     _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=True)
     out = np.array([axes[along], axes[(along + 1) % 3], axes[(along + 2) % 3]])
     out[2] *= np.sign(np.linalg.det(out))
@@ -158,7 +158,7 @@ def _axes(points: Array, along: int) -> Array:
 
 
 def _figure(origin: Array, frame: Array) -> Array:
-    """Record of a plane or line: place, and the frame (3, 3)."""
+    """Record of a plane or line: origin and frame (3, 3)."""
     return constraints.FIGURE.pack(factor=1.0, place=origin, normal=frame[0], e_1=frame[1], e_2=frame[2])
 
 
@@ -203,23 +203,22 @@ def _horizontal_circle(points: Array, _: Constraint, __: Array | None) -> Figure
 
 def _sphere(points: Array, c: Constraint, sigma: Array | None) -> Figure:
     priors = {"a": c.observed["radius"]} if "radius" in c.observed else None
-    found = fit_surface(points, "sphere", priors=priors, sigma_m=sigma).surface
-    radius = float(found.semi_axes[0])
-    return Figure(surfaces.SPHERE, np.ones(1), _NONE, ("x", "y", "z", "radius"), np.append(found.centre, radius), 1,
+    sphere = fit_surface(points, "sphere", priors=priors, sigma_m=sigma).surface
+    radius = float(sphere.semi_axes[0])
+    return Figure(surfaces.SPHERE, np.ones(1), _NONE, ("x", "y", "z", "radius"), np.append(sphere.centre, radius), 1,
                   0.5 / radius)  # fmt: skip
 
 
 def _spheroid(points: Array, c: Constraint, sigma: Array | None) -> Figure:
-    found = fit_surface(points, "spheroid", axis=c.axis, priors=dict(c.observed), sigma_m=sigma).surface
+    start = fit_surface(points, "spheroid", axis=c.axis, priors=dict(c.observed), sigma_m=sigma).surface
+    centre, semi = start.centre, start.semi_axes
     along = AXES.index(c.axis)
-    a, b = float(found.semi_axes[(along + 1) % 3]), float(found.semi_axes[along])
-    record = surfaces.RECORD.pack(
-        factor=1.0, centre=found.centre, rotation=np.eye(3).ravel(), semi_axes=found.semi_axes
-    )
+    a, b = float(semi[(along + 1) % 3]), float(semi[along])
+    record = surfaces.RECORD.pack(factor=1.0, centre=centre, rotation=np.eye(3).ravel(), semi_axes=semi)
     setup = np.array([[0.0, 1.0, 2.0, 9.0 + along, 6.0 + along], np.ones(5)])
-    # corrections to the record: the base is what they are added to
-    return Figure(surfaces.ELLIPSOID, record, setup, ("x", "y", "z", "a", "b"),
-                  np.array([*found.centre, a, b]), 1, 0.5 * min(a, b))  # fmt: skip
+    # the unknowns are corrections to the record, which holds the base
+    return Figure(surfaces.ELLIPSOID, record, setup, ("x", "y", "z", "a", "b"), np.array([*centre, a, b]), 1,
+                  0.5 * min(a, b))  # fmt: skip
 
 
 FIGURES: Final[dict[str, _Kind]] = {
@@ -241,13 +240,13 @@ def figure_of(constraint: Constraint, points: Array, sigma_m: Array | None = Non
     constraint : Constraint
     points : (n, 3) array
     sigma_m : (n, 1) array, optional
-        Of the points, to judge whether they determine a sphere or spheroid; without it their misfit tells it, which
-        says little of five points on a sphere.
+        Of the points, for the test whether they determine a sphere or spheroid; by default their misfit replaces it,
+        which is unreliable for five points on a sphere.
 
     Raises
     ------
     InputError
-        The points leave the figure open.
+        The points do not determine the figure.
     """
     try:
         with np.errstate(all="raise"):
@@ -257,9 +256,9 @@ def figure_of(constraint: Constraint, points: Array, sigma_m: Array | None = Non
 
 
 def require_one_value(constraints: Sequence[Constraint]) -> None:
-    """Refuse hard lengths between the same two points or photos with different values.
+    """Refuse different hard lengths between the same two points or photos.
 
-    Those of equal value depend on each other, which the adjustment says; with a sigma they are observations.
+    The adjustment refuses equal ones as dependent; lengths with a sigma are observations.
 
     Raises
     ------
@@ -275,7 +274,7 @@ def require_one_value(constraints: Sequence[Constraint]) -> None:
 
 
 def variable_of(constraint: Constraint, figure: Figure) -> Variable:
-    """Unknowns of a figure. Corrections for the spheroid, whose record holds its base; else values."""
+    """Unknowns of a figure: corrections for the spheroid, whose record holds its base, else values."""
     start = np.zeros(len(figure.base)) if figure.equation is surfaces.ELLIPSOID else figure.base
     return Variable(constraint.label, start, figure.names)
 
@@ -283,7 +282,7 @@ def variable_of(constraint: Constraint, figure: Figure) -> Variable:
 def figure_observations(
     constraint: Constraint, figure: Figure, k: int, points: Sequence[int | Array]
 ) -> list[Observation]:
-    """Observations that points lie on figure number ``k``, and of the figure's own numbers."""
+    """Observations of points on figure number ``k``, and of the parameters of the figure."""
     hard = constraint.sigma is None
     record = figure.scaled(1.0 / (constraint.sigma or 1.0))
     out = [
@@ -306,7 +305,7 @@ def observed_element(k: int, element: int, value: float, sigma: float, label: st
 
 
 def plain_observation(constraint: Constraint, unknowns: Sequence[int | Array], start: Sequence[Array]) -> Observation:
-    """Observation of a constraint without a figure; ``start``: places of its points, rotations of its photos."""
+    """Observation of a constraint without a figure; ``start``: coordinates of its points, rotations of its photos."""
     s, hard = 1.0 / (constraint.sigma or 1.0), constraint.sigma is None
     if constraint.kind in MEASURED:
         record = constraints.LENGTH.pack(factor=s, distance=constraint.value_m or 0.0)

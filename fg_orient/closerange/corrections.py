@@ -1,14 +1,28 @@
-"""Forms of radial distortion, film deformation and Brown's polynomial by name: sets of camera parameters."""
+"""Corrections of image coordinates: sets of camera parameters by name, and the correction along the radius."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
 
 from factors.cameras import additional_parameters as brown
-from factors.cameras.extended_collinearity import NAMES
+from factors.cameras import image_corrections as lens
+from factors.cameras import image_variants as variants
+from factors.cameras.extended_collinearity import CAMERA, NAMES
 from fg_orient.model.errors import InputError
 
+Array = npt.NDArray[np.float64]
+
+#: Number of radii and directions at which corrections are computed.
+RADII: Final = 33
+DIRECTIONS: Final = 24
+#: First correction in a camera vector, after principal distance and principal point.
+_FIRST: Final = 3
+#: Rounding across the radius of corrections along it, as a share of the radius.
+_ROUNDING: Final = 1e-13
 #: Camera parameters of a form, by its name. dr is radial, along r; equation numbers are those of Ayhan 1996.
 SETS: Final[dict[str, tuple[str, ...]]] = {
     "radial": ("k1", "k2", "k3"),  # dr = k1 r^3 + k2 r^5 + k3 r^7, eq. 71
@@ -27,13 +41,7 @@ SETS: Final[dict[str, tuple[str, ...]]] = {
 
 
 def parameters_of(words: Sequence[str], place: str) -> tuple[str, ...]:
-    """Camera parameters of names and of names of sets, each once, in the order given.
-
-    Raises
-    ------
-    InputError
-        A word is neither.
-    """
+    """Camera parameters of names of parameters and of sets, each once, in the given order; InputError for others."""
     out: list[str] = []
     for word in words:
         if word not in SETS and word not in NAMES:
@@ -41,3 +49,54 @@ def parameters_of(words: Sequence[str], place: str) -> tuple[str, ...]:
             raise InputError.of("closerange.parameter", place=place, value=word, known=known)
         out += SETS.get(word, (word,))
     return tuple(dict.fromkeys(out))
+
+
+def profile(camera: Array, rim: float, names: Sequence[str], covariance: Array) -> dict[str, Any]:
+    """Radial correction over the radius, its standard deviation, and the largest correction across the radius.
+
+    Parameters
+    ----------
+    camera : (40,) array
+        Parameters in the order of ``factors.cameras.extended_collinearity.NAMES``.
+    rim : float
+        Radius of the outermost image point, image units.
+    names : sequence of str
+        Determined parameters.
+    covariance : (k, k) array
+        Of these.
+
+    Returns
+    -------
+    dict
+        ``radius``, ``radial``, ``sigma`` and ``across``, image units: radial part of the correction, mean over all
+        directions; its standard deviation; largest part at right angles to the radius. Lists of the same length.
+    """
+    radius = np.linspace(0.0, rim, RADII)
+    turn = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    along = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    whole = _corrections(camera, radius, along, rim)
+    radial = np.einsum("rdk,dk->rd", whole, along).mean(axis=1)
+    across = np.abs(whole[..., 0] * -along[:, 1] + whole[..., 1] * along[:, 0]).max(axis=1)
+    across[across < _ROUNDING * rim] = 0.0
+    slopes = np.zeros((RADII, len(names)))
+    for j, name in enumerate(names):
+        if NAMES.index(name) >= _FIRST:  # corrections are linear in their parameters
+            unit = np.zeros(CAMERA.size)
+            unit[CAMERA.c], unit[NAMES.index(name)] = camera[CAMERA.c], 1.0
+            slopes[:, j] = np.einsum("rdk,dk->rd", _corrections(unit, radius, along, rim), along).mean(axis=1)
+    variance = np.einsum("ri,ij,rj->r", slopes, covariance, slopes)
+    return {"radius": radius.tolist(), "radial": radial.tolist(), "across": across.tolist(),
+            "sigma": np.sqrt(np.maximum(variance, 0.0)).tolist()}  # fmt: skip
+
+
+def _corrections(camera: Array, radius: Array, along: Array, rim: float) -> Array:
+    """Corrections x, y (r, d, 2) at radii (r,) in directions (d, 2)."""
+    at = radius[:, None, None] * along
+    flat = np.ascontiguousarray(at.reshape(-1, 2))
+    out = lens.ideal_points(np.ascontiguousarray(camera[CAMERA.lens]), flat) - flat
+    for k, (x, y) in enumerate(flat.tolist()):
+        browns, others = brown.terms(x, y, camera[CAMERA.c]), variants.terms(x, y, rim)
+        for terms, part in ((browns, camera[CAMERA.brown]), (others, camera[CAMERA.variants])):
+            if part.any():
+                out[k] += terms @ part
+    return np.asarray(out.reshape(at.shape))

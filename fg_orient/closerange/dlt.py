@@ -1,4 +1,20 @@
-"""Direct linear transformation: 11 parameters and distortion, interior and exterior orientation recovered from them."""
+"""Direct linear transformation: 11 parameters and distortion, interior and exterior orientation recovered from them.
+
+Flat control points are refused if they show no more than a plane within the noise of the image.
+Let the middle of the points be the origin and their plane Z = 0. A photo of the plane alone is a homography, whose
+eight parameters leave the third column (L3, L7, L11) of the matrix open, and the noise of the image decides on it where
+the heights are too small. With columns m1, m2, m3, m4 the projection centre lies at the height ``-D4 / D3``,
+``D3 = det(m1, m2, m3)`` and ``D4 = det(m1, m2, m4)``: of all that noise may do to the third column, what it does to
+``D3`` moves the centre, as the inverse of a number that may be nothing but noise. ``D3`` is the determinant of the left
+part of the matrix in any axes, so the plane need not be known. It is 0 for a parallel projection as well.
+
+A determinant that differs from 0 (q sigmas, q the quantile of ``LEVEL``) is not enough: the inverse of a number has the
+standard deviation of its derivative only where the number is many sigmas from 0. Let the estimate be T sigmas from 0
+and the truth t: the centre is then ``T (T - t) / t`` standard deviations off. It may be ``ALLOWED`` only where noise
+exceeds q: T - t >= q at ``T (T - t) / t = ALLOWED`` needs ``T >= q ALLOWED / (ALLOWED - q)``, 8.1 = 2.6 q for known
+sigmas. Where m0 stands for an unknown sigma q is Student's quantile, but at most ``ALLOWED``: with a redundancy below 7
+honest coordinates are that far off more often than ``LEVEL``, too. A redundancy of 1 then lets one flat set of 15 pass.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +40,9 @@ from fg_orient.closerange.fitting import (
     require_sigmas,
     unit_weight,
 )
-from fg_orient.closerange.flatness import require_depth
 from fg_orient.closerange.photo import Photo, YAxis, corrections_of
-from fg_orient.model.errors import Finding, InputError, NoSolutionError
+from fg_orient.model.distributions import normal_quantile, t_quantile
+from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.rectification.transformation import Scaling
 
 Array = npt.NDArray[np.float64]
@@ -35,18 +51,21 @@ Array = npt.NDArray[np.float64]
 DISTORTION: Final = NAMES[:N_DISTORTION]
 PARAMETERS: Final = tuple(f"L{k}" for k in range(1, 12))
 RECOVERED: Final = ("x0", "y0", "cx", "cy", "skew", "X0", "Y0", "Z0", "turn_x", "turn_y", "turn_z")
-#: Smallest singular value of the scaled design by its largest, below which the points lie in a plane but for noise.
+#: Smallest singular value of the scaled design, divided by the largest, below which the points are coplanar.
 PLANE_LIMIT: Final = 1e-7
-#: Third singular value of the points about their middle by the first, up to which a refusal speaks of a plane.
+#: Third singular value of the points about their middle, divided by the first, up to which a refusal names a plane.
 CLOSE_TO_PLANE: Final = 0.1
-#: Movement of the centre of the distortion that ends its search, by the extent of the image.
+#: Movement of the centre of the distortion that ends its search, divided by the extent of the image.
 SETTLED: Final = 1e-9
 _STEP: Final = 1e-30
+#: Probability of a projection centre that is more than ``ALLOWED`` of its standard deviations off.
+LEVEL: Final = 1e-3
+ALLOWED: Final = 5.0
 
 
 @dataclass(frozen=True)
 class Recovered:
-    """Interior and exterior orientation of a DLT (Ayhan 1996, eq. 43).
+    """PhotoInterior and exterior orientation of a DLT (Ayhan 1996, eq. 43).
 
     Parameters
     ----------
@@ -54,12 +73,12 @@ class Recovered:
     cx, cy : float
         Principal distances along x and y.
     skew : float
-        By how much the image axes are not at right angles, rad.
+        Deviation of the image axes from a right angle, rad.
     centre_m : (3,) array
     rotation : (3, 3) array
-        Camera axes X right, Y down, Z along the view, from ground axes; that of the y axis of the image, x follows.
+        Camera axes X right, Y down, Z along the view, from ground axes; Y follows the y axis of the image exactly.
     y_axis : "up" or "down"
-        Of the image, found from the points.
+        Of the image, computed from the points.
     sigma : dict or None
         Standard deviations by name (:data:`RECOVERED`; turns about the camera axes, rad); None without redundancy.
     """
@@ -81,7 +100,7 @@ class DltFit(Deviations):
     Parameters
     ----------
     photo : Photo
-        Its matrix holds L1 to L11 and 1, for ground coordinates about ``photo.origin_m``.
+        Its matrix contains L1 to L11 and 1, for ground coordinates about ``photo.origin_m``.
     names : tuple of str
         L1 to L11 and the distortion coefficients, in the unit of the image coordinates.
     values : (u,) array
@@ -97,7 +116,7 @@ class DltFit(Deviations):
     recovered : Recovered
     iterations : int
     doubt : Finding or None
-        Standard deviations are too small, since the projection is hardly a central one.
+        Standard deviations are too small, because the projection is hardly central.
     """
 
     photo: Photo
@@ -143,17 +162,16 @@ def fit_dlt(
     image : (n, 2) array
         Measured x, y, any unit.
     sigma : float or array that fits (n, 2), optional
-        Standard deviations of the image coordinates. Without them all have weight 1, and m0 is their sigma.
+        Standard deviations of the image coordinates. By default all have weight 1, and m0 is their sigma.
     distortion : sequence of str
-        Coefficients that are unknown, of k1, k2, k3, p1, p2 (measured to ideal).
+        Unknown coefficients among k1, k2, k3, p1, p2 (measured to ideal).
     about : (2,) array, optional
-        Image point that the distortion is about, held; default the principal point of L, found by repetition (where
-        that does not settle: the one of the direct solution).
+        Fixed origin of the distortion; default the principal point of L by iteration (of the direct solution, if that
+        does not converge).
     name : str
         Of the photo.
     iterate : bool
-        False: the direct linear solution (without distortion), whose weights are those of the equations times their
-        denominator.
+        False: the direct linear solution (without distortion), which weights the equations times their denominator.
 
     Returns
     -------
@@ -162,13 +180,12 @@ def fit_dlt(
     Raises
     ------
     InputError
-        Too few points, points in a plane or flat within the noise (:mod:`fg_orient.closerange.flatness`), no such
-        coefficient, values not possible.
+        Too few points, points in a plane or flat within the noise, unknown coefficients, impossible values.
     NoSolutionError
         The iteration does not converge, or points lie on both sides of the camera.
     """
-    ground = as_points(ground_m, 3, "ground", InputError.of)
-    measured = as_points(image, 2, "image", InputError.of)
+    ground = as_points(ground_m, 3, "ground")
+    measured = as_points(image, 2, "image")
     size = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, float), measured.shape)
     codes = _require(ground, measured, size, distortion, iterate)
     source, target = Scaling.of(ground, shared=True), Scaling.of(measured, shared=True)
@@ -196,32 +213,32 @@ def fit_dlt(
     white, redundancy = residual.ravel(), residual.size - len(state)
     doubt = require_depth(ground, state[:11], judged.cofactors, unit_weight(float(white @ white), redundancy),
                           redundancy, known=sigma is not None)  # fmt: skip
-    found = _result(name, tuple(distortion), ground, source, target, state, residual.reshape(-1, 2) * size, size,
-                    target.physical(records[0, RECORD.centre]), judged, log)  # fmt: skip
-    return replace(found, doubt=doubt)
+    fitted = _result(name, tuple(distortion), ground, source, target, state, residual.reshape(-1, 2) * size, size,
+                     target.physical(records[0, RECORD.centre]), judged, log)  # fmt: skip
+    return replace(fitted, doubt=doubt)
 
 
 def _iterated(rows: Rows, records: Array, state: Array, *, moves: bool) -> tuple[Array, int]:
-    """Adjust; state and number of iterations. The centre of the distortion follows the principal point of L.
+    """Adjusted state and number of iterations. The centre of the distortion follows the principal point of L.
 
-    Where it does not settle (points that do not tell distortion from the principal point), it stays that of the
-    direct solution; ``records`` hold the one that was used.
+    If it does not converge (points that do not separate distortion and principal point), the centre of the direct
+    solution is used; ``records`` contain the used centre.
     """
     start, before = records[0, RECORD.centre].copy(), np.inf
-    first = found = adjust(rows, state, "DLT")
-    iterations = len(found.log)
+    first = last = adjust(rows, state, "DLT")
+    iterations = len(last.log)
     while moves:
-        centre = recover(found.state[:11], np.zeros(3)).principal
+        centre = recover(last.state[:11], np.zeros(3)).principal
         shift = float(np.linalg.norm(centre - records[0, RECORD.centre]))
         if shift <= SETTLED:
-            return found.state, iterations
+            return last.state, iterations
         if not shift <= 0.5 * before:
             records[:, RECORD.centre] = start
             return first.state, iterations
         records[:, RECORD.centre], before = centre, shift
-        found = adjust(rows, found.state, "DLT")
-        iterations += len(found.log)
-    return found.state, iterations
+        last = adjust(rows, last.state, "DLT")
+        iterations += len(last.log)
+    return last.state, iterations
 
 
 def _require(ground: Array, image: Array, sigma: Array, distortion: Sequence[str], iterate: bool) -> Array:
@@ -236,25 +253,99 @@ def _require(ground: Array, image: Array, sigma: Array, distortion: Sequence[str
 
 
 def _open(ground: Array, value: str) -> InputError:
-    """Why points do not determine L: they lie close to a plane, or else on a twisted cubic with the camera or so."""
+    """Refusal of points close to a plane, or else in another critical configuration such as a twisted cubic."""
     size = np.linalg.svd(ground - ground.mean(axis=0), compute_uv=False)
     code = "closerange.plane" if size[2] <= CLOSE_TO_PLANE * size[0] else "closerange.critical"
     return InputError.of(code, place="DLT", value=value)  # type: ignore[return-value]
 
 
 def _require_spatial(ground: Array, design: Array) -> Determination:
-    """Refuse points in a plane, or elsewhere where L is not determined."""
-    found = determination(design)
-    if found.cofactors is None or found.condition >= 1.0 / max(PLANE_LIMIT, RANK_LIMIT):
-        raise _open(ground, f"condition {found.condition:.2g}")
-    return found
+    """Refuse points in a plane or another configuration that does not determine L."""
+    judged = determination(design)
+    if judged.cofactors is None or judged.condition >= 1.0 / max(PLANE_LIMIT, RANK_LIMIT):
+        raise _open(ground, f"condition {judged.condition:.2g}")
+    return judged
+
+
+def limits(redundancy: int, *, known: bool) -> tuple[float, float]:
+    """Numbers of standard deviations by which a determinant differs from 0, and its inverse has an honest sigma.
+
+    ``redundancy``: 1 or more if sigmas are not known; ``known``: sigmas were given.
+    """
+    normal = float(-normal_quantile(LEVEL))
+    noise = normal if known else min(float(t_quantile(redundancy, 1.0 - LEVEL)), ALLOWED)
+    return noise, noise * ALLOWED / (ALLOWED - normal)
+
+
+def require_depth(
+    ground: Array, parameters: Array, cofactors: Array, m0: float | None, redundancy: int, *, known: bool
+) -> Finding | None:
+    """Refuse points that are flat, or a projection that is parallel, within the noise.
+
+    Parameters
+    ----------
+    ground : (n, 3) array
+        Control points, m.
+    parameters : (11,) array
+        L1 to L11 for coordinates about their middle, in any unit.
+    cofactors : (u, u) array
+        Of them and of the coefficients of the distortion.
+    m0 : float or None
+    redundancy : int
+    known : bool
+        Whether sigmas were given; m0 can only enlarge them. Without them and without redundancy the noise is unknown,
+        and nothing is refused.
+
+    Returns
+    -------
+    Finding or None
+        Of a projection that is hardly central, whose centre has too small standard deviations.
+
+    Raises
+    ------
+    InputError
+        Gives the determinant in standard deviations, and the required number.
+    """
+    if not known and m0 is None:
+        return None
+    unit = max(1.0, m0 or 0.0) if known else float(m0 or 0.0)
+    matrix = np.append(parameters, 1.0).reshape(3, 4)[:, :3]
+    slope = np.zeros((3, 4))
+    slope[:, :3] = np.cross(matrix[[1, 2, 0]], matrix[[2, 0, 1]])  # derivatives of the determinant
+    by_parameter = slope.ravel()[:11]
+    deviation = unit * float(np.sqrt(np.maximum(by_parameter @ cofactors[:11, :11] @ by_parameter, 0.0)))
+    determinant, (noise, honest) = abs(float(np.linalg.det(matrix))), limits(redundancy, known=known)
+    if determinant >= honest * deviation:
+        return None
+    ratio, away = determinant / deviation, ground - ground.mean(axis=0)
+    heights = np.linalg.svd(away, full_matrices=False)[2][2]
+    shown = _heights_shown(heights, parameters, cofactors) / unit
+    if shown < honest:
+        rms = float(np.sqrt(np.mean((away @ heights) ** 2)))
+        raise InputError.of("closerange.flat", place="DLT", height=f"{rms:.2g} m",
+                            value=f"{ratio:.2g} sigmas from a plane, {honest:.3g} needed")  # fmt: skip
+    if ratio < noise:
+        raise InputError.of("closerange.parallel_noise", place="DLT",
+                            value=f"{ratio:.2g} sigmas from parallel, {noise:.3g} needed")  # fmt: skip
+    return finding("closerange.nearly_parallel", sigmas=ratio, honest=honest)
+
+
+def _heights_shown(heights: Array, parameters: Array, cofactors: Array) -> float:
+    """Effect of the heights in the image in sigmas, with known distortion: root of a chi-square of three."""
+    pick = np.zeros((3, 3, 4))
+    pick[np.arange(3), np.arange(3), :3] = heights  # the matrix times their direction: its third column
+    rows = pick.reshape(3, 12)[:, :11]
+    both, own = cofactors[:11, 11:], cofactors[11:, 11:]
+    given_distortion = cofactors[:11, :11] - both @ np.linalg.solve(own, both.T)
+    column = rows @ parameters
+    return float(np.sqrt(column @ np.linalg.solve(rows @ given_distortion @ rows.T, column)))
 
 
 def _result(
     name: str, distortion: tuple[str, ...], ground: Array, source: Scaling, target: Scaling, state: Array,
     residuals: Array, sigma: Array, about: Array, judged: Determination, iterations: int,
 ) -> DltFit:  # fmt: skip
-    """Physical parameters: linear in the normalised ones, since the last element of the matrix stays 1."""
+    """Result with physical parameters, linear in the normalised ones because the last element of the matrix is 1."""
     to_physical = _denormalisation(source, target, distortion)
     values = to_physical @ state
     values[[3, 7]] += target.offset  # times the 1 of the last element
@@ -271,16 +362,16 @@ def _result(
                   recovered, iterations)  # fmt: skip
 
 
-def _scaled(found: Recovered, m0: float | None, ground: Array, sigma: Array) -> Recovered:
-    """Orientation with standard deviations a posteriori; refused if its centre is 1000 times worse than a point."""
-    apriori = found.sigma
+def _scaled(recovered: Recovered, m0: float | None, ground: Array, sigma: Array) -> Recovered:
+    """Orientation with a posteriori standard deviations; refused if its centre is 1000 times worse than a point."""
+    apriori = recovered.sigma
     assert apriori is not None
-    depth = float(np.linalg.norm(found.centre_m - ground.mean(axis=0)))
+    depth = float(np.linalg.norm(recovered.centre_m - ground.mean(axis=0)))
     worst = max(apriori[name] for name in ("X0", "Y0", "Z0"))
-    ratio = worst / (float(np.sqrt(np.mean(sigma**2))) * depth / found.cx)
+    ratio = worst / (float(np.sqrt(np.mean(sigma**2))) * depth / recovered.cx)
     if not ratio <= UNDETERMINED:
         raise _open(ground, f"projection centre {ratio:.2g} sigmas of a point")
-    return replace(found, sigma=None if m0 is None else {name: m0 * s for name, s in apriori.items()})
+    return replace(recovered, sigma=None if m0 is None else {name: m0 * s for name, s in apriori.items()})
 
 
 def _denormalisation(source: Scaling, target: Scaling, distortion: tuple[str, ...]) -> Array:
@@ -300,7 +391,7 @@ def _denormalisation(source: Scaling, target: Scaling, distortion: tuple[str, ..
 
 
 def recover(parameters: Array, origin_m: Array, covariance: Array | None = None) -> Recovered:
-    """Interior and exterior orientation from L1 to L11.
+    """PhotoInterior and exterior orientation from L1 to L11.
 
     Parameters
     ----------
@@ -317,8 +408,7 @@ def recover(parameters: Array, origin_m: Array, covariance: Array | None = None)
 
     Notes
     -----
-    Ayhan 1996, eq. 43; the sign of omega there is a slip of print. Standard deviations by complex step through the
-    same formulas.
+    Ayhan 1996, eq. 43, with a corrected sign of omega. Standard deviations by complex step through the same formulas.
     """
     matrix = np.append(parameters, 1.0).reshape(3, 4)
     handed = np.linalg.det(matrix[:, :3])

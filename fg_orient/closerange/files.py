@@ -1,22 +1,27 @@
-"""Tables and photo files of the commands: points in photos, points in space, photos from and to TOML."""
+"""Tables and photo files of the commands: points in photos and in space, stations, photos from and to TOML.
+
+Stations are observed projection centres, optionally with attitudes, and their standard deviations. They come from a
+receiver, a total station or an inertial unit, in the coordinate system of the control points.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from factors.cameras.image_corrections import NAMES
-from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.closerange.photo import Photo, PhotoInterior, rotation_from_aerial
 from fg_orient.formats.closerange import LARGEST, SMALLEST
-from fg_orient.formats.tables import Faults, Row, Table, number, read_table
+from fg_orient.formats.tables import Faults, Row, read_table
 from fg_orient.model.errors import InputError
+from fg_orient.rectification.points import check_roles, numbers_of
 
 if TYPE_CHECKING:
     from fg_orient.formats.closerange import Photos
@@ -27,7 +32,10 @@ IMAGE: Final = ("x", "y")
 GROUND: Final = ("x_m", "y_m", "z_m")
 SIGMA_IMAGE: Final = ("sigma_x", "sigma_y")
 SIGMA_GROUND: Final = ("sigma_x_m", "sigma_y_m", "sigma_z_m")
-ROLES: Final = ("control", "check")
+ANGLES: Final = ("omega_deg", "phi_deg", "kappa_deg")
+SIGMA_TURNS: Final = ("sigma_x_deg", "sigma_y_deg", "sigma_z_deg")
+#: A larger standard deviation of a rotation means that it was not observed.
+_LARGEST_TURN_DEG: Final = 180.0
 
 
 @dataclass(frozen=True)
@@ -60,32 +68,32 @@ class Observed:
 
 
 def read_control(path: Path) -> Observed:
-    """Control points measured in photos: id, x, y, x_m, y_m, z_m; if wanted photo, role, sigma_x and sigma_y.
+    """Control points measured in photos: id, x, y, x_m, y_m, z_m; optional photo, role, sigma_x and sigma_y.
 
     Raises
     ------
     InputError
-        All faults of the file.
+        All errors of the file.
     """
     extra = product(((), ("photo",)), ((), ("role",)), ((), SIGMA_IMAGE))
     return _read(path, [("id", *IMAGE, *GROUND, *a, *b, *c) for a, b, c in extra])
 
 
 def read_image_points(path: Path) -> Observed:
-    """Points measured in photos: id, photo, x, y; if wanted sigma_x and sigma_y."""
+    """Points measured in photos: id, photo, x, y; optional sigma_x and sigma_y."""
     return _read(path, [("id", "photo", *IMAGE, *sigma) for sigma in ((), SIGMA_IMAGE)])
 
 
 def read_ground_points(path: Path) -> Observed:
-    """Points in space: id, x_m, y_m, z_m; if wanted sigma_x_m, sigma_y_m, sigma_z_m."""
+    """Points in space: id, x_m, y_m, z_m; optional sigma_x_m, sigma_y_m, sigma_z_m."""
     return _read(path, [("id", *GROUND, *sigma) for sigma in ((), SIGMA_GROUND)])
 
 
 def _read(path: Path, layouts: list[tuple[str, ...]]) -> Observed:
     faults = Faults(str(path))
     table = read_table(path, layouts, faults)
-    rows = () if table is None else table.rows
-    sigma_names = next((names for names in (SIGMA_IMAGE, SIGMA_GROUND) if _has(table, names[0])), ())
+    rows, columns = ((), ()) if table is None else (table.rows, table.columns)
+    sigma_names = next((names for names in (SIGMA_IMAGE, SIGMA_GROUND) if names[0] in columns), ())
     sigma = _numbers(rows, sigma_names, faults)
     for row, values in zip(rows, sigma, strict=True):
         for name, value in zip(sigma_names, values, strict=True):
@@ -93,47 +101,30 @@ def _read(path: Path, layouts: list[tuple[str, ...]]) -> Observed:
                 faults.add("closerange.sigma_range", place=row.place(name), value=value, least=SMALLEST, limit=LARGEST)
             if value <= 0.0:
                 faults.add("rectify.positive", place=row.place(name), value=value, unit="the unit of the coordinates")
-    found = Observed(
+    points = Observed(
         tuple(row.cells["id"] for row in rows), tuple(row.cells.get("photo", "") for row in rows),
-        _numbers(rows, IMAGE if _has(table, "x") else (), faults),
-        _numbers(rows, GROUND if _has(table, "x_m") else (), faults), sigma if sigma_names else None,
-        np.array([_is_check(row, faults) for row in rows], bool), table.sha256 if table else "",
+        _numbers(rows, IMAGE if "x" in columns else (), faults),
+        _numbers(rows, GROUND if "x_m" in columns else (), faults), sigma if sigma_names else None,
+        check_roles(rows, faults), table.sha256 if table else "",
     )  # fmt: skip
-    _refuse_twice(rows, faults)
+    seen = set[tuple[str, str]]()
+    for row, key in zip(rows, zip(points.ids, points.photos, strict=True), strict=True):
+        if key in seen:
+            faults.add("rectify.id_twice", place=row.place("id"), value=" in photo ".join(filter(None, key)))
+        seen.add(key)
     faults.raise_if_any()
-    return found
-
-
-def _has(table: Table | None, column: str) -> bool:
-    return table is not None and column in table.columns
+    return points
 
 
 def _numbers(rows: Sequence[Row], names: Sequence[str], faults: Faults) -> Array:
     """Numbers (n, k) of some columns, none larger than ``LARGEST``."""
-    out = np.array([[number(row, name, faults) for name in names] for row in rows], float)
-    out = out.reshape(len(rows), len(names))
+    out = numbers_of(rows, names, faults)
     for k, j in np.argwhere(np.abs(out) > LARGEST):
         faults.add("closerange.range", place=rows[k].place(names[j]), value=out[k, j], limit=LARGEST)
     return out
 
 
-def _is_check(row: Row, faults: Faults) -> bool:
-    role = row.cells.get("role", ROLES[0])
-    if role not in ROLES:
-        faults.add("rectify.role", place=row.place("role"), value=role)
-    return role == ROLES[1]
-
-
-def _refuse_twice(rows: Sequence[Row], faults: Faults) -> None:
-    seen = set[tuple[str, str]]()
-    for row in rows:
-        key = (row.cells["id"], row.cells.get("photo", ""))
-        if key in seen:
-            faults.add("rectify.id_twice", place=row.place("id"), value=" in photo ".join(filter(None, key)))
-        seen.add(key)
-
-
-def interiors(photos: Photos) -> dict[str, Interior]:
+def interiors(photos: Photos) -> dict[str, PhotoInterior]:
     """Cameras of a photo file by name.
 
     Raises
@@ -145,7 +136,7 @@ def interiors(photos: Photos) -> dict[str, Interior]:
     for name, entry in photos.entries.items():
         if entry.focal is None:
             raise InputError.of("closerange.no_camera", file=photos.file, place=name)
-        out[name] = Interior(entry.focal, np.array(entry.principal), np.array(entry.corrections), entry.y_axis)
+        out[name] = PhotoInterior(entry.focal, np.array(entry.principal), np.array(entry.corrections), entry.y_axis)
     return out
 
 
@@ -166,14 +157,14 @@ def oriented_photos(photos: Photos) -> dict[str, Photo]:
                                     value="singular", expected="the matrix of a central projection")  # fmt: skip
             out[name] = Photo(name, matrix, origin, np.array(entry.principal), np.array(entry.corrections))
         elif entry.focal is not None and entry.rotation is not None and entry.centre_m is not None:
-            camera = Interior(entry.focal, np.array(entry.principal), np.array(entry.corrections), entry.y_axis)
+            camera = PhotoInterior(entry.focal, np.array(entry.principal), np.array(entry.corrections), entry.y_axis)
             out[name] = Photo.of(name, camera, entry.rotation, entry.centre_m)
         else:
             raise InputError.of("closerange.not_oriented", file=photos.file, place=name)
     return out
 
 
-def photo_text(photo: Photo, interior: Interior | None = None, rotation: Array | None = None) -> str:
+def photo_text(photo: Photo, interior: PhotoInterior | None = None, rotation: Array | None = None) -> str:
     """One ``[[photos]]`` table: of a camera with its rotation, else with the matrix."""
     lines = ["[[photos]]", f"name = {json.dumps(photo.name, ensure_ascii=False)}"]
     if interior is not None and rotation is not None:
@@ -184,3 +175,81 @@ def photo_text(photo: Photo, interior: Interior | None = None, rotation: Array |
     lines.append(f"principal = {photo.principal.tolist()}")
     lines += [f"{n} = {float(v)!r}" for n, v in zip(NAMES, photo.corrections, strict=True) if v != 0.0]
     return "\n".join(lines) + "\n"
+
+
+# --- stations --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Station:
+    """Observed orientation of a photo.
+
+    Parameters
+    ----------
+    centre_m, sigma_m : (3,) arrays
+        Projection centre and its standard deviations, m.
+    rotation : (3, 3) array or None
+        Camera axes from ground axes.
+    sigma_turns_rad : (3,) array or None
+        Of rotations about the camera's axes X right, Y down, Z along the view.
+    """
+
+    centre_m: Array
+    sigma_m: Array
+    rotation: Array | None = None
+    sigma_turns_rad: Array | None = None
+
+
+def read_stations(path: Path) -> dict[str, Station]:
+    """Read a table of stations by photo.
+
+    Parameters
+    ----------
+    path : Path
+        CSV: photo, x_m, y_m, z_m, sigma_x_m, sigma_y_m, sigma_z_m; optional omega_deg, phi_deg, kappa_deg,
+        sigma_x_deg, sigma_y_deg, sigma_z_deg.
+
+    Raises
+    ------
+    InputError
+        All errors of the table.
+    """
+    faults = Faults(str(path))
+    place = ("photo", *GROUND, *SIGMA_GROUND)
+    table = read_table(path, [place, (*place, *ANGLES, *SIGMA_TURNS)], faults)
+    faults.raise_if_any()
+    assert table is not None  # else there is an error
+    out: dict[str, Station] = {}
+    for row in table.rows:
+        name = row.cells["photo"]
+        if name in out or not name:
+            faults.add("closerange.station_twice" if name else "table.cell_empty", place=row.place("photo"), value=name)
+        centre, sigma = _numbers([row], GROUND, faults)[0], _sigmas(row, SIGMA_GROUND, LARGEST, faults)
+        out[name] = Station(centre, sigma)
+        if ANGLES[0] in table.columns:
+            omega, phi, kappa = np.radians(numbers_of([row], ANGLES, faults)[0]).tolist()
+            turns = np.radians(_sigmas(row, SIGMA_TURNS, _LARGEST_TURN_DEG, faults))
+            out[name] = Station(centre, sigma, rotation_from_aerial(omega, phi, kappa), turns)
+    faults.raise_if_any()
+    return out
+
+
+def _sigmas(row: Row, names: tuple[str, ...], limit: float, faults: Faults) -> Array:
+    values = np.asarray(numbers_of([row], names, faults)[0], float)
+    for name, value in zip(names, values.tolist(), strict=True):
+        if not (np.isnan(value) or SMALLEST <= value <= limit):
+            faults.add("closerange.sigma_range", place=row.place(name), value=value, least=SMALLEST, limit=limit)
+    return values
+
+
+def station_sigmas(path: Path | None, stations: Mapping[str, Station]) -> list[tuple[str, str, float]]:
+    """File, place and largest standard deviation of each station."""
+    return [(str(path), f"photo {name}", float(s.sigma_m.max())) for name, s in stations.items()]
+
+
+def observed_record(station: Station | None, centre_m: Array) -> dict[str, Any] | None:
+    """Record of an observed centre: value, sigma, adjusted minus observed, m; None without a station."""
+    if station is None:
+        return None
+    return {"centre_m": station.centre_m.tolist(), "sigma_m": station.sigma_m.tolist(),
+            "residual_m": (centre_m - station.centre_m).tolist()}  # fmt: skip

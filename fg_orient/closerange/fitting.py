@@ -1,13 +1,18 @@
-"""The adjustment of a small problem: rows of any kind, driven by the loop of the bundle adjustment.
+"""Adjustment of a small problem by the loop of the bundle adjustment: rows of any kind, and foot points on quadrics.
 
 Unknowns should be of size 1: the loop judges a step by its largest element.
+
+A condition ``l^T S l + 2 u^T l + c = 0`` between the observations of one point (a surface in space, the coplanarity of
+two rays) with ``v^T Q^-1 v`` minimal has v in closed form except for one number t. Along the eigenvectors of the
+whitened S, v_i = -t w_i/(1 + t d_i), and the condition is a decreasing function of t. So the foot point is exact and
+the nearest one, where iterated linearisation (Pope) may converge to the far side.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -22,15 +27,18 @@ Array = npt.NDArray[np.float64]
 Rows = DenseRows
 
 MAX_ITERATIONS: Final = 100
-#: Smallest by largest singular value of a design with columns of unit length, below which there is no covariance.
+#: Smallest singular value of a design with columns of unit length, divided by the largest, that gives a covariance.
 RANK_LIMIT: Final = 1e-12
-#: Standard deviation by that of a point, beyond which a parameter is not determined by the points.
+#: Standard deviation, divided by that of a point, beyond which the points do not determine a parameter.
 UNDETERMINED: Final = 1e3
+_STEPS: Final = 200
+#: Remaining part of a condition, relative to its largest term: a few rounding errors.
+_ROUNDING: Final = 1e-15
 
 
 @dataclass(frozen=True)
-class Adjusted:
-    """A minimum found.
+class Minimum:
+    """Result of :func:`adjust`.
 
     Parameters
     ----------
@@ -48,23 +56,18 @@ class Adjusted:
     log: tuple[IterationRecord, ...]
 
     @property
-    def redundancy(self) -> int:
-        """Rows minus unknowns."""
-        return int(len(self.residual) - self.design.shape[1])
-
-    @property
-    def m0(self) -> float | None:
-        """Standard deviation of unit weight; None without redundancy."""
-        return unit_weight(float(self.residual @ self.residual), self.redundancy)
+    def squares(self) -> float:
+        """Weighted sum of squares."""
+        return float(self.residual @ self.residual)
 
 
 def unit_weight(weighted_squares: float, redundancy: int) -> float | None:
-    """Standard deviation of unit weight; None without redundancy: it then follows from nothing."""
+    """Standard deviation of unit weight; None without redundancy, when it is not defined."""
     return float(np.sqrt(weighted_squares / redundancy)) if redundancy > 0 else None
 
 
 class Deviations:
-    """Standard deviations a posteriori of what was adjusted.
+    """A posteriori standard deviations of adjusted parameters.
 
     Attributes
     ----------
@@ -84,22 +87,22 @@ class Deviations:
 
 
 def finite_rows(rows: Rows, what: str = "") -> Rows:
-    """The same rows, which refuse derivatives that are not finite: the centre of a sphere has no nearest point on it.
+    """Rows that raise NoSolutionError, which names ``what``, where a derivative is not finite.
 
-    They raise NoSolutionError, which names ``what``.
+    For example, the centre of a sphere has no nearest point on it.
     """
 
-    def checked(state: Array, want: bool) -> tuple[Array, Array]:
-        residual, design = rows(state, want)
-        if want and not (np.isfinite(residual).all() and np.isfinite(design).all()):
+    def checked(state: Array, with_jacobian: bool) -> tuple[Array, Array]:
+        residual, design = rows(state, with_jacobian)
+        if with_jacobian and not (np.isfinite(residual).all() and np.isfinite(design).all()):
             raise NoSolutionError.of("closerange.not_converged", place=what, reason="an equation has no finite value")
         return residual, design
 
     return checked
 
 
-def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array], Array] | None = None) -> Adjusted:
-    """Find the minimum of the squares of some rows by Levenberg-Marquardt.
+def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array], Array] = np.add) -> Minimum:
+    """Minimum of the squares of some rows, by Levenberg-Marquardt.
 
     Parameters
     ----------
@@ -109,7 +112,7 @@ def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array
     what : str
         Named in the error.
     moved : callable, optional
-        State after a step; default their sum.
+        State after a step.
 
     Raises
     ------
@@ -117,24 +120,24 @@ def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array
         The iteration does not converge, or an equation has no finite value.
     """
     checked = finite_rows(rows, what)
-    found = OPTIMIZERS["levenberg-marquardt"](RowsBackend(checked, moved or np.add), start, MAX_ITERATIONS)
-    if not found.converged:
-        raise NoSolutionError.of("closerange.not_converged", place=what, reason=found.end.message)
-    return Adjusted(found.state, *checked(found.state, True), found.log)
+    run = OPTIMIZERS["levenberg-marquardt"](RowsBackend(checked, moved), start, MAX_ITERATIONS)
+    if not run.converged:
+        raise NoSolutionError.of("closerange.not_converged", place=what, reason=run.end.message)
+    return Minimum(run.state, *checked(run.state, True), run.log)
 
 
 @dataclass(frozen=True)
 class Determination:
-    """How well rows determine their unknowns.
+    """Information of rows about their unknowns.
 
     Parameters
     ----------
     condition : float
-        Largest by smallest singular value of the design, its columns of unit length; inf if singular.
+        Largest singular value of the design, its columns of unit length, divided by the smallest; inf if singular.
     cofactors : (u, u) array or None
-        None if the design is singular.
+        None if the unknowns are not determined.
     weakest : (u,) array
-        Change of the unknowns that the rows see least, of unit length in scaled unknowns.
+        Change of the unknowns with the smallest effect on the rows, of unit length in scaled unknowns.
     """
 
     condition: float
@@ -142,8 +145,12 @@ class Determination:
     weakest: Array
 
 
-def determination(design: Array) -> Determination:
-    """Singular values of a design whose columns have unit length, and the cofactors from them."""
+def determination(design: Array, sigma: Array | None = None) -> Determination:
+    """Singular values of a design whose columns have unit length, and cofactors from them.
+
+    ``sigma``: standard deviations of points; unknowns with standard deviations above ``UNDETERMINED`` times their root
+    mean square are not determined.
+    """
     length = np.linalg.norm(design, axis=0)
     # a column of rounding noise must not become one of unit length
     length = np.where(length > RANK_LIMIT * length.max(), length, np.inf)
@@ -155,7 +162,10 @@ def determination(design: Array) -> Determination:
     if values[-1] <= RANK_LIMIT * values[0]:
         return Determination(float("inf"), None, weakest)
     root = right.T / values / length[:, None]
-    return Determination(float(values[0] / values[-1]), np.asarray(root @ root.T), weakest)
+    condition, cofactors = float(values[0] / values[-1]), np.asarray(root @ root.T)
+    if sigma is not None and np.sqrt(np.diag(cofactors).max()) > UNDETERMINED * float(np.sqrt(np.mean(sigma**2))):
+        return Determination(condition, None, weakest)
+    return Determination(condition, cofactors, weakest)
 
 
 def plain_rms(values: Array) -> list[float | None]:
@@ -163,24 +173,19 @@ def plain_rms(values: Array) -> list[float | None]:
     return list[float | None](np.sqrt(np.mean(values**2, axis=0)).tolist()) if len(values) else [None] * values.shape[1]
 
 
-def as_points(values: npt.ArrayLike, width: int, place: str, error: Callable[..., Any]) -> Array:
-    """Finite numbers (n, width), at most ``LARGEST`` in size.
-
-    Raises
-    ------
-    FgOrientError
-        What ``error`` builds, if they are not.
-    """
+def as_points(values: npt.ArrayLike, width: int, place: str) -> Array:
+    """Finite numbers (n, width), at most ``LARGEST`` in size; InputError for anything else."""
     out = np.atleast_2d(np.ascontiguousarray(values, dtype=float))
     if out.ndim != 2 or out.shape[1] != width or not len(out) or not np.isfinite(out).all():
-        raise error("closerange.points", place=place, value=f"shape {out.shape}", width=width)
+        raise InputError.of("closerange.points", place=place, value=f"shape {out.shape}", width=width)
     if np.abs(out).max() > LARGEST:
-        raise error("closerange.range", place=place, value=float(out.flat[np.abs(out).argmax()]), limit=LARGEST)
+        value = float(out.flat[np.abs(out).argmax()])
+        raise InputError.of("closerange.range", place=place, value=value, limit=LARGEST)
     return out
 
 
 def require_sigmas(sigma: npt.ArrayLike, place: str = "sigma") -> None:
-    """Refuse standard deviations that are not finite and above zero, or of a size that nothing here has.
+    """Refuse standard deviations that are not finite, not above zero, or of an impossible size.
 
     Raises
     ------
@@ -195,3 +200,98 @@ def require_sigmas(sigma: npt.ArrayLike, place: str = "sigma") -> None:
     if not within.all():
         raise InputError.of("closerange.sigma_range", place=place, value=float(values[~within][0]), least=SMALLEST,
                             limit=LARGEST)  # fmt: skip
+
+
+# --- conditions of the second degree ---------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Conditions of the second degree, one per point.
+
+    Parameters
+    ----------
+    square : (d, d) or (n, d, d) array
+        S, symmetric.
+    linear : (d,) or (n, d) array
+        u.
+    constant : float or (n,) array
+        c.
+    """
+
+    square: Array
+    linear: Array
+    constant: Array | float
+
+    def value(self, points: Array) -> Array:
+        """Condition (n,) at points (n, d)."""
+        return np.asarray(np.einsum("ni,ni->n", points, self._half_slope(points) + self.linear) + self.constant)
+
+    def slope(self, points: Array) -> Array:
+        """Derivatives (n, d) of the condition."""
+        return np.asarray(2.0 * self._half_slope(points))
+
+    def _half_slope(self, points: Array) -> Array:
+        return np.asarray(np.einsum("...ij,...j->...i", self.square, points) + self.linear)
+
+
+def foot_points(conditions: Conditions, points: Array, sigma: Array) -> Array:
+    """Points (n, d) that fulfil the conditions, nearest to given points in units of their sigmas.
+
+    Parameters
+    ----------
+    conditions : Conditions
+    points, sigma : (n, d) arrays
+        Observations and their standard deviations.
+
+    Returns
+    -------
+    (n, d) array
+        nan without a unique nearest point (the centre of a sphere), or if the surface has no point.
+    """
+    square = sigma[:, :, None] * np.broadcast_to(conditions.square, (len(points), *conditions.square.shape[-2:]))
+    square = square * sigma[:, None, :]
+    d, axes = np.linalg.eigh(square)
+    w = np.einsum("nij,ni->nj", axes, 0.5 * sigma * conditions.slope(points))
+    c = conditions.value(points)
+    t = _multiplier(d, w, c)
+    with np.errstate(all="ignore"):
+        v = -t[:, None] * w / (1.0 + t[:, None] * d)
+    return np.asarray(points + sigma * np.einsum("nij,nj->ni", axes, v))
+
+
+def weighted_distances(conditions: Conditions, points: Array, sigma: Array) -> tuple[Array, Array]:
+    """Distances (n,) of points from the conditions in sigmas, above 0 where these are positive; foot points (n, d)."""
+    foot = foot_points(conditions, points, sigma)
+    side = np.sign(conditions.value(points))
+    return np.asarray(side * np.linalg.norm((points - foot) / sigma, axis=1)), foot
+
+
+def distance_rows(by_unknown: Array, slope: Array, sigma: Array) -> Array:
+    """Derivatives (n, u) of weighted distances from those of the conditions and their slopes at the foot points."""
+    return np.asarray(by_unknown / np.linalg.norm(slope * sigma, axis=1)[:, None])
+
+
+def _multiplier(d: Array, w: Array, c: Array) -> Array:
+    """Root t (n,) of c - sum w^2 t (2 + t d)/(1 + t d)^2 between the poles -1/d, by Newton in a bracket."""
+    with np.errstate(all="ignore"):
+        poles = np.where(np.abs(w) > 0.0, -1.0 / d, np.nan)
+        low = np.fmax.reduce(np.where(poles < 0.0, poles, -np.inf), axis=1)
+        high = np.fmin.reduce(np.where(poles > 0.0, poles, np.inf), axis=1)
+        low, high = np.where(c > 0.0, 0.0, low), np.where(c > 0.0, high, 0.0)
+        t, scale, square = np.zeros(len(c)), np.abs(c), w**2
+        for _ in range(_STEPS):
+            run = t[:, None] * d
+            below = 1.0 + run
+            terms = square * t[:, None] * (2.0 + run) / below**2
+            left = c - terms.sum(axis=1)
+            done = np.abs(left) <= _ROUNDING * (scale + np.abs(terms).sum(axis=1))
+            if done.all():
+                break
+            low, high = np.where(left > 0.0, t, low), np.where(left > 0.0, high, t)
+            newton = t + left / (2.0 * (square / below**3).sum(axis=1))
+            inside = (newton > low) & (newton < high)
+            middle = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (low + high), 2.0 * t + np.sign(c))
+            t = np.where(done, t, np.where(inside, newton, middle))
+    left_over = np.abs(left) <= 1e-9 * (scale + np.abs(terms).sum(axis=1))
+    return np.asarray(np.where(left_over, t, np.nan))

@@ -1,8 +1,8 @@
 """Tables for the bundle from projects of other programs: cameras, poses, start points and marks of a frame model.
 
-Image coordinates and cameras stand in the unit of the model's camera: mm where the program gives it (PhotoModeler),
-else pixels; x runs right, y down. The coordinates of a project are shifted into the system of its control points by
-the mean difference of these points, because programs export a shifted system; a turned or scaled one would be no start.
+Image coordinates and cameras have the unit of the model's camera: mm if the program gives it (PhotoModeler), else
+pixels; x points right, y down. The coordinates of a project are shifted into the system of its control points by the
+mean difference of these points, because programs export a shifted system. A rotated or scaled system is not supported.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.closerange.files import GROUND, IMAGE, SIGMA_GROUND, SIGMA_IMAGE, photo_text
-from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
 from fg_orient.formats.exchange.dbat import read_centres, read_control
 from fg_orient.formats.frame_model import FrameModel
@@ -42,20 +42,20 @@ def run_import(
     export : Path
         Its file or folder.
     source : str
-        A format that holds cameras and poses.
+        A format with cameras and poses.
     control : Path, optional
-        Control points: lines of id, name, X, Y, Z and, unless they are exact, one standard deviation or three.
+        Control points: lines of id, name, X, Y, Z and, unless exact, one standard deviation or three.
     stations : Path, optional
         Observed projection centres: lines of photo, X, Y, Z and one standard deviation or three.
     sigma_image_px : float, optional
-        Standard deviation of image coordinates, pixels, written beside them.
+        Standard deviation of image coordinates, pixels, added to the table.
     out, overwrite
         Folder of the tables; replace it.
 
     Raises
     ------
     InputError
-        A file is faulty, or the camera's distortion leads from ideal to measured coordinates.
+        An invalid file, or a camera whose distortion maps ideal to measured coordinates.
     """
     require_free(out, overwrite=overwrite, contents=CONTENTS)
     format_ = format_named(source, place="<from>")
@@ -91,7 +91,7 @@ def run_import(
 
 
 def _unit(model: FrameModel) -> float:
-    """Pixels per unit of the image coordinates: that of the camera's polynomial; all photos must have the same."""
+    """Pixels per unit of the image coordinates, which is the common unit of the camera polynomials, else 1."""
     units = {c.unit_px for c in model.cameras.values() if c.model == MEASURED_TO_IDEAL and c.unit_px}
     return units.pop() if len(units) == 1 else 1.0
 
@@ -102,7 +102,7 @@ def _shift(model: FrameModel, ids: Sequence[str], known: Array, file: Path | Non
     Raises
     ------
     InputError
-        A control point that the project does not have.
+        A control point that is not in the project.
     """
     if not len(ids):
         return np.zeros(3)
@@ -125,7 +125,7 @@ def _marks(model: FrameModel, sigma_px: float | None) -> tuple[Sequence[str], li
 
 
 def _start(model: FrameModel, control: Sequence[str], shift: Array) -> list[tuple[object, ...]]:
-    """Rows of the measured points that are no control points, in the system of the control points."""
+    """Rows of the measured new points, in the system of the control points."""
     new = [k for k in np.unique(model.point).tolist() if model.point_ids[k] not in set(control)]
     return [(model.point_ids[k], *(model.points_m[k] + shift).tolist()) for k in new]
 
@@ -136,7 +136,7 @@ def _photos(model: FrameModel, shift: Array, file: Path) -> list[str]:
     Raises
     ------
     InputError
-        Two photos have one name, or a camera cannot be held.
+        Two photos with one name, or a camera that a photo file cannot contain.
     """
     names = [pose.name for pose in model.poses]
     if len(set(names)) < len(names):
@@ -147,13 +147,13 @@ def _photos(model: FrameModel, shift: Array, file: Path) -> list[str]:
                        p.rotation) for p in model.poses]  # fmt: skip
 
 
-def _interior(camera: FrameInterior, unit_px: float, file: Path) -> Interior:
-    """Camera in the unit of the image coordinates; k1 k2 k3 P1 P2 stand for x right, y down.
+def _interior(camera: FrameInterior, unit_px: float, file: Path) -> PhotoInterior:
+    """Camera in the unit of the image coordinates; k1 k2 k3 P1 P2 for x right, y down.
 
     Raises
     ------
     InputError
-        The distortion leads the other way.
+        The distortion maps ideal to measured coordinates.
     """
     if camera.model != MEASURED_TO_IDEAL and np.any(camera.distortion):
         raise InputError.of("closerange.direction", file=file, place=f"camera {camera.name}", value=camera.model)
@@ -161,7 +161,7 @@ def _interior(camera: FrameInterior, unit_px: float, file: Path) -> Interior:
     k1, k2, k3, first, second = camera.distortion.tolist()
     corrections = np.array([k1 / ratio**2, k2 / ratio**4, k3 / ratio**6, second / ratio, first / ratio, 0.0, 0.0])
     principal = np.array([camera.principal_px[1], camera.principal_px[0]]) / unit_px
-    return Interior(camera.focal_px / unit_px, principal, corrections, "down")
+    return PhotoInterior(camera.focal_px / unit_px, principal, corrections, "down")
 
 
 def _write(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

@@ -1,4 +1,4 @@
-"""Space intersection: points from two or more oriented photos, with covariance."""
+"""Space intersection of oriented photos with covariance; parallax equations of a stereo pair in the normal case."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 _ITERATIONS: Final = 50
-#: Ends the iteration: largest step by the distance of the photos from the points.
+#: Largest step, relative to the coordinates, that ends the iteration.
 _TOLERANCE: Final = 1e-13
-#: Angle between rays by its noise, below which it may be noise.
+#: Angle between rays, divided by its noise, below which it may be noise.
 SURELY: Final = 5.0
 
 
@@ -31,7 +31,7 @@ class Intersection:
     ----------
     points_m : (n, 3) array
     cofactors : (n, 3, 3) array
-        For the sigmas given; times m0 squared their covariance. The photos count as exact.
+        For the given sigmas; times m0 squared their covariance. The photos are treated as exact.
     residuals : (m, 2) array
         Computed minus ideal image coordinates, in the order of the observations.
     m0 : float or None
@@ -65,7 +65,7 @@ def intersect_photos(
     ----------
     photos : sequence of Photo
     photo, point : (m,) int arrays
-        Photo and point of each observation, from 0; every point in two photos or more.
+        Photo and point of each observation, from 0; every point in at least two photos.
     image : (m, 2) array
         Measured x, y.
     sigma : float or array that fits (m, 2)
@@ -73,8 +73,8 @@ def intersect_photos(
     ids : sequence of str, optional
         Of the points, for messages.
     reweighted : bool
-        True: the equations times their denominators, weighted with the last ones (Ayhan 1996, eqs. 119-124), instead
-        of least squares of the image coordinates. They differ by the square of the residuals.
+        True: equations times their denominators, weighted with the previous denominators (Ayhan 1996, eqs. 119-124),
+        instead of least squares of the image coordinates. The results differ by the square of the residuals.
 
     Returns
     -------
@@ -83,17 +83,17 @@ def intersect_photos(
     Raises
     ------
     InputError
-        A point in one photo only, or with rays so close to parallel that its depth is open.
+        A point in a single photo, or with rays so close to parallel that they do not determine its depth.
     NoSolutionError
         The iteration does not converge, or a point lies behind a photo.
 
     Notes
     -----
     The linear equations with weight 1 give the start; then Gauss-Newton on the ideal image coordinates. Reweighting
-    is the same with slopes at the measured instead of the computed coordinates.
+    uses slopes at the measured instead of the computed coordinates.
     """
     which, of = np.asarray(photo, np.intp), np.asarray(point, np.intp)
-    measured = as_points(image, 2, "image", InputError.of)
+    measured = as_points(image, 2, "image")
     size = np.broadcast_to(np.asarray(sigma, float), measured.shape)
     require_sigmas(size)
     n = int(of.max()) + 1
@@ -159,10 +159,10 @@ def _rows(matrices: Array, ideal: Array, points: Array, at_measured: bool) -> tu
 def _iterated(
     matrices: Array, ideal: Array, size: Array, of: Index, points: Array, names: Sequence[str], reweighted: bool
 ) -> tuple[Array, int]:
-    """Gauss-Newton, each point for itself; ends when no step is above rounding or the largest no longer shrinks."""
+    """Gauss-Newton for each point, until all steps are at rounding level or the largest no longer decreases."""
     before, length = np.inf, np.full(len(points), np.inf)
     for iteration in range(1, _ITERATIONS + 1):
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a point that runs away ends the loop
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # divergence of a point ends the loop
             residuals, slopes, _ = _rows(matrices, ideal, points[of], reweighted)
             white = slopes / size[:, :, None]
             normal, right = _summed(white, white, of, len(points)), np.zeros_like(points)
@@ -183,9 +183,9 @@ def _iterated(
 
 
 def _require_angle(matrices: Array, ideal: Array, size: Array, name: str) -> None:
-    """Refuse a point whose rays are parallel, or so close to it that their noise decides, as those of one place are.
+    """Refuse a point whose rays are parallel within their noise, for example rays from one place.
 
-    An angle a leaves a distance with 1/a times the sigma of a point, which may be ``UNDETERMINED``.
+    With an angle a the sigma of the distance is 1/a times that of a point, which may be ``UNDETERMINED``.
     """
     rays = np.linalg.solve(matrices[:, :, :3], np.column_stack([ideal, np.ones(len(ideal))])[:, :, None])[:, :, 0]
     centres = -np.linalg.solve(matrices[:, :, :3], matrices[:, :, 3:])[:, :, 0]
@@ -213,11 +213,70 @@ def _solved(normal: Array, right: Array) -> Array:
 def _require_depth(
     cofactors: Array, depth: Array, matrices: Array, size: Array, of: Index, names: Sequence[str]
 ) -> None:
-    """Refuse points whose coordinates are 1000 times worse than their image at their distance says."""
-    focal = np.linalg.norm(matrices[:, 0, :3], axis=1)  # of the depth row times the principal distance, about
+    """Refuse points whose standard deviation exceeds that of their image, at their distance, 1000 times."""
+    focal = np.linalg.norm(matrices[:, 0, :3], axis=1)  # norm of the depth row times the principal distance
     unit = np.zeros(len(cofactors))
     np.maximum.at(unit, of, np.sqrt(np.mean(size**2, axis=1)) * depth / focal)
     sd = np.sqrt(np.einsum("nii->ni", cofactors).max(axis=1))
     bad = np.flatnonzero(sd > UNDETERMINED * unit)
     if len(bad):
         raise InputError.of("closerange.parallel_rays", place=f"point {names[bad[0]]}", value=f"{len(bad)} point(s)")
+
+
+# --- normal case -----------------------------------------------------------------------------------
+
+
+def normal_case(
+    left: npt.ArrayLike, right: npt.ArrayLike, base_m: float, focal: float, focal_right: float | None = None,
+    station_m: npt.ArrayLike = (0.0, 0.0, 0.0),
+) -> Array:  # fmt: skip
+    """Points of a stereo pair without rotations, with its base along x.
+
+    Axes as in Ayhan 1996: X right, Y away from the cameras, Z up; image x right, z up from the principal points.
+
+    Parameters
+    ----------
+    left, right : (n, 2) arrays
+        Ideal x, z of the points, about the principal points.
+    base_m : float
+    focal, focal_right : float
+        Principal distances c1, c2, in the unit of the image coordinates; default c2 = c1.
+    station_m : (3,) array
+        X0, Y0, Z0 of the left photo.
+
+    Returns
+    -------
+    (n, 3) array
+        X, Y, Z in m.
+
+    Raises
+    ------
+    InputError
+        A parallax that is not above 0, or impossible values.
+
+    Notes
+    -----
+    Ayhan 1996, eqs. 29 and 30: Y - Y0 = b c1 c2/(x1 c2 - x2 c1), X - X0 = (Y - Y0) x1/c1, Z - Z0 = (Y - Y0) z1/c1.
+    """
+    first, second = as_points(left, 2, "left"), as_points(right, 2, "right")
+    other = focal if focal_right is None else focal_right
+    for place, value in (("base_m", base_m), ("focal", focal), ("focal_right", other)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise InputError.of("closerange.camera", place=place, value=value, expected="a number above 0")
+    parallax = first[:, 0] * other - second[:, 0] * focal
+    bad = np.flatnonzero(~(parallax > 0.0))
+    if len(bad):
+        raise InputError.of("closerange.parallax", place=f"point {bad[0] + 1}", value=parallax[bad[0]])
+    depth = base_m * focal * other / parallax
+    away = np.column_stack([depth * first[:, 0] / focal, depth, depth * first[:, 1] / focal])
+    return np.asarray(away + np.asarray(station_m, float))
+
+
+def turned_about_z(image: npt.ArrayLike, focal: float, phi: float) -> Array:
+    """Image coordinates (n, 2) in the normal case, for a photo rotated by ``phi`` (rad) about the vertical.
+
+    Ayhan 1996, eq. 27: x' = c (x cos phi - c sin phi)/(x sin phi + c cos phi), z' = c z/(same).
+    """
+    x, z = as_points(image, 2, "image").T
+    below = x * np.sin(phi) + focal * np.cos(phi)
+    return np.asarray(focal * np.column_stack([x * np.cos(phi) - focal * np.sin(phi), z]) / below[:, None])

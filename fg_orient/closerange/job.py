@@ -1,10 +1,10 @@
-"""What the commands do: read a table, compute, give the record, write the folder."""
+"""Work of the commands: read a table, compute, make the record, write the folder."""
 
 from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.linear.threads import one_blas_thread
-from fg_orient.closerange.axes import aerial_from_rotation
-from fg_orient.closerange.dlt import DltFit, fit_dlt
+from fg_orient.closerange.dlt import RECOVERED, DltFit, fit_dlt
 from fg_orient.closerange.files import (
     GROUND,
     Observed,
@@ -27,7 +26,7 @@ from fg_orient.closerange.files import (
 )
 from fg_orient.closerange.fitting import plain_rms
 from fg_orient.closerange.intersection import intersect_photos
-from fg_orient.closerange.photo import Photo
+from fg_orient.closerange.photo import Photo, aerial_from_rotation
 from fg_orient.closerange.report import RECORD_FILE, REPORT_FILE
 from fg_orient.closerange.report_html import render
 from fg_orient.closerange.report_words import doubts
@@ -48,21 +47,54 @@ T = TypeVar("T")
 SCHEMA: Final = 1
 CONTENTS: Final = Contents(
     RECORD_FILE,
-    (
-        RECORD_FILE,
-        "points.csv",
-        "photos.toml",
-        REPORT_FILE,
-        "figures/*.svg",
-        "figures/*.pdf",
-        "figures/captions.md",
-    ),
-)  # fmt: skip
+    (RECORD_FILE, "points.csv", "photos.toml", REPORT_FILE, "figures/*.svg", "figures/*.pdf", "figures/captions.md"),
+)
+
+
+@dataclass(frozen=True)
+class Output:
+    """Outputs of a command.
+
+    Parameters
+    ----------
+    out, report : Path, optional
+        Folder of the results; a single HTML report.
+    overwrite : bool
+        Replace existing outputs.
+    command : sequence of str
+        Words of the command line, for the record.
+    """
+
+    out: Path | None = None
+    report: Path | None = None
+    overwrite: bool = False
+    command: Sequence[str] = ()
+
+    def require_possible(self) -> None:
+        """Refuse outputs that may not be written, before anything is computed.
+
+        Raises
+        ------
+        InputError
+            An output exists and may not be replaced, or the report has no folder.
+        """
+        if self.out is not None:
+            require_free(self.out, overwrite=self.overwrite, contents=CONTENTS)
+        if self.report is None:
+            return
+        if self.report.is_dir() or (self.report.exists() and not self.overwrite):
+            raise InputError.of("output.exists", file=self.report, option="report")
+        if not self.report.parent.is_dir():
+            raise InputError.of("output.unwritable", file=self.report, option="report", value="no such folder")
+
+
+#: No output but the record.
+NONE: Final = Output()
 
 
 def run_dlt(
     path: Path, *, distortion: Sequence[str] = (), sigma: float | None = None, iterate: bool = True,
-    out: Path | None = None, report: Path | None = None, overwrite: bool = False, command: Sequence[str] = (),
+    output: Output = NONE,
 ) -> Record:  # fmt: skip
     """Fit a DLT to each photo of a table of control points.
 
@@ -73,46 +105,39 @@ def run_dlt(
     distortion : sequence of str
         Unknown coefficients.
     sigma : float, optional
-        Of image coordinates, where the table has none; without it they all have weight 1, and m0 is their sigma.
+        Of image coordinates without a sigma in the table; by default all have weight 1, and m0 is their sigma.
     iterate : bool
         False: the direct linear solution.
-    out, report, overwrite, command
-        Folder of the results; a single HTML report; replace them; words of the command line, for the record.
+    output : Output, optional
 
     Raises
     ------
     InputError, NoSolutionError
         See :func:`fg_orient.closerange.dlt.fit_dlt`.
     """
-    table, texts = _begin(path, read_control, out, report, overwrite), list[str]()
+    output.require_possible()
+    table, texts = read_control(path), list[str]()
 
     def one(name: str, rows: Array, weights: Array) -> Record:
         used = rows[~table.check[rows]]
         stated = None if table.sigma is None and sigma is None else weights[~table.check[rows]]
-        found = fit_dlt(table.ground[used], table.image[used], sigma=stated, distortion=distortion, name=name,
-                        iterate=iterate)  # fmt: skip
-        texts.append(photo_text(found.photo))
-        little = found.redundancy == 1 and stated is None
-        told = [found.doubt, finding("closerange.little_redundancy") if little else None]
-        return _dlt_record(found, told) | _photo_points(table, rows, found.photo, sigma)
+        fitted = fit_dlt(table.ground[used], table.image[used], sigma=stated, distortion=distortion, name=name,
+                         iterate=iterate)  # fmt: skip
+        texts.append(photo_text(fitted.photo))
+        little = fitted.redundancy == 1 and stated is None
+        doubts = [fitted.doubt, finding("closerange.little_redundancy") if little else None]
+        return _dlt_record(fitted, doubts) | _photo_points(table, rows, fitted.photo, sigma)
 
-    photos = _each_photo(table, sigma, one)
-    return finished(
-        {"kind": "dlt", **unit_of_weights(table, sigma), "photos": photos}, path, table, out, overwrite, command, texts,
-        report,
-    )  # fmt: skip
+    record = {"kind": "dlt", **unit_of_weights(table, sigma), "photos": _each_photo(table, sigma, one)}
+    return finished(record, path, table, output, texts)
 
 
-def _dlt_record(found: DltFit, told: Sequence[Finding | None]) -> Record:
-    r, sd = found.recovered, found.sigma
-    s = r.sigma or dict.fromkeys(("x0", "y0", "cx", "cy", "skew", "X0", "Y0", "Z0", "turn_x", "turn_y", "turn_z"))
+def _dlt_record(fitted: DltFit, doubts: Sequence[Finding | None]) -> Record:
+    r, s = fitted.recovered, fitted.recovered.sigma or dict.fromkeys(RECOVERED)
     return {
-        "photo": found.photo.name, **_fit_facts(found, told),
-        "parameters": [
-            {"name": n, "value": v, "sigma": None if sd is None else float(sd[k])}
-            for k, (n, v) in enumerate(zip(found.names, found.values.tolist(), strict=True))
-        ],
-        "origin_m": found.photo.origin_m.tolist(),
+        "photo": fitted.photo.name, **_fit_facts(fitted, doubts),
+        "parameters": _parameters(fitted.names, fitted.values, fitted.sigma),
+        "origin_m": fitted.photo.origin_m.tolist(),
         "interior": {
             "principal": r.principal.tolist(), "sigma_principal": [s["x0"], s["y0"]], "cx": r.cx, "sigma_cx": s["cx"],
             "cy": r.cy, "sigma_cy": s["cy"], "skew_rad": r.skew, "sigma_skew_rad": s["skew"], "y_axis": r.y_axis,
@@ -122,10 +147,13 @@ def _dlt_record(found: DltFit, told: Sequence[Finding | None]) -> Record:
     }  # fmt: skip
 
 
-def run_resect(
-    path: Path, camera: Path, *, sigma: float | None = None, out: Path | None = None, overwrite: bool = False,
-    report: Path | None = None, command: Sequence[str] = (),
-) -> Record:  # fmt: skip
+def _parameters(names: Sequence[str], values: Array, sigma: Array | None) -> list[Record]:
+    """Values with standard deviations."""
+    deviations = [None] * len(names) if sigma is None else sigma.tolist()
+    return [{"name": n, "value": v, "sigma": s} for n, v, s in zip(names, values.tolist(), deviations, strict=True)]
+
+
+def run_resect(path: Path, camera: Path, *, sigma: float | None = None, output: Output = NONE) -> Record:
     """Orient each photo of a table of control points by its camera.
 
     Raises
@@ -133,41 +161,32 @@ def run_resect(
     InputError, NoSolutionError
         See :func:`fg_orient.closerange.resection.resect`; a photo without a camera.
     """
-    table, texts = _begin(path, read_control, out, report, overwrite), list[str]()
-    cameras = interiors(read_photos(camera))
+    output.require_possible()
+    table, texts, cameras = read_control(path), list[str](), interiors(read_photos(camera))
 
     def one(name: str, rows: Array, weights: Array) -> Record:
         interior, used = of_name(cameras, name, camera), rows[~table.check[rows]]
-        found = resect(interior, table.ground[used], table.image[used], sigma=weights[~table.check[rows]], name=name)
-        texts.append(photo_text(found.photo, interior, found.rotation))
-        return _resection_record(found) | _photo_points(table, rows, found.photo, sigma)
+        pose = resect(interior, table.ground[used], table.image[used], sigma=weights[~table.check[rows]], name=name)
+        texts.append(photo_text(pose.photo, interior, pose.rotation))
+        sd: list[Any] = [None] * 6 if pose.sigma is None else pose.sigma.tolist()
+        exterior = exterior_record(pose.rotation, pose.centre_m, sd[:3], sd[3:])
+        facts = {"photo": name, **_fit_facts(pose, pose.second_pose()), "exterior": exterior}
+        return facts | _photo_points(table, rows, pose.photo, sigma)
 
-    photos = _each_photo(table, sigma, one)
-    return finished({"kind": "resection", **unit_of_weights(table, sigma), "photos": photos}, path, table, out,
-                    overwrite, command, texts, report, [camera])  # fmt: skip
-
-
-def _resection_record(found: Resection) -> Record:
-    sd = found.sigma
-    turns, centre = ([None] * 3, [None] * 3) if sd is None else (sd[:3].tolist(), sd[3:].tolist())
-    facts = _fit_facts(found, [None if found.rival is None else found.rival.finding()])
-    return {"photo": found.photo.name, **facts,
-            "exterior": exterior_record(found.rotation, found.centre_m, turns, centre)}  # fmt: skip
+    record = {"kind": "resection", **unit_of_weights(table, sigma), "photos": _each_photo(table, sigma, one)}
+    return finished(record, path, table, output, texts, [camera])
 
 
-def run_intersect(
-    path: Path, photos: Path, *, sigma: float | None = None, out: Path | None = None, overwrite: bool = False,
-    report: Path | None = None, command: Sequence[str] = (),
-) -> Record:  # fmt: skip
+def run_intersect(path: Path, photos: Path, *, sigma: float | None = None, output: Output = NONE) -> Record:
     """Intersect the points of a table by oriented photos.
 
     Raises
     ------
     InputError, NoSolutionError
-        See :func:`fg_orient.closerange.intersection.intersect_photos`; a photo that the file does not have.
+        See :func:`fg_orient.closerange.intersection.intersect_photos`; a photo that the file does not contain.
     """
-    table = _begin(path, read_image_points, out, report, overwrite)
-    known = oriented_photos(read_photos(photos))
+    output.require_possible()
+    table, known = read_image_points(path), oriented_photos(read_photos(photos))
     names, ids = list(dict.fromkeys(table.photos)), list(dict.fromkeys(table.ids))
     which, of = [names.index(name) for name in table.photos], [ids.index(name) for name in table.ids]
     weights = weights_of(table, sigma)
@@ -191,39 +210,35 @@ def run_intersect(
         "iterations": found.iterations, "points": points, "residuals": residuals, "stations": centres,
         **as_record(no_redundancy(found.m0)),
     }  # fmt: skip
-    return finished(record, path, table, out, overwrite, command, (), report, [photos])
+    return finished(record, path, table, output, beside=[photos])
 
 
 def run_surface(
     path: Path, kind: Kind, *, axis: str = "y", method: Method = "geometric", sigma_m: float | None = None,
-    priors: Priors | None = None, out: Path | None = None, report: Path | None = None, overwrite: bool = False,
-    command: Sequence[str] = (),
+    priors: Priors | None = None, output: Output = NONE,
 ) -> Record:  # fmt: skip
     """Fit a surface to the points of a table.
 
     Raises
     ------
     InputError, NoSolutionError
-        See :func:`fg_orient.closerange.surface_fit.fit_surface`; priors where the points have no sigma.
+        See :func:`fg_orient.closerange.surface_fit.fit_surface`; priors for points without sigma.
     """
-    table = _begin(path, read_ground_points, out, report, overwrite)
+    output.require_possible()
+    table = read_ground_points(path)
     require_absolute(
         path, table, sigma_m, [("", f"<prior> {name}", value[1]) for name, value in (priors or {}).items()]
     )
     weights = sigma_m if table.sigma is None else table.sigma
     with one_blas_thread():
         found = fit_surface(table.ground, kind, axis=axis, sigma_m=weights, method=method, priors=priors)
-    sd = found.sigma
     ratio = None if weights is None or method != "geometric" else np.linalg.norm(found.deviations_m / weights, axis=1)
     record: Record = {
         "kind": "surface", **unit_of_weights(table, sigma_m), "surface": found.surface.as_dict(), "method": method,
         "axis": axis if kind == "spheroid" else None, "m0": found.m0, "redundancy": found.redundancy,
         "condition": found.condition, "iterations": found.iterations, "rms_m": found.rms_m,
         "rms_deviation_m": plain_rms(found.deviations_m),
-        "parameters": [
-            {"name": name, "value": value, "sigma": None if sd is None else float(sd[k])}
-            for k, (name, value) in enumerate(zip(found.names, found.values.tolist(), strict=True))
-        ],
+        "parameters": _parameters(found.names, found.values, found.sigma),
         "points": [
             {"id": name, **xyz(table.ground[k]), **xyz(found.deviations_m[k], "deviation_"),
              "distance_m": float(found.distances_m[k]),
@@ -232,61 +247,36 @@ def run_surface(
         ],
         **as_record(no_redundancy(found.m0)),
     }  # fmt: skip
-    return finished(record, path, table, out, overwrite, command, (), report)
+    return finished(record, path, table, output)
 
 
-# --- what they share -------------------------------------------------------------------------------
-
-
-def require_outputs(out: Path | None, report: Path | None, overwrite: bool) -> None:
-    """Refuse outputs that may not be written, before anything is computed.
-
-    Raises
-    ------
-    InputError
-        One exists and may not be replaced, or the report cannot stand there.
-    """
-    if out is not None:
-        require_free(out, overwrite=overwrite, contents=CONTENTS)
-    if report is None:
-        return
-    if report.is_dir() or (report.exists() and not overwrite):
-        raise InputError.of("output.exists", file=report, option="report")
-    if not report.parent.is_dir():
-        raise InputError.of("output.unwritable", file=report, option="report", value="no such folder")
-
-
-def _begin(
-    path: Path, read: Callable[[Path], Observed], out: Path | None, report: Path | None, overwrite: bool
-) -> Observed:
-    require_outputs(out, report, overwrite)
-    return read(path)
+# --- common parts ----------------------------------------------------------------------------------
 
 
 def weights_of(table: Observed, sigma: float | None) -> Array:
-    """Sigmas (n, 2) of the image coordinates: the table's, or one for all; 1 where nothing tells their size."""
+    """Sigmas (n, 2) of the image coordinates: of the table, or one for all; 1 if unknown."""
     return np.full((len(table), 2), 1.0 if sigma is None else sigma) if table.sigma is None else table.sigma
 
 
 def unit_of_weights(table: Observed, sigma: float | None) -> Record:
-    """Whether weights are those of given sigmas (m0 is a ratio), or only relative (m0 is a sigma)."""
+    """Weights of given sigmas (m0 is a ratio), or relative weights (m0 is a sigma)."""
     return {"weights": "relative" if table.sigma is None and sigma is None else "absolute"}
 
 
 def require_absolute(
     path: Path, table: Observed, sigma: float | None, beside: Iterable[tuple[str, str, float]]
 ) -> None:
-    """Refuse sigmas in metres or radians beside coordinates whose weights are only relative.
+    """Refuse sigmas in metres or radians together with relative weights of coordinates.
 
     Parameters
     ----------
     beside : iterable of (file, place, sigma)
-        What has a sigma of its own.
+        Other observations with a sigma.
 
     Raises
     ------
     InputError
-        Names the first one: all of them weigh nothing definite.
+        Names the first one.
     """
     if table.sigma is None and sigma is None:
         for file, place, value in beside:
@@ -294,7 +284,7 @@ def require_absolute(
 
 
 def _each_photo(table: Observed, sigma: float | None, one: Callable[[str, Any, Array], Record]) -> list[Record]:
-    """Records of the photos in the order of the table; faults name the photo."""
+    """Records of the photos in the order of the table; errors name the photo."""
     weights, out = weights_of(table, sigma), []
     with one_blas_thread():
         for name in dict.fromkeys(table.photos):
@@ -302,19 +292,13 @@ def _each_photo(table: Observed, sigma: float | None, one: Callable[[str, Any, A
             try:
                 out.append(one(name, rows, weights[rows]))
             except InputError as error:
-                raise _in_photo(error, name) from None
+                of = f"photo {name}, " if name else ""
+                raise InputError(*(replace(p, place=f"{of}{p.place}".rstrip(", ")) for p in error.problems)) from None
     return out
 
 
-def _in_photo(error: InputError, name: str) -> InputError:
-    """Put the name of the photo to a fault."""
-    if not name:
-        return error
-    return InputError(*(replace(p, place=f"photo {name}, {p.place}".rstrip(", ")) for p in error.problems))
-
-
 def of_name(known: Mapping[str, T], name: str, path: Path) -> T:
-    """A photo of a file; the only one if the table names none."""
+    """Photo of a file; its only one if the table has no names."""
     if not name and len(known) == 1:
         return next(iter(known.values()))
     if name not in known:
@@ -324,14 +308,14 @@ def of_name(known: Mapping[str, T], name: str, path: Path) -> T:
 
 
 def no_redundancy(m0: float | None) -> list[Finding]:
-    """Tell that standard deviations follow from nothing, where it is so."""
+    """Warning that standard deviations are undefined, if there is no redundancy."""
     return [] if m0 is not None else [finding("closerange.no_redundancy")]
 
 
-def _fit_facts(found: DltFit | Resection, told: Sequence[Finding | None]) -> Record:
+def _fit_facts(fit: DltFit | Resection, doubts: Sequence[Finding | None]) -> Record:
     return {
-        "m0": found.m0, "redundancy": found.redundancy, "condition": found.condition, "iterations": found.iterations,
-        **as_record([*no_redundancy(found.m0), *filter(None, told)]),
+        "m0": fit.m0, "redundancy": fit.redundancy, "condition": fit.condition, "iterations": fit.iterations,
+        **as_record([*no_redundancy(fit.m0), *filter(None, doubts)]),
     }  # fmt: skip
 
 
@@ -360,7 +344,7 @@ def _photo_points(table: Observed, rows: Array, photo: Photo, sigma: float | Non
 
 
 def _given_sigmas(table: Observed, sigma: float | None) -> list[Record]:
-    """Given standard deviations of the image coordinates; none where all have the same weight."""
+    """Given standard deviations of the image coordinates; an empty list for equal weights."""
     if unit_of_weights(table, sigma)["weights"] == "relative":
         return []
     return [{"sigma_x": x, "sigma_y": y} for x, y in weights_of(table, sigma).tolist()]
@@ -379,34 +363,33 @@ def covariances(cofactors: Array, m0: float | None) -> Record:
 
 
 def finished(
-    record: Record, path: Path, table: Observed, out: Path | None, overwrite: bool, command: Sequence[str],
-    photos: Sequence[str] = (), report: Path | None = None, beside: Iterable[Path | None] = (),
+    record: Record, path: Path, table: Observed, output: Output, photos: Sequence[str] = (),
+    beside: Iterable[Path | None] = (),
 ) -> Record:  # fmt: skip
-    """Add what the record was made from, write folder and report where they are wanted.
+    """Add the provenance to a record, and write folder and report.
 
     Parameters
     ----------
     record : dict
     path : Path
-        Of the points.
+        File of the points.
     table : Observed
-        The points.
-    out, overwrite, command, report
-        See :func:`run_dlt`.
+        Its points.
+    output : Output
     photos : sequence of str
         Tables of ``photos.toml``.
     beside : iterable of Path or None
         Other inputs.
     """
-    files = [one for one in beside if one is not None]
+    files, out, report = [one for one in beside if one is not None], output.out, output.report
     record = {"schema": SCHEMA, **record, "input": {"file": path.name, "sha256": table.sha256}, "versions": versions(),
-              "command": [Path(word).name if Path(word).is_absolute() else word for word in command],
+              "command": [Path(word).name if Path(word).is_absolute() else word for word in output.command],
               "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
               "report": {"inputs": [{"file": one.name, "sha256": sha256_of(one)} for one in files]}}  # fmt: skip
     record["doubts"] = doubts(record)
     page = "" if out is None and report is None else render(record)
     if out is not None:
-        with staged_folder(out, overwrite=overwrite, contents=CONTENTS) as folder, writing(out):
+        with staged_folder(out, overwrite=output.overwrite, contents=CONTENTS) as folder, writing(out):
             (folder / RECORD_FILE).write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
             (folder / REPORT_FILE).write_text(page, encoding="utf-8")
             _write_points(folder / "points.csv", record)

@@ -15,24 +15,24 @@ from factors.cameras.frame_camera import CAMERA, rotated
 from factors.conditions.coplanarity import COPLANARITY, turn_and_base
 from factors.conditions.coplanarity import RECORD as PAIR
 from factors.conditions.similarity import RECORD, SIMILARITY
-from fg_orient.closerange.curvature import bend
-from fg_orient.closerange.feet import Conditions, distance_rows, weighted_distances
 from fg_orient.closerange.fitting import (
-    UNDETERMINED,
+    Conditions,
     Determination,
     Deviations,
     Rows,
     adjust,
     as_points,
     determination,
+    distance_rows,
     equation_rows,
     require_sigmas,
     unit_weight,
+    weighted_distances,
 )
-from fg_orient.closerange.photo import Interior
+from fg_orient.closerange.minima import SAME, Rival, bend, ratio_limit, rival_of
+from fg_orient.closerange.photo import PhotoInterior
 from fg_orient.closerange.relative_starts import require_base, start_pairs
-from fg_orient.closerange.rivals import SAME, likeness, ratio_limit, told_apart
-from fg_orient.model.errors import InputError, NoSolutionError
+from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.rectification.transformation import Scaling
 from fg_orient.sensors.initial import nearest_points
 
@@ -43,37 +43,8 @@ LEAST_ABSOLUTE: Final = 3
 
 
 @dataclass(frozen=True)
-class RelativeRival:
-    """A second relative orientation that the points do not tell from the first.
-
-    Parameters
-    ----------
-    rotation : (3, 3) array
-    base : (3,) array
-        As of :class:`RelativeOrientation`.
-    ratio : float
-        Its weighted squares by those of the first.
-    limit : float
-        Ratio from which the test tells them apart: an F test at ``rivals.LEVEL``, and, if it comes later, chi-square
-        of the difference where sigma is given.
-    """
-
-    rotation: Array
-    base: Array
-    ratio: float
-    limit: float
-
-    def __str__(self) -> str:
-        along = ", ".join(f"{v:.4g}" for v in self.base)
-        return (
-            f"a second orientation fits nearly as well, base along {along}: weighted squares {self.ratio:.3g} times as "
-            f"large, a test at 5 % tells orientations apart from {self.limit:.3g}; add points, some off the plane"
-        )
-
-
-@dataclass(frozen=True)
 class RelativeOrientation(Deviations):
-    """The second photo seen from the first.
+    """Orientation of the second photo relative to the first.
 
     Parameters
     ----------
@@ -82,24 +53,24 @@ class RelativeOrientation(Deviations):
     base : (3,) array
         Direction to the second projection centre in axes of the first camera, length 1.
     base_axes : (2, 3) array
-        Directions at right angles to the base in which it may err.
+        Directions at right angles to the base, along which its errors are given.
     cofactors : (5, 5) array
-        Of turns about the axes of the second camera and of the base along ``base_axes``, rad; times m0 squared their
-        covariance.
+        Of rotations about the axes of the second camera and of the base along ``base_axes``, rad; times m0 squared
+        their covariance.
     model : (n, 3) array
-        Points in axes of the first camera, the base as unit.
+        Points in axes of the first camera; the base has length 1.
     distances : (n,) array
-        How far each pair of image points is from coplanar, in its sigmas.
+        Distance of each pair of image points from coplanarity, in its sigmas.
     m0 : float or None
         None without redundancy.
     redundancy : int
     condition : float
     iterations : int
     bend : float
-        Above 0.25 the covariance as a whole is optimistic (:func:`fg_orient.closerange.curvature.bend`), standard
-        deviations one by one are not: few points of a plane, short bases.
-    rival : RelativeRival or None
-        Few points of a plane fit two orientations, and so may seven or eight points in space.
+        Above 0.25 the covariance as a whole is optimistic (:func:`fg_orient.closerange.minima.bend`), but not each
+        standard deviation: few points of a plane, short bases.
+    rival : Rival or None
+        Few points of a plane fit two orientations; seven or eight points in space may do so, too.
     """
 
     rotation: Array
@@ -113,56 +84,63 @@ class RelativeOrientation(Deviations):
     condition: float
     iterations: int
     bend: float = 0.0
-    rival: RelativeRival | None = None
+    rival: Rival | None = None
+
+    def second_orientation(self) -> list[Finding]:
+        """Warning of the rival, if there is one."""
+        if self.rival is None:
+            return []
+        return [finding("closerange.second_orientation", base=self.rival.place.tolist(), ratio=self.rival.ratio,
+                        limit=self.rival.limit)]  # fmt: skip
 
 
 @dataclass(frozen=True)
-class _Minimum:
-    """A minimum of the squares: an orientation, or what is wrong with it."""
+class _Candidate:
+    """Minimum of the squares; ``orientation`` is None if the points do not determine it."""
 
     squares: float
     rotation: Array
     base: Array
     in_front: bool
-    found: RelativeOrientation | None
+    orientation: RelativeOrientation | None
 
 
 def relative_orientation(
-    first: Interior, second: Interior, image_first: npt.ArrayLike, image_second: npt.ArrayLike, *,
+    first: PhotoInterior, second: PhotoInterior, image_first: npt.ArrayLike, image_second: npt.ArrayLike, *,
     sigma: float | None = None,
 ) -> RelativeOrientation:  # fmt: skip
     """Orient two photos to each other.
 
     Parameters
     ----------
-    first, second : Interior
+    first, second : PhotoInterior
     image_first, image_second : (n, 2) arrays
         Measured coordinates of six points or more in both.
     sigma : float, optional
-        Of all image coordinates, in the unit of the focal lengths; without it m0 is its size.
+        Of all image coordinates, in the unit of the focal lengths; without it m0 is its estimate.
 
     Returns
     -------
     RelativeOrientation
-        Of all minima found that of the smallest misfit, all points in front of both cameras; with its rival.
+        The smallest minimum with all points in front of both cameras, with its rival.
 
     Raises
     ------
     InputError
-        Too few points, or points that leave the orientation open: the minimum of the smallest misfit does, be there
-        others that do not.
+        Too few points, or points that do not determine the orientation at the smallest minimum, even if they
+        determine another one.
     NoSolutionError
         No minimum with the points in front of both cameras.
 
     Notes
     -----
     Coplanarity (Ayhan 1996, eqs. 9-19) as a condition between five unknowns and the four image coordinates of a point,
-    adjusted by feet on it. Starts: normal cases along the axes; the homography of a plane (Faugeras, Lustman 1988, in
-    the form of Ma et al. 2004); from eight points on the essential matrix (Longuet-Higgins 1981, normalised as Hartley
-    1997), which points of a plane leave open.
+    adjusted by foot points. Starts: normal cases along the axes; the homography of a plane (Faugeras, Lustman 1988, in
+    the form of Ma et al. 2004); with eight points or more the essential matrix (Longuet-Higgins 1981, normalised as in
+    Hartley 1997), which points of a plane do not determine.
     """
     tangents = [
-        camera.tangents(as_points(image, 2, place, InputError.of))
+        camera.tangents(as_points(image, 2, place))
         for camera, image, place in ((first, image_first, "first image"), (second, image_second, "second image"))
     ]
     n = len(tangents[0])
@@ -172,7 +150,7 @@ def relative_orientation(
     require_sigmas(unit)
     points = np.column_stack(tangents)
     size = np.tile(np.repeat([unit / first.focal, unit / second.focal], 2), (n, 1))
-    minima = list[_Minimum]()
+    minima = list[_Candidate]()
     for rotation, base in start_pairs(points):
         with suppress(NoSolutionError):
             minima.append(_adjusted_pair(points, size, rotation, base))
@@ -183,69 +161,67 @@ def relative_orientation(
         require_base(points, size, minima[0].squares if minima else 0.0, known=sigma is not None)
         raise
     record, _ = _record(chosen.rotation, chosen.base)
-    bent = bend(lambda x, want: _pair_rows(record, points, size, x, want), np.zeros(5), chosen.m0)
+    bent = bend(lambda x, jacobian: _pair_rows(record, points, size, x, jacobian), np.zeros(5), chosen.m0)
     return replace(chosen, bend=bent)
 
 
-def _chosen(minima: list[_Minimum], redundancy: int, *, known: bool) -> RelativeOrientation:
-    """The determined minimum with the points in front of both cameras, unless one that is not determined decides.
+def _chosen(minima: list[_Candidate], redundancy: int, *, known: bool) -> RelativeOrientation:
+    """Smallest determined minimum with the points in front of both cameras.
 
-    Such a one decides with smaller squares; with points behind a camera, where noise decides on their side as well, if
-    an F test tells the others from it.
+    An undetermined minimum is refused if its squares are smaller. If its points lie behind a camera, which may be due
+    to noise, it is refused if an F test distinguishes the determined minimum from it.
 
     Raises
     ------
     InputError, NoSolutionError
         See :func:`relative_orientation`.
     """
-    first = next((one for one in minima if one.in_front and one.found is not None), None)
+    first = next((one for one in minima if one.in_front and one.orientation is not None), None)
     best = np.inf if first is None else first.squares
     for one in minima:
         below = one.squares < best if one.in_front else one.squares * ratio_limit(redundancy) < best
-        if one.found is None and below:
+        if one.orientation is None and below:
             raise InputError.of("closerange.pair", place="relative orientation", value="the least squares are there")
-    if first is None or first.found is None:
+    if first is None or first.orientation is None:
         raise NoSolutionError.of("closerange.no_pair", place="relative orientation")
     for other in minima:
         apart = max(np.abs(other.rotation - first.rotation).max(), np.linalg.norm(other.base - first.base))
-        ratio = likeness(first.squares, other.squares, redundancy, known=known)
-        if other.in_front and apart > SAME and ratio is not None:
-            rival = RelativeRival(other.rotation, other.base, ratio, told_apart(first.squares, redundancy, known=known))
-            return replace(first.found, rival=rival)
-    return first.found
+        rival = rival_of(first.squares, other.squares, redundancy, other.rotation, other.base, known=known)
+        if other.in_front and apart > SAME and rival is not None:
+            return replace(first.orientation, rival=rival)
+    return first.orientation
 
 
 def _record(rotation: Array, base: Array) -> tuple[Array, Array]:
-    """Record of the equation, and the directions in which the base may move."""
+    """Record of the equation, and the directions at right angles to the base."""
     axes = np.linalg.svd(base[None])[2][1:]
     return PAIR.pack(factor=1.0, rotation=rotation.ravel(), base=base, n_1=axes[0], n_2=axes[1]), axes
 
 
-def _adjusted_pair(points: Array, sigma: Array, rotation: Array, base: Array) -> _Minimum:
+def _adjusted_pair(points: Array, sigma: Array, rotation: Array, base: Array) -> _Candidate:
     record, _ = _record(rotation, base)
-    found = adjust(lambda x, want: _pair_rows(record, points, sigma, x, want), np.zeros(5), "relative orientation")
-    turn, moved = turn_and_base(record, found.state)
+    minimum = adjust(lambda x, jacobian: _pair_rows(record, points, sigma, x, jacobian), np.zeros(5),
+                     "relative orientation")  # fmt: skip
+    turn, moved = turn_and_base(record, minimum.state)
     rotation, base = turn[CAMERA.rotation].reshape(3, 3), moved / np.linalg.norm(moved)
     model = _model(points, rotation, base)
     in_front = bool(
         np.isfinite(model).all() and (model[:, 2] > 0.0).all() and ((model - base) @ rotation[2] > 0.0).all()
     )
-    record, axes = _record(rotation, base)  # at the solution: unknowns are turns of the second camera there
+    record, axes = _record(rotation, base)  # unknowns are rotations of the second camera at the solution
     distances, design = _pair_rows(record, points, sigma, np.zeros(5), True)
-    judged, squares = determination(design), float(distances @ distances)
-    sd = None if judged.cofactors is None else np.sqrt(np.diag(judged.cofactors))
-    if sd is None or (sd > UNDETERMINED * float(np.sqrt(np.mean(sigma**2)))).any():
-        return _Minimum(squares, rotation, base, in_front, None)
-    assert judged.cofactors is not None
+    judged, squares = determination(design, sigma), float(distances @ distances)
+    if judged.cofactors is None:
+        return _Candidate(squares, rotation, base, in_front, None)
     redundancy = len(points) - 5
     m0 = unit_weight(squares, redundancy)
     whole = RelativeOrientation(
-        rotation, base, axes, judged.cofactors, model, distances, m0, redundancy, judged.condition, len(found.log),
+        rotation, base, axes, judged.cofactors, model, distances, m0, redundancy, judged.condition, len(minimum.log),
     )  # fmt: skip
-    return _Minimum(squares, rotation, base, in_front, whole)
+    return _Candidate(squares, rotation, base, in_front, whole)
 
 
-def _pair_rows(record: Array, points: Array, sigma: Array, x: Array, want: bool) -> tuple[Array, Array]:
+def _pair_rows(record: Array, points: Array, sigma: Array, x: Array, with_jacobian: bool) -> tuple[Array, Array]:
     """Weighted distances of the image points from coplanarity, and their derivatives."""
     turn, base = turn_and_base(record, x)
     across = np.array([[0.0, -base[2], base[1]], [base[2], 0.0, -base[0]], [-base[1], base[0], 0.0]])
@@ -254,7 +230,7 @@ def _pair_rows(record: Array, points: Array, sigma: Array, x: Array, want: bool)
     square[2:, :2], square[:2, 2:] = 0.5 * g[:2, :2], 0.5 * g[:2, :2].T
     conditions = Conditions(square, 0.5 * np.concatenate([g[2, :2], g[:2, 2]]), float(g[2, 2]))
     residual, foot = weighted_distances(conditions, points, sigma)
-    if not want:
+    if not with_jacobian:
         return residual, np.zeros((0, 5))
     n = len(points)
     _, (by_unknown, slope) = evaluate(COPLANARITY, np.tile(record, (n, 1)), [np.zeros((2, 0))] * n, [x] * n, foot)
@@ -262,7 +238,7 @@ def _pair_rows(record: Array, points: Array, sigma: Array, x: Array, want: bool)
 
 
 def _model(points: Array, rotation: Array, base: Array) -> Array:
-    """Points nearest to both rays (n, 3); nan where these are parallel."""
+    """Points (n, 3) nearest to both rays; nan for parallel rays."""
     n, ones = len(points), np.ones(len(points))
     rays = np.concatenate([np.column_stack([points[:, :2], ones]), np.column_stack([points[:, 2:], ones]) @ rotation])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -280,16 +256,16 @@ class Similarity(Deviations):
     rotation : (3, 3) array
     shift_m : (3,) array
     cofactors : (7, 7) array
-        Of turns about the ground axes (rad), of the scale's logarithm, and of the shift (m); times m0 squared their
-        covariance.
+        Of rotations about the ground axes (rad), of the logarithm of the scale, and of the shift (m); times m0 squared
+        their covariance.
     residuals_m : (n, 3) array
         Computed minus given.
     m0 : float or None
     redundancy : int
     condition : float
     bend : float
-        Above 0.25 the covariance as a whole is optimistic (:func:`fg_orient.closerange.curvature.bend`), standard
-        deviations one by one are not: points close to a line. For unknowns about the middle of the points.
+        Above 0.25 the covariance as a whole is optimistic (:func:`fg_orient.closerange.minima.bend`), but not each
+        standard deviation: points close to a line. For unknowns about the middle of the points.
     """
 
     scale: float
@@ -304,7 +280,7 @@ class Similarity(Deviations):
 
     def apply(self, model: npt.ArrayLike) -> Array:
         """Ground coordinates (n, 3) of model points."""
-        return np.asarray(self.shift_m + self.scale * as_points(model, 3, "model", InputError.of) @ self.rotation.T)
+        return np.asarray(self.shift_m + self.scale * as_points(model, 3, "model") @ self.rotation.T)
 
 
 def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma_m: npt.ArrayLike = 1.0) -> Similarity:
@@ -334,7 +310,7 @@ def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma
     -----
     Start in closed form (Umeyama 1991), which is the solution for equal sigmas; then ``factors.conditions.similarity``.
     """
-    source, target = as_points(model, 3, "model", InputError.of), as_points(ground_m, 3, "ground", InputError.of)
+    source, target = as_points(model, 3, "model"), as_points(ground_m, 3, "ground")
     sigma = np.broadcast_to(np.asarray(sigma_m, float), target.shape)
     if len(source) != len(target) or len(source) < LEAST_ABSOLUTE:
         raise InputError.of("closerange.few", place="absolute orientation", value=len(source), least=LEAST_ABSOLUTE)
@@ -343,32 +319,32 @@ def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma
     a, b = from_.normalised(source), to.normalised(target)
     size = float(to.scale[0])
     start = _umeyama(a, b)
-    _require_off_line(_similarity_rows(a, b, sigma / size, *start), sigma / size)
-    found = adjust(_similarity_rows(a, b, sigma / size, *start), np.zeros(7), "absolute orientation")
-    rotation, scale, shift = _settled(start, found.state)
-    judged, cofactors = _require_off_line(_similarity_rows(a, b, sigma / size, rotation, scale, shift), sigma / size)
+    rows = _similarity_rows(a, b, sigma / size, *start)
+    _require_off_line(rows, sigma / size)
+    minimum = adjust(rows, np.zeros(7), "absolute orientation")
+    x = minimum.state
+    rotation, scale, shift = rotated(start[0], x[:3]), float(np.exp(x[3]) * start[1]), np.asarray(start[2] + x[4:])
+    rows = _similarity_rows(a, b, sigma / size, rotation, scale, shift)
+    judged, cofactors = _require_off_line(rows, sigma / size)
     physical = scale * size / float(from_.scale[0])
     offset = physical * rotation @ from_.offset
-    # shift = centre on the ground - scale R (middle of the model): turns and scale about that middle reach it
+    # shift = centre on the ground - scale R (middle of the model), so rotations and scale about that middle change it
     away = np.eye(7)
     away[4:, 4:] *= size
     away[4:, :3] = np.array([[0.0, -offset[2], offset[1]], [offset[2], 0.0, -offset[0]], [-offset[1], offset[0], 0.0]])
     away[4:, 3] = -offset
     redundancy = 3 * len(source) - 7
-    residuals = found.residual.reshape(-1, 3) * sigma
-    m0 = unit_weight(float(found.residual @ found.residual), redundancy)
-    bent = bend(_similarity_rows(a, b, sigma / size, rotation, scale, shift), np.zeros(7), m0)
+    m0 = unit_weight(minimum.squares, redundancy)
     return Similarity(
-        physical, rotation, to.offset + size * shift - offset, away @ cofactors @ away.T, residuals, m0, redundancy,
-        judged.condition, bent,
+        physical, rotation, to.offset + size * shift - offset, away @ cofactors @ away.T,
+        minimum.residual.reshape(-1, 3) * sigma, m0, redundancy, judged.condition, bend(rows, np.zeros(7), m0),
     )  # fmt: skip
 
 
 def _require_off_line(rows: Rows, sigma: Array) -> tuple[Determination, Array]:
-    """Condition and cofactors where the rows begin; points on a line leave the turn about it open."""
-    judged = determination(rows(np.zeros(7), True)[1])
-    worst = np.inf if judged.cofactors is None else float(np.sqrt(np.diag(judged.cofactors).max()))
-    if judged.cofactors is None or worst > UNDETERMINED * float(np.sqrt(np.mean(sigma**2))):
+    """Condition and cofactors at the start of the rows; refused for points on a line, which do not fix a rotation."""
+    judged = determination(rows(np.zeros(7), True)[1], sigma)
+    if judged.cofactors is None:
         raise InputError.of("closerange.line", place="absolute orientation", value=f"condition {judged.condition:.2g}")
     return judged, judged.cofactors
 
@@ -389,8 +365,3 @@ def _similarity_rows(a: Array, b: Array, sigma: Array, rotation: Array, scale: f
     whitening = (np.eye(3) / sigma[..., None, :]).reshape(*sigma.shape[:-1], 9)
     records = RECORD.pack(model=a, ground=b, whitening=whitening, rotation=rotation.ravel(), scale=scale, shift=shift)
     return equation_rows(SIMILARITY, records, np.zeros((2, 0)))
-
-
-def _settled(start: tuple[Array, float, Array], x: Array) -> tuple[Array, float, Array]:
-    """Rotation, scale and shift of a state."""
-    return rotated(start[0], x[:3]), float(np.exp(x[3]) * start[1]), np.asarray(start[2] + x[4:])

@@ -1,7 +1,10 @@
-"""A photo of close range: ideal image coordinates as a projective map of the ground, corrections to measured ones.
+"""Close-range photo: ideal image coordinates as a projective map of the ground, corrections, rotations.
 
-Image coordinates x (right) and y (up or down) stand in any unit, that of the focal length: mm or pixels. The rotation
-is that of ``sensors.frame``: camera axes X right, Y **down**, Z along the view, from ground axes.
+Image coordinates x (right) and y (up or down) have any unit, the same as the focal length: mm or pixels. All rotations
+lead from ground axes to camera axes X right, Y **down**, Z along the view (``sensors.frame``).
+
+Ayhan 1996 multiplies the triple (X, Z, Y): X right, Z up, Y away from the camera. With X right, Y forward, Z up this
+triple is left-handed, so its angles have the opposite sense of an aerial omega, phi, kappa.
 """
 
 from __future__ import annotations
@@ -22,13 +25,19 @@ Array = npt.NDArray[np.float64]
 YAxis = Literal["up", "down"]
 
 Y_AXES: Final[tuple[YAxis, ...]] = ("up", "down")
+#: (X, Z, Y) from (X, Y, Z).
+_ORDER: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+#: Camera axes from image axes x right, z up, c along the view.
+_DOWN: Final = np.diag([1.0, -1.0, 1.0])
+#: Camera axes from photogrammetric ones: X right, Y up, view along -Z.
+_BACK: Final = np.diag([1.0, -1.0, -1.0])
 _NEWTON: Final = 30
 _TOLERANCE: Final = 1e-12
 
 
 @dataclass(frozen=True)
-class Interior:
-    """Interior orientation of a metric or non-metric camera.
+class PhotoInterior:
+    """PhotoInterior orientation of a metric or non-metric camera.
 
     Parameters
     ----------
@@ -37,14 +46,14 @@ class Interior:
     principal : (2,) array
         x, y of the principal point.
     corrections : (7,) array
-        k1 k2 k3 P1 P2 A B that lead measured coordinates to ideal ones (``factors.cameras.image_corrections``).
+        k1 k2 k3 P1 P2 A B from measured to ideal coordinates (``factors.cameras.image_corrections``).
     y_axis : "up" or "down"
-        Where y points in the image.
+        Direction of y in the image.
 
     Raises
     ------
     InputError
-        A value that is not finite, a focal length not above 0, or no such axis.
+        A value that is not finite, a focal length not above 0, or another axis.
     """
 
     focal: float
@@ -66,7 +75,7 @@ class Interior:
 
     @property
     def sign(self) -> float:
-        """1 if y points down, as the camera's Y does, else -1."""
+        """1 if y points down like the camera's Y, else -1."""
         return 1.0 if self.y_axis == "down" else -1.0
 
     @property
@@ -92,9 +101,9 @@ class Photo:
         Homogeneous ideal image coordinates of ``(ground - origin_m, 1)``; its last row gives the depth, above 0.
     origin_m : (3,) array
     principal : (2,) array
-        Point that the corrections are about.
+        Origin of the corrections.
     corrections : (7,) array
-        See :class:`Interior`.
+        See :class:`PhotoInterior`.
     """
 
     name: str
@@ -104,13 +113,13 @@ class Photo:
     corrections: Array
 
     @classmethod
-    def of(cls, name: str, interior: Interior, rotation: npt.ArrayLike, centre_m: npt.ArrayLike) -> Photo:
+    def of(cls, name: str, interior: PhotoInterior, rotation: npt.ArrayLike, centre_m: npt.ArrayLike) -> Photo:
         """Photo of a camera with rotation and projection centre.
 
         Raises
         ------
         InputError
-            The matrix is no rotation, or values are not finite.
+            Not a rotation matrix, or values that are not finite.
         """
         camera = FrameCamera(np.asarray(rotation, float), np.asarray(centre_m, float), interior.focal)
         matrix = np.zeros((3, 4))  # about the projection centre: nothing to cancel
@@ -124,7 +133,7 @@ class Photo:
 
     def ideal(self, image: npt.ArrayLike) -> Array:
         """Ideal coordinates (n, 2) of measured ones."""
-        given = as_points(image, 2, "image", InputError.of)
+        given = as_points(image, 2, "image")
         return np.asarray(ideal_points(self.corrections, given - self.principal) + self.principal)
 
     def measured(self, ideal: Array) -> Array:
@@ -145,7 +154,7 @@ class Photo:
                 step = np.column_stack([yy * left[:, 0] - xy * left[:, 1], xx * left[:, 1] - yx * left[:, 0]])
                 step = step / det[:, None]
             at = at + step
-            # beyond the fold of the polynomial two points share an ideal one
+            # beyond the fold of the polynomial two points have the same ideal point
             if not (np.isfinite(at).all() and (det > 0.0).all() and (xx > 0.0).all()):
                 break
             if np.abs(step).max(initial=0.0) <= _TOLERANCE * (1.0 + np.abs(at).max(initial=0.0)):
@@ -154,7 +163,7 @@ class Photo:
 
     def project(self, ground_m: npt.ArrayLike) -> Array:
         """Measured image coordinates (n, 2) of ground points; nan behind the camera."""
-        ground = as_points(ground_m, 3, "ground", InputError.of) - self.origin_m
+        ground = as_points(ground_m, 3, "ground") - self.origin_m
         q = ground @ self.matrix[:, :3].T + self.matrix[:, 3]
         with np.errstate(all="ignore"):
             ideal = np.where(q[:, 2:] > 0.0, q[:, :2] / q[:, 2:], np.nan)
@@ -172,7 +181,48 @@ class Photo:
 
 
 def corrections_of(names: Sequence[str], values: npt.ArrayLike) -> Array:
-    """Coefficients (7,) from some of them by name; the others are 0."""
+    """Coefficients (7,) of named values; the others are 0."""
     out = np.zeros(AT.size)
     out[[NAMES.index(name) for name in names]] = values
     return out
+
+
+def ayhan_matrix(omega: float, psi: float, kappa: float) -> Array:
+    """M = M_kappa M_psi M_omega (3, 3) of Ayhan 1996, eqs. 56-59, on the triple (X, Z, Y); angles in rad."""
+    return _from_angles(omega, psi, kappa)
+
+
+def rotation_from_ayhan(omega: float, psi: float, kappa: float) -> Array:
+    """Camera axes from ground axes (3, 3) of the angles of Ayhan 1996, rad."""
+    return np.asarray(_DOWN @ ayhan_matrix(omega, psi, kappa) @ _ORDER)
+
+
+def ayhan_from_rotation(rotation: Array) -> tuple[float, float, float]:
+    """Angles omega, psi, kappa of Ayhan 1996, rad, of camera axes from ground axes."""
+    return _angles(_DOWN @ rotation @ _ORDER)
+
+
+def rotation_from_aerial(omega: float, phi: float, kappa: float) -> Array:
+    """Camera axes from ground axes (3, 3) of aerial angles, rad; camera X right, Y up, view along -Z."""
+    return np.asarray(_BACK @ _from_angles(omega, phi, kappa))
+
+
+def aerial_from_rotation(rotation: Array) -> tuple[float, float, float]:
+    """Aerial angles omega, phi, kappa, rad: first about X, then the turned Y, then the turned Z."""
+    return _angles(_BACK @ rotation)
+
+
+def _from_angles(omega: float, phi: float, kappa: float) -> Array:
+    so, co, sp, cp, sk, ck = (f(a) for a in (omega, phi, kappa) for f in (np.sin, np.cos))
+    return np.array([
+        [cp * ck, so * sp * ck + co * sk, -co * sp * ck + so * sk],
+        [-cp * sk, -so * sp * sk + co * ck, co * sp * sk + so * ck],
+        [sp, -so * cp, co * cp],
+    ])  # fmt: skip
+
+
+def _angles(m: Array) -> tuple[float, float, float]:
+    return (
+        float(np.arctan2(-m[2, 1], m[2, 2])), float(np.arcsin(np.clip(m[2, 0], -1.0, 1.0))),
+        float(np.arctan2(-m[1, 0], m[0, 0])),
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Relative orientation: where to begin, and whether there is a base at all."""
+"""Relative orientation: start values, and the test for a base."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from fg_orient.rectification.transformation import Scaling
 Array = npt.NDArray[np.float64]
 
 LEAST_EIGHT_POINT: Final = 8
-#: Level of the test that a turn alone explains two photos.
+#: Level of the test that a rotation alone fits two photos.
 NO_BASE: Final = 1e-3
-#: Difference of the largest and smallest singular values of a homography that is a rotation.
+#: Difference of the largest and smallest singular values of a homography without base.
 FLAT: Final = 1e-12
 #: Quarter turns about the view.
 _ROLLS: Final = (
@@ -27,19 +27,19 @@ _ROLLS: Final = (
 
 
 def start_pairs(points: Array) -> list[tuple[Array, Array]]:
-    """Rotations and bases worth trying, of tangents (n, 4) of points in both photos."""
+    """Start rotations and bases from tangents (n, 4) of points in both photos."""
     out = [(np.eye(3), sign * np.eye(3)[k]) for k in range(3) for sign in (1.0, -1.0)]
     if len(points) > LEAST_EIGHT_POINT:
         return [*_eight_points(points), *_plane(points), *out[:2]]
-    # eight points have no redundancy in the linear solution, which noise may then lead anywhere
+    # the linear solution of eight points has no redundancy, so noise can make it useless
     linear = _eight_points(points) if len(points) == LEAST_EIGHT_POINT else []
     corners = np.array(list(product((1.0, -1.0), repeat=3))) / np.sqrt(3.0)
-    rolled = [(roll, base) for roll in _ROLLS for _, base in out]  # the second camera held upright, or upside down
+    rolled = [(roll, base) for roll in _ROLLS for _, base in out]  # second camera upright or upside down
     return [*linear, *out, *((np.eye(3), corner) for corner in corners), *rolled, *_plane(points)]
 
 
 def _plane(points: Array) -> list[tuple[Array, Array]]:
-    """The four decompositions of the homography H = R (1 - b n^T) that leads rays d1 to points of a plane to d2."""
+    """The four decompositions of the homography H = R (1 - b n^T) of a plane, which maps rays d1 to d2."""
     ones = np.ones((len(points), 1))
     first, second = np.hstack([points[:, :2], ones]), np.hstack([points[:, 2:], ones])
     # d2 x H d1 = 0
@@ -80,7 +80,7 @@ def _eight_points(points: Array) -> list[tuple[Array, Array]]:
 
 
 def require_base(points: Array, sigma: Array, squares: float, *, known: bool) -> None:
-    """Refuse photos that a turn alone explains, two conditions for each point: they have no base.
+    """Refuse photos without a base: a rotation alone fits them, with two conditions for each point.
 
     Parameters
     ----------
@@ -88,12 +88,12 @@ def require_base(points: Array, sigma: Array, squares: float, *, known: bool) ->
     squares : float
         Least weighted squares of coplanarity, one condition for each point: without known sigmas the size of the noise.
     known : bool
-        Whether sigmas have a known size.
+        Whether sigmas are given.
 
     Raises
     ------
     InputError
-        There is no base but for noise.
+        The base is zero within the noise.
     """
     n, ones = len(points), np.ones((len(points), 1))
     first, second = (np.hstack([pair, ones]) for pair in (points[:, :2], points[:, 2:]))

@@ -1,22 +1,24 @@
-"""What the report of close range says in words: verdict, problems, lengths."""
+"""Texts of the close-range report: assessment, problems, lengths."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
-from fg_orient.closerange.report_outlying import Group, outlying
-from fg_orient.model.distributions import chi_square_interval, normal_quantile, sidak
+from fg_orient.model.distributions import chi_square_interval, chi_square_limit, f_quantile, normal_quantile, sidak
 from fg_orient.model.errors import sentences
 from fg_orient.report.words import number
 
 #: Level of the test of m0, and of the search for the worst residual among all.
 LEVEL: Final = 0.001
+#: Smaller residuals are rounding, with which a point of exact data would stand out, in metres or image units.
+ROUNDING: Final = 1e-9
 #: Suspicious observations that the first page names.
 SUSPECTS: Final = 3
-#: A direction worse than so many units of one image point is pointed out; beyond 1000 it is refused.
+#: Standard deviation in units of one image point above which a direction is reported; above 1000 it is refused.
 WEAK: Final = 100.0
 KINDS: Final = {
     "bundle": "Bundle adjustment", "dlt": "Direct linear transformation", "resection": "Resection",
@@ -25,7 +27,7 @@ KINDS: Final = {
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """Write a number with so many digits that count, plainly where that is short; a dash for none."""
+    """Number with some significant digits, without an exponent if that is short; a dash for None."""
     if value is None or not math.isfinite(value):
         return "–"
     if value != 0.0 and not 1e-4 <= abs(value) < 1e6:
@@ -35,7 +37,7 @@ def significant(value: float | None, digits: int = 3) -> str:
 
 
 def length(metres: float) -> str:
-    """Write a length in m, mm or µm."""
+    """Length in m, mm or µm."""
     for unit, factor in (("m", 1.0), ("mm", 1e3), ("µm", 1e6)):
         if abs(metres) * factor >= 0.1 or unit == "µm":
             return f"{significant(metres * factor)} {unit}" if metres else "0 m"
@@ -43,7 +45,7 @@ def length(metres: float) -> str:
 
 
 def round_length(metres: float) -> str:
-    """Write a round length of a scale bar."""
+    """Round length of a scale bar."""
     for unit, factor in (("km", 1e-3), ("m", 1.0), ("mm", 1e3), ("µm", 1e6)):
         if metres * factor >= 1.0 or unit == "µm":
             return f"{metres * factor:g} {unit}"
@@ -81,7 +83,7 @@ def m0_words(record: dict[str, Any]) -> tuple[str, str]:
 
 
 def _judged(record: dict[str, Any]) -> tuple[list[dict[str, Any]], list[tuple[str, str]]]:
-    """What has an m0 of its own (all, or each photo), and for each the kind and the sentence on it."""
+    """Records with an m0 (the whole one, or each photo), and for each the kind and the sentence on it."""
     if "m0" in record:
         return [record], [m0_words(record)]
     facts = [photo | {"weights": record["weights"], "kind": record["kind"]} for photo in record["photos"]]
@@ -92,7 +94,7 @@ def _judged(record: dict[str, Any]) -> tuple[list[dict[str, Any]], list[tuple[st
 
 
 def doubts(record: dict[str, Any]) -> list[str]:
-    """What makes a result doubtful beside its warnings: m0 that chance does not explain, too large residuals."""
+    """Doubts in addition to the warnings: an m0 that chance does not explain, too large residuals."""
     facts, found = _judged(record)
     unlikely = [
         text for one, (kind, text) in zip(facts, found, strict=True) if kind == "warn" and one["m0"] is not None
@@ -101,7 +103,7 @@ def doubts(record: dict[str, Any]) -> list[str]:
 
 
 def verdict(record: dict[str, Any], problems: list[str]) -> dict[str, Any]:
-    """Say in words how it ended: ``kind`` (good, warn), ``title``, ``text``."""
+    """Assessment of the result: ``kind`` (good, warn), ``title``, ``text``."""
     done = "Fitted" if record["kind"] in ("surface", "dlt") else "Adjusted"
     facts, found = _judged(record)
     texts = [words for _, words in found][:4]
@@ -113,7 +115,7 @@ def verdict(record: dict[str, Any], problems: list[str]) -> dict[str, Any]:
 
 
 def accuracy_words(record: dict[str, Any]) -> list[str]:
-    """Say how accurate the result is: at check points, else by its standard deviations."""
+    """Accuracy of the result at check points, else by its standard deviations."""
     if record["kind"] == "surface":
         worst = max(record["points"], key=lambda p: abs(p["distance_m"]))
         return [f"Normal distances: root mean square {length(record['rms_m'])}, largest "
@@ -133,10 +135,10 @@ def accuracy_words(record: dict[str, Any]) -> list[str]:
 
 
 def suspects(record: dict[str, Any]) -> list[tuple[float, str]]:
-    """Observations whose residual is too large to be the largest of so many by chance, worst first.
+    """Observations with residuals too large for the largest of all by chance, worst first.
 
-    Residuals are over their own standard deviation, and over m0 where that is above 1: a common factor makes no single
-    observation suspicious.
+    Residuals are divided by their standard deviation, and by m0 if it is above 1, because a common factor does not make
+    a single observation suspicious.
     """
     rows = [(abs(r[f"w_{a}"]), f"{a} of point {r['id']} in photo {r['photo']}")
             for r in record.get("residuals", []) for a in "xy" if r.get(f"w_{a}") is not None]  # fmt: skip
@@ -149,7 +151,7 @@ def suspects(record: dict[str, Any]) -> list[tuple[float, str]]:
 
 
 def _look_at(record: dict[str, Any]) -> list[str]:
-    """Name the first observations that are suspicious, and what their figure is over."""
+    """Sentences on the most suspicious observations."""
     found = suspects(record)
     scaled = record["weights"] == "absolute" and (record.get("m0") or 1.0) > 1.0
     own = "its own standard deviation and m0" if scaled else "its own standard deviation"
@@ -160,7 +162,7 @@ def _look_at(record: dict[str, Any]) -> list[str]:
 
 
 def _outlying(record: dict[str, Any]) -> list[str]:
-    """Name the first residuals that stand out where redundancy numbers are not known: all kinds but the bundle."""
+    """Sentences on the most suspicious residuals without redundancy numbers: all kinds except the bundle."""
     groups = [Group(f, record["weights"] == "absolute", rows) for f, rows in _groups(record)]
     found = sorted((one for group in groups for one in outlying(group, LEVEL / len(groups))), key=lambda one: -one[0])
     more = [f"{len(found) - SUSPECTS} more residuals stand out like these"] if len(found) > SUSPECTS else []
@@ -168,7 +170,7 @@ def _outlying(record: dict[str, Any]) -> list[str]:
 
 
 def _groups(record: dict[str, Any]) -> list[tuple[int, list[tuple[float, float, int, str]]]]:
-    """Redundancy and residuals of each adjustment; not of surfaces whose distances are not what is least."""
+    """Redundancy and residuals of each adjustment, except of surfaces fitted by other conditions than distances."""
     if record["kind"] == "surface":
         rows = [(abs(p["distance_m"]), p.get("distance_over_sigma", abs(p["distance_m"])), 1,
                  f"point {p['id']}: its normal distance, {length(p['distance_m'])},")
@@ -181,7 +183,7 @@ def _groups(record: dict[str, Any]) -> list[tuple[int, list[tuple[float, float, 
 
 
 def _misfits(record: dict[str, Any]) -> list[tuple[float, float, int, str]]:
-    """Points by what their rays miss each other, over the root of their redundancy."""
+    """Points with the misfit of their rays, divided by the root of their redundancy."""
     squares: dict[str, float] = {}
     for r in record["residuals"]:
         own = sum((r[f"residual_{a}"] / r.get(f"sigma_{a}", 1.0)) ** 2 for a in "xy")
@@ -192,14 +194,63 @@ def _misfits(record: dict[str, Any]) -> list[tuple[float, float, int, str]]:
 
 
 def _coordinates(rows: list[dict[str, Any]], photo: str) -> list[tuple[float, float, int, str]]:
-    """Residuals of image coordinates; those of check points took no part."""
+    """Residuals of image coordinates without check points."""
     return [(abs(r[f"residual_{a}"]), abs(r[f"residual_{a}"]) / r.get(f"sigma_{a}", 1.0), 1,
              f"{a} of point {r['id']} in photo {photo or '-'}: its residual, {significant(r[f'residual_{a}'])},")
             for r in rows for a in "xy" if r.get("role") != "check"]  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Group:
+    """Residuals of one adjustment.
+
+    Parameters
+    ----------
+    redundancy : int
+    absolute : bool
+        Standard deviations were given.
+    residuals : list of (float, float, int, str)
+        Size; size divided by its given standard deviation (or again the size without one); redundancy; words.
+    """
+
+    redundancy: int
+    absolute: bool
+    residuals: list[tuple[float, float, int, str]]
+
+
+def outlying(group: Group, level: float) -> list[tuple[float, str]]:
+    """Ratios and words of residuals too large for the largest of a group by chance, worst first.
+
+    A residual is divided by its given standard deviation, or by that of the others if this is larger or none is given:
+    externally studentised (Cook and Weisberg 1982, section 2.2.1), with a redundancy number of 1, which makes the ratio
+    too small, never too large. Points of an intersection are independent: each is tested as a whole. The tests of
+    ``fg_orient.quality.hypotheses`` need cofactors, which a record does not contain. No observation is excluded.
+
+    Parameters
+    ----------
+    group : Group
+    level : float
+        Probability of any of these among good residuals.
+    """
+    if not group.residuals:
+        return []
+    ratio, own = np.array([row[1:3] for row in group.residuals], float).T
+    chance, f = sidak(level, len(ratio)), group.redundancy - own
+    squares = ratio**2 * own
+    others = np.sqrt(np.maximum(squares.sum() - squares, 0.0) / np.maximum(f, 1.0))
+    out = []
+    for (size, w, n, what), scatter, left in zip(group.residuals, others.tolist(), f.tolist(), strict=True):
+        given = group.absolute and scatter <= 1.0
+        found = w if given else w / scatter if scatter > 0.0 else math.inf
+        limit = chi_square_limit(n, chance) / n if given else f_quantile(n, max(left, 1.0), 1.0 - chance)
+        if left >= 1.0 and size > ROUNDING and found**2 > float(limit):
+            over = "its standard deviation" if given else "the standard deviation that the others show"
+            out.append((found, f"look at {what} is {number(found, 1)} times {over}"))
+    return sorted(out, key=lambda row: -row[0])
+
+
 def problems(record: dict[str, Any]) -> list[str]:
-    """What the reader should look at, the worst first."""
+    """Problems of the result, the worst first."""
     out = _look_at(record)
     for one in record.get("directions", {}).get("weakest", []):
         if one["value"] < 1.0 / WEAK:

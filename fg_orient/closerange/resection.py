@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from factors.cameras.frame import FRAME_BROWN_IDEAL_TO_MEASURED, RECORD, camera
 from factors.cameras.frame_camera import CAMERA
-from fg_orient.closerange.curvature import bend
 from fg_orient.closerange.dlt import direct_dlt, recover
 from fg_orient.closerange.fitting import (
     UNDETERMINED,
@@ -24,8 +23,8 @@ from fg_orient.closerange.fitting import (
     require_sigmas,
     unit_weight,
 )
-from fg_orient.closerange.photo import Interior, Photo
-from fg_orient.closerange.rivals import SAME, likeness, ratio_limit
+from fg_orient.closerange.minima import SAME, Rival, bend, rival_of
+from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.model.errors import FgOrientError, Finding, InputError, NoSolutionError, finding
 from fg_orient.rectification.transformation import Scaling
 
@@ -40,33 +39,8 @@ TRIED: Final = 4
 
 
 @dataclass(frozen=True)
-class Rival:
-    """A second pose that the points do not tell from the first.
-
-    Parameters
-    ----------
-    rotation : (3, 3) array
-    centre_m : (3,) array
-    ratio : float
-        Its weighted squares by those of the first.
-    limit : float
-        Ratio from which an F test at ``rivals.LEVEL`` tells them apart.
-    """
-
-    rotation: Array
-    centre_m: Array
-    ratio: float
-    limit: float
-
-    def finding(self, place: str = "") -> Finding:
-        """What a user should know of it."""
-        centre = self.centre_m.tolist()
-        return finding("closerange.second_pose", place=place, centre_m=centre, ratio=self.ratio, limit=self.limit)
-
-
-@dataclass(frozen=True)
 class Resection(Deviations):
-    """An oriented photo.
+    """Photo oriented by control points.
 
     Parameters
     ----------
@@ -75,21 +49,21 @@ class Resection(Deviations):
         Camera axes X right, Y down, Z along the view, from ground axes.
     centre_m : (3,) array
     cofactors : (6, 6) array
-        Of turns about the camera axes (rad) and the centre (m); times m0 squared their covariance.
+        Of rotations about the camera axes (rad) and the centre (m); times m0 squared their covariance.
     residuals : (n, 2) array
         Computed minus ideal image coordinates, in their unit.
     weighted_squares : float
-        v'Pv for the sigmas given.
+        v'Pv for the given sigmas.
     m0 : float or None
     redundancy : int
-        Two or more: four points have eight coordinates.
+        Two or more, because four points have eight coordinates.
     condition : float
     iterations : int
     bend : float
-        Above 0.25 the covariance as a whole is optimistic (:func:`fg_orient.closerange.curvature.bend`), standard
-        deviations one by one are not: far cameras, whose turns move the centre along an arc.
+        Above 0.25 the covariance as a whole is optimistic (:func:`fg_orient.closerange.minima.bend`), but not each
+        standard deviation: far cameras, whose rotations move the centre along an arc.
     rival : Rival or None
-        Points of a plane seen from far away fit two poses, mirrored in the line of sight.
+        Points of a plane far away fit two poses, mirrored in the line of sight.
     """
 
     photo: Photo
@@ -105,15 +79,23 @@ class Resection(Deviations):
     bend: float
     rival: Rival | None = None
 
+    def second_pose(self, place: str = "") -> list[Finding]:
+        """Warning of the rival, if there is one."""
+        if self.rival is None:
+            return []
+        return [finding("closerange.second_pose", place=place, centre_m=self.rival.place.tolist(),
+                        ratio=self.rival.ratio, limit=self.rival.limit)]  # fmt: skip
+
 
 def resect(
-    interior: Interior, ground_m: npt.ArrayLike, image: npt.ArrayLike, *, sigma: npt.ArrayLike = 1.0, name: str = ""
-) -> Resection:
+    interior: PhotoInterior, ground_m: npt.ArrayLike, image: npt.ArrayLike, *, sigma: npt.ArrayLike = 1.0,
+    name: str = "",
+) -> Resection:  # fmt: skip
     """Orient a photo of a known camera by control points.
 
     Parameters
     ----------
-    interior : Interior
+    interior : PhotoInterior
     ground_m : (n, 3) array
         Four control points or more (three have up to four solutions), m.
     image : (n, 2) array
@@ -130,19 +112,19 @@ def resect(
     Raises
     ------
     InputError
-        Too few points, or points that leave the orientation open (on a line, on a dangerous cylinder).
+        Too few points, or points that do not determine the orientation (on a line, on a dangerous cylinder).
     NoSolutionError
         No start value, or the iteration does not converge.
 
     Notes
     -----
-    Start: three points at a time (Grunert 1841 in the form of Haralick et al. 1994), and DLT from six points on. The
-    adjustment is that of ``factors.cameras.frame`` with the distortion taken off the observations. Of all minima found
-    the one with the smallest weighted squares is the answer; the mirrored pose of a plane (Schweighofer & Pinz 2006) is
-    always tried, and told if it fits as well.
+    Start: triples of points (Grunert 1841 in the form of Haralick et al. 1994), and the DLT with six points or more.
+    The adjustment is that of ``factors.cameras.frame`` with observations corrected for the distortion. The result is
+    the minimum with the smallest weighted squares. The mirrored pose of a plane (Schweighofer & Pinz 2006) is always
+    tried, and reported if it fits as well.
     """
-    ground = as_points(ground_m, 3, "ground", InputError.of)
-    measured = as_points(image, 2, "image", InputError.of)
+    ground = as_points(ground_m, 3, "ground")
+    measured = as_points(image, 2, "image")
     size = np.broadcast_to(np.asarray(sigma, float), measured.shape)
     if len(ground) != len(measured) or len(ground) < LEAST:
         raise InputError.of("closerange.few", place="resection", value=len(ground), least=LEAST)
@@ -152,54 +134,48 @@ def resect(
     if not poses:
         _require_off_line(ground)
         raise NoSolutionError.of("closerange.no_start", place="resection", value=f"{len(ground)} points")
-    found, failures = list[Resection](), list[FgOrientError]()
+    minima, failures = list[Resection](), list[FgOrientError]()
 
     def descend(pose: Pose) -> None:
         try:
-            found.append(_adjusted(interior, ground, tangents, size / interior.focal, pose, name))
+            minima.append(_adjusted(interior, ground, tangents, size / interior.focal, pose, name))
         except (NoSolutionError, InputError) as error:
             failures.append(error)
 
     for pose in poses[:TRIED]:
         descend(pose)
-    if not found:
+    if not minima:
         _require_off_line(ground)
         raise failures[0]
-    first = min(found, key=attrgetter("weighted_squares"))
+    first = min(minima, key=attrgetter("weighted_squares"))
     descend(_mirrored((first.rotation, first.centre_m), ground))
-    return _with_rival(found, ground)
+    return _with_rival(minima, ground)
 
 
 def _require_off_line(ground: Array) -> None:
-    """Where no pose was found: points as close to a line as a turn about it needs to be ``UNDETERMINED`` are why."""
+    """Refuse points so close to a line that the rotation about it is ``UNDETERMINED``, if there is no pose."""
     along, across = np.linalg.svd(ground - ground.mean(axis=0), compute_uv=False)[:2] / np.sqrt(len(ground))
     if across * UNDETERMINED <= along or along == 0.0:
         raise InputError.of("closerange.line", place="resection", value=f"{across:.2g} m rms across, {along:.2g} along")
 
 
-def _with_rival(found: list[Resection], ground: Array) -> Resection:
-    """The minimum of all, with the next one if an F test of equal redundancies does not tell the two apart."""
-    first, *others = sorted(found, key=attrgetter("weighted_squares"))
+def _with_rival(minima: list[Resection], ground: Array) -> Resection:
+    """Smallest minimum, with the next different one as its rival if the test does not distinguish them."""
+    first, *others = sorted(minima, key=attrgetter("weighted_squares"))
     distance = float(np.linalg.norm(ground - first.centre_m, axis=1).mean())
-    apart = [
-        one for one in others
-        if np.linalg.norm(one.centre_m - first.centre_m) > SAME * distance
-        or np.abs(one.rotation - first.rotation).max() > SAME
-    ]  # fmt: skip
-    if not apart:
-        return first
-    ratio = likeness(first.weighted_squares, apart[0].weighted_squares, first.redundancy)
-    if ratio is None:
-        return first
-    limit = ratio_limit(first.redundancy)
-    return replace(first, rival=Rival(apart[0].rotation, apart[0].centre_m, ratio, limit))
+    for one in others:
+        moved = np.linalg.norm(one.centre_m - first.centre_m) > SAME * distance
+        if moved or np.abs(one.rotation - first.rotation).max() > SAME:
+            own, squares = first.weighted_squares, one.weighted_squares
+            return replace(first, rival=rival_of(own, squares, first.redundancy, one.rotation, one.centre_m))
+    return first
 
 
 def _mirrored(pose: Pose, ground: Array) -> Pose:
-    """Pose from which points of a plane look nearly the same: their plane mirrored across the line of sight.
+    """Pose with nearly the same image of points in a plane: their plane mirrored across the line of sight.
 
-    A reflection across the line of sight to the middle of the points, after one in their plane, which points of the
-    plane do not feel, is a rotation.
+    A reflection in their plane does not change points of the plane. It is followed by a reflection across the line of
+    sight to the middle of the points; together they are a rotation.
     """
     rotation, centre = pose
     middle = ground.mean(axis=0)
@@ -209,8 +185,10 @@ def _mirrored(pose: Pose, ground: Array) -> Pose:
     return np.asarray(turned), np.asarray(middle - turned.T @ seen)
 
 
-def _adjusted(interior: Interior, ground: Array, tangents: Array, sigma: Array, start: Pose, name: str) -> Resection:
-    """Adjust from a start; unknowns are turns (rad) and the centre in units of the object's distance."""
+def _adjusted(
+    interior: PhotoInterior, ground: Array, tangents: Array, sigma: Array, start: Pose, name: str
+) -> Resection:  # fmt: skip
+    """Resection from a start; unknowns are rotations (rad) and the centre in units of the object's distance."""
     rotation, centre = start
     distance = float(np.linalg.norm(ground - centre, axis=1).mean())
     # line and sample are tangents here: focal length 1, line down
@@ -221,41 +199,40 @@ def _adjusted(interior: Interior, ground: Array, tangents: Array, sigma: Array, 
     setup = np.stack([np.arange(6.0), np.array([1.0, 1.0, 1.0, distance, distance, distance])])
     rows = equation_rows(FRAME_BROWN_IDEAL_TO_MEASURED, records, setup, (ground - centre,))
     try:
-        found = adjust(rows, np.zeros(6), "resection")
+        minimum = adjust(rows, np.zeros(6), "resection")
     except NoSolutionError:
         _require_determined(rows(np.zeros(6), True)[1], sigma)
         raise
-    turned = camera(records[0], setup, found.state)
+    turned = camera(records[0], setup, minimum.state)
     rotation = turned[CAMERA.rotation].reshape(3, 3)
     depth = (ground - centre - turned[CAMERA.centre]) @ rotation[2]
     if not (depth > 0.0).all():
         raise NoSolutionError.of("closerange.behind", place=f"point {int(np.argmin(depth)) + 1}")
-    condition, cofactors = _require_determined(found.design, sigma)
-    # the unknowns turn about fixed axes at the start; J leads to turns of the adjusted camera
+    condition, cofactors = _require_determined(minimum.design, sigma)
+    # the unknowns are rotations about the start's axes; J transforms them to the axes of the adjusted camera
     away = np.diag(setup[1])
     away[:3, :3] = turned[CAMERA.jacobian].reshape(3, 3)
     moved = centre + turned[CAMERA.centre]
     photo = Photo.of(name, interior, rotation, moved)
-    residuals = -found.residual.reshape(-1, 2)[:, ::-1] * sigma * interior.focal * [1.0, interior.sign]
-    squares, redundancy = float(found.residual @ found.residual), len(found.residual) - 6
-    m0 = unit_weight(squares, redundancy)
+    residuals = -minimum.residual.reshape(-1, 2)[:, ::-1] * sigma * interior.focal * [1.0, interior.sign]
+    redundancy = len(minimum.residual) - 6
+    m0 = unit_weight(minimum.squares, redundancy)
     return Resection(
-        photo, rotation, moved, away @ cofactors @ away.T, residuals, squares, m0, redundancy, condition,
-        len(found.log), bend(rows, found.state, m0),
+        photo, rotation, moved, away @ cofactors @ away.T, residuals, minimum.squares, m0, redundancy, condition,
+        len(minimum.log), bend(rows, minimum.state, m0),
     )  # fmt: skip
 
 
 def _require_determined(design: Array, sigma: Array) -> tuple[float, Array]:
-    """Condition and cofactors; a point's own sigma is that of its image at the object's distance, the unit here."""
-    judged = determination(design)
-    worst = np.inf if judged.cofactors is None else float(np.sqrt(np.diag(judged.cofactors).max()))
-    if judged.cofactors is None or worst > UNDETERMINED * float(np.sqrt(np.mean(sigma**2))):
+    """Condition and cofactors; the sigma of a point is that of its image at the object's distance."""
+    judged = determination(design, sigma)
+    if judged.cofactors is None:
         raise InputError.of("closerange.pose", place="resection", value=f"condition {judged.condition:.2g}")
     return judged.condition, judged.cofactors
 
 
 def start_poses(ground: Array, tangents: Array) -> list[Pose]:
-    """Rotations and centres worth trying, the one with the smallest misfit at all points first.
+    """Start poses, that with the smallest misfit at all points first.
 
     Parameters
     ----------
@@ -275,7 +252,7 @@ def start_poses(ground: Array, tangents: Array) -> list[Pose]:
 
 
 def _spread(points: Array) -> list[int]:
-    """Some points far from each other: each is the farthest from those before it."""
+    """Some points far apart: each is the farthest from the points before it."""
     chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
     while len(chosen) < min(SPREAD, len(points)):
         apart = np.linalg.norm(points[:, None] - points[chosen], axis=2).min(axis=1)
@@ -292,20 +269,20 @@ def _misfit(pose: Pose, ground: Array, tangents: Array) -> float:
 
 
 def _pose_by_dlt(ground: Array, tangents: Array) -> list[Pose]:
-    """Pose of the linear DLT; none if the points lie in a plane."""
+    """Pose of the linear DLT; an empty list if the points are coplanar."""
     source, target = Scaling.of(ground, shared=True), Scaling.of(tangents, shared=True)
     p = np.append(direct_dlt(source.normalised(ground), target.normalised(tangents)), 1.0).reshape(3, 4)
     p[:, :3] /= source.scale
     p[:2] = target.scale[:, None] * p[:2] + target.offset[:, None] * p[2]
     try:
-        found = recover(p.ravel()[:11], source.offset)
+        pose = recover(p.ravel()[:11], source.offset)
     except (FgOrientError, np.linalg.LinAlgError):
         return []
-    return [(found.rotation, found.centre_m)] if np.isfinite(found.rotation).all() else []
+    return [(pose.rotation, pose.centre_m)] if np.isfinite(pose.rotation).all() else []
 
 
 def three_point_poses(ground: Array, tangents: Array) -> list[Pose]:
-    """Up to four poses of a camera that sees three points.
+    """Up to four poses of a camera from three points.
 
     Parameters
     ----------
@@ -339,7 +316,7 @@ def three_point_poses(ground: Array, tangents: Array) -> list[Pose]:
         (1.0 + p) ** 2 - 4.0 * a / b * cos_c**2,
     ]  # fmt: skip
     poses = []
-    # noise makes a double root complex: its real part is a start value
+    # noise can make a double root complex: its real part is a start value
     for v in sorted({float(root.real) for root in np.roots(coefficients) if abs(root.imag) < 0.1 * abs(root)}):
         below, first = 2.0 * (cos_c - v * cos_a), 1.0 + v * v - 2.0 * v * cos_b
         u = ((p - 1.0) * v * v - 2.0 * p * cos_b * v + 1.0 + p) / below if below != 0.0 else -1.0

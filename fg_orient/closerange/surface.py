@@ -1,21 +1,31 @@
-"""Surfaces of the second degree: distances of points, deviations along the axes, one surface mapped on another."""
+"""Surfaces of the second degree: distances and deviations of points, points mapped to a surface, models of a fit."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.closerange.feet import Conditions, feet
-from fg_orient.closerange.fitting import as_points
+from factors._contract import Equation, evaluate
+from factors.cameras.frame_camera import CAMERA
+from factors.conditions import surfaces
+from factors.conditions.surfaces import RECORD
+from fg_orient.closerange.fitting import Conditions, as_points, foot_points
 from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 Kind = Literal["sphere", "spheroid", "ellipsoid", "quadric"]
 
 KINDS: Final[tuple[Kind, ...]] = ("sphere", "spheroid", "ellipsoid", "quadric")
+AXES: Final = ("x", "y", "z")
+#: Name of an unknown axis of a spheroid.
+FREE: Final = "free"
+#: Flattening of a start spheroid with unknown axis.
+OBLATE: Final = 0.2
+_CENTRE: Final = ("x0", "y0", "z0")
+_QUADRIC: Final = tuple("ABCDEFGHIJ")
 
 
 @dataclass(frozen=True)
@@ -60,37 +70,37 @@ class Surface:
             return Conditions(square / np.outer(scale, scale), linear / scale, constant)
         return Conditions(self.rotation.T @ np.diag(self.semi_axes**-2.0) @ self.rotation, np.zeros(3), -1.0)
 
-    def feet(self, points_m: npt.ArrayLike, sigma_m: npt.ArrayLike = 1.0) -> Array:
-        """Nearest points of the surface (n, 3), m, weighted by sigmas; nan where there is none or it is not unique."""
-        points = as_points(points_m, 3, "points", InputError.of)
+    def foot_points(self, points_m: npt.ArrayLike, sigma_m: npt.ArrayLike = 1.0) -> Array:
+        """Nearest points (n, 3) of the surface, m, weighted by sigmas; nan if not unique."""
+        points = as_points(points_m, 3, "points")
         sigma = np.broadcast_to(np.asarray(sigma_m, float), points.shape)
-        return feet(self.conditions, points - self.centre, sigma) + self.centre
+        return foot_points(self.conditions, points - self.centre, sigma) + self.centre
 
     def distances(self, points_m: npt.ArrayLike) -> Array:
         """Normal distances (n,) of points, m, above 0 outside (where the condition is positive)."""
-        points = as_points(points_m, 3, "points", InputError.of)
+        points = as_points(points_m, 3, "points")
         side = np.sign(self.conditions.value(points - self.centre))
-        return np.asarray(side * np.linalg.norm(points - self.feet(points), axis=1))
+        return np.asarray(side * np.linalg.norm(points - self.foot_points(points), axis=1))
 
     def deviations(self, points_m: npt.ArrayLike) -> Array:
-        """Residuals (n, 3) along X, Y, Z that lead points to the surface, m, to first order.
+        """Residuals (n, 3) along X, Y, Z from points to the surface, m, to first order.
 
-        The adjustment of conditions of Ayhan 1996, eqs. 155-171, with equal weights and the surface held:
-        ``v = -g W/|g|^2``, W the condition and g its slope (eq. 169 lacks the minus).
+        Condition adjustment of Ayhan 1996, eqs. 155-171, with equal weights and a fixed surface: ``v = -g W/|g|^2``, W
+        the condition and g its slope (the minus is missing in eq. 169).
         """
-        points = as_points(points_m, 3, "points", InputError.of) - self.centre
+        points = as_points(points_m, 3, "points") - self.centre
         slope = self.conditions.slope(points)
         return np.asarray(-slope * (self.conditions.value(points) / np.sum(slope**2, axis=1))[:, None])
 
     def on_rays(self, directions: npt.ArrayLike) -> Array:
-        """Points (n, 3) where rays from the centre meet an ellipsoid, m.
+        """Intersections (n, 3) of rays from the centre with an ellipsoid, m.
 
         Raises
         ------
         InputError
             The surface is a general quadric, or a direction is zero.
         """
-        ray = as_points(directions, 3, "directions", InputError.of)
+        ray = as_points(directions, 3, "directions")
         if self.kind == "quadric":
             raise InputError.of("closerange.kind", place="on_rays", value=self.kind, known=", ".join(KINDS[:3]))
         size = np.linalg.norm(ray @ self.rotation.T / self.semi_axes, axis=1)
@@ -108,7 +118,7 @@ class Surface:
 
 
 def map_points(points_m: npt.ArrayLike, target: Surface, radius_m: npt.ArrayLike | None = None) -> Array:
-    """Carry points to a spheroid about the y axis: same azimuth and same angle from the axis, seen from its centre.
+    """Map points to a spheroid about the y axis with the same azimuth and angle from the axis, from its centre.
 
     Parameters
     ----------
@@ -116,7 +126,7 @@ def map_points(points_m: npt.ArrayLike, target: Surface, radius_m: npt.ArrayLike
         Points of another surface.
     target : Surface
     radius_m : (n,) array, optional
-        Distance from the axis that gives the angle; default the points' own. Ayhan takes half the distance between
+        Distance from the axis that defines the angle; default: of the points. Ayhan uses half the distance between
         the extreme targets of a ring.
 
     Returns
@@ -125,9 +135,9 @@ def map_points(points_m: npt.ArrayLike, target: Surface, radius_m: npt.ArrayLike
 
     Notes
     -----
-    Ayhan 1996, eqs. 177-185, where the root loses the sign of Y - Y0; here it is kept.
+    Ayhan 1996, eqs. 177-185, but with the sign of Y - Y0, which the root there loses.
     """
-    away = as_points(points_m, 3, "points", InputError.of) - target.centre
+    away = as_points(points_m, 3, "points") - target.centre
     own = np.hypot(away[:, 0], away[:, 2])
     radius = own if radius_m is None else np.asarray(radius_m, float)
     azimuth = np.arctan2(away[:, 2], away[:, 0])
@@ -141,7 +151,7 @@ def quadric_matrices(coefficients: Array) -> tuple[Array, Array, float]:
 
 
 def shape_of(coefficients: Array) -> str:
-    """Name of a quadric by the signs of its eigenvalues; "other" for cones, cylinders and what has no points."""
+    """Name of a quadric by the signs of its eigenvalues; "other" for cones, cylinders and quadrics without points."""
     square, linear, constant = quadric_matrices(coefficients)
     values = np.linalg.eigvalsh(square)
     if np.abs(values).min() <= 1e-9 * np.abs(values).max():
@@ -151,3 +161,192 @@ def shape_of(coefficients: Array) -> str:
         return "other"
     against = int(np.count_nonzero(values * left < 0.0))
     return {3: "ellipsoid", 2: "hyperboloid of one sheet", 1: "hyperboloid of two sheets"}.get(against, "other")
+
+
+# --- models of a fit, in normalised coordinates ----------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SurfaceModel:
+    """Surface near a start; the state (u,) contains corrections for ellipsoids, values for spheres and quadrics.
+
+    Parameters
+    ----------
+    kind : str
+    equation : Equation
+    record : (d,) array
+    setup : (2, k) array
+    names : tuple of str
+        Of the unknowns.
+    start : (u,) array
+    is_length : (u,) bool array
+        Whether an unknown is a length (the others are angles or have no unit).
+    """
+
+    kind: Kind
+    equation: Equation
+    record: Array
+    setup: Array
+    names: tuple[str, ...]
+    start: Array
+    is_length: npt.NDArray[np.bool_]
+
+    def derivatives(self, x: Array, points: Array, *, with_jacobians: bool = True) -> tuple[Array, Array, Array]:
+        """Value (n,), derivatives with respect to the unknowns (n, u) and to the points (n, 3)."""
+        n = len(points)
+        value, blocks = evaluate(
+            self.equation, np.tile(self.record, (n, 1)), [self.setup] * n, [x] * n, points, jacobian=with_jacobians
+        )
+        if not with_jacobians:
+            return value[:, 0], np.zeros((0, len(x))), np.zeros((0, 3))
+        return value[:, 0], np.concatenate(blocks[0]), np.concatenate(blocks[1])
+
+    def moved(self, x: Array, step: Array) -> Array:
+        """State after a step; the coefficients of a quadric keep length 1."""
+        out = np.asarray(x + step)
+        return out / np.linalg.norm(out) if self.kind == "quadric" else out
+
+    def surface(self, x: Array) -> Surface:
+        """Surface of a state."""
+        if self.kind == "quadric":
+            return Surface("quadric", np.zeros(3), np.ones(3), coefficients=x)
+        if self.kind == "sphere":
+            return Surface("sphere", x[:3], np.full(3, abs(x[3])))
+        centre, turn, semi = surfaces.shape(self.record, self.setup, x)
+        return Surface(self.kind, centre, np.abs(semi), turn[CAMERA.rotation].reshape(3, 3))
+
+    def conditions(self, x: Array) -> tuple[Conditions, Array]:
+        """Conditions of a state and their origin."""
+        if self.kind == "quadric":
+            return Conditions(*quadric_matrices(x)), np.zeros(3)
+        if self.kind == "sphere":
+            return Conditions(np.eye(3), np.zeros(3), -float(x[3] ** 2)), x[:3]
+        centre, turn, semi = surfaces.shape(self.record, self.setup, x)
+        rotation = turn[CAMERA.rotation].reshape(3, 3)
+        return Conditions(rotation.T @ np.diag(semi**-2.0) @ rotation, np.zeros(3), -1.0), centre
+
+    def values(self, x: Array) -> Array:
+        """Values (u,) for users: centre, semi-axes, rotations from the start; or coefficients."""
+        if self.kind in ("sphere", "quadric"):
+            return x
+        return np.asarray(x * self.setup[1] + _start_values(self.record, self.setup))
+
+    def settled(self, x: Array) -> tuple[SurfaceModel, Array]:
+        """Model that starts at a state, and this state: rotations 0, semi-axes above 0, sorted for an ellipsoid."""
+        if self.kind == "quadric":
+            return self, x
+        if self.kind == "sphere":
+            return self, np.append(x[:3], abs(x[3]))
+        centre, turn, semi = surfaces.shape(self.record, self.setup, x)
+        semi, rotation = np.abs(semi), turn[CAMERA.rotation].reshape(3, 3)
+        if self.kind == "ellipsoid":
+            order = np.argsort(-semi, kind="stable")
+            semi, rotation = semi[order], rotation[order]
+            rotation = rotation * np.sign(np.linalg.det(rotation))
+        factor = self.record[RECORD.factor]
+        record = RECORD.pack(factor=factor, centre=centre, rotation=rotation.ravel(), semi_axes=semi)
+        return replace(self, record=record), np.zeros(len(x))
+
+
+def _start_values(record: Array, setup: Array) -> Array:
+    """Start value of each unknown of an ellipsoid."""
+    semi = record[RECORD.semi_axes]
+    of_code = np.concatenate([record[RECORD.centre], np.zeros(3), semi, np.roll(semi, -1)])
+    return np.asarray(of_code[setup[0].astype(int)])
+
+
+def models_of(kind: Kind, points: Array, axis: str) -> list[SurfaceModel]:
+    """Models of a kind for all possible start values.
+
+    Parameters
+    ----------
+    kind : str
+    points : (n, 3) array
+        Normalised.
+    axis : str
+        Of a spheroid: "x", "y", "z" or "free".
+
+    Raises
+    ------
+    InputError
+        No such kind or axis.
+    """
+    if kind == "quadric":
+        return [_quadric(points)]
+    ball = start_sphere(points)
+    if kind == "sphere":
+        lengths = np.ones(4, bool)
+        return [SurfaceModel("sphere", surfaces.SPHERE, np.ones(1), np.zeros((2, 0)), (*_CENTRE, "a"), ball, lengths)]
+    if kind == "spheroid" and axis in AXES:
+        return [_spheroid(AXES.index(axis), ball[:3], np.eye(3), np.full(3, ball[3]), free=False)]
+    # rotations have no effect on a sphere: without a quadric the start is oblate
+    oblate = [(ball[:3], np.eye(3), ball[3] * (1.0 - OBLATE * np.eye(3)[k])) for k in range(3)]
+    starts = _from_quadric(points)
+    if kind == "ellipsoid":
+        codes, names = (0, 1, 2, 3, 4, 5, 6, 7, 8), (*_CENTRE, "turn_1", "turn_2", "turn_3", "a", "b", "c")
+        return [_ellipsoid("ellipsoid", codes, names, *start) for start in starts or oblate]
+    if kind != "spheroid":
+        raise InputError.of("closerange.kind", place="kind", value=kind, known="sphere, spheroid, ellipsoid, quadric")
+    if axis != FREE:
+        raise InputError.of("closerange.axis", place="axis", value=axis)
+    return [_spheroid(_odd_one(semi), centre, turn, semi, free=True) for centre, turn, semi in starts or oblate]
+
+
+def _odd_one(semi: Array) -> int:
+    """Semi-axis most different from the other two."""
+    return int(np.argmax([abs(np.log(semi[k] ** 2 / np.prod(np.delete(semi, k)))) for k in range(3)]))
+
+
+def _spheroid(k: int, centre: Array, turn: Array, semi: Array, *, free: bool) -> SurfaceModel:
+    """Spheroid about axis number ``k``; a across it, b along it (Ayhan 1996, eq. 142)."""
+    across = float(np.delete(semi, k).mean())
+    semi = np.where(np.arange(3) == k, semi[k], across)
+    tilts = tuple(j for j in range(3) if j != k) if free else ()
+    codes = (9 + k, 6 + k, 0, 1, 2, *(3 + j for j in tilts))
+    names = ("a", "b", *_CENTRE, *("tilt_1", "tilt_2")[: len(tilts)])
+    return _ellipsoid("spheroid", codes, names, centre, turn, semi)
+
+
+def _ellipsoid(
+    kind: Kind, codes: tuple[int, ...], names: tuple[str, ...], centre: Array, turn: Array, semi: Array
+) -> SurfaceModel:
+    record = RECORD.pack(factor=1.0, centre=centre, rotation=turn.ravel(), semi_axes=semi)
+    setup = np.ascontiguousarray(np.stack([np.array(codes, float), np.ones(len(codes))]))
+    is_length = np.array([code not in (3, 4, 5) for code in codes])
+    return SurfaceModel(kind, surfaces.ELLIPSOID, record, setup, names, np.zeros(len(codes)), is_length)
+
+
+def start_sphere(points: Array) -> Array:
+    """Centre and radius (4,) of the linear fit of Ayhan 1996, eqs. 138-141."""
+    design = np.column_stack([2.0 * points, np.ones(len(points))])
+    x = np.linalg.lstsq(design, np.sum(points**2, axis=1), rcond=None)[0]
+    square = float(x[3] + x[:3] @ x[:3])
+    return np.append(x[:3], np.sqrt(square) if square > 0.0 else 1.0)
+
+
+def _algebraic_quadric(points: Array) -> Array:
+    """Coefficients (10,) of length 1 with the smallest sum of squared conditions."""
+    x, y, z = points.T
+    terms = [x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z, np.ones(len(x))]
+    return np.asarray(np.linalg.svd(np.column_stack(terms), full_matrices=True)[2][-1])
+
+
+def _quadric(points: Array) -> SurfaceModel:
+    start = _algebraic_quadric(points)
+    return SurfaceModel("quadric", surfaces.QUADRIC, np.ones(1), np.zeros((2, 0)), _QUADRIC, start, np.zeros(10, bool))
+
+
+def _from_quadric(points: Array) -> list[tuple[Array, Array, Array]]:
+    """Centre, rotation and semi-axes of the best quadric, if that is an ellipsoid."""
+    if len(points) < 10:
+        return []
+    square, linear, constant = quadric_matrices(_algebraic_quadric(points))
+    values, axes = np.linalg.eigh(square)
+    if np.abs(values).min() <= 1e-9 * np.abs(values).max():
+        return []
+    centre = -np.linalg.solve(square, linear)
+    size = -(constant + linear @ centre) / values
+    if (size <= 0.0).any():
+        return []
+    turn = axes.T * np.sign(np.linalg.det(axes))
+    return [(np.asarray(centre), np.ascontiguousarray(turn), np.asarray(np.sqrt(size)))]

@@ -1,9 +1,9 @@
 """Fits of surfaces to points: by normal distances (weights of the points) or by conditions (Ayhan 1996).
 
-Points, sigmas and unknowns are normalised before; all results are in metres again. What the points do not determine is
-refused by name: without priors a parameter whose standard deviation exceeds 1000 sigmas of a point follows from the
-noise alone, and an iteration ends with it anywhere. Where it ends, noise may have made a narrow minimum, so semi-axes
-are also held at quite other values (``closerange.profile``).
+Points, sigmas and unknowns are normalised; all results are in metres. Undetermined parameters are refused by name:
+without priors a parameter whose standard deviation exceeds 1000 sigmas of a point follows from the noise alone, and the
+iteration may converge to any value. Noise may also make a narrow minimum, so semi-axes are additionally held fixed at
+very different values (``closerange.minima``).
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.closerange.feet import distance_rows, weighted_distances
 from fg_orient.closerange.fitting import (
     UNDETERMINED,
-    Adjusted,
     Determination,
     Deviations,
+    Minimum,
     Rows,
     adjust,
     as_points,
     determination,
+    distance_rows,
     finite_rows,
     require_sigmas,
     unit_weight,
+    weighted_distances,
 )
-from fg_orient.closerange.profile import followed, held, reach
-from fg_orient.closerange.surface import Kind, Surface
-from fg_orient.closerange.surface_models import Model, models_of
+from fg_orient.closerange.minima import followed, held, reach
+from fg_orient.closerange.surface import Kind, Surface, SurfaceModel, models_of
 from fg_orient.formats.closerange import LARGEST, SMALLEST
 from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
 
@@ -48,25 +48,25 @@ NAMED: Final = 0.1
 
 @dataclass(frozen=True)
 class SurfaceFit(Deviations):
-    """A fitted surface.
+    """Fitted surface.
 
     Parameters
     ----------
     surface : Surface
     method : str
     names : tuple of str
-        Of the parameters: lengths in m; coefficients of a quadric without unit; turns and tilts in rad about the axes
-        of ``surface.rotation``, 0 by definition, so that only their standard deviations say something.
+        Of the parameters: lengths in m; coefficients of a quadric without unit; rotations and tilts in rad about the
+        axes of ``surface.rotation``, whose values are 0 by definition.
     values : (u,) array
     cofactors : (u, u) array
-        Of the parameters in those units, for the sigmas given; times m0 squared their covariance.
+        Of the parameters in these units, for the given sigmas; times m0 squared their covariance.
     m0 : float or None
         Standard deviation of unit weight; None without redundancy.
     redundancy : int
     condition : float
         Of the design with columns of unit length, of weighted normal distances.
     deviations_m : (n, 3) array
-        Along X, Y, Z from the points to the surface: to their feet, or the first-order residuals of the algebraic
+        Along X, Y, Z from the points to the surface: to their foot points, or first-order residuals of the algebraic
         method (:meth:`Surface.deviations`).
     distances_m : (n,) array
         Normal distances, above 0 outside.
@@ -108,7 +108,7 @@ class _Points:
 
     @classmethod
     def of(cls, points_m: npt.ArrayLike, sigma_m: npt.ArrayLike | None) -> _Points:
-        points = as_points(points_m, 3, "points", InputError.of)
+        points = as_points(points_m, 3, "points")
         sigma = np.broadcast_to(np.asarray(1.0 if sigma_m is None else sigma_m, float), points.shape)
         require_sigmas(sigma, "sigma_m")
         offset = points.mean(axis=0)
@@ -135,8 +135,8 @@ def fit_surface(
     axis : str
         Of a spheroid: "x", "y", "z" or "free" (two tilts more).
     sigma_m : float or array that fits (n, 3), optional
-        Standard deviations of the points. Without them all have weight 1, and m0 is their size, in m; priors then
-        weigh as beside points of 1 m.
+        Standard deviations of the points. By default all have weight 1, and m0 estimates their sigma, in m; priors are
+        then weighted relative to 1 m.
     method : "geometric" or "algebraic"
         Least weighted squares of the distances to the surface, or least squares of the conditions of
         ``factors.conditions.surfaces`` with equal weights (Ayhan 1996, eqs. 138-154; the coefficients of a quadric of
@@ -151,7 +151,7 @@ def fit_surface(
     Raises
     ------
     InputError
-        Too few points, parameters that these do not determine (named, with their direction), values not possible.
+        Too few points, undetermined parameters (named, with their direction), impossible values.
     NoSolutionError
         The iteration does not converge.
     """
@@ -171,11 +171,11 @@ def fit_surface(
             failures.append(error)
     if not tried:
         raise failures[0]
-    model, found = min(tried, key=lambda one: float(one[1].residual @ one[1].residual))
-    return _result(given, model, found, method, known)
+    model, minimum = min(tried, key=lambda one: one[1].squares)
+    return _result(given, model, minimum, method, known)
 
 
-def _require_priors(model: Model, priors: Priors, method: str) -> Priors:
+def _require_priors(model: SurfaceModel, priors: Priors, method: str) -> Priors:
     for name, (value, sigma) in priors.items():
         possible = abs(value) <= LARGEST and SMALLEST <= sigma <= LARGEST and (value > 0.0 or name not in SEMI_AXES)
         lengths = [known for known, flag in zip(model.names, model.is_length, strict=True) if flag]
@@ -185,33 +185,36 @@ def _require_priors(model: Model, priors: Priors, method: str) -> Priors:
     return priors
 
 
-def _fitted(given: _Points, model: Model, method: str, priors: Priors) -> tuple[Model, Adjusted]:
-    """Adjust from one start; what is not determined there is told from the last state that was."""
+def _fitted(given: _Points, model: SurfaceModel, method: str, priors: Priors) -> tuple[SurfaceModel, Minimum]:
+    """Minimum from one start; without convergence undetermined parameters are refused at the last possible state."""
 
-    def rows(x: Array, want: bool) -> tuple[Array, Array]:
+    def rows(x: Array, with_jacobian: bool) -> tuple[Array, Array]:
         if method == "algebraic":
-            value, design, _ = model.derivatives(x, given.points, want=want)
+            value, design, _ = model.derivatives(x, given.points, with_jacobians=with_jacobian)
         else:
-            value, design = _distance_rows(given, model, x, priors, want)
-        # only ratios of coefficients are unknowns of a quadric: a step along them is held at 0
-        held = model.kind == "quadric"
-        return (np.append(value, 0.0), np.vstack([design, x]) if want else design) if held else (value, design)
+            value, design = _distance_rows(given, model, x, priors, with_jacobian)
+        if model.kind != "quadric":
+            return value, design
+        # only ratios of coefficients are unknowns: a step along the coefficients is constrained to 0
+        return np.append(value, 0.0), np.vstack([design, x]) if with_jacobian else design
 
     if model.kind == "quadric" and method == "algebraic":  # its start is the solution, by SVD
-        return model, Adjusted(model.start, *rows(model.start, True), ())
+        return model, Minimum(model.start, *rows(model.start, True), ())
     try:
         return model, adjust(rows, model.start, model.kind, moved=model.moved)
     except NoSolutionError:
         _require_determined(given, model, model.start, priors)
         for k in _semi_axes(model, priors):
-            begun = _begun(given, model, k, priors)
-            if begun is not None:
-                _require_steep(given, model, begun, k, priors)
+            start = held(_geometric(given, model, priors), model.start, k, float(model.start[k]))
+            if start is not None:
+                _require_steep(given, model, (start.state, start.squares), k, priors)
         raise
 
 
-def _distance_rows(given: _Points, model: Model, x: Array, priors: Priors, want: bool) -> tuple[Array, Array]:
-    """Normal distances by their sigmas, then priors: their derivatives are those of the conditions at the feet."""
+def _distance_rows(
+    given: _Points, model: SurfaceModel, x: Array, priors: Priors, with_jacobian: bool
+) -> tuple[Array, Array]:
+    """Rows of normal distances divided by their sigmas, then of priors; derivatives at the foot points."""
     conditions, centre = model.conditions(x)
     residual, foot = weighted_distances(conditions, given.points - centre, given.sigma)
     scale = np.where(model.is_length, given.size, 1.0)
@@ -219,7 +222,7 @@ def _distance_rows(given: _Points, model: Model, x: Array, priors: Priors, want:
     at = [model.names.index(name) for name in priors]
     values = model.values(x) * scale + shift
     residual = np.append(residual, [(values[k] - v) / s for k, (v, s) in zip(at, priors.values(), strict=True)])
-    if not want:
+    if not with_jacobian:
         return residual, np.zeros((0, len(x)))
     _, by_unknown, slope = model.derivatives(x, foot + centre)
     design = distance_rows(by_unknown, slope, given.sigma)
@@ -228,34 +231,34 @@ def _distance_rows(given: _Points, model: Model, x: Array, priors: Priors, want:
     return residual, np.vstack([design, extra])
 
 
-def _shift(given: _Points, model: Model) -> Array:
-    """What the unknowns gain when the origin moves back: that of the points for the centre (u,)."""
+def _shift(given: _Points, model: SurfaceModel) -> Array:
+    """Change (u,) of the unknowns from normalised to original coordinates: the offset for the centre."""
     names = ("x0", "y0", "z0")
     return np.array([given.offset[names.index(name)] if name in names else 0.0 for name in model.names])
 
 
-def _require_determined(given: _Points, model: Model, x: Array, priors: Priors) -> Determination:
-    """Judge the weighted normal distances; see the module docstring.
+def _require_determined(given: _Points, model: SurfaceModel, x: Array, priors: Priors) -> Determination:
+    """Determination by the weighted normal distances; see the module docstring.
 
     Raises
     ------
     InputError
-        Names the parameters and the direction that the points leave open.
+        Names the parameters and the undetermined direction.
     NoSolutionError
-        Normal distances have no derivatives there.
+        Normal distances have no derivatives at this state.
     """
     _, design = finite_rows(_geometric(given, model, priors), model.kind)(x, True)
     tangent = _tangent(model, x)
-    found = determination(design @ tangent)
-    if found.cofactors is not None:
-        sd = np.sqrt(np.einsum("ij,jk,ik->i", tangent, found.cofactors, tangent))
+    judged = determination(design @ tangent)
+    if judged.cofactors is not None:
+        sd = np.sqrt(np.einsum("ij,jk,ik->i", tangent, judged.cofactors, tangent))
         open_ = (sd > UNDETERMINED * given.typical_sigma) & ~np.isin(model.names, list(priors))
         if not open_.any():
-            return found
-    raise _open(given, model, tangent @ found.weakest, found.condition)
+            return judged
+    raise _open(given, model, tangent @ judged.weakest, judged.condition)
 
 
-def _open(given: _Points, model: Model, direction: Array, condition: float) -> FgOrientError:
+def _open(given: _Points, model: SurfaceModel, direction: Array, condition: float) -> FgOrientError:
     """Refusal that names the parameters of a direction."""
     return InputError.of(
         "closerange.undetermined", place=model.kind, value=f"condition {condition:.2g}", limit=UNDETERMINED,
@@ -263,41 +266,35 @@ def _open(given: _Points, model: Model, direction: Array, condition: float) -> F
     )  # fmt: skip
 
 
-def _geometric(given: _Points, model: Model, priors: Priors) -> Rows:
+def _geometric(given: _Points, model: SurfaceModel, priors: Priors) -> Rows:
     """Rows of weighted distances and priors."""
-    return lambda x, want: _distance_rows(given, model, x, priors, want)
+    return lambda x, with_jacobian: _distance_rows(given, model, x, priors, with_jacobian)
 
 
-def _semi_axes(model: Model, priors: Priors) -> list[int]:
-    """Unknowns that are semi-axes without a prior, that of revolution first: whatever else is open moves them."""
+def _semi_axes(model: SurfaceModel, priors: Priors) -> list[int]:
+    """Semi-axes without a prior, that of revolution first: every undetermined direction changes them."""
     return [k for k, name in enumerate(model.names) if name in SEMI_AXES and name not in priors][::-1]
 
 
-def _least(given: _Points, model: Model, state: Array, priors: Priors) -> tuple[Array, float] | None:
+def _least(given: _Points, model: SurfaceModel, state: Array, priors: Priors) -> tuple[Array, float] | None:
     """Least weighted squares of the distances, from the result of either method."""
     try:
-        found = adjust(_geometric(given, model, priors), state, model.kind)
+        minimum = adjust(_geometric(given, model, priors), state, model.kind)
     except NoSolutionError:
         return None
-    return found.state, float(found.residual @ found.residual)
-
-
-def _begun(given: _Points, model: Model, k: int, priors: Priors) -> tuple[Array, float] | None:
-    """Fit with a semi-axis held at its start."""
-    found = held(_geometric(given, model, priors), model.start, k, float(model.start[k]))
-    return None if found is None else (found.state, found.squares)
+    return minimum.state, minimum.squares
 
 
 def _require_steep(
-    given: _Points, model: Model, base: tuple[Array, float] | None, k: int, priors: Priors
+    given: _Points, model: SurfaceModel, base: tuple[Array, float] | None, k: int, priors: Priors
 ) -> None:  # fmt: skip
-    """Hold a semi-axis at quite other values: a fit that gets hardly worse leaves it open.
+    """Refuse a semi-axis if a fit with it fixed at a very different value is hardly worse.
 
     Raises
     ------
     InputError
-        Names the parameters and the direction, those where the way begins; or the semi-axis of which it cannot be
-        told, since neither a fit there converges nor its squares stay far above.
+        Names the parameters and the direction near the start; or the semi-axis that cannot be verified, because no fit
+        converges there and its squares do not stay far above.
     """
     if base is None:
         raise _unverified(given, model, k, float(model.values(model.start)[k]))
@@ -318,21 +315,21 @@ def _require_steep(
             raise _open(given, model, judged.weakest, judged.condition)
 
 
-def _unverified(given: _Points, model: Model, k: int, value: float) -> FgOrientError:
-    """Refusal where nobody can tell whether a semi-axis is determined."""
+def _unverified(given: _Points, model: SurfaceModel, k: int, value: float) -> FgOrientError:
+    """Refusal of a semi-axis that may or may not be determined."""
     return InputError.of("closerange.unverified", place=model.kind, name=model.names[k],
                          value=f"{model.names[k]} held at {value * given.size:.4g} m")  # fmt: skip
 
 
-def _tangent(model: Model, x: Array) -> Array:
-    """Directions (u, f) in which the unknowns may move: all, but for quadrics only those that change ratios."""
+def _tangent(model: SurfaceModel, x: Array) -> Array:
+    """Free directions (u, f) of the unknowns: all, but for quadrics only those that change ratios."""
     if model.kind != "quadric":
         return np.eye(len(x))
     return np.asarray(np.linalg.svd(x[None])[2][1:].T)
 
 
 def _words(names: tuple[str, ...], direction: Array) -> dict[str, str]:
-    """Parameters of a direction, largest first, and the direction with the first one as unit."""
+    """Parameters of a direction, largest first, and the direction relative to the first one."""
     order = np.argsort(-np.abs(direction), kind="stable")
     order = order[np.abs(direction[order]) >= NAMED * np.abs(direction[order[0]])]
     first = names[order[0]]
@@ -342,8 +339,8 @@ def _words(names: tuple[str, ...], direction: Array) -> dict[str, str]:
     return {"names": which, "direction": ", ".join(ratios) or f"d{first} alone"}
 
 
-def _result(given: _Points, model: Model, found: Adjusted, method: str, priors: Priors) -> SurfaceFit:
-    model, state = model.settled(found.state)
+def _result(given: _Points, model: SurfaceModel, minimum: Minimum, method: str, priors: Priors) -> SurfaceFit:
+    model, state = model.settled(minimum.state)
     judged, tangent = _require_determined(given, model, state, priors), _tangent(model, state)
     least = _least(given, model, state, priors)
     for k in _semi_axes(model, priors):
@@ -351,11 +348,11 @@ def _result(given: _Points, model: Model, found: Adjusted, method: str, priors: 
     own = judged
     if method == "algebraic":
         own = determination(model.derivatives(state, given.points)[1] @ tangent)
-    if own.cofactors is None:  # the same unknowns as the normal distances, which determine them
+    if own.cofactors is None:  # the normal distances determine the same unknowns
         raise NoSolutionError.of("closerange.not_converged", place=model.kind, reason="the conditions are singular")
     scale = np.where(model.is_length, given.size, 1.0)
     away = scale[:, None] * tangent
-    residual = found.residual[: len(found.residual) - (model.kind == "quadric")]
+    residual = minimum.residual[: len(minimum.residual) - (model.kind == "quadric")]
     redundancy = len(residual) - tangent.shape[1]
     unit = model.surface(state)
     surface = Surface(
@@ -363,10 +360,10 @@ def _result(given: _Points, model: Model, found: Adjusted, method: str, priors: 
         unit.coefficients,
     )  # fmt: skip
     points = given.points * given.size + given.offset
-    foot = surface.feet(points, given.sigma)
+    foot = surface.foot_points(points, given.sigma)
     return SurfaceFit(
         surface, method, model.names, model.values(state) * scale + _shift(given, model),
         away @ own.cofactors @ away.T, unit_weight(float(residual @ residual), redundancy), redundancy,
         judged.condition, foot - points if method == "geometric" else surface.deviations(points),
-        surface.distances(points), len(found.log),
+        surface.distances(points), len(minimum.log),
     )  # fmt: skip

@@ -1,10 +1,11 @@
-"""Corrections of images out of a result folder of ``adjust``."""
+"""Corrections of images from a result folder of ``adjust``."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,13 +40,13 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Correction
     sensor : PushbroomSensor, RpcSensor or FrameSensor
         Of this image.
     image : str
-        Image id; default the image whose metadata file the sensor's is, by content if the result recorded it, else by
-        name.
+        Image id; default the image with the sensor's metadata file, compared by content if the result recorded it,
+        else by name.
 
     Raises
     ------
     InputError
-        No such folder or image; an image with other metadata than the sensor's, several with the same, or the
+        No such folder or image; an image with other metadata than the sensor's, several images with the same, or
         unknowns of another kind of sensor.
     """
     try:
@@ -70,7 +71,7 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Correction
 
 
 def _files(record: dict[str, Any]) -> dict[str, tuple[str, str]]:
-    """Name and SHA-256 of the metadata file of each image; "" where the result does not tell.
+    """Name and SHA-256 of the metadata file of each image; "" if unavailable.
 
     The inputs of a run are its project file, then one metadata file per image.
     """
@@ -81,7 +82,7 @@ def _files(record: dict[str, Any]) -> dict[str, tuple[str, str]]:
 
 
 def _chosen(files: dict[str, tuple[str, str]], folder: Path, metadata: Path, image: str) -> str:
-    """Image id; content decides (products of one mission often have the same file name), else the name."""
+    """Image id by content, because products of one mission often have the same file name; else by name."""
     digest = hashlib.sha256(metadata.read_bytes()).hexdigest() if metadata.is_file() else ""
     same = [key for key, (file, known) in files.items()
             if (known == digest if known and digest else file == metadata.name)]  # fmt: skip
@@ -102,32 +103,25 @@ def _chosen(files: dict[str, tuple[str, str]], folder: Path, metadata: Path, ima
 
 
 def _correction(values: dict[str, float], sensor: Sensor, small_angle: bool, n_curves: int) -> Correction | Array:
-    """What ``sensor.project`` takes; KeyError for names of another kind of sensor."""
+    """Correction for ``sensor.project``; KeyError for names of another kind of sensor."""
     own = own_model(sensor, Options())
     if own is not None:
-        x = np.zeros(len(own.parameters))
-        _place(x, values, {name: k for k, name in enumerate(own.parameters.names)})
-        return np.asarray(own.correction(x / own.parameters.sigma))
-    if isinstance(sensor, FrameSensor):
-        unknowns = np.zeros(len(UNKNOWNS))
-        _place(unknowns, values, {name: k for k, name in enumerate(UNKNOWNS)})
-        return unknowns
+        return np.asarray(own.correction(_placed(values, own.parameters.names) / own.parameters.sigma))
     if not isinstance(sensor, PushbroomSensor):
-        out = np.zeros(len(COMPENSATION))
-        _place(out, values, {name: k for k, name in enumerate(COMPENSATION)})
-        return out
-    curve, names = np.zeros(9 * CURVES), {parameter_name(CURVE + k): k for k in range(9 * CURVES)}
-    _place(curve, {name: value for name, value in values.items() if name in names}, names)
+        return _placed(values, UNKNOWNS if isinstance(sensor, FrameSensor) else COMPENSATION)
+    names = [parameter_name(CURVE + k) for k in range(9 * CURVES)]
+    curve = _placed({name: value for name, value in values.items() if name in names}, names)
     values = {name: value for name, value in values.items() if name not in names}
-    codes = {parameter_name(code): code for code in range(N_EOP + 2 * (LOOK_DEGREES + 1))}
-    every = np.zeros(len(codes))
-    _place(every, values, codes)
-    used = max((codes[name] for name in values), default=0) + 1
+    codes = [parameter_name(code) for code in range(N_EOP + 2 * (LOOK_DEGREES + 1))]
+    every = _placed(values, codes)
+    used = max((codes.index(name) for name in values), default=0) + 1
     look = every[N_EOP : max(used + (used - N_EOP) % 2, N_EOP)]
     look = np.ascontiguousarray(look.reshape(-1, 2).T)
     return Correction(every[:N_EOP].reshape(9, 3), look, small_angle, curve.reshape(9, CURVES)[:, :n_curves])
 
 
-def _place(out: Any, values: dict[str, float], places: dict[str, int]) -> None:
-    for name, value in values.items():
-        out[places[name]] = value
+def _placed(values: dict[str, float], names: Sequence[str]) -> Array:
+    """Values in the order of names; 0 for missing ones, KeyError for others."""
+    if unknown := set(values).difference(names):
+        raise KeyError(unknown)
+    return np.array([values.get(name, 0.0) for name in names])

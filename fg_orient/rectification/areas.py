@@ -1,8 +1,8 @@
-"""Areas and lengths of outlines, and of areas counted in pixels (İpbüker 1994, section 7.2).
+"""Areas and lengths of outlines, and areas counted in pixels (İpbüker 1994, section 7.2).
 
 A pixel belongs to an outline if its centre lies inside. Over random positions and orientations of the grid the count is
-unbiased, with a standard deviation of about ``sqrt(0.0728 L h^3)`` for a perimeter L and pixels of h (Kendall's problem
-of lattice points, for outlines without preferred direction).
+unbiased, with a standard deviation of about ``sqrt(0.0728 L h^3)`` for a perimeter L and pixels of size h (Kendall's
+problem of lattice points, for outlines without preferred direction).
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from fg_orient.rectification.arguments import finite, number, positive, whole
 
 Array = npt.NDArray[np.float64]
 
-#: Variance of a pixel-count area over perimeter times pixel size cubed.
+#: Variance of a pixel-count area, divided by the perimeter and the cube of the pixel size.
 PIXEL_VARIANCE = 0.0728
 
 
 def outline(vertices: npt.ArrayLike) -> Array:
-    """Vertices (n, 2) of a closed outline, checked; a last vertex equal to the first is left out.
+    """Checked vertices (n, 2) of a closed outline, without a last vertex equal to the first.
 
     Raises
     ------
     InputError
-        Fewer than three, or not finite.
+        Fewer than three vertices, or values that are not finite.
     """
     given = finite("vertices", vertices)
     if given.ndim == 2 and len(given) > 1 and np.array_equal(given[0], given[-1]):
@@ -49,34 +49,19 @@ def perimeter_m(vertices: npt.ArrayLike) -> float:
 
 
 def mean_spacing_m(length_m: float, n_vertices: float) -> float:
-    """Mean distance of the vertices of a closed outline: length by number of vertices, m.
-
-    Raises
-    ------
-    InputError
-        A length or a number that is not above 0.
-    """
+    """Mean distance of the vertices of a closed outline, m; InputError if an argument is not above 0."""
     return positive("length", length_m, "m") / positive("number of vertices", n_vertices, "vertices")
 
 
 def pixel_area_m2(n_pixels: float, pixel_m: float) -> float:
-    """Area of so many square pixels.
-
-    Raises
-    ------
-    InputError
-        A number of pixels below 0, or a size that is not above 0.
-    """
+    """Area of a number (0 or more) of square pixels of a size above 0; InputError for other arguments."""
     return number("number of pixels", n_pixels, "pixels", least=0.0) * positive("pixel size", pixel_m, "m") ** 2
 
 
 def pixel_area_sigma_m2(perimeter: float, pixel_m: float) -> float:
     """Standard deviation of a pixel-count area over random positions and orientations of the grid, m2.
 
-    Raises
-    ------
-    InputError
-        A perimeter or a pixel size that is not above 0.
+    Raises InputError if an argument is not above 0.
     """
     length, size = positive("perimeter", perimeter, "m"), positive("pixel size", pixel_m, "m")
     return float(np.sqrt(PIXEL_VARIANCE * length * size**3))
@@ -101,7 +86,7 @@ def count_pixels(vertices: npt.ArrayLike, pixel_m: float, offset_m: npt.ArrayLik
     size, offset = positive("pixel size", pixel_m, "m"), finite("offset", offset_m)
     if offset.shape != (2,):
         raise InputError.of("rectify.numbers", place="offset", value=f"shape {offset.shape}")
-    p = (outline(vertices) - offset) / size  # centres are whole numbers now
+    p = (outline(vertices) - offset) / size  # centres are whole numbers
     q = np.roll(p, -1, axis=0)
     q, p = np.where(q[:, 1:] < p[:, 1:], p, q), np.where(q[:, 1:] < p[:, 1:], q, p)  # every edge upwards
     first, last = np.ceil(p[:, 1]).astype(int), np.ceil(q[:, 1]).astype(int)  # rows crossed: first <= row < last
@@ -119,8 +104,8 @@ def simulate_pixel_areas_m2(
 ) -> Array:
     """Pixel-count areas (n_placements,) on grids at random positions and, with ``turn``, orientations, m2.
 
-    The formula of :func:`pixel_area_sigma_m2` is that of all orientations: with one of them the standard deviation of
-    a coast of an island is 0.8 to 1.25 times that.
+    The formula of :func:`pixel_area_sigma_m2` holds for all orientations. With a single orientation the standard
+    deviation for the coast of an island is 0.8 to 1.25 times that value.
 
     Raises
     ------
@@ -143,8 +128,8 @@ def synthetic_outline(area_m2: float, perimeter: float, n_vertices: int, seed: i
     Raises
     ------
     InputError
-        An area that is not above 0, fewer than three vertices, a negative seed; a perimeter that is shorter than that
-        of the circle of this area, or longer than such an outline can have.
+        An area that is not above 0, fewer than three vertices, a negative seed; a perimeter shorter than the circle of
+        this area, or too long for such an outline.
     """
     positive("area", area_m2, "m2")
     positive("perimeter", perimeter, "m")

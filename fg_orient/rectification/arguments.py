@@ -1,4 +1,4 @@
-"""Arguments of the helpers, checked: nonsense is refused with a message of the catalogue, never computed with."""
+"""Checks of arguments: invalid values are refused with a message of the catalogue."""
 
 from __future__ import annotations
 
@@ -13,73 +13,43 @@ Array = npt.NDArray[np.float64]
 
 
 def numbers(place: str, values: npt.ArrayLike) -> Array:
-    """Give numbers as an array, finite or not.
-
-    Raises
-    ------
-    InputError
-        None at all, or something else than numbers.
-    """
+    """One number or more as an array, finite or not; InputError for anything else."""
     try:
-        found = np.asarray(values, float)
+        out = np.asarray(values, float)
     except (TypeError, ValueError):
         raise InputError.of("rectify.numbers", place=place, value="no numbers") from None
-    if not found.size:
+    if not out.size:
         raise InputError.of("rectify.numbers", place=place, value="none")
-    return found
+    return out
 
 
 def finite(place: str, values: npt.ArrayLike) -> Array:
-    """Give numbers as an array.
-
-    Raises
-    ------
-    InputError
-        See :func:`numbers`; one that is not finite.
-    """
-    found = numbers(place, values)
-    if not np.isfinite(found).all():
-        raise InputError.of("rectify.numbers", place=place, value=f"{np.sum(~np.isfinite(found))} not finite")
-    return found
+    """One finite number or more as an array; InputError for anything else."""
+    out = numbers(place, values)
+    if not np.isfinite(out).all():
+        raise InputError.of("rectify.numbers", place=place, value=f"{np.sum(~np.isfinite(out))} not finite")
+    return out
 
 
 def number(place: str, value: float, unit: str, *, least: float = -math.inf) -> float:
-    """Give a finite number that is not below ``least``.
-
-    Raises
-    ------
-    InputError
-        It is not.
-    """
-    found = numbers(place, value)
-    if found.ndim or not math.isfinite(found) or found < least:
+    """Finite number not below ``least``; InputError for anything else."""
+    out = numbers(place, value)
+    if out.ndim or not math.isfinite(out) or out < least:
         words = f"a finite number of {unit}" + (f", not below {least:g}" if least > -math.inf else "")
         raise InputError.of("options.value", place=place, value=value, expected=words)
-    return float(found)
+    return float(out)
 
 
 def positive(place: str, value: float, unit: str) -> float:
-    """Give a finite number above 0.
-
-    Raises
-    ------
-    InputError
-        It is not.
-    """
-    found = numbers(place, value)
-    if found.ndim or not math.isfinite(found) or found <= 0.0:
+    """Finite number above 0; InputError for anything else."""
+    out = numbers(place, value)
+    if out.ndim or not math.isfinite(out) or out <= 0.0:
         raise InputError.of("rectify.positive", place=place, value=value, unit=unit)
-    return float(found)
+    return float(out)
 
 
 def whole(place: str, value: int, least: int) -> int:
-    """Give a whole number that is not below ``least``.
-
-    Raises
-    ------
-    InputError
-        It is not.
-    """
+    """Whole number not below ``least``; InputError for anything else."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise InputError.of("options.value", place=place, value=value, expected=f"a whole number from {least}")
     return int(value)

@@ -1,13 +1,18 @@
-"""Adjustment of a transformation: the loop of the bundle adjustment over the points of one transformation.
+"""Adjustment of a transformation to points, and the extent of these points in each direction.
 
 Residuals are computed minus given, the sign of İpbüker 1994. m0 is per coordinate and divided by the redundancy,
 ``m0 = sqrt(sum (v/sigma)^2 / (2n - u))``; it is not the plain RMSE, which divides by n.
+
+Control points within their noise of a straight line give a converged adjustment that is useless beside the line. For
+each principal direction of the points in the source system (centred, one scale) the standard deviation of the scale of
+the transformation is therefore compared with that along the points. For an affine transformation the ratio is that of
+the extents, the condition number of the centred design. It depends on neither the unit nor the size of the scene.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -19,9 +24,7 @@ from fg_orient.adjustment.dense import RowsBackend, equation_rows
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rectification.arguments import finite, numbers
-from fg_orient.rectification.layout import Reach, reaches
-from fg_orient.rectification.models import Model
-from fg_orient.rectification.transformation import Scaling, Transformation
+from fg_orient.rectification.transformation import Scaling, Transformation, TransformationModel
 
 Array = npt.NDArray[np.float64]
 
@@ -31,11 +34,21 @@ MAX_ITERATIONS: Final = 100
 RANK_LIMIT: Final = 1e-6
 #: Ratio of sigmas from which on weights are beyond what a double carries through an adjustment.
 SIGMA_SPAN: Final = 1e8
+#: Ratio of standard deviations beyond which a direction is weak: a strip 20 times longer than wide.
+WEAK_RATIO: Final = 20.0
+#: Ratio of noise to the root mean square width of the points beyond which a weak direction is not determined at all.
+#: For points on a line it is 0.7 on average for any number of points, if all noise is that of the source; half of it
+#: is left to chance.
+NOISE_SHARE: Final = 1.0 / 3.0
+#: Component of a direction below which it is not named: 3 degrees.
+LEAST_SHARE: Final = 0.05
+#: Half the step of differences, as a share of the extent of the points.
+STEP: Final = 1e-3
 
 
 @dataclass(frozen=True)
 class Observations:
-    """Points in both systems, checked.
+    """Checked points in both systems.
 
     Parameters
     ----------
@@ -48,7 +61,7 @@ class Observations:
     Raises
     ------
     InputError
-        Shapes that do not fit, values that are not finite, sigmas that are not above 0.
+        Inconsistent shapes, values that are not finite, sigmas that are not above 0.
     """
 
     source: Array
@@ -71,13 +84,13 @@ class Observations:
         cls, source: npt.ArrayLike, target: npt.ArrayLike, sigma: npt.ArrayLike | None = None,
         ids: Sequence[str] | None = None,
     ) -> Observations:  # fmt: skip
-        """From array-likes; unit sigmas, ids 1 to n if not given.
+        """Observations of array-likes; sigmas 1 and ids 1 to n by default.
 
         Raises
         ------
         InputError
-            See :class:`Observations`; something else than numbers; sigmas below the rounding of the coordinates, or
-            of which one is 1e8 times another.
+            See :class:`Observations`; values that are not numbers; sigmas below the rounding of the coordinates, or
+            with a ratio above 1e8.
         """
         start, end = (np.atleast_2d(numbers(name, a)) for name, a in (("source", source), ("target", target)))
         names = tuple(str(k + 1) for k in range(len(start))) if ids is None else tuple(ids)
@@ -86,9 +99,9 @@ class Observations:
         given = numbers("sigmas", sigma)
         if given.shape not in ((), end.shape, end.shape[1:]):
             raise InputError.of("rectify.points", place="sigmas", value=f"{given.shape}, {end.shape}")
-        found = cls(start, end, np.broadcast_to(given, end.shape).copy(), names)
-        _require_sigmas(found)
-        return found
+        points = cls(start, end, np.broadcast_to(given, end.shape).copy(), names)
+        _require_sigmas(points)
+        return points
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -100,7 +113,50 @@ class Observations:
 
 
 @dataclass(frozen=True)
-class Fit:
+class Reach:
+    """One principal direction of the control points except the longest.
+
+    Parameters
+    ----------
+    direction : (k,) array
+        Unit vector of the source system.
+    ratio : float
+        Standard deviation of the scale along it, divided by that along the longest direction.
+    sigma : float
+        Standard deviation of the scale along it, divided by the scale along the longest direction.
+    noise : float
+        Noise of a point in the source system, divided by the root mean square extent in this direction.
+    """
+
+    direction: Array
+    ratio: float
+    sigma: float
+    noise: float
+
+    @property
+    def is_weak(self) -> bool:
+        """Whether the points are narrow in this direction."""
+        return self.ratio > WEAK_RATIO
+
+    @property
+    def is_unknown(self) -> bool:
+        """Whether the points are so narrow that their noise exceeds their extent."""
+        return self.is_weak and self.noise > NOISE_SHARE
+
+    def describe(self, names: tuple[str, ...]) -> str:
+        """Direction in the names of the source coordinates: "line", or "0.71 sample - 0.71 line"."""
+        first = self.direction[np.argmax(np.abs(self.direction))]
+        parts = [
+            (v, name) for v, name in zip(self.direction * np.sign(first), names, strict=True) if abs(v) >= LEAST_SHARE
+        ]
+        if len(parts) == 1:
+            return parts[0][1]
+        rest = (f" {'-' if v < 0.0 else '+'} {abs(v):.2f} {name}" for v, name in parts[1:])
+        return f"{parts[0][0]:.2f} {parts[0][1]}" + "".join(rest)
+
+
+@dataclass(frozen=True)
+class TransformationFit:
     """An adjusted transformation.
 
     Parameters
@@ -128,8 +184,8 @@ class Fit:
     condition: float
 
     @property
-    def model(self) -> Model:
-        """The transformation's family."""
+    def model(self) -> TransformationModel:
+        """Family of the transformation."""
         return self.transformation.model
 
     @property
@@ -160,9 +216,20 @@ class Fit:
 
     @cached_property
     def reaches(self) -> tuple[Reach, ...]:
-        """Principal directions of the points but the longest, and what is known along them."""
+        """Principal directions of the points except the longest."""
         source = self.points.source[:, : self.model.dimension]
-        return reaches(source, self.transformation.apply, self._rows_at, self.cofactors, self.m0)
+        centre = source.mean(axis=0)
+        _, extent, axes = np.linalg.svd(source - centre, full_matrices=False)
+        step = STEP * extent[0] / np.sqrt(len(source))
+        ends = np.concatenate([centre + step * axes, centre - step * axes])
+        values, rows = (a.reshape(2, len(axes), 2, -1) for a in (self.transformation.apply(ends), self._rows_at(ends)))
+        scale = float(np.linalg.norm((values[0, 0] - values[1, 0]) / (2.0 * step)))
+        slopes = (rows[0] - rows[1]) / (2.0 * step)
+        sigma = np.sqrt(0.5 * np.einsum("kij,jl,kil->k", slopes, self.cofactors, slopes))
+        share = self.m0 * sigma[1:] / scale
+        # the standard deviation of a slope is the noise, divided by the extent and the root of the number of points
+        noise = np.sqrt(len(source)) * share
+        return tuple(map(Reach, axes[1:], (sigma[1:] / sigma[0]).tolist(), share.tolist(), noise.tolist()))
 
     @cached_property
     def residual_cofactors(self) -> Array:
@@ -172,7 +239,7 @@ class Fit:
 
     @property
     def redundancy_numbers(self) -> Array:
-        """Share (n, 2) of an error of each observation that shows in its own residual; their sum is the redundancy."""
+        """Redundancy numbers (n, 2) of the target coordinates; their sum is the redundancy."""
         return np.asarray(np.einsum("nii->ni", self.residual_cofactors))
 
     def prediction_sigma(self, source: npt.ArrayLike) -> Array:
@@ -202,37 +269,39 @@ def plain_rmse(residuals: Array) -> tuple[float, float, float]:
 
 
 def fit(
-    points: Observations, model: Model, *, source_names: Sequence[str] = (),
+    points: Observations, model: TransformationModel, *, source_names: Sequence[str] = (),
     target_names: Sequence[str] = ("X", "Y"), crs: str = "", optimizer: str | None = None,
-) -> Fit:  # fmt: skip
+) -> TransformationFit:  # fmt: skip
     """Adjust a transformation.
 
     Parameters
     ----------
     points : Observations
         Control points.
-    model : Model
+    model : TransformationModel
         See :func:`fg_orient.rectification.models.find_model`.
     source_names, target_names : sequence of str
-        For the record; source coordinates without names are x, y, z.
+        For the record; default names of source coordinates are x, y, z.
     crs : str
-        Of the map side.
+        Coordinate system of the map.
     optimizer : str, optional
-        Of the loop; default Gauss-Newton for linear models, Levenberg-Marquardt for quotients.
+        Optimiser of the loop; default Gauss-Newton for linear models, Levenberg-Marquardt for quotients.
 
     Returns
     -------
-    Fit
+    TransformationFit
 
     Raises
     ------
     InputError
-        2n <= unknowns; points on a line, a curve or a plane that do not determine the transformation, plane ones also
-        within their noise of a line; heights missing.
+        2n <= unknowns; points on a line, a curve or a plane that do not determine the transformation, for plane
+        transformations also points within their noise of a line; missing heights.
     NoSolutionError
         The iteration does not converge, or a denominator vanishes among the points.
     """
-    _require(points, model)
+    if points.source.shape[1] < model.dimension:
+        raise InputError.of("rectify.heights", place=model.title)
+    require_redundancy(model, len(points))
     source = Scaling.of(points.source[:, : model.dimension], shared=model.shared_scale)
     target = Scaling.of(points.target, shared=model.shared_scale)
     names = tuple(source_names) or ("x", "y", "z")[: model.dimension]
@@ -242,23 +311,39 @@ def fit(
     start = model.start(records[:, RECORD.source], records[:, RECORD.target])
     _require_determined(points, model, rows(start, True)[1])
     name = optimizer or ("gauss-newton" if model.linear else "levenberg-marquardt")
-    found = OPTIMIZERS[name](RowsBackend(rows), start, MAX_ITERATIONS)
-    if not found.converged:
-        raise NoSolutionError.of("rectify.not_converged", place=model.title, reason=found.end.message)
-    below = model.denominator(records[:, RECORD.source], found.state)
+    run = OPTIMIZERS[name](RowsBackend(rows), start, MAX_ITERATIONS)
+    if not run.converged:
+        raise NoSolutionError.of("rectify.not_converged", place=model.title, reason=run.end.message)
+    below = model.denominator(records[:, RECORD.source], run.state)
     if not (below > 0.0).all():
         raise NoSolutionError.of("rectify.pole", place=model.title, value=points.ids[int(np.argmin(below))])
-    residual, design = rows(found.state, True)
+    residual, design = rows(run.state, True)
     condition = _require_determined(points, model, design)
     whitened = residual.reshape(-1, 2)
-    done = Transformation(model, found.state, source, target, blank.source_names, blank.target_names, crs)
-    result = Fit(done, points, whitened * points.sigma, whitened, design, found.log, condition)
-    _require_reach(result)
+    done = replace(blank, coefficients=run.state)
+    result = TransformationFit(done, points, whitened * points.sigma, whitened, design, run.log, condition)
+    for reach in result.reaches if model.dimension == 2 else ():  # for heights this is a warning only
+        if reach.is_unknown:
+            raise InputError.of("rectify.narrow", place=model.title, value=f"{len(points)} points",
+                                direction=reach.describe(names), times=1.0 / reach.noise)  # fmt: skip
     return result
 
 
+def require_redundancy(model: TransformationModel, n_points: int) -> None:
+    """Refuse a number of control points without redundancy.
+
+    Raises
+    ------
+    InputError
+        2n <= unknowns.
+    """
+    if 2 * n_points <= model.n_unknowns:
+        raise InputError.of("rectify.few_points", place=model.title, points=n_points, equations=2 * n_points,
+                            unknowns=model.n_unknowns, least=model.least_points)  # fmt: skip
+
+
 def _require_sigmas(points: Observations) -> None:
-    """Refuse sigmas that the rounding of the coordinates or of the adjustment hides."""
+    """Refuse sigmas below the rounding of the coordinates or of the adjustment."""
     least = np.spacing(np.abs(points.target).max(axis=0))
     smallest = np.maximum(least, points.sigma.max() / SIGMA_SPAN)
     bad = (points.sigma < smallest).any(axis=1)
@@ -270,28 +355,8 @@ def _require_sigmas(points: Observations) -> None:
         )  # fmt: skip
 
 
-def _require_reach(found: Fit) -> None:
-    """Refuse plane transformations of points whose width is their noise; heights that say little are remarked only."""
-    for reach in found.reaches if found.model.dimension == 2 else ():
-        if reach.is_unknown:
-            t = found.transformation
-            raise InputError.of("rectify.narrow", place=t.model.title, value=f"{len(found.points)} points",
-                                direction=reach.words(t.source_names), times=1.0 / reach.noise)  # fmt: skip
-
-
-def _require(points: Observations, model: Model) -> None:
-    equations = 2 * len(points)
-    if points.source.shape[1] < model.dimension:
-        raise InputError.of("rectify.heights", place=model.title)
-    if equations <= model.n_unknowns:
-        raise InputError.of(
-            "rectify.few_points", place=model.title, points=len(points), equations=equations,
-            unknowns=model.n_unknowns, least=model.least_points,
-        )  # fmt: skip
-
-
-def _require_determined(points: Observations, model: Model, design: Array) -> float:
-    """Refuse points that do not determine the transformation; give the condition number of the scaled design."""
+def _require_determined(points: Observations, model: TransformationModel, design: Array) -> float:
+    """Condition number of the scaled design; InputError if the points do not determine the transformation."""
     length = np.linalg.norm(design, axis=0)
     values = np.linalg.svd(design / np.where(length > 0.0, length, 1.0), compute_uv=False)
     if values[-1] > RANK_LIMIT * values[0]:
@@ -309,7 +374,7 @@ def _require_determined(points: Observations, model: Model, design: Array) -> fl
 
 
 def _records(t: Transformation, points: Observations) -> Array:
-    """Records of the equation (n, 8): normalised coordinates, whitening by sigma in normalised units."""
+    """Records (n, 8) of the equation: normalised coordinates, whitening by sigma in normalised units."""
     source, scale = np.zeros((len(points), 3)), t.target.scale / points.sigma
     source[:, : t.model.dimension] = t.source.normalised(points.source[:, : t.model.dimension])
     target = t.target.normalised(points.target)

@@ -1,22 +1,30 @@
-"""The pixels of a map raster: origin, size of a pixel, coordinate system."""
+"""Map rasters: their grid, and GeoTIFF files written whole or not at all, window by window."""
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.formats import atomic
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import finite, positive
 
 Array = npt.NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
 
-#: Pixels of one axis beyond which the resolution has the wrong unit.
+#: Maximum number of pixels along an axis; with more the resolution has the wrong unit.
 LARGEST: Final = 1_000_000
+#: Edge of the tiles inside a file.
+TILE: Final = 512
+#: Size of GDAL's cache for blocks of files, bytes; GDAL's default is 5 % of the memory.
+CACHE_BYTES: Final = 128 * 2**20
 
 
 @dataclass(frozen=True)
@@ -43,7 +51,7 @@ class MapGrid:
 
     @classmethod
     def over(cls, bounds: Bounds, resolution: float, crs: str) -> MapGrid:
-        """Give the grid over bounds (left, bottom, right, top), widened to whole multiples of the resolution.
+        """Grid over bounds (left, bottom, right, top), widened to whole multiples of the resolution.
 
         Raises
         ------
@@ -68,14 +76,36 @@ class MapGrid:
         x = self.left + (np.asarray(column, float) + 0.5) * self.resolution
         return np.asarray(x), np.asarray(self.top - (np.asarray(row, float) + 0.5) * self.resolution)
 
-    def transform(self) -> Any:
-        """Affine transformation of pixel corners, as GeoTIFF has it."""
-        from rasterio import Affine
-
-        return Affine(self.resolution, 0.0, self.left, 0.0, -self.resolution, self.top)
-
     @property
     def bounds(self) -> Bounds:
         """Left, bottom, right, top."""
         bottom, right = self.top - self.rows * self.resolution, self.left + self.columns * self.resolution
         return self.left, bottom, right, self.top
+
+    def profile(self, *, bands: int, dtype: str, nodata: float | None, compress: str) -> dict[str, Any]:
+        """Creation options of a tiled GeoTIFF on this grid."""
+        from rasterio import Affine
+
+        corners = Affine(self.resolution, 0.0, self.left, 0.0, -self.resolution, self.top)
+        return {
+            "driver": "GTiff", "width": self.columns, "height": self.rows, "count": bands, "dtype": dtype,
+            "crs": self.crs, "transform": corners, "nodata": nodata, "tiled": True, "blockxsize": TILE,
+            "blockysize": TILE, "compress": compress, "interleave": "band", "BIGTIFF": "IF_SAFER",
+        }  # fmt: skip
+
+
+@contextlib.contextmanager
+def staged_file(out: Path, *, overwrite: bool) -> Iterator[Path]:
+    """Temporary file beside ``out`` that is renamed to it if the block ends without an exception, else removed.
+
+    Raises
+    ------
+    InputError
+        ``out`` exists (without ``overwrite``), or cannot be written.
+    """
+    if out.exists() and not overwrite:
+        raise InputError.of("output.exists", file=out, option="out")
+    if out.is_dir() or not out.absolute().parent.is_dir():
+        raise InputError.of("output.unwritable", file=out, option="out")
+    with atomic.staged_file(out, place="<out>", suffix=".tif") as temporary:
+        yield temporary

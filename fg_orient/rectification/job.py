@@ -1,4 +1,4 @@
-"""What the commands do: fit a table of points, plan one, read tested points."""
+"""Work of the commands: fit and plan a table of points, read tested points."""
 
 from __future__ import annotations
 
@@ -13,36 +13,33 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.formats.atomic import require_free, staged_folder, writing
-from fg_orient.formats.tables import Faults, number, read_table
+from fg_orient.formats.tables import Faults, read_table
 from fg_orient.model.errors import InputError
 from fg_orient.model.installation import versions
 from fg_orient.rectification.arguments import positive
-from fg_orient.rectification.distances import PairDistances, pair_distances
 from fg_orient.rectification.folder import CONTENTS, write_folder
-from fg_orient.rectification.models import Model, find_model
-from fg_orient.rectification.outliers import Pruning, Rule, prune
+from fg_orient.rectification.outliers import Rule, pair_distances, prune
 from fg_orient.rectification.points import (
     DIRECTIONS,
-    MapPoints,
-    PointFit,
     compared,
     fit_control,
     fit_points,
+    numbers_of,
     observations,
     read_ids,
     read_map_points,
-    require_direction,
 )
 from fg_orient.rectification.record import record_of
 from fg_orient.rectification.study import Cell, design_study
+from fg_orient.rectification.transformation import TransformationModel, find_model
 
 Array = npt.NDArray[np.float64]
 
 
 def rectify_fit(
-    path: Path, model: Model, *, direction: str | None = None, crs: str = "", pixel_size_m: float | None = None,
-    prune_to: float | None = None, prune_by: Rule = "residual", out: Path | None = None, overwrite: bool = False,
-    command: Sequence[str] = (),
+    path: Path, model: TransformationModel, *, direction: str | None = None, crs: str = "",
+    pixel_size_m: float | None = None, prune_to: float | None = None, prune_by: Rule = "residual",
+    out: Path | None = None, overwrite: bool = False, command: Sequence[str] = (),
 ) -> dict[str, Any]:  # fmt: skip
     """Fit a transformation to a table of points and write the result folder.
 
@@ -50,7 +47,7 @@ def rectify_fit(
     ----------
     path : Path
         Table of points.
-    model : Model
+    model : TransformationModel
     direction : str, optional
         "image-to-map" or "map-to-image".
     crs : str
@@ -58,9 +55,9 @@ def rectify_fit(
     pixel_size_m : float, optional
         Compares pairwise distances of the image, scaled by it, with those of the map.
     prune_to : float, optional
-        Leaves out the worst point until the radial RMSE is at most this.
+        Leave out the worst point until the radial RMSE is at most this.
     prune_by : "residual" or "test"
-        What the worst is.
+        Rule of the worst point.
     out : Path, optional
         Folder to write.
     overwrite : bool
@@ -71,7 +68,7 @@ def rectify_fit(
     Returns
     -------
     dict
-        The record, see :func:`fg_orient.rectification.record.record_of`.
+        See :func:`fg_orient.rectification.record.record_of`.
 
     Raises
     ------
@@ -83,10 +80,18 @@ def rectify_fit(
             positive(place, value, unit)
     if out is not None:
         require_free(out, overwrite=overwrite, contents=CONTENTS)
-    points = read_map_points(path, crs)
+    points, pruning, distances = read_map_points(path, crs), None, None
     with one_blas_thread():
-        found, pruning = _fitted(points, model, direction, prune_to, prune_by)
-    record = record_of(found, pruning=pruning, distances=_distances(points, found, pixel_size_m))
+        fitted = fit_points(points, model, direction)
+        if prune_to is not None:
+            way = fitted.direction
+            pruning = prune(fitted.fit.points, model, prune_to, rule=prune_by,
+                            refit=lambda some: fit_control(points, some, model, way))  # fmt: skip
+            fitted = compared(pruning.fit, observations(points, model, way), points.check, way)
+    if pixel_size_m is not None:
+        rows = np.isin(np.array(points.ids, dtype=object), np.array(fitted.fit.points.ids, dtype=object))
+        distances = pair_distances(points.image[rows] * pixel_size_m, points.ground[rows, :2])
+    record = record_of(fitted, pruning=pruning, distances=distances)
     record |= {
         "input": {"file": path.name, "sha256": points.sha256}, "versions": versions(),
         "command": [Path(word).name if Path(word).is_absolute() else word for word in command],
@@ -94,41 +99,21 @@ def rectify_fit(
     }  # fmt: skip
     if out is not None:
         with staged_folder(out, overwrite=overwrite, contents=CONTENTS) as folder, writing(out):
-            write_folder(folder, found, record)
+            write_folder(folder, fitted, record)
     return record
 
 
-def _fitted(
-    points: MapPoints, model: Model, direction: str | None, prune_to: float | None, rule: Rule
-) -> tuple[PointFit, Pruning | None]:
-    found = fit_points(points, model, direction)
-    if prune_to is None:
-        return found, None
-    way = require_direction(model, direction)
-    pruning = prune(found.fit.points, model, prune_to, rule=rule,
-                    refit=lambda some: fit_control(points, some, model, way))  # fmt: skip
-    return compared(pruning.fit, observations(points, model, way), points.check, way), pruning
-
-
-def _distances(points: MapPoints, found: PointFit, pixel_size_m: float | None) -> PairDistances | None:
-    """Pairwise check of the control points that are left."""
-    if pixel_size_m is None:
-        return None
-    rows = np.isin(np.array(points.ids, dtype=object), np.array(found.fit.points.ids, dtype=object))
-    return pair_distances(points.image[rows] * pixel_size_m, points.ground[rows, :2])
-
-
 def read_differences(path: Path) -> tuple[Array, str]:
-    """Differences (n, 2), m, of tested points from a table or a result folder, and where they come from in words.
+    """Differences (n, 2), m, of tested points from a table or a result folder, and their origin in words.
 
     A table has the columns id and easting_m, northing_m, true_easting_m, true_northing_m, or residual_easting_m,
-    residual_northing_m. Of a result folder the check points are taken, of one without any the control points.
+    residual_northing_m. A result folder gives its check points, or its control points if it has no check points.
 
     Raises
     ------
     InputError
-        All faults of the file; a result that was edited or whose residuals are pixels; one without check points whose
-        control points were chosen by their residuals (pruning): these say nothing of the map.
+        All errors of the file; an edited result, or one with residuals in pixels; a result without check points whose
+        control points were selected by their residuals (pruning), which do not measure the accuracy of the map.
     """
     return _of_folder(path) if path.is_dir() else (_of_table(path), "points of the table")
 
@@ -140,7 +125,7 @@ def _of_table(path: Path) -> Array:
     table = read_table(path, [("id", *measured, *true), ("id", *residual)], faults)
     rows = () if table is None else table.rows
     names = residual if table is not None and residual[0] in table.columns else (*measured, *true)
-    values = np.array([[number(row, name, faults) for name in names] for row in rows], float)
+    values = numbers_of(rows, names, faults)
     read_ids(rows, faults)
     faults.raise_if_any()
     return values if len(names) == 2 else values[:, :2] - values[:, 2:]

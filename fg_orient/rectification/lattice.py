@@ -1,9 +1,9 @@
-"""The way from map pixel and height to image pixel at knots, with the error of what lies between.
+"""Image pixels of map pixels and heights by interpolation between knots, with the error of the interpolation.
 
-At every ``step``-th map pixel the model is asked at three heights of the surface; between knots places are bilinear, in
-the height quadratic. Half-way between knots, at heights between, the model is asked again: where the largest difference
-inside the image exceeds the bound, the step is halved. Knots belong to the map, not to windows, so that windows of any
-size give the same pixels.
+At every ``step``-th map pixel the model is evaluated at three heights of the surface. Between knots the interpolation
+is bilinear, in the height quadratic. The model is evaluated again half-way between knots and at intermediate heights.
+The step is halved while the largest difference inside the image exceeds the bound. Knots belong to the map, not to
+windows, so that windows of any size give the same pixels.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from fg_orient.sensors.surface import RasterDem
 
 Array = npt.NDArray[np.float64]
 
-#: Difference from the model that is allowed, pixels of the image and cells of the DEM.
+#: Largest allowed difference from the model, pixels of the image and cells of the DEM.
 ERROR_PX: Final = 0.01
 FIRST_STEP: Final = 64
 LEAST_STEP: Final = 4
-#: Range of heights below which the model is asked as if it were this wide, m.
+#: Smallest range of heights at which the model is evaluated, m.
 LEAST_RANGE_M: Final = 1.0
 #: Heights at which cubic terms show most between three equidistant ones, and the middle of the lower half.
 BETWEEN: Final = (-0.57735, 0.57735)
 
 
 class LevelSurface:
-    """One height everywhere; InputError if it is not finite."""
+    """Surface of constant height; InputError if the height is not finite."""
 
     def __init__(self, height_m: float) -> None:
         number("height", height_m, "m")
@@ -63,8 +63,8 @@ class Lattice:
     scaling : (2,) array
         Offset and scale of heights.
     error_px : float
-        Largest difference found between knots inside the image, pixels of the image or cells of the DEM; nan where no
-        middle of four knots lies in the image.
+        Largest difference between knots inside the image, pixels of the image or cells of the DEM; nan if the image
+        contains no middle of four knots.
     """
 
     step: int
@@ -74,7 +74,7 @@ class Lattice:
 
 
 def lattice(grid: MapGrid, model: MapModel, surface: Surface, limits: Array) -> Lattice | None:
-    """Ask the model at knots, and halve their distance until ``ERROR_PX`` is kept.
+    """Knots whose interpolation error is at most ``ERROR_PX``.
 
     Parameters
     ----------
@@ -86,8 +86,8 @@ def lattice(grid: MapGrid, model: MapModel, surface: Surface, limits: Array) -> 
 
     Returns
     -------
-    Lattice
-        With steps of ``LEAST_STEP`` whatever its error is; it is stated. None if no knot is near the image.
+    Lattice or None
+        With a step of ``LEAST_STEP`` the error may be larger. None if no knot is near the image.
     """
     low, high = surface.range_m
     scaling = SCALING.pack(offset=0.5 * (low + high), scale=0.5 * max(high - low, LEAST_RANGE_M))
@@ -116,7 +116,7 @@ def _knots(grid: MapGrid, model: MapModel, surface: Surface, scaling: Array, ste
 
 
 def _meets(knots: Array, limits: Array) -> bool:
-    """Tell whether the pixels between the outermost knots, at all heights, and the image have some in common."""
+    """Whether the pixels between the outermost knots, at all heights, overlap the image."""
     for (low, high), axis in zip(limits.reshape(2, 2), (KNOT.line, KNOT.sample), strict=True):
         middle, linear, square = np.moveaxis(knots[..., axis], -1, 0)
         reach = np.abs(linear) + np.abs(square)
@@ -137,27 +137,27 @@ def _cells(grid: MapGrid, surface: Surface, x: Array, y: Array) -> Array:
 def _error(
     grid: MapGrid, model: MapModel, surface: Surface, scaling: Array, step: int, knots: Array, limits: Array
 ) -> float:
-    """Largest difference at the middles of cells whose middle lies in the image; nan where none does."""
+    """Largest difference at the middles of cells inside the image; nan without any."""
     rows, columns = ((np.arange(n - 1.0) + 0.5) * step for n in knots.shape[:2])
     r, c = (a.ravel() for a in np.meshgrid(rows, columns, indexing="ij"))
     x, y = grid.centres(r, c)
     t = np.take(BETWEEN, (np.arange(len(r)) + np.repeat(np.arange(len(rows)), len(columns))) % 2)
     k = 0.25 * (knots[:-1, :-1] + knots[1:, :-1] + knots[:-1, 1:] + knots[1:, 1:]).reshape(-1, KNOT.size)
     polynomials = (k[:, axis].T for axis in (KNOT.line, KNOT.sample))
-    found = np.stack([middle + t * (linear + t * square) for middle, linear, square in polynomials], axis=1)
+    pixels = np.stack([middle + t * (linear + t * square) for middle, linear, square in polynomials], axis=1)
     first, last = limits.reshape(2, 2).T
-    some = np.flatnonzero(((found >= first) & (found <= last)).all(axis=1))
+    some = np.flatnonzero(((pixels >= first) & (pixels <= last)).all(axis=1))
     if not len(some):
         return np.nan
     x, y = x[some], y[some]
     exact = model.pixels(x, y, scaling[SCALING.offset] + t[some] * scaling[SCALING.scale])
     differences = np.concatenate(
-        [found[some] - exact, k[some][:, [KNOT.row, KNOT.column]] - _cells(grid, surface, x, y)], axis=1
+        [pixels[some] - exact, k[some][:, [KNOT.row, KNOT.column]] - _cells(grid, surface, x, y)], axis=1
     )
     return float(np.nanmax(np.abs(differences), initial=0.0))
 
 
 def dem_outline(surface: RasterDem, crs: str) -> tuple[Array, Array]:
-    """Map coordinates of places along and inside the border of a DEM."""
+    """Map coordinates of points along and inside the border of a DEM."""
     x, y = from_geographic(crs, *surface.outline())
     return x, y

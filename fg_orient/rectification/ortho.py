@@ -1,9 +1,9 @@
 """Orthorectification: a map raster filled from an image through a model, window by window.
 
-Each map pixel takes its height from the surface (bilinear), its place in the image from the model
-(:mod:`fg_orient.rectification.lattice`, error stated) and its grey value from the image by the chosen resampling.
-Ground that the sensor cannot see behind a ridge is filled with what stands in front of it: hidden places are not looked
-for. Source: İpbüker 1994, sec. 5 (indirect method); Keys 1981 (cubic convolution).
+Each map pixel takes its height from the surface (bilinear), its position in the image from the model
+(:mod:`fg_orient.rectification.lattice`, with a stated error) and its grey value from the image by the chosen
+resampling. Ground hidden behind a ridge is not detected: it shows the image of the ridge.
+Source: İpbüker 1994, sec. 5 (indirect method); Keys 1981 (cubic convolution).
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ from fg_orient.formats.gdal import rasterio_of
 from fg_orient.kernels.resampling import BILINEAR, CUBIC, LIMITS, NEAREST, REACH, pixel_positions, resample
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Progress
-from fg_orient.rectification.grid import Bounds, MapGrid
+from fg_orient.rectification.grid import CACHE_BYTES, TILE, Bounds, MapGrid, staged_file
 from fg_orient.rectification.lattice import Lattice, Surface, dem_outline, lattice
 from fg_orient.rectification.ortho_models import BORDER, MapModel
-from fg_orient.rectification.output import CACHE_BYTES, as_cog, profile, staged_file
 from fg_orient.sensors.surface import RasterDem
 
 Array = npt.NDArray[np.float64]
@@ -39,14 +38,14 @@ WINDOW: Final = 1024
 
 @dataclass(frozen=True)
 class OrthoOptions:
-    """How to fill a map raster.
+    """Options of filling a map raster.
 
     Parameters
     ----------
     resampling : str
         nearest, bilinear, cubic (a = -0.5) or cubic-sharp (a = -1).
     allow_holes : bool
-        Leave map pixels empty for which the DEM has no height, instead of refusing them.
+        Leave map pixels empty where the DEM has no height, instead of refusing them.
     cog : bool
         Write a cloud optimised GeoTIFF with overviews.
     compress : str
@@ -54,8 +53,8 @@ class OrthoOptions:
     window : int
         Edge of the windows, map pixels; the result does not depend on it.
     nodata : float, optional
-        Value of empty pixels, one that the type of the image holds; default the image's own if it is such a value,
-        else 0 (whole numbers; grey values that meet it become the next value) or nan.
+        Value of empty pixels, which the type of the image must be able to store; default the nodata value of the image
+        if it can be stored, else 0 (whole numbers; grey values equal to it become the next value) or nan.
 
     Raises
     ------
@@ -93,33 +92,33 @@ def orthorectify(
     image : path
         Raster in sensor geometry, all its bands.
     model : MapModel
-        Takes map coordinates in ``crs`` and heights to pixels.
+        Gives pixels of map coordinates in ``crs`` and heights.
     surface : RasterDem or LevelSurface
     out : path
-        GeoTIFF to come.
+        GeoTIFF to write.
     crs : str
-        Of the map: WKT or code; projected or geographic.
+        Coordinate system of the map: WKT or code; projected or geographic.
     resolution : float, optional
         Size of a map pixel, units of the CRS; default about one pixel of the image.
     bounds : left, bottom, right, top, optional
-        Default what image and surface have in common.
+        Default: common ground of image and surface.
     options : OrthoOptions, optional
     overwrite : bool
         Replace an existing file once the new one is complete.
     progress : callable, optional
-        Called with windows done, windows in all, and words.
+        Called with the number of finished windows, the number of all windows, and a text.
 
     Returns
     -------
     dict
-        rows, columns, resolution, bounds, filled (share of map pixels), knots (map pixels between), error_px (of the
-        interpolated places), resampling, nodata, out.
+        rows, columns, resolution, bounds, filled (share of map pixels), knots (distance in map pixels), error_px (of
+        interpolated positions), resampling, nodata, out.
 
     Raises
     ------
     InputError
-        An image that cannot be read, also in part; sizes that do not fit, a value for empty pixels that its type cannot
-        hold, no common ground, holes of the DEM, an unwritable output.
+        An image that cannot be read completely, another size than the model's, a value of empty pixels that its type
+        cannot store, no common ground, holes of the DEM, an output that cannot be written.
     """
     chosen, rasterio = options or OrthoOptions(), rasterio_of(image)
     with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES), _opened(rasterio, image) as source:
@@ -140,7 +139,9 @@ def orthorectify(
                 if not seen:
                     raise InputError.of("ortho.no_overlap", file=image, what=surface.path)
                 if chosen.cog:
-                    as_cog(target, staged, chosen.compress)
+                    from rasterio.shutil import copy
+
+                    copy(target, staged, driver="COG", compress=chosen.compress, blocksize=TILE, overviews="AUTO")
             finally:
                 if chosen.cog:
                     target.unlink(missing_ok=True)
@@ -184,7 +185,7 @@ def _nodata(source: Any, options: OrthoOptions, image: str | Path) -> float:
 
 
 def _holds(kind: np.dtype[Any], value: float) -> bool:
-    """Tell whether a type has this value; one with a point also rounds."""
+    """Whether a type can store a value; floating point also rounds."""
     if kind.kind in "iu":
         return math.isfinite(value) and float(value).is_integer() and np.iinfo(kind).min <= value <= np.iinfo(kind).max
     return not math.isfinite(value) or abs(value) <= float(np.finfo(kind).max)
@@ -193,7 +194,7 @@ def _holds(kind: np.dtype[Any], value: float) -> bool:
 def _grid(
     model: MapModel, surface: Surface, size: tuple[int, int], crs: str, resolution: float | None, bounds: Bounds | None
 ) -> MapGrid:
-    """Grid over what image and surface have in common, or over the bounds."""
+    """Grid over the common ground of image and surface, or over the bounds."""
     if resolution is not None and bounds is not None:
         return MapGrid.over(bounds, resolution, crs)
     x, y = model.outline(size, surface.range_m)
@@ -219,16 +220,15 @@ def _pixel_size(x: Array, y: Array, size: tuple[int, int]) -> float:
     a, b = (v[: BORDER * BORDER].reshape(BORDER, BORDER) for v in (x, y))
     (down_x, across_x), (down_y, across_y) = ((v[-1, 0] - v[0, 0], v[-1, -1] - v[-1, 0]) for v in (a, b))
     area = abs(down_x * across_y - across_x * down_y)
-    found = math.sqrt(area / (size[0] * size[1]))
-    return float(f"{found:.2g}")
+    return float(f"{math.sqrt(area / (size[0] * size[1])):.2g}")
 
 
 def _fill(
     rasterio: Any, source: Any, target: Path, grid: MapGrid, knots: Lattice, surface: Surface, limits: Array,
     nodata: float, options: OrthoOptions, progress: Progress | None,
 ) -> tuple[int, int]:  # fmt: skip
-    """Write all windows; map pixels that lie in the image, and those with a value in its first band."""
-    settings = profile(grid, bands=source.count, dtype=source.dtypes[0], nodata=nodata, compress=options.compress)
+    """Write all windows; number of map pixels inside the image, and of those with a value in its first band."""
+    settings = grid.profile(bands=source.count, dtype=source.dtypes[0], nodata=nodata, compress=options.compress)
     heights = np.ascontiguousarray(surface.heights_m)
     corners = [(r, c) for r in range(0, grid.rows, options.window) for c in range(0, grid.columns, options.window)]
     seen = filled = 0
@@ -254,7 +254,7 @@ def _fill(
 def _window(
     rasterio: Any, source: Any, sink: Any, place: Any, line: Array, sample: Array, nodata: float, resampling: str
 ) -> int:
-    """Resample all bands into one window; pixels of the first that have a value."""
+    """Resample all bands into one window; number of pixels of the first band that have a value."""
     if np.isnan(line).all():
         empty = np.full(line.shape, nodata).astype(source.dtypes[0])
         for band in source.indexes:
@@ -274,7 +274,7 @@ def _window(
 
 
 def _needed(positions: Array, n: int) -> tuple[int, int]:
-    """First line and the one after the last that any kernel may touch."""
+    """First line that a kernel may use, and the line after the last one."""
     low, high = math.floor(np.nanmin(positions)), math.floor(np.nanmax(positions))
     return min(max(low - REACH, 0), n - 1), max(min(high + REACH + 1, n), 1)
 
@@ -282,7 +282,7 @@ def _needed(positions: Array, n: int) -> tuple[int, int]:
 def _read(rasterio: Any, source: Any, band: int, part: Any) -> Array:
     try:
         grey = source.read(band, window=part).astype(float)
-    except rasterio.RasterioIOError as error:  # an OSError: it would pass for one of the output
+    except rasterio.RasterioIOError as error:  # as an OSError it would be reported as one of the output
         raise InputError.of("ortho.image", file=source.name, place=f"band {band}, from line {part.row_off}",
                             value=error.__cause__ or error) from error  # fmt: skip
     nodata = source.nodatavals[band - 1]
@@ -292,7 +292,7 @@ def _read(rasterio: Any, source: Any, band: int, part: Any) -> Array:
 
 
 def _stored(values: Array, dtype: str, nodata: float) -> npt.NDArray[Any]:
-    """Round and cut to the type of the file; values that meet nodata become the next one."""
+    """Values rounded and limited to the type of the file; values equal to nodata become the next one."""
     kind, empty = np.dtype(dtype), np.isnan(values)
     if kind.kind == "f":
         out = values.astype(kind)

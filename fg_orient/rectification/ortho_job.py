@@ -1,4 +1,4 @@
-"""``rectify ortho``: files in, a map raster out."""
+"""Work of ``rectify ortho``: a map raster from files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fg_orient.rectification.adjusted import read_correction
 from fg_orient.rectification.grid import Bounds
 from fg_orient.rectification.lattice import LevelSurface, Surface
 from fg_orient.rectification.ortho import OrthoOptions, orthorectify
-from fg_orient.rectification.ortho_models import SensorModel, point_model
+from fg_orient.rectification.ortho_models import MapModel, Sensor, SensorModel, point_model
 from fg_orient.rectification.transformation import read_transformation
 from fg_orient.sensors.surface import RasterDem
 
@@ -34,15 +34,15 @@ def rectify_image(
     image : Path
         Raster in sensor geometry.
     model : Path
-        Metadata file of its sensor; or ``transformation.json`` of ``rectify fit``, or the folder.
+        Metadata file of its sensor, or ``transformation.json`` of ``rectify fit`` or its folder.
     out : Path
         GeoTIFF.
     dem : Path, optional
         Ellipsoidal heights; or ``height_m``, one height. Plane transformations need neither.
     result : Path, optional
-        Result folder of ``adjust`` whose orientation is taken; ``image_id``: the image in it.
+        Result folder of ``adjust`` whose orientation is used; ``image_id``: the image in it.
     crs : str
-        Of the map; default that of the transformation or of the DEM.
+        Coordinate system of the map; default that of the transformation or of the DEM.
     resolution, bounds, options, overwrite, progress
         See :func:`fg_orient.rectification.ortho.orthorectify`.
     extrapolate_attitude_s : float
@@ -51,8 +51,8 @@ def rectify_image(
     Returns
     -------
     dict
-        See :func:`fg_orient.rectification.ortho.orthorectify`; of a sensor also its ``notes``, extrapolation among
-        them.
+        See :func:`fg_orient.rectification.ortho.orthorectify`; for a sensor also its ``notes``, for example on
+        extrapolation.
 
     Raises
     ------
@@ -63,23 +63,30 @@ def rectify_image(
     surface: Surface | None = RasterDem(dem) if dem is not None else None
     if height_m is not None:
         surface = LevelSurface(height_m)
+    sensor: Sensor | None = None
+    geometry: MapModel | None = None
     if model.is_dir() or model.suffix.lower() == ".json":
         if result is not None:
             raise InputError.of("ortho.points_and_result", option="result")
-        return _by_points(image, model, out, surface, crs, resolution, bounds, options, overwrite, progress)
+        transformation = read_transformation(model)
+        chosen = _system(crs or transformation.crs, image)
+        geometry = point_model(transformation, chosen)
+        if not geometry.needs_heights:  # a DEM would only limit the extent of the map
+            surface = LevelSurface(0.0)
     if surface is None:
         raise InputError.of("ortho.no_heights", file=model, option="dem")
-    chosen = _system(crs or (surface.crs if isinstance(surface, RasterDem) else ""), image)
-    sensor = read_sensor(model, extrapolate_attitude_s=extrapolate_attitude_s)
-    correction = None if result is None else read_correction(result, sensor, image_id)
-    bound = SensorModel(sensor, correction, chosen, surface.range_m[1])
-    record = orthorectify(image, bound, surface, out, crs=chosen, resolution=resolution, bounds=bounds, options=options,
-                          overwrite=overwrite, progress=progress)  # fmt: skip
-    return {**record, "notes": list(map(str, sensor.notes))}
+    if geometry is None:
+        chosen = _system(crs or (surface.crs if isinstance(surface, RasterDem) else ""), image)
+        sensor = read_sensor(model, extrapolate_attitude_s=extrapolate_attitude_s)
+        correction = None if result is None else read_correction(result, sensor, image_id)
+        geometry = SensorModel(sensor, correction, chosen, surface.range_m[1])
+    record = orthorectify(image, geometry, surface, out, crs=chosen, resolution=resolution, bounds=bounds,
+                          options=options, overwrite=overwrite, progress=progress)  # fmt: skip
+    return record if sensor is None else record | {"notes": list(map(str, sensor.notes))}
 
 
 def _require_other(out: Path, *inputs: Path) -> None:
-    """Refuse to write over what is read, or over a file that is no raster, whatever ``overwrite`` says."""
+    """Refuse to replace an input, or a file that is not a raster, even with ``overwrite``."""
     if any(path.resolve() == out.resolve() for path in inputs):
         raise InputError.of("ortho.over_input", file=out, option="out")
     if out.is_file():
@@ -89,29 +96,8 @@ def _require_other(out: Path, *inputs: Path) -> None:
             raise InputError.of("ortho.foreign", file=out, option="out")
 
 
-def _by_points(
-    image: Path, model: Path, out: Path, surface: Surface | None, crs: str, resolution: float | None,
-    bounds: Bounds | None, options: OrthoOptions | None, overwrite: bool, progress: Progress | None,
-) -> dict[str, Any]:  # fmt: skip
-    found = read_transformation(model)
-    chosen = _system(crs or found.crs, image)
-    bound = point_model(found, chosen)
-    if bound.needs_heights and surface is None:
-        raise InputError.of("ortho.no_heights", file=model, option="dem")
-    # a plane transformation knows no heights: a DEM would only cut the map
-    over = surface if bound.needs_heights and surface is not None else LevelSurface(0.0)
-    return orthorectify(image, bound, over, out, crs=chosen, resolution=resolution, bounds=bounds, options=options,
-                        overwrite=overwrite, progress=progress)  # fmt: skip
-
-
 def _system(crs: str, image: Path) -> str:
-    """Coordinate system of the map as WKT.
-
-    Raises
-    ------
-    InputError
-        None is given, or rasterio does not know it.
-    """
+    """Coordinate system of the map as WKT; InputError if it is missing or unknown to rasterio."""
     if not crs:
         raise InputError.of("ortho.no_crs", option="crs")
     rasterio = rasterio_of(image)

@@ -1,4 +1,4 @@
-"""What takes map coordinates and heights to pixels: a sensor with its correction, or a transformation by points."""
+"""Image geometry of a rectification: a sensor with its correction, or a transformation by points."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Sensor = PushbroomSensor | RpcSensor | FrameSensor
 
-#: Pixels along each side of an image whose places give its outline on the map.
+#: Number of pixels along each side of an image that give its outline on the map.
 BORDER: Final = 9
 NEWTON_STEPS: Final = 30
-#: A place is found when a step is shorter, by its size (1 and more: pixels, metres).
+#: Length of a step that ends the iteration, relative to the coordinates (at least 1 pixel or metre).
 LAST_STEP: Final = 1e-9
 
 
@@ -32,27 +32,27 @@ class MapModel(Protocol):
     """Image geometry as rectification sees it."""
 
     needs_heights: bool
-    #: Lines and samples of the image; None where the model does not know.
+    #: Lines and samples of the image; None if unavailable.
     size: tuple[int, int] | None
 
     def pixels(self, x: Array, y: Array, height_m: Array) -> Array:
-        """Line and sample (n, 2) of n places of the map; nan where there is none."""
+        """Line and sample (n, 2) of n points of the map; nan if there is no such pixel."""
         ...
 
     def outline(self, size: tuple[int, int], heights_m: tuple[float, float]) -> tuple[Array, Array]:
-        """Map coordinates of border pixels of an image of this size, at both heights."""
+        """Map coordinates of the border pixels of an image of this size, at both heights."""
         ...
 
 
 def border_pixels(size: tuple[int, int]) -> tuple[Array, Array]:
-    """Lines and samples along the outer border of an image and in its middle."""
+    """Lines and samples of a regular grid up to the outer border of an image."""
     lines, samples = (np.linspace(-0.5, n - 0.5, BORDER) for n in size)
     grid_l, grid_s = (a.ravel() for a in np.meshgrid(lines, samples, indexing="ij"))
     return grid_l, grid_s
 
 
 class SensorModel:
-    """A sensor with its correction (see ``MapModel``).
+    """Sensor with its correction (see ``MapModel``).
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class SensorModel:
     crs : str
         Of the map.
     top_m : float
-        Largest height that is common: up to it the projection is quick.
+        Largest common height: up to it the quick projection is used.
     """
 
     needs_heights = True
@@ -93,20 +93,18 @@ class SensorModel:
     def outline(self, size: tuple[int, int], heights_m: tuple[float, float]) -> tuple[Array, Array]:
         """See ``MapModel``."""
         line, sample = border_pixels(size)
-        found = []
+        word = "compensation" if isinstance(self.sensor, RpcSensor) else "correction"
+        correction: dict[str, Any] = {word: self.correction}
+        borders = []
         for height in heights_m:
-            if isinstance(self.sensor, RpcSensor):
-                ground = self.sensor.locate(line, sample, height_m=height, compensation=self.correction)
-            else:
-                ground = self.sensor.locate(line, sample, height_m=height, correction=self.correction)
-            lon, lat, _ = ecef_to_geodetic(ground)
-            found.append(np.stack(from_geographic(self.crs, lon, lat)))
-        x, y = np.concatenate(found, axis=1)
+            lon, lat, _ = ecef_to_geodetic(self.sensor.locate(line, sample, height_m=height, **correction))
+            borders.append(np.stack(from_geographic(self.crs, lon, lat)))
+        x, y = np.concatenate(borders, axis=1)
         return x, y
 
 
 class PointModel:
-    """A transformation of ``rectify fit`` (see ``MapModel``); its map coordinates must be those of the grid.
+    """Transformation of ``rectify fit`` (see ``MapModel``) with the map coordinates of the grid.
 
     Parameters
     ----------
@@ -124,33 +122,30 @@ class PointModel:
         """See ``MapModel``; the inverse of image-to-map by Newton's method."""
         if self.needs_heights:
             return self._t.apply(np.stack([x, y, height_m], axis=1))
-        plane = np.stack([x, y], axis=1)
-        return (self._inverse(plane) if self._forward else self._t.apply(plane))[:, ::-1]
-
-    def _inverse(self, plane: Array) -> Array:
-        """Sample and line (n, 2) whose map coordinates these are; from the centre of the control points."""
-        t = self._t
-        return solved(t.apply, plane, t.source.offset, t.source.scale)
+        plane, t = np.stack([x, y], axis=1), self._t
+        if not self._forward:
+            return t.apply(plane)[:, ::-1]
+        return solved(t.apply, plane, t.source.offset, t.source.scale)[:, ::-1]
 
     def outline(self, size: tuple[int, int], heights_m: tuple[float, float]) -> tuple[Array, Array]:
-        """See ``MapModel``; without heights only for image-to-map, else the border is searched for by Newton.
+        """See ``MapModel``; image-to-map is applied, other transformations are inverted by Newton's method.
 
         Raises
         ------
         InputError
-            A pixel of the border is not found on the map.
+            A pixel of the border has no point on the map.
         """
         line, sample = border_pixels(size)
         pixel = np.stack([sample, line], axis=1)
         if self._forward:
             x, y = self._t.apply(pixel).T
             return x, y
-        found = [self._ground(pixel, height) for height in (heights_m if self.needs_heights else heights_m[:1])]
-        x, y = np.concatenate(found).T
+        borders = [self._ground(pixel, height) for height in (heights_m if self.needs_heights else heights_m[:1])]
+        x, y = np.concatenate(borders).T
         return x, y
 
     def _ground(self, pixel: Array, height_m: float) -> Array:
-        """Map coordinates (n, 2) of (sample, line) at a height; from the centre of the control points."""
+        """Map coordinates (n, 2) of (sample, line) at a height, iterated from the centre of the control points."""
         t = self._t
 
         def image(place: Array) -> Array:
@@ -165,44 +160,43 @@ class PointModel:
 
 
 def solved(map_of: Callable[[Array], Array], wanted: Array, start: Array, scale: Array) -> Array:
-    """Places that a map takes to wanted values, by Newton's method with central differences.
+    """Arguments of given values of a function, by Newton's method with central differences.
 
     Parameters
     ----------
     map_of : callable
-        Takes places (n, 2) to values (n, 2).
+        Values (n, 2) of arguments (n, 2).
     wanted : (n, 2) array
+        Values.
     start, scale : (2,) arrays
-        Place to begin at; differences are a thousandth of the scale wide.
+        First argument; differences are a thousandth of the scale.
 
     Returns
     -------
     (n, 2) array
-        nan where the iteration does not end, or the derivatives vanish.
+        nan where the iteration does not converge, or the derivatives vanish.
     """
-    found = np.tile(start, (len(wanted), 1))
+    out = np.tile(start, (len(wanted), 1))
     todo = np.arange(len(wanted))
     half = 0.5e-3 * scale
     for _ in range(NEWTON_STEPS):
         if not len(todo):
             break
-        at = found[todo]
+        at = out[todo]
         columns = [(map_of(at + d) - map_of(at - d)) / (2.0 * d.sum()) for d in np.diag(half)]
         jacobian = np.stack(columns, axis=2)
         regular = np.abs(np.linalg.det(jacobian)) > 0.0
         step = np.full_like(at, np.nan)
         miss = (wanted[todo] - map_of(at))[regular, :, None]
         step[regular] = np.linalg.solve(jacobian[regular], miss)[:, :, 0]
-        found[todo] += step
+        out[todo] += step
         todo = todo[np.abs(step).max(axis=1) > LAST_STEP * np.maximum(1.0, np.abs(at).max(axis=1))]
-    found[todo] = np.nan
-    return found
+    out[todo] = np.nan
+    return out
 
 
 def point_model(transformation: Transformation, crs: str) -> PointModel:
-    """Bind a transformation to a map.
-
-    One that was fitted without a coordinate system is taken to be in that of the map.
+    """Bind a transformation to a map; one without a coordinate system is assumed to have that of the map.
 
     Raises
     ------

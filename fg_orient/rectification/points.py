@@ -18,8 +18,8 @@ import numpy.typing as npt
 from fg_orient.formats.tables import Faults, Row, number, read_table
 from fg_orient.geodesy import crs_kind, from_geographic
 from fg_orient.model.errors import InputError
-from fg_orient.rectification.fit import Fit, Observations, fit, plain_rmse
-from fg_orient.rectification.models import Model
+from fg_orient.rectification.fit import Observations, TransformationFit, fit, plain_rmse, require_redundancy
+from fg_orient.rectification.transformation import TransformationModel
 
 Array = npt.NDArray[np.float64]
 Direction = Literal["image-to-map", "map-to-image"]
@@ -35,13 +35,13 @@ _ROLES: Final = ("control", "check")
 
 @dataclass(frozen=True)
 class MapPoints:
-    """Points measured in an image, with their map coordinates.
+    """Image points with their map coordinates.
 
     Parameters
     ----------
     ids : tuple of str
     check : (n,) bool array
-        Those that take no part in an adjustment.
+        Check points, which are not used in an adjustment.
     image : (n, 2) array
         Line, sample (pixels).
     ground : (n, 2) or (n, 3) array
@@ -81,7 +81,7 @@ def read_map_points(path: Path, crs: str = "") -> MapPoints:
     Raises
     ------
     InputError
-        All faults of the file; a coordinate system that is none, is not projected, or is missing.
+        All errors of the file; a coordinate system that is unknown, not projected, or missing.
     """
     if crs and crs_kind(crs) != "projected":
         raise InputError.of("rectify.crs_not_projected", option="crs", value=crs)
@@ -94,9 +94,9 @@ def read_map_points(path: Path, crs: str = "") -> MapPoints:
         faults.add("rectify.no_crs", option="crs")
     plane = GEOGRAPHIC if geographic else MAP
     heights = ("height_m",) if "height_m" in columns else ()
-    image, ground = _numbers(rows, IMAGE, faults), _numbers(rows, (*plane, *heights), faults)
+    image, ground = numbers_of(rows, IMAGE, faults), numbers_of(rows, (*plane, *heights), faults)
     sigmas = [_sigmas(rows, names, faults) if names[0] in columns else None for names in (SIGMA_MAP, SIGMA_IMAGE)]
-    ids, check = read_ids(rows, faults), np.array([_is_check(row, faults) for row in rows], dtype=bool)
+    ids, check = read_ids(rows, faults), check_roles(rows, faults)
     faults.raise_if_any()
     if geographic:
         ground[:, :2] = _projected(path, crs, rows, ground)
@@ -109,12 +109,14 @@ def _layouts() -> list[tuple[str, ...]]:
     return [("id", *IMAGE, *plane, *height, *role, *sigma) for plane, height, role, sigma in parts]
 
 
-def _numbers(rows: Sequence[Row], names: Sequence[str], faults: Faults) -> Array:
-    return np.array([[number(row, name, faults) for name in names] for row in rows], float).reshape(-1, len(names))
+def numbers_of(rows: Sequence[Row], names: Sequence[str], faults: Faults) -> Array:
+    """Cells (n, k) of some columns as finite numbers; nan, with the error noted, for invalid ones."""
+    values = [[number(row, name, faults) for name in names] for row in rows]
+    return np.array(values, float).reshape(len(rows), len(names))
 
 
 def _sigmas(rows: Sequence[Row], names: Sequence[str], faults: Faults) -> Array:
-    values = _numbers(rows, names, faults)
+    values = numbers_of(rows, names, faults)
     for row, pair in zip(rows, values, strict=True):
         for name, value in zip(names, pair, strict=True):
             if value <= 0.0:
@@ -123,23 +125,25 @@ def _sigmas(rows: Sequence[Row], names: Sequence[str], faults: Faults) -> Array:
 
 
 def read_ids(rows: Sequence[Row], faults: Faults) -> tuple[str, ...]:
-    """Ids of the points; empty ones and those that occur twice are noted."""
-    seen: dict[str, int] = {}
+    """Ids of the points; empty and repeated ids are noted as errors."""
+    ids: list[str] = []
     for row in rows:
         name = row.cells["id"]
         if not name:
             faults.add("rectify.no_id", place=row.place("id"))
-        elif name in seen:
+        elif name in ids:
             faults.add("rectify.id_twice", place=row.place("id"), value=name)
-        seen.setdefault(name, row.line)
-    return tuple(row.cells["id"] for row in rows)
+        ids.append(name)
+    return tuple(ids)
 
 
-def _is_check(row: Row, faults: Faults) -> bool:
-    role = row.cells.get("role", _ROLES[0])
-    if role not in _ROLES:
-        faults.add("rectify.role", place=row.place("role"), value=role)
-    return role == _ROLES[1]
+def check_roles(rows: Sequence[Row], faults: Faults) -> npt.NDArray[np.bool_]:
+    """Whether the role of a point is "check" (n,), by default "control"; other roles are noted as errors."""
+    roles = [row.cells.get("role", _ROLES[0]) for row in rows]
+    for row, role in zip(rows, roles, strict=True):
+        if role not in _ROLES:
+            faults.add("rectify.role", place=row.place("role"), value=role)
+    return np.array([role == _ROLES[1] for role in roles], bool)
 
 
 def _projected(path: Path, crs: str, rows: Sequence[Row], ground: Array) -> Array:
@@ -152,14 +156,8 @@ def _projected(path: Path, crs: str, rows: Sequence[Row], ground: Array) -> Arra
     return plane
 
 
-def require_direction(model: Model, direction: str | None) -> Direction:
-    """Direction of a fit: as given, by default image to map, for spatial models always map to image.
-
-    Raises
-    ------
-    InputError
-        No such direction, or a spatial model from the image to the map.
-    """
+def require_direction(model: TransformationModel, direction: str | None) -> Direction:
+    """Direction of a fit, by default image to map; spatial models allow only map to image, others are refused."""
     usual: Direction = DIRECTIONS[0] if model.dimension == 2 else DIRECTIONS[1]
     for known in DIRECTIONS:
         if direction == known and (model.dimension == 2 or known == usual):
@@ -169,15 +167,15 @@ def require_direction(model: Model, direction: str | None) -> Direction:
     raise InputError.of("rectify.direction", place=f"<direction> with {model.name}", value=direction)
 
 
-def observations(points: MapPoints, model: Model, direction: Direction) -> Observations:
+def observations(points: MapPoints, model: TransformationModel, direction: Direction) -> Observations:
     """Source and target of a fit.
 
-    Plane models take the image as (sample, line) = (x, y), spatial models give (line, sample).
+    Image coordinates of plane models are (sample, line) = (x, y), of spatial models (line, sample).
 
     Raises
     ------
     InputError
-        Heights are missing, or sigmas are those of the source.
+        Heights are missing, or sigmas are given for the source instead of the target.
     """
     given, other = points.sigma_map, points.sigma_image
     if direction == DIRECTIONS[1]:
@@ -197,20 +195,20 @@ def observations(points: MapPoints, model: Model, direction: Direction) -> Obser
 
 @dataclass(frozen=True)
 class PointFit:
-    """A transformation between image and map, with its check points.
+    """Fitted transformation between image and map, with its check points.
 
     Parameters
     ----------
-    fit : Fit
+    fit : TransformationFit
         Of the control points.
     direction : str
     check : Observations or None
-        The check points.
+        Check points.
     check_residuals : (n, 2) array
         Computed minus given, in the unit of the target.
     """
 
-    fit: Fit
+    fit: TransformationFit
     direction: Direction
     check: Observations | None
     check_residuals: Array
@@ -226,13 +224,13 @@ class PointFit:
         return plain_rmse(self.check_residuals)
 
 
-def fit_points(points: MapPoints, model: Model, direction: str | None = None) -> PointFit:
-    """Adjust a transformation between image and map; check points are compared.
+def fit_points(points: MapPoints, model: TransformationModel, direction: str | None = None) -> PointFit:
+    """Adjust a transformation between image and map, and compare it with the check points.
 
     Parameters
     ----------
     points : MapPoints
-    model : Model
+    model : TransformationModel
     direction : str, optional
         "image-to-map" or "map-to-image", see :func:`require_direction`.
 
@@ -243,15 +241,14 @@ def fit_points(points: MapPoints, model: Model, direction: str | None = None) ->
     """
     way = require_direction(model, direction)
     every = observations(points, model, way)
-    used = ~points.check
-    if not used.any():
-        raise InputError.of("rectify.few_points", place=model.title, points=0, equations=0,
-                            unknowns=model.n_unknowns, least=model.least_points)  # fmt: skip
-    return compared(fit_control(points, every.take(used), model, way), every, points.check, way)
+    require_redundancy(model, int(np.count_nonzero(~points.check)))
+    return compared(fit_control(points, every.take(~points.check), model, way), every, points.check, way)
 
 
-def fit_control(points: MapPoints, control: Observations, model: Model, way: Direction) -> Fit:
-    """Fit some control points, with the names of their coordinates."""
+def fit_control(
+    points: MapPoints, control: Observations, model: TransformationModel, way: Direction
+) -> TransformationFit:
+    """Fit of some control points, with the names of their coordinates."""
     ground, image = ("easting", "northing"), ("sample", "line")
     names: tuple[tuple[str, ...], tuple[str, ...]] = (image, ground) if way == DIRECTIONS[0] else (ground, image)
     if model.dimension == 3:
@@ -259,9 +256,12 @@ def fit_control(points: MapPoints, control: Observations, model: Model, way: Dir
     return fit(control, model, source_names=names[0], target_names=names[1], crs=points.crs)
 
 
-def compared(found: Fit, every: Observations, check: npt.NDArray[np.bool_], way: Direction) -> PointFit:
-    """Put the check points beside a fit."""
+def compared(
+    fitted: TransformationFit, every: Observations, check: npt.NDArray[np.bool_], way: Direction
+) -> PointFit:  # fmt: skip
+    """Fit with the residuals of the check points."""
     if not check.any():
-        return PointFit(found, way, None, np.zeros((0, 2)))
+        return PointFit(fitted, way, None, np.zeros((0, 2)))
     some = every.take(check)
-    return PointFit(found, way, some, found.transformation.apply(some.source[:, : found.model.dimension]) - some.target)
+    computed = fitted.transformation.apply(some.source[:, : fitted.model.dimension])
+    return PointFit(fitted, way, some, computed - some.target)

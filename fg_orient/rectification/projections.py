@@ -1,8 +1,8 @@
 """Map projections by their PROJ definition, and areas and lengths on the ellipsoid.
 
-Unlike ``fg_orient.geodesy`` nothing here changes a datum: longitude and latitude are those of the projection's own
-ellipsoid or sphere. Several definitions of İpbüker 1994 are no EPSG code, such as a geodetic latitude that is taken for
-a spherical one.
+Unlike ``fg_orient.geodesy`` this module never changes a datum: longitude and latitude refer to the ellipsoid or sphere
+of the projection. Several definitions of İpbüker 1994 have no EPSG code, for example a geodetic latitude used as a
+spherical one.
 """
 
 from __future__ import annotations
@@ -21,46 +21,28 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-#: International ellipsoid (Hayford 1909), that of the maps of İpbüker 1994.
+#: International ellipsoid (Hayford 1909) of the maps of İpbüker 1994.
 HAYFORD: Final = "intl"
 #: Orbits (paths) per cycle of each Landsat.
 SOM_LANDSAT: Final = {1: 251, 2: 251, 3: 251, 4: 233, 5: 233}
 
 
 def utm(zone: int, *, south: bool = False, ellipsoid: str = "WGS84") -> str:
-    """Definition of a UTM zone, 1 to 60.
-
-    Raises
-    ------
-    InputError
-        No such zone.
-    """
+    """Definition of a UTM zone, 1 to 60; InputError for other zones."""
     if not 1 <= whole("UTM zone", zone, 1) <= 60:
         raise InputError.of("options.value", place="UTM zone", value=zone, expected="1 to 60")
     return f"+proj=utm +zone={zone} +ellps={ellipsoid}" + (" +south" if south else "")
 
 
 def gauss_krueger(central_meridian_deg: float, *, scale: float = 1.0, ellipsoid: str = HAYFORD) -> str:
-    """Definition of a transverse Mercator projection, no false easting.
-
-    Raises
-    ------
-    InputError
-        A meridian that is not finite, or a scale that is not above 0.
-    """
+    """Definition of a transverse Mercator projection without false easting; InputError for invalid numbers."""
     number("central meridian", central_meridian_deg, "degrees")
     positive("scale on the meridian", scale, "units of 1")
     return f"+proj=tmerc +lat_0=0 +lon_0={central_meridian_deg!r} +k={scale!r} +ellps={ellipsoid}"
 
 
 def lambert_cylindrical(radius_m: float) -> str:
-    """Definition of the equal-area cylinder of a sphere: ``R lambda, R sin phi``.
-
-    Raises
-    ------
-    InputError
-        A radius that is not above 0.
-    """
+    """Definition of the equal-area cylinder of a sphere, ``R lambda, R sin phi``; InputError for a radius of 0."""
     positive("radius", radius_m, "m")
     return f"+proj=cea +lon_0=0 +lat_ts=0 +R={radius_m!r}"
 
@@ -68,23 +50,14 @@ def lambert_cylindrical(radius_m: float) -> str:
 def lambert_polar(radius_m: float) -> str:
     """Definition of the polar equal-area azimuthal projection of a sphere: ``rho = 2R sin(45 deg - phi/2)``.
 
-    Raises
-    ------
-    InputError
-        A radius that is not above 0.
+    Raises InputError if the radius is not above 0.
     """
     positive("radius", radius_m, "m")
     return f"+proj=laea +lat_0=90 +lon_0=0 +R={radius_m!r}"
 
 
 def space_oblique_mercator(satellite: int, path: int, *, ellipsoid: str = "clrk66") -> str:
-    """Definition of the Space Oblique Mercator of Landsat 1 to 5 (Snyder 1981).
-
-    Raises
-    ------
-    InputError
-        No such satellite or path.
-    """
+    """Definition of the Space Oblique Mercator of Landsat 1 to 5 (Snyder 1981); InputError for other orbits."""
     paths = SOM_LANDSAT.get(satellite, 0)
     if not 1 <= path <= paths:
         raise InputError.of("options.value", place="Landsat, path", value=f"{satellite}, {path}",
@@ -98,9 +71,9 @@ def project(definition: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> 
     Raises
     ------
     InputError
-        PROJ does not know the definition, or a point lies outside its domain.
+        An invalid definition, or a point outside its domain.
     """
-    lon, lat = _places(lon_deg, lat_deg)
+    lon, lat = _lon_lat(lon_deg, lat_deg)
     return _required(np.column_stack(_proj(definition)(lon, lat)), np.column_stack([lon, lat]), definition)
 
 
@@ -126,14 +99,14 @@ def scale_factors(definition: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLik
     InputError
         See :func:`project`.
     """
-    lon, lat = _places(lon_deg, lat_deg)
-    found = _proj(definition).get_factors(lon, lat)
-    scales = np.column_stack([found.meridional_scale, found.parallel_scale, found.areal_scale])
+    lon, lat = _lon_lat(lon_deg, lat_deg)
+    factors = _proj(definition).get_factors(lon, lat)
+    scales = np.column_stack([factors.meridional_scale, factors.parallel_scale, factors.areal_scale])
     return _required(scales, np.column_stack([lon, lat]), definition)
 
 
-def _places(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> tuple[Array, Array]:
-    """Longitudes and latitudes (n,), as many of both."""
+def _lon_lat(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> tuple[Array, Array]:
+    """Checked longitudes and latitudes (n,)."""
     lon, lat = (np.atleast_1d(finite(name, a)) for name, a in (("longitude", lon_deg), ("latitude", lat_deg)))
     if lon.ndim > 1 or lon.shape != lat.shape:
         raise InputError.of("rectify.numbers", place="longitude, latitude", value=f"{lon.shape}, {lat.shape}")
@@ -146,9 +119,9 @@ def ellipsoidal_area(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, ellipsoid: 
     Parameters
     ----------
     lon_deg, lat_deg : (n,) array_like
-        Vertices; the last is joined to the first.
+        Vertices of the closed polygon.
     ellipsoid : str
-        PROJ's name.
+        Name in PROJ.
 
     Raises
     ------
@@ -159,7 +132,7 @@ def ellipsoidal_area(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, ellipsoid: 
 
     from fg_orient.rectification.areas import outline
 
-    vertices = outline(np.column_stack(_places(lon_deg, lat_deg)))
+    vertices = outline(np.column_stack(_lon_lat(lon_deg, lat_deg)))
     try:
         geodesics = Geod(ellps=ellipsoid)
     except KeyError:
@@ -178,9 +151,9 @@ def _proj(definition: str) -> Proj:
         raise InputError.of("rectify.projection", value=definition) from None
 
 
-def _required(found: Array, given: Array, definition: str) -> Array:
-    bad = ~np.isfinite(found).all(axis=1)
+def _required(values: Array, given: Array, definition: str) -> Array:
+    bad = ~np.isfinite(values).all(axis=1)
     if bad.any():
         row = given[int(np.argmax(bad))]
         raise InputError.of("rectify.outside", place=definition, value=" ".join(f"{v:.10g}" for v in row))
-    return np.asarray(found, float)
+    return np.asarray(values, float)

@@ -1,4 +1,4 @@
-"""What a fit of points says, as plain values: the content of ``result.json`` and of what the command prints as JSON."""
+"""Record of a fit of points as plain values: content of ``result.json`` and of the command's JSON output."""
 
 from __future__ import annotations
 
@@ -8,50 +8,68 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.model.errors import as_record
-from fg_orient.rectification.distances import PairDistances
+from fg_orient.geodesy import area_of_use, to_geographic
+from fg_orient.model.distributions import f_tail
+from fg_orient.model.errors import Finding, as_record, finding
 from fg_orient.rectification.fit import Observations
-from fg_orient.rectification.outliers import PointTests, Pruning, check_tests, point_tests
-from fg_orient.rectification.points import PointFit
-from fg_orient.rectification.remarks import findings_on
+from fg_orient.rectification.outliers import PairDistances, PointTests, Pruning, check_tests, point_tests
+from fg_orient.rectification.points import DIRECTIONS, PointFit
 
 Array = npt.NDArray[np.float64]
 
 SCHEMA: Final = 1
+#: Condition number of the scaled design beyond which the points hardly determine a transformation: 50 times the median
+#: of random layouts with three points more than terms, by degree of a polynomial; one limit for all others.
+TYPICAL_CONDITION: Final = {1: 1.5, 2: 8.0, 3: 25.0, 4: 125.0, 5: 500.0}
+WEAK_FACTOR: Final = 50.0
+WEAK_CONDITION: Final = 1e4
+#: Redundancy number below which an error of a point hardly shows in its own residual.
+HARDLY_CHECKED: Final = 0.1
+#: Probability below which check points are worse than the control points predict.
+WORSE: Final = 0.001
+#: m0 of weighted points outside this range contradicts the sigmas.
+SIGMA_FACTOR: Final = 100.0
+#: Ratio of sigmas beyond which points with the larger sigmas carry negligible weight.
+NEGLIGIBLE: Final = 1e4
+#: Distance from the area of use of a map projection, divided by its width, that is called far: half a zone of UTM.
+FAR: Final = 0.5
 
 
 def record_of(
-    found: PointFit, *, pruning: Pruning | None = None, distances: PairDistances | None = None
+    fitted: PointFit, *, pruning: Pruning | None = None, distances: PairDistances | None = None
 ) -> dict[str, Any]:
-    """Give the record of a fit.
+    """Record of a fit.
 
     Parameters
     ----------
-    found : PointFit
+    fitted : PointFit
     pruning : Pruning, optional
         If points were left out.
     distances : PairDistances, optional
         Of the control points, image in metres minus map.
     """
-    fit, tests = found.fit, point_tests(found.fit)
-    checks = None if found.check is None else check_tests(fit, found.check, found.check_residuals)
+    fit, tests, check = fitted.fit, point_tests(fitted.fit), fitted.check
+    checks = None if check is None else check_tests(fit, check, fitted.check_residuals)
     t, axes = fit.transformation, fit.transformation.target_names
+    rows = _rows(fitted, "control", fit.points, fit.residuals, fit.redundancy_numbers.mean(axis=1).tolist(), tests)
+    if check is not None and checks is not None:  # check points have no redundancy
+        rows += _rows(fitted, "check", check, fitted.check_residuals, [None] * len(check), checks)
     return {
         "schema": SCHEMA,
         "model": t.model.name, "title": t.model.title, "degree": t.model.degree or None,
-        "direction": found.direction, "crs": t.crs or None, "unit": found.unit, "axes": list(axes),
-        "n_control": len(fit.points), "n_check": len(found.check_residuals), "n_unknowns": t.model.n_unknowns,
+        "direction": fitted.direction, "crs": t.crs or None, "unit": fitted.unit, "axes": list(axes),
+        "n_control": len(fit.points), "n_check": len(fitted.check_residuals), "n_unknowns": t.model.n_unknowns,
         "redundancy": fit.redundancy, "weighted": bool((fit.points.sigma != 1.0).any()),
-        "m0": fit.m0, "rmse": _named(axes, fit.rmse), "check_rmse": _named(axes, found.check_rmse),
+        "m0": fit.m0, "rmse": _named(axes, fit.rmse), "check_rmse": _named(axes, fitted.check_rmse),
         "condition": fit.condition, "iterations": len(fit.log),
-        "coefficients": _coefficients(found), "cofactors": fit.cofactors, "points": _rows(found, tests, checks),
+        "coefficients": _coefficients(fitted), "cofactors": fit.cofactors, "points": rows,
         "pruning": None if pruning is None else {"dropped": list(pruning.dropped), "rmse": list(pruning.history)},
         "pair_distances": None if distances is None else {
             "standard_deviation_m": distances.standard_deviation, "mean_m": distances.mean,
             "pairs": len(distances.differences),
             "of_point_m": dict(zip(fit.points.ids, distances.of_point.tolist(), strict=True)),
         },
-        **as_record(findings_on(found, tests, checks, pruning)),
+        **as_record(findings_on(fitted, tests, checks, pruning)),
     }  # fmt: skip
 
 
@@ -59,10 +77,10 @@ def _named(axes: Sequence[str], values: tuple[float, float, float]) -> dict[str,
     return dict(zip((*axes, "radial"), values, strict=True))
 
 
-def _coefficients(found: PointFit) -> list[dict[str, Any]]:
-    """Normalised coefficients with standard deviations, and those of the coordinates themselves where there are any."""
-    t = found.fit.transformation
-    sigma = found.fit.m0 * np.sqrt(np.diag(found.fit.cofactors))
+def _coefficients(fitted: PointFit) -> list[dict[str, Any]]:
+    """Normalised coefficients with standard deviations, and plain coefficients if there are any."""
+    t = fitted.fit.transformation
+    sigma = fitted.fit.m0 * np.sqrt(np.diag(fitted.fit.cofactors))
     plain = t.plain_coefficients() or {}
     return [
         {"name": name, "normalised": float(value), "sigma": float(s), "plain": plain.get(name)}
@@ -70,35 +88,121 @@ def _coefficients(found: PointFit) -> list[dict[str, Any]]:
     ]
 
 
-def _rows(found: PointFit, tests: PointTests, checks: PointTests | None) -> list[dict[str, Any]]:
-    """One row per point: target coordinates as given, residuals, tests; check points have no redundancy."""
-    redundancy = found.fit.redundancy_numbers.mean(axis=1).tolist()
-    rows = _tested(found, "control", found.fit.points, found.fit.residuals, redundancy, tests)
-    if found.check is not None and checks is not None:
-        rows += _tested(found, "check", found.check, found.check_residuals, [None] * len(found.check), checks)
-    return rows
-
-
-def _tested(
-    found: PointFit, role: str, points: Observations, residuals: Array, redundancy: Sequence[float | None],
+def _rows(
+    fitted: PointFit, role: str, points: Observations, residuals: Array, redundancy: Sequence[float | None],
     tests: PointTests,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    unit = found.unit
-    first, second = found.fit.transformation.target_names
+    """One row per point: given target coordinates, residuals, tests."""
+    names = [f"{axis}_{fitted.unit}" for axis in fitted.fit.transformation.target_names]
+
+    def pair(prefix: str, values: Array) -> dict[str, float]:
+        return {f"{prefix}{name}": float(value) for name, value in zip(names, values, strict=True)}
+
     return [
         {
-            "id": name, "role": role, **_plain(first, second, unit, points.target[k], residuals[k]),
+            "id": name, "role": role, **pair("", points.target[k]), **pair("residual_", residuals[k]),
+            f"residual_{fitted.unit}": float(np.hypot(*residuals[k])),
             "redundancy": redundancy[k], "F": float(tests.statistic[k]), "F_limit": float(tests.critical[k]),
-            "suspicious": bool(tests.suspicious[k]),
-            f"error_{first}_{unit}": float(tests.error[k, 0]), f"error_{second}_{unit}": float(tests.error[k, 1]),
+            "suspicious": bool(tests.suspicious[k]), **pair("error_", tests.error[k]),
         }
         for k, name in enumerate(points.ids)
     ]  # fmt: skip
 
 
-def _plain(first: str, second: str, unit: str, given: Array, residual: Array) -> dict[str, Any]:
-    return {
-        f"{first}_{unit}": float(given[0]), f"{second}_{unit}": float(given[1]),
-        f"residual_{first}_{unit}": float(residual[0]), f"residual_{second}_{unit}": float(residual[1]),
-        f"residual_{unit}": float(np.hypot(*residual)),
-    }  # fmt: skip
+# --- findings --------------------------------------------------------------------------------------
+
+
+def findings_on(
+    fitted: PointFit, tests: PointTests, checks: PointTests | None, pruning: Pruning | None
+) -> list[Finding]:  # fmt: skip
+    """Findings that a reader of the record must know.
+
+    Parameters
+    ----------
+    fitted : PointFit
+    tests, checks : PointTests
+        Of the control points, and of the check points if there are any.
+    pruning : Pruning, optional
+        If points were left out.
+    """
+    out = _suspicious("point", fitted.fit.points.ids, tests, fitted.unit)
+    out += _layout(fitted) + _sigmas(fitted) + _far_from_zone(fitted)
+    if pruning is not None and pruning.dropped:
+        out.append(finding("rectify.rmse_after_pruning"))
+    if fitted.check is None or checks is None:
+        return [*out, finding("rectify.no_check")]
+    return out + _suspicious("check point", fitted.check.ids, checks, fitted.unit) + _worse(fitted, fitted.check)
+
+
+def _suspicious(kind: str, ids: tuple[str, ...], tests: PointTests, unit: str) -> list[Finding]:
+    """Each point beyond its limit, with the size of its error."""
+    return [
+        finding("rectify.gross_error", kind=kind, point=ids[k], error=list(tests.error[k]), unit=unit,
+                statistic=tests.statistic[k], limit=tests.critical[k])
+        for k in np.flatnonzero(tests.suspicious)
+    ]  # fmt: skip
+
+
+def _layout(fitted: PointFit) -> list[Finding]:
+    """Points that the others hardly check, and directions in which the points hardly extend."""
+    fit, out = fitted.fit, list[Finding]()
+    weak = [name for name, r in zip(fit.points.ids, fit.redundancy_numbers.mean(axis=1), strict=True)
+            if r < HARDLY_CHECKED]  # fmt: skip
+    if weak:
+        out.append(finding("rectify.hardly_checked", limit=HARDLY_CHECKED, points=weak))
+    names, spatial = fit.transformation.source_names, fit.model.dimension == 3
+    for reach in fit.reaches:
+        # heights always extend less than the plan: only what they fail to determine is reported
+        if reach.is_unknown or (reach.is_weak and not spatial):
+            out.append(finding("rectify.little_reach", direction=reach.describe(names), ratio=reach.ratio,
+                               percent=100.0 * reach.sigma))  # fmt: skip
+    typical = TYPICAL_CONDITION.get(fit.model.degree, WEAK_CONDITION / WEAK_FACTOR)
+    if fit.condition > WEAK_FACTOR * typical and not out[bool(weak) :]:
+        out.append(finding("rectify.hardly_determined", condition=fit.condition, typical=typical,
+                           what="a surface" if spatial else "a curve"))  # fmt: skip
+    return out
+
+
+def _sigmas(fitted: PointFit) -> list[Finding]:
+    """Sigmas that the residuals contradict by orders of magnitude, or that give some points negligible weight."""
+    sigma, m0, out = fitted.fit.points.sigma, fitted.fit.m0, list[Finding]()
+    if not (sigma != 1.0).any():
+        return out
+    if m0 > SIGMA_FACTOR or m0 < 1.0 / SIGMA_FACTOR:
+        out.append(finding("rectify.sigma_size", m0=m0))
+    span = float(sigma.max() / sigma.min())
+    if span > NEGLIGIBLE:
+        out.append(finding("rectify.sigma_span", span=span))
+    return out
+
+
+def _far_from_zone(fitted: PointFit) -> list[Finding]:
+    """Points far outside the area of use of the map projection."""
+    t, fit = fitted.fit.transformation, fitted.fit
+    area = area_of_use(t.crs) if t.crs else None
+    if area is None:
+        return []
+    plane = fit.points.target if fitted.direction == DIRECTIONS[0] else fit.points.source[:, :2]
+    west, south, east, north = area
+    lon, lat = to_geographic(t.crs, *plane.T)
+    width = (east - west) % 360.0 or 360.0
+    off = (lon - (west + 0.5 * width) + 180.0) % 360.0 - 180.0  # from the middle of the area
+    beyond = np.maximum(np.abs(off) / width - 0.5, np.maximum(south - lat, lat - north) / max(north - south, width))
+    far = ~(beyond <= FAR)  # nan: outside the domain of the projection
+    if not far.any():
+        return []
+    k = int(np.argmax(np.where(np.isnan(beyond), np.inf, beyond)))
+    where = f"longitude {lon[k]:.1f}, latitude {lat[k]:.1f}" if np.isfinite(lon[k] + lat[k]) else "no place on Earth"
+    return [finding("rectify.far_from_zone", n=far.sum(), crs=t.crs, west=west, east=east, south=south, north=north,
+                    point=fit.points.ids[k], where=where)]  # fmt: skip
+
+
+def _worse(fitted: PointFit, check: Observations) -> list[Finding]:
+    """F test of the squares of the check points, with the variance of the prediction, against m0."""
+    fit = fitted.fit
+    variance = (fit.m0 * check.sigma) ** 2 + fit.prediction_sigma(check.source[:, : fit.model.dimension]) ** 2
+    n = 2 * len(check)
+    statistic = float(np.sum(fitted.check_residuals**2 / variance)) / n
+    if f_tail(n, fit.redundancy, statistic) >= WORSE:
+        return []
+    return [finding("rectify.check_worse", ratio=np.sqrt(statistic))]

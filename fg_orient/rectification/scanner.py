@@ -1,7 +1,7 @@
-"""Geometry of an optical-mechanical line scanner (MSS, TM) over a flat ground: İpbüker 1994, section 3.3.1.
+"""Geometry of an optical-mechanical line scanner (MSS, TM) over flat ground: İpbüker 1994, section 3.3.1.
 
-Angles in rad, lengths in m unless said otherwise; the scan angle theta is 0 at nadir. Some equations are printed
-damaged; the forms here are the corrected ones.
+Angles are in rad, lengths in m; the scan angle theta is 0 at nadir. Some printed equations are damaged; this module has
+the corrected forms.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Scanner:
     speed_m_s : float
         Of the ground track.
     overlap : float
-        Share S by which a strip overlaps the next.
+        Overlap S of a strip with the next one, as a share.
     rotation_s : float
         Period t_r of the mirror: 2 pi of scan angle.
 
@@ -95,7 +95,7 @@ class Scanner:
         return np.stack(np.broadcast_arrays(*sizes), axis=-1)
 
     def panoramic_shift_m(self, theta_rad: npt.ArrayLike) -> Array:
-        """Displacement on the ground of taking the scan as a plane image: ``Z_c (tan theta - theta)``."""
+        """Displacement on the ground if the scan is used as a plane image: ``Z_c (tan theta - theta)``."""
         theta = _angle(theta_rad)
         return np.asarray(self.height_m * (np.tan(theta) - theta))
 
@@ -105,38 +105,26 @@ class Scanner:
 
 
 def relief_shift_m(height_m: npt.ArrayLike, theta_rad: npt.ArrayLike) -> Array:
-    """Displacement of a point above the datum, towards the outside: ``Z_j tan theta``, m.
-
-    Raises
-    ------
-    InputError
-        Numbers that are not finite, or an angle that looks beyond the horizontal.
-    """
+    """Outward displacement of a point above the datum: ``Z_j tan theta``, m; InputError for invalid numbers."""
     return np.asarray(finite("height", height_m) * np.tan(_angle(theta_rad)))
 
 
 def _angle(theta_rad: npt.ArrayLike) -> Array:
-    """Scan angles, below the horizontal on both sides."""
-    found = finite("scan angle", theta_rad)
-    if (np.abs(found) >= 0.5 * math.pi).any():
-        raise InputError.of("options.value", place="scan angle", value=float(np.abs(found).max()),
+    """Checked scan angles, below the horizontal on both sides."""
+    angle = finite("scan angle", theta_rad)
+    if (np.abs(angle) >= 0.5 * math.pi).any():
+        raise InputError.of("options.value", place="scan angle", value=float(np.abs(angle).max()),
                             expected="an angle from nadir, rad, between -pi/2 and pi/2")  # fmt: skip
-    return found
+    return angle
 
 
 def total_angle_rad(swath_m: float, height_m: float) -> float:
-    """Total scan angle over flat ground: ``2 arctan(W/(2H))``.
-
-    Raises
-    ------
-    InputError
-        A swath or a height that is not above 0.
-    """
+    """Total scan angle over flat ground, ``2 arctan(W/(2H))``; InputError if an argument is not above 0."""
     return 2.0 * math.atan2(positive("swath", swath_m, "m"), 2.0 * positive("height", height_m, "m"))
 
 
 def swath_m(angle_rad: float, height_m: float, off_nadir_rad: float = 0.0, radius_m: float | None = None) -> float:
-    """Swath of a field of view that looks off nadir.
+    """Swath of a field of view, off nadir or at nadir.
 
     Parameters
     ----------
@@ -144,9 +132,9 @@ def swath_m(angle_rad: float, height_m: float, off_nadir_rad: float = 0.0, radiu
         Total field of view.
     height_m : float
     off_nadir_rad : float
-        Of its middle.
+        Angle of its middle from nadir.
     radius_m : float, optional
-        Of the Earth; flat ground if not given.
+        Radius of the Earth; default: flat ground.
 
     Returns
     -------
@@ -176,10 +164,7 @@ def swath_m(angle_rad: float, height_m: float, off_nadir_rad: float = 0.0, radiu
 def error_budget(*parts: float) -> float:
     """Root of the sum of squares of independent errors: pointing, digitising, relief (İpbüker 1994, conclusions).
 
-    Raises
-    ------
-    InputError
-        No error, or one that is below 0 or not finite.
+    Raises InputError without errors, or if one is below 0 or not finite.
     """
     finite("errors", parts)
     return math.sqrt(sum(number("error", part, "its unit", least=0.0) ** 2 for part in parts))

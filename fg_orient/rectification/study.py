@@ -1,13 +1,18 @@
-"""Design study: how many control points, which degree (İpbüker 1994, tables 6.1 and 7.1), and what m0s may say.
+"""Studies of numbers of control points and degrees (İpbüker 1994, tables 6.1 and 7.1), checks of m0, simulations.
 
-Two checks of printed m0s need no points. Least squares over the same points cannot leave larger squares with more
-terms: ``m0^2 (2n - 2p)`` must not grow with the degree. And whether a degree improves the last one is an F test.
+Two checks of printed m0s need no points. Least squares over the same points cannot give a larger sum of squares with
+more terms: ``m0^2 (2n - 2p)`` must not grow with the degree. An F test decides whether a degree improves the last one.
+
+The simulations replace figures of İpbüker 1994 that no formula gives: digitised sheets, distances compared with m0. The
+points of that work are not published; these are simulated from its description.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +21,25 @@ from fg_orient.model.distributions import f_tail
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import finite, positive, whole
 from fg_orient.rectification.fit import Observations, fit, plain_rmse
-from fg_orient.rectification.models import find_model
+from fg_orient.rectification.outliers import pair_distances
+from fg_orient.rectification.transformation import find_model
 
 Array = npt.NDArray[np.float64]
+
+RUNS: Final = 400
+#: Number of runs of a reproduction.
+REPRODUCED_RUNS: Final = 60
+#: Scene of 30 km with 30 points, noise of one coordinate in m; the ratio depends on neither size nor noise.
+SCENE_M: Final = 30_000.0
+SCENE_POINTS: Final = 30
+SCENE_SIGMA_M: Final = 20.0
+#: The calibration of the sheets (section 7.2): points, noise, the printed affine transformation (northing, easting).
+SHEET_POINTS: Final = 24
+SHEET_SIGMA_M: Final = 4.34
+#: Extent of the nodes about the islands, east and north, assumed.
+SHEET_EXTENT_KM: Final = (9, 6)
+SHEET_MATRIX: Final = ((1.0010, 0.0007), (-0.0001, 1.0007))
+SHEET_ORIGIN_M: Final = (4_525_000.0, 678_000.0)
 
 
 def terms(degree: int) -> int:
@@ -45,7 +66,7 @@ class Cell:
     layouts : int
         Layouts that had a solution.
     reason : str
-        Why there is none; "" if there is.
+        Reason why there is no solution; "" if there is one.
     """
 
     n_points: int
@@ -66,12 +87,12 @@ def design_study(
     Parameters
     ----------
     control, test : Observations
-        The test points take no part.
+        The test points are not used in a fit.
     counts : sequence of int
-        Numbers of control points, each at most the number there is.
+        Numbers of control points, at most all of them.
     degrees : sequence of int
     layouts : int
-        Random choices per number; the choice of all points is one. The same choices serve all degrees.
+        Random choices per number, the same ones for all degrees; all points are one choice.
     seed : int
 
     Returns
@@ -82,8 +103,8 @@ def design_study(
     Raises
     ------
     InputError
-        A count that is not there, an impossible degree, no layouts, a negative seed; no layout is refused for this: its
-        cell has the reason.
+        A count above the number of points, an impossible degree, no layouts, a negative seed. A layout without a
+        solution is not refused: its cell has the reason.
     """
     most = len(control)
     for count in counts:
@@ -101,17 +122,17 @@ def design_study(
 
 
 def _cell(control: Observations, test: Observations, chosen: Sequence[npt.NDArray[np.intp]], degree: int) -> Cell:
-    model, reason, found = find_model("polynomial", degree), "", list[float]()
+    model, reason, rmse = find_model("polynomial", degree), "", list[float]()
     for rows in chosen:
         try:
             t = fit(control.take(rows), model).transformation
         except InputError as error:  # too few points, or on a line
             reason = error.problems[0].message
             continue
-        found.append(plain_rmse(t.apply(test.source[:, :2]) - test.target)[2])
-    if not found:
+        rmse.append(plain_rmse(t.apply(test.source[:, :2]) - test.target)[2])
+    if not rmse:
         return Cell(len(chosen[0]), degree, np.nan, np.nan, np.nan, 0, reason)
-    return Cell(len(chosen[0]), degree, float(np.median(found)), min(found), max(found), len(found), "")
+    return Cell(len(chosen[0]), degree, float(np.median(rmse)), min(rmse), max(rmse), len(rmse), "")
 
 
 def growing_degrees(m0_by_degree: Mapping[int, float], n_points: int) -> tuple[int, ...]:
@@ -147,10 +168,9 @@ def without_redundancy(degrees: Sequence[int], n_points: int) -> tuple[int, ...]
 
 
 def admissible_points(m0_by_degree: Mapping[int, float], most: int = 200) -> tuple[int, ...]:
-    """Numbers of points up to and with ``most`` for which a row of m0s is possible.
+    """Numbers of points up to and including ``most`` for which a row of m0s is possible.
 
-    m0s that do not grow with the degree are possible with any number: ``most`` at the end is then where the search
-    stopped, no limit of the row.
+    m0s that do not grow with the degree are possible with any number; the last number is then ``most``.
 
     Raises
     ------
@@ -170,12 +190,12 @@ def improvement_test(
     Returns
     -------
     float, float
-        F, and the probability of such an F if the terms added are zero; nan if the squares grow.
+        F, and the probability of such an F if the added terms are zero; nan if the squares grow.
 
     Raises
     ------
     InputError
-        The higher degree has no redundancy, it is not the higher one, or an m0 is not above 0.
+        The higher degree has no redundancy or is not the higher one, or an m0 is not above 0.
     """
     if degree_high <= degree_low:
         raise InputError.of("options.value", place="higher degree", value=degree_high, expected=f"above {degree_low}")
@@ -187,3 +207,83 @@ def improvement_test(
     added = f_low - f_high
     statistic = (squares_low - squares_high) / added / m0_high**2
     return float(statistic), float(f_tail(added, f_high, statistic))
+
+
+@dataclass(frozen=True)
+class Ratios:
+    """Simulated runs of a scene with noise only.
+
+    Parameters
+    ----------
+    ratio : (runs,) array
+        Standard deviation of the pairwise distance differences, divided by m0 of the affine transformation.
+    spread_m : (runs,) array
+        Standard deviation of the distances themselves: the effect of a scale error of 1.
+    """
+
+    ratio: Array
+    spread_m: Array
+
+
+@cache
+def distance_ratios(runs: int = RUNS, seed: int = 1) -> Ratios:
+    """Pairwise distances against m0 for 30 points with noise alone; InputError without runs or seed."""
+    whole("runs", runs, 2)
+    rng, model = np.random.default_rng(whole("seed", seed, 0)), find_model("affine")
+    ratio, spread = np.empty(runs), np.empty(runs)
+    for k in range(runs):
+        image = rng.uniform(0.0, SCENE_M, (SCENE_POINTS, 2))
+        plane = image + rng.normal(0.0, SCENE_SIGMA_M, image.shape)
+        ratio[k] = pair_distances(image, plane).standard_deviation / fit(Observations.of(image, plane), model).m0
+        spread[k] = pair_distances(image, np.zeros_like(image)).standard_deviation
+    return Ratios(ratio, spread)
+
+
+@dataclass(frozen=True)
+class Digitised:
+    """Simulated runs of a digitised sheet.
+
+    Parameters
+    ----------
+    affine_m0, distance_sd, helmert_point_error : (runs,) array
+        m.
+    determinant : (runs,) array
+        Of the affine transformation: its scale of areas.
+    """
+
+    affine_m0: Array
+    distance_sd: Array
+    helmert_point_error: Array
+    determinant: Array
+
+
+@cache
+def digitised_sheets(extent_km: tuple[int, int] = SHEET_EXTENT_KM, runs: int = RUNS, seed: int = 1) -> Digitised:
+    """Digitise 24 nodes of a grid of 1 km, calibrate the sheet, and compare distances before it.
+
+    ``extent_km`` is that of the nodes, east and north.
+
+    Raises
+    ------
+    InputError
+        Fewer than two runs, a negative seed, or an extent with fewer than 24 nodes.
+    """
+    whole("runs", runs, 2)
+    whole("seed", seed, 0)
+    east_km, north_km = (whole("extent", size, 1) for size in extent_km)
+    whole("nodes", (east_km + 1) * (north_km + 1), SHEET_POINTS)
+    rng, (affine, helmert) = np.random.default_rng(seed), (find_model("affine"), find_model("helmert"))
+    north, east = np.meshgrid(*(1000.0 * np.arange(size + 1) for size in extent_km[::-1]), indexing="ij")
+    nodes = np.column_stack([north.ravel(), east.ravel()])
+    back, out = np.linalg.inv(np.array(SHEET_MATRIX)), np.empty((runs, 4))
+    for k in range(runs):
+        plane = nodes[rng.permutation(len(nodes))[:SHEET_POINTS]]
+        table = plane @ back.T + rng.normal(0.0, SHEET_SIGMA_M, plane.shape)
+        points = Observations.of(table, plane + np.array(SHEET_ORIGIN_M))
+        fitted = fit(points, affine)
+        x = fitted.transformation.plain_coefficients() or {}
+        out[k] = (
+            fitted.m0, pair_distances(table, plane).standard_deviation, np.sqrt(2.0) * fit(points, helmert).m0,
+            x["a_10"] * x["b_01"] - x["a_01"] * x["b_10"],
+        )  # fmt: skip
+    return Digitised(*out.T)

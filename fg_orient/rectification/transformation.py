@@ -1,4 +1,4 @@
-"""A transformation with its coefficients: applied, written, read back."""
+"""Transformations between source and target coordinates: equation, start values, coefficients, file."""
 
 from __future__ import annotations
 
@@ -13,15 +13,151 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Equation
+from factors.cameras import line_scanner, plane
 from fg_orient.kernels.plane_batch import targets_of
 from fg_orient.model.errors import InputError
-from fg_orient.rectification.models import Model, find_model
 
 Array = npt.NDArray[np.float64]
 
 SCHEMA: Final = 1
 #: Largest file that can be a transformation.
 _MAX_BYTES: Final = 1_000_000
+
+
+@dataclass(frozen=True)
+class TransformationModel:
+    """Family of transformations between source and target coordinates.
+
+    Parameters
+    ----------
+    name, title : str
+        Name in commands; in words.
+    equation : Equation
+        Registered observation equation.
+    dimension : int
+        Number of source coordinates, 2 or 3.
+    degree : int
+        Of a polynomial; 0 for all others.
+    names : tuple of str
+        Of the unknowns, in order.
+    quotient : slice, optional
+        Unknowns of the denominator, whose constant is 1 (none for linear models).
+    shared_scale : bool
+        Whether both axes must be normalised with one scale.
+    """
+
+    name: str
+    title: str
+    equation: Equation
+    dimension: int
+    degree: int
+    names: tuple[str, ...]
+    quotient: slice | None = None
+    shared_scale: bool = False
+
+    @property
+    def setup(self) -> Array:
+        """Second argument of the equation."""
+        return plane.polynomial_setup(self.degree) if self.degree else np.zeros((2, 0))
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of coefficients."""
+        return len(self.names)
+
+    @property
+    def least_points(self) -> int:
+        """Smallest number of control points with redundancy: 2n > unknowns."""
+        return self.n_unknowns // 2 + 1
+
+    @property
+    def linear(self) -> bool:
+        """Whether the target is linear in the unknowns."""
+        return self.quotient is None
+
+    def start(self, source: Array, target: Array) -> Array:
+        """Start values (u,) from normalised coordinates: zeros for linear models.
+
+        Other models start from the least squares of ``numerator - target (denominator - 1) = target``. Both rows of
+        the projective transformation have the denominator, of the line-scanner DLT only the sample has it. Where that
+        denominator is not above 0 at all points, and for the parallel projection, the affine model (denominator 1) is
+        the start.
+        """
+        x = np.zeros(self.n_unknowns)
+        if self.linear:
+            return x
+        ones = np.column_stack([np.ones(len(source)), source[:, : self.dimension]])
+        n, p = ones.shape
+        if self.name != "parallel":
+            design = np.zeros((2, n, self.n_unknowns))
+            for row in range(2):
+                design[row, :, row * p : (row + 1) * p] = ones
+                if row == 1 or self.name == "projective":
+                    design[row, :, 2 * p :] = -target[:, row, None] * ones[:, 1:]
+            quotient = np.asarray(np.linalg.lstsq(design.reshape(2 * n, -1), target.T.ravel(), rcond=None)[0], float)
+            if (self.denominator(source, quotient) > 0.0).all():
+                return quotient
+        for row in range(2):
+            x[row * p : (row + 1) * p] = np.linalg.lstsq(ones, target[:, row], rcond=None)[0]
+        return x
+
+    def denominator(self, source: Array, x: Array) -> Array:
+        """Denominator (n,) at normalised source coordinates; 1 for linear models."""
+        if self.quotient is None:
+            return np.ones(len(source))
+        flat = source[:, : self.dimension]
+        if self.name == "parallel":
+            return np.asarray(1.0 + x[8] * (x[4] + flat @ x[5:8]))
+        return np.asarray(1.0 + flat @ x[self.quotient])
+
+
+def _polynomial(name: str, title: str, degree: int) -> TransformationModel:
+    exponents = plane.polynomial_setup(degree).astype(int).T
+    names = tuple(f"{letter}_{j}{k}" for letter in "ab" for j, k in exponents)
+    return TransformationModel(name, title, plane.POLYNOMIAL, 2, degree, names)
+
+
+_EIGHT: Final = tuple(f"{letter}{k}" for letter in "ab" for k in range(4))
+_MODELS: Final = {
+    model.name: model for model in (
+        _polynomial("affine", "affine", 1),
+        TransformationModel("helmert", "Helmert", plane.HELMERT, 2, 0, ("c", "d", "a", "b"), shared_scale=True),
+        TransformationModel("projective", "projective", plane.PROJECTIVE, 2, 0,
+                            ("a0", "a1", "a2", "b0", "b1", "b2", "c1", "c2"), slice(6, 8)),
+        TransformationModel("affine-3d", "3-D affine", line_scanner.AFFINE_PROJECTION, 3, 0, _EIGHT),
+        TransformationModel("parallel", "parallel projection", line_scanner.PARALLEL_PROJECTION, 3, 0, (*_EIGHT, "t"),
+                            slice(8, 9)),
+        TransformationModel("dlt", "line-scanner DLT", line_scanner.LINE_SCANNER_DLT, 3, 0,
+                            (*_EIGHT, "c1", "c2", "c3"), slice(8, 11)),
+    )
+}  # fmt: skip
+#: Names in commands.
+NAMES: Final = ("polynomial", *_MODELS)
+
+
+def find_model(name: str, degree: int | None = None) -> TransformationModel:
+    """Transformation of a name.
+
+    Parameters
+    ----------
+    name : str
+        One of ``NAMES``.
+    degree : int, optional
+        Of the polynomial, 1 to 5; no other transformation has one.
+
+    Raises
+    ------
+    InputError
+        No such transformation or degree.
+    """
+    if name not in NAMES:
+        raise InputError.of("rectify.model", place="model", value=name, known=", ".join(NAMES))
+    most = plane.MAX_DEGREE
+    if (degree is None) == (name == "polynomial") or not (degree is None or 1 <= degree <= most):
+        given = "none" if degree is None else degree
+        raise InputError.of("rectify.degree", place=f"degree of {name}", value=given, most=most)
+    return _MODELS[name] if degree is None else _polynomial(name, f"polynomial of degree {degree}", degree)
 
 
 @dataclass(frozen=True)
@@ -46,31 +182,31 @@ class Scaling:
         return cls(offset, np.where(scale > 0.0, scale, 1.0))
 
     def normalised(self, values: Array) -> Array:
-        """To about -1 .. 1."""
+        """Normalised values, about -1 to 1."""
         return np.asarray((values - self.offset) / self.scale)
 
     def physical(self, values: Array) -> Array:
-        """Back again."""
+        """Values of normalised ones."""
         return np.asarray(values * self.scale + self.offset)
 
 
 @dataclass(frozen=True)
 class Transformation:
-    """Source to target coordinates.
+    """Transformation of source to target coordinates.
 
     Parameters
     ----------
-    model : Model
+    model : TransformationModel
     coefficients : (u,) array
         Of normalised source and target coordinates, in the order of ``model.names``.
     source, target : Scaling
     source_names, target_names : tuple of str
-        What the coordinates are, in order: "sample", "line", "easting", "northing", "height".
+        Names of the coordinates, in order: "sample", "line", "easting", "northing", "height".
     crs : str
         Of the map side; "" if it is not known.
     """
 
-    model: Model
+    model: TransformationModel
     coefficients: Array
     source: Scaling
     target: Scaling
@@ -79,36 +215,31 @@ class Transformation:
     crs: str = ""
 
     def apply(self, source: npt.ArrayLike) -> Array:
-        """Target coordinates (n, 2) of source coordinates (n, 2) or (n, 3); no check of where they lie."""
+        """Target coordinates (n, 2) of source coordinates (n, 2) or (n, 3), which may lie anywhere."""
         given = np.atleast_2d(np.asarray(source, float))
         three = np.zeros((len(given), 3))
         three[:, : self.model.dimension] = self.source.normalised(given)
-        found = targets_of(self.model.equation, three, self.model.setup, self.coefficients)
-        return self.target.physical(found)
+        return self.target.physical(targets_of(self.model.equation, three, self.model.setup, self.coefficients))
 
     def plain_coefficients(self) -> dict[str, float] | None:
         """Coefficients of the coordinates themselves; None for quotients.
 
-        They are rounded once. In full metres of a map projection (4.5e6 m) they lose as many digits as the powers
-        have: to transform points use :meth:`apply`.
+        They are rounded once. With map coordinates of 4.5e6 m they lose as many digits as the powers have. To transform
+        points use :meth:`apply`.
         """
         if not self.model.linear:
             return None
-        if self.model.degree:
-            values = _expanded(self)
-        else:
-            values = _plain_linear(self)
+        values = _expanded(self) if self.model.degree else _plain_linear(self)
         return dict(zip(self.model.names, values, strict=True))
 
     def as_dict(self) -> dict[str, Any]:
-        """Give the content of ``transformation.json``."""
+        """Content of ``transformation.json``."""
+        sides = (("source", self.source_names, self.source), ("target", self.target_names, self.target))
         return {
             "schema": SCHEMA, "model": self.model.name, "degree": self.model.degree or None,
             "names": list(self.model.names), "coefficients": self.coefficients.tolist(),
-            "source": {"names": list(self.source_names), "offset": self.source.offset.tolist(),
-                       "scale": self.source.scale.tolist()},
-            "target": {"names": list(self.target_names), "offset": self.target.offset.tolist(),
-                       "scale": self.target.scale.tolist()},
+            **{side: {"names": list(names), "offset": scaling.offset.tolist(), "scale": scaling.scale.tolist()}
+               for side, names, scaling in sides},
             "crs": self.crs or None, "plain_coefficients": self.plain_coefficients(),
         }  # fmt: skip
 
@@ -119,7 +250,7 @@ def read_transformation(path: Path) -> Transformation:
     Raises
     ------
     InputError
-        It cannot be read or is something else.
+        It cannot be read or is not a transformation.
     """
     file = path / "transformation.json" if path.is_dir() else path
     try:
@@ -132,24 +263,23 @@ def read_transformation(path: Path) -> Transformation:
         raise InputError.of("rectify.saved", file=file) from None
 
 
-def _from_dict(found: Mapping[str, Any]) -> Transformation:
-    """Rebuild a transformation; ValueError, KeyError or TypeError if something does not fit."""
-    if found["schema"] != SCHEMA:
+def _from_dict(record: Mapping[str, Any]) -> Transformation:
+    """Transformation of the content of a file; ValueError, KeyError or TypeError for invalid content."""
+    if record["schema"] != SCHEMA:
         raise ValueError("schema")
-    name = found["model"]
-    model = find_model(name, found["degree"] if name == "polynomial" else None)
-    sides = []
+    name = record["model"]
+    model = find_model(name, record["degree"] if name == "polynomial" else None)
+    scalings, names = list[Scaling](), list[tuple[str, ...]]()
     for side, size in (("source", model.dimension), ("target", 2)):
-        scaling = Scaling(np.array(found[side]["offset"], float), np.array(found[side]["scale"], float))
-        names = tuple(str(word) for word in found[side]["names"])
-        both = np.concatenate([scaling.offset, scaling.scale])
-        if both.shape != (2 * size,) or len(names) != size or not np.isfinite(both).all() or (scaling.scale <= 0).any():
+        both = np.array([record[side]["offset"], record[side]["scale"]], float)
+        names.append(tuple(map(str, record[side]["names"])))
+        if both.shape != (2, size) or len(names[-1]) != size or not np.isfinite(both).all() or (both[1] <= 0).any():
             raise ValueError(side)
-        sides.append((scaling, names))
-    x = np.array(found["coefficients"], float)
+        scalings.append(Scaling(*both))
+    x = np.array(record["coefficients"], float)
     if x.shape != (model.n_unknowns,) or not np.isfinite(x).all():
         raise ValueError("coefficients")
-    return Transformation(model, x, sides[0][0], sides[1][0], sides[0][1], sides[1][1], str(found["crs"] or ""))
+    return Transformation(model, x, scalings[0], scalings[1], names[0], names[1], str(record["crs"] or ""))
 
 
 def _expanded(t: Transformation) -> list[float]:

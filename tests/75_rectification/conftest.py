@@ -12,6 +12,9 @@ from fg_orient.studies.reproduce.reproduction import Reproduction, Row, reproduc
 
 Array = np.ndarray
 
+#: Transformations from ground coordinates with heights to the image.
+SPATIAL = ("affine-3d", "parallel", "dlt")
+
 
 @pytest.fixture(scope="session")
 def reproduction() -> Reproduction:

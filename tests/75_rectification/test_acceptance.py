@@ -10,10 +10,16 @@ import pytest
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.areas import pixel_area_sigma_m2, simulate_pixel_areas_m2, synthetic_outline
 from fg_orient.rectification.fit import Observations, fit
-from fg_orient.rectification.models import find_model
 from fg_orient.rectification.projections import project, space_oblique_mercator
-from fg_orient.rectification.study import admissible_points, growing_degrees, improvement_test, without_redundancy
-from fg_orient.rectification.synthetic import RUNS, distance_ratios
+from fg_orient.rectification.study import (
+    RUNS,
+    admissible_points,
+    distance_ratios,
+    growing_degrees,
+    improvement_test,
+    without_redundancy,
+)
+from fg_orient.rectification.transformation import find_model
 from fg_orient.studies.reproduce.ipbuker1994_islands import area_ratio, lambert_polar
 from fg_orient.studies.reproduce.reproduction import Row
 

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from fg_orient.model.errors import InputError
-from fg_orient.rectification import areas, projections, scanner, standards, study, synthetic
-from fg_orient.rectification.distances import pair_distances
+from fg_orient.rectification import areas, projections, scanner, standards, study
 from fg_orient.rectification.fit import Observations, fit
 from fg_orient.rectification.grid import MapGrid
 from fg_orient.rectification.lattice import LevelSurface
-from fg_orient.rectification.models import find_model
-from fg_orient.rectification.outliers import prune
+from fg_orient.rectification.outliers import pair_distances, prune
+from fg_orient.rectification.transformation import find_model
 
 pytestmark = pytest.mark.behaviour
 
@@ -65,8 +64,8 @@ CASES: list[tuple[Callable[..., Any], tuple[Any, ...], tuple[tuple[Any, ...], ..
     (study.admissible_points, (M0S,), (({}, {1: NAN}),)),
     (study.improvement_test, (2.0, 1, 1.5, 2, 30), ((-2.0, NAN), (2, 3), (0.0,), (1,), (5,))),
     (study.design_study, (GROUND, GROUND, [5], [1]), ((), (), ([0], [10]), ([0], [9]))),
-    (synthetic.distance_ratios, (2, 1), ((1, -5), (-1,))),
-    (synthetic.digitised_sheets, ((5, 4), 2, 1), (((0, 4), (2, 2)), (1,), (-1,))),
+    (study.distance_ratios, (2, 1), ((1, -5), (-1,))),
+    (study.digitised_sheets, ((5, 4), 2, 1), (((0, 4), (2, 2)), (1,), (-1,))),
     (pair_distances, (BOX, BOX), (([], BOX[:2], BOX * NAN), (BOX[:3], "x"))),
     (Observations.of, (BOX, BOX), (([], [[1.0], [2.0, 3.0]], BOX * NAN, BOX[:, :1]), (BOX[:3], [["a", "b"]] * 4))),
     (prune, (GROUND, find_model("affine"), 1e9), ((), (), (0.0, -1.0, NAN))),

@@ -12,12 +12,12 @@ import pytest
 from scipy import optimize, stats
 
 from fg_orient.model.errors import InputError, NoSolutionError
-from fg_orient.rectification.distances import pair_distances
-from fg_orient.rectification.fit import Fit, Observations, fit
-from fg_orient.rectification.models import NAMES, SPATIAL, find_model
-from fg_orient.rectification.outliers import point_tests, prune
+from fg_orient.rectification.fit import Observations, TransformationFit, fit
+from fg_orient.rectification.outliers import pair_distances, point_tests, prune
 from fg_orient.rectification.study import design_study
-from fg_orient.rectification.transformation import Transformation, read_transformation
+from fg_orient.rectification.transformation import NAMES, Transformation, find_model, read_transformation
+
+from .conftest import SPATIAL
 
 Array = np.ndarray
 #: Each transformation once, the polynomial with two degrees.
@@ -121,7 +121,7 @@ def test_redundancy_numbers_and_prediction_equal_plain_matrices() -> None:
     assert sigma == pytest.approx(expected, rel=1e-9)
 
 
-def direct_test(found: Fit, k: int) -> tuple[float, Array]:
+def direct_test(found: TransformationFit, k: int) -> tuple[float, Array]:
     """F of point k and its error: adjusted once more with the point's two errors as unknowns."""
     a, v, extra = found.design, found.whitened.ravel(), np.zeros((2 * len(found.points), 2))
     extra[2 * k : 2 * k + 2] = np.eye(2)

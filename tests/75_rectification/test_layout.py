@@ -11,14 +11,14 @@ import pytest
 from scipy import stats
 
 from fg_orient.model.errors import InputError
-from fg_orient.rectification.fit import Fit, Observations, fit
-from fg_orient.rectification.models import SPATIAL, find_model
+from fg_orient.rectification.fit import Observations, TransformationFit, fit
 from fg_orient.rectification.outliers import check_tests
 from fg_orient.rectification.points import PointFit
 from fg_orient.rectification.record import record_of
+from fg_orient.rectification.transformation import find_model
 from tests.support.command import in_process as run
 
-from .conftest import scene, write_points
+from .conftest import SPATIAL, scene, write_points
 
 Array = np.ndarray
 CENTRE = np.array([500.0, 400.0])
@@ -132,7 +132,7 @@ def test_heights_that_say_nothing_are_remarked(name: str) -> None:
         assert any("reach little along height" in text for text in words) is remarked
 
 
-def derivatives(found: Fit, source: Array) -> Array:
+def derivatives(found: TransformationFit, source: Array) -> Array:
     """Of a transformed point with respect to the coefficients (2, u), by differences."""
     t = found.transformation
     step = 1e-5
@@ -172,7 +172,7 @@ def test_false_alarms_of_check_points_are_as_stated_and_not_without_the_error_of
         every = Observations.of(image, 28.5 * image + rng.normal(0.0, 15.0, image.shape))
         found, check = fit(every.take(np.arange(8)), model), every.take(np.array([8]))
         residual = found.transformation.apply(check.source) - check.target
-        alarms += bool(check_tests(found, check, residual, level=level).suspicious[0])
+        alarms += bool(check_tests(found, check, residual).probability[0] < level)
         careless += float(np.sum(residual**2)) / (2.0 * found.m0**2) > stats.f.isf(level, 2, found.redundancy)
     half = 4.0 * math.sqrt(level * (1.0 - level) / runs)
     assert abs(alarms / runs - level) <= half

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.rectification.synthetic import digitised_sheets
+from fg_orient.rectification.study import digitised_sheets
 from fg_orient.studies.published import tables as published
 from fg_orient.studies.published.tables import PublishedCell, load
 from fg_orient.studies.reproduce.found import Found, judge

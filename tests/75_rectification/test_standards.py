@@ -12,16 +12,16 @@ from scipy import stats
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.standards import (
     NAMES,
-    Verdict,
+    StandardCompliance,
+    assess_rmse,
     check_accuracy,
     cmas_m,
     effective_resolution_m,
-    judge_rmse,
     nmas_limit_m,
 )
 
 
-def by_name(found: tuple[Verdict, ...]) -> dict[str, Verdict]:
+def by_name(found: tuple[StandardCompliance, ...]) -> dict[str, StandardCompliance]:
     return {verdict.standard: verdict for verdict in found}
 
 
@@ -41,7 +41,7 @@ def test_limits_of_nmas() -> None:
 )  # fmt: skip
 def test_verdicts_on_the_m0s_of_table_7_1(m0: float, cmas: float, passes: int, fails: int) -> None:
     for scale, passed in ((passes, True), (fails, False)):
-        (found,) = judge_rmse(m0, m0, scale=scale, standards=("CMAS",))
+        (found,) = assess_rmse(m0, m0, scale=scale, standards=("CMAS",))
         assert round(found.value_m, 1) == cmas
         assert found.passed is passed
 
@@ -53,7 +53,7 @@ def test_what_1_to_50000_and_1_to_24000_need() -> None:
     assert nmas_limit_m(24_000) / 1.5175 == pytest.approx(8.0, abs=0.05)
     assert cmas_m(12.9, 12.9) == pytest.approx(27.7, abs=0.05)
     assert cmas_m(12.9 / math.sqrt(2), 12.9 / math.sqrt(2)) == pytest.approx(19.6, abs=0.05)
-    (wong,) = judge_rmse(55 / math.sqrt(2), 55 / math.sqrt(2), scale=250_000, standards=("CMAS",))
+    (wong,) = assess_rmse(55 / math.sqrt(2), 55 / math.sqrt(2), scale=250_000, standards=("CMAS",))
     assert wong.passed
 
 
@@ -61,7 +61,7 @@ def test_what_1_to_50000_and_1_to_24000_need() -> None:
 def test_factors_are_quantiles_of_the_circular_normal_distribution() -> None:
     assert stats.rayleigh.ppf(0.90) == pytest.approx(2.1460, abs=5e-5)
     assert stats.rayleigh.ppf(0.95) == pytest.approx(2.4477, abs=5e-5)
-    values = by_name(judge_rmse(1.0, 1.0))
+    values = by_name(assess_rmse(1.0, 1.0))
     assert values["CMAS"].value_m == pytest.approx(1.5175 * math.sqrt(2), rel=1e-4)
     assert values["NSSDA"].value_m == pytest.approx(1.7308 * math.sqrt(2), rel=1e-4)
 
@@ -97,15 +97,15 @@ def test_largest_scale_is_the_border_of_what_passes(error: float) -> None:
 
 @pytest.mark.truth
 def test_asprs() -> None:
-    found = by_name(judge_rmse(3.0, 4.0, scale=20_000, class_m=4.5, check_point_rmse_m=0.5, n_points=25))
+    found = by_name(assess_rmse(3.0, 4.0, scale=20_000, class_m=4.5, check_point_rmse_m=0.5, n_points=25))
     assert (found["ASPRS-1990"].limit_m, found["ASPRS-1990"].passed) == (pytest.approx(5.0), True)
     assert found["ASPRS-1990"].largest_scale == pytest.approx(16_000)
     assert (found["ASPRS-2014"].value_m, found["ASPRS-2014"].passed) == (4.0, True)
     assert (found["ASPRS-2023"].value_m, found["ASPRS-2023"].passed) == (pytest.approx(math.sqrt(25.25)), False)
     assert any("30" in text for text in found["ASPRS-2023"].remarks)
-    (second,) = judge_rmse(7.0, 8.0, scale=20_000, standards=("ASPRS-1990",))
+    (second,) = assess_rmse(7.0, 8.0, scale=20_000, standards=("ASPRS-1990",))
     assert second.passed is False and second.remarks == ("class 2 is met",)
-    (small,) = judge_rmse(1.0, 1.0, scale=50_000, standards=("ASPRS-1990",))
+    (small,) = assess_rmse(1.0, 1.0, scale=50_000, standards=("ASPRS-1990",))
     assert small.passed and "1:20000" in small.remarks[0]
 
 
@@ -128,7 +128,7 @@ def test_all_standards_in_one_call_and_unequal_axes_are_remarked() -> None:
      (lambda: check_accuracy([[1.0, 1.0]], check_point_rmse_m=-4.0), "options.value"),
      (lambda: check_accuracy([[1.0, 1.0]], check_point_rmse_m=np.nan, standards=("NMAS",)), "options.value"),
      (lambda: check_accuracy([[1.0, 1.0]], standards=("EMAS",)), "rectify.standard"),
-     *((lambda r=rmse: judge_rmse(*r), "options.value")
+     *((lambda r=rmse: assess_rmse(*r), "options.value")
        for rmse in ((-4.0, 4.0), (4.0, -4.0), (np.nan, 1.0), (np.inf, 1.0)))],
 )  # fmt: skip
 def test_refusals(ask: Callable[[], object], code: str) -> None:

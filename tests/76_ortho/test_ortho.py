@@ -16,11 +16,10 @@ from fg_orient.model.errors import InputError
 from fg_orient.rectification.adjusted import read_correction
 from fg_orient.rectification.grid import MapGrid
 from fg_orient.rectification.lattice import ERROR_PX, FIRST_STEP, LevelSurface, lattice
-from fg_orient.rectification.models import find_model
 from fg_orient.rectification.ortho import RESAMPLING, OrthoOptions, orthorectify
 from fg_orient.rectification.ortho_job import rectify_image
 from fg_orient.rectification.ortho_models import PointModel, SensorModel
-from fg_orient.rectification.transformation import Scaling, Transformation
+from fg_orient.rectification.transformation import Scaling, Transformation, find_model
 from fg_orient.rpc.fitting import fit_image
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from fg_orient.sensors.surface import RasterDem

@@ -11,10 +11,10 @@ import rasterio
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.fit import Observations, fit
 from fg_orient.rectification.lattice import LevelSurface
-from fg_orient.rectification.models import find_model
 from fg_orient.rectification.ortho import OrthoOptions, orthorectify
 from fg_orient.rectification.ortho_job import rectify_image
 from fg_orient.rectification.ortho_models import PointModel, solved
+from fg_orient.rectification.transformation import find_model
 
 from .conftest import CRS
 

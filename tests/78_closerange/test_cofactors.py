@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fg_orient.closerange.axes import rotation_from_ayhan
 from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
 from fg_orient.closerange.dlt import fit_dlt
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.orientation import RelativeOrientation, absolute_orientation, relative_orientation
-from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.closerange.photo import Photo, PhotoInterior, rotation_from_ayhan
 from fg_orient.closerange.resection import resect
 
 from .conftest import Array
 
 #: Noise by the size of the images (2 %): start values are off by as much, and so would cofactors there be.
 NOISE = 0.3
-CAMERA = Interior(60.0)
+CAMERA = PhotoInterior(60.0)
 CENTRES = np.array([[0.0, 0.0, 0.0], [2.0, 0.3, 0.2], [-1.5, 0.4, 1.0]])
 
 
@@ -49,7 +48,11 @@ def alike(found: Array, expected: Array, tolerance: float = 1e-4) -> bool:
 
 
 def pair_distances(
-    cameras: tuple[Interior, Interior], images: tuple[Array, Array], sigma: float, rotation: Array, base: Array
+    cameras: tuple[PhotoInterior, PhotoInterior],
+    images: tuple[Array, Array],
+    sigma: float,
+    rotation: Array,
+    base: Array,
 ) -> Array:
     """Triple products of base and rays by their standard deviations, propagated in the unit of the images."""
 
@@ -68,7 +71,7 @@ def pair_distances(
 def test_relative_orientation_of_two_cameras(n: int) -> None:
     """30 and 150 mm; with 7 points the starts are normal cases, 0.3 rad away."""
     rotations, points, rng = scene(1, n)
-    cameras, sigma = (Interior(30.0), Interior(150.0)), 0.002
+    cameras, sigma = (PhotoInterior(30.0), PhotoInterior(150.0)), 0.002
     second = turned(np.array([0.2, -0.3, 0.1]), rotations[0])
     images = tuple(
         Photo.of("", c, r, at).project(points) + rng.normal(scale=sigma, size=(n, 2))

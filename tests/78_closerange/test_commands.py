@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.closerange.axes import rotation_from_ayhan
-from fg_orient.closerange.photo import Interior, Photo, corrections_of
+from fg_orient.closerange.photo import Photo, PhotoInterior, corrections_of, rotation_from_ayhan
 from fg_orient.closerange.surface_fit import fit_surface
 from tests.support.command import in_process as run
 
@@ -30,8 +29,8 @@ principal = [0.1, -0.2]
 
 
 def photos(k1: float) -> list[Photo]:
-    left = Interior(60.0, corrections=corrections_of(("k1",), [k1]))
-    right = Interior(61.0, np.array([0.1, -0.2]))
+    left = PhotoInterior(60.0, corrections=corrections_of(("k1",), [k1]))
+    right = PhotoInterior(61.0, np.array([0.1, -0.2]))
     return [Photo.of("left", left, rotation_from_ayhan(0.01, 0.02, 0.03), [10.0, 20.0, 2.0]),
             Photo.of("right", right, rotation_from_ayhan(0.0, -0.1, 0.01), [11.2, 20.1, 2.1])]  # fmt: skip
 

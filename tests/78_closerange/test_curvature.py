@@ -7,15 +7,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from fg_orient.closerange.curvature import BENT, bend
+from fg_orient.closerange.minima import BENT, bend
 from fg_orient.closerange.orientation import absolute_orientation, relative_orientation
-from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.closerange.resection import resect
 from tests.support.repetitions import some_slow
 
 from .conftest import Array
 
-CAMERA = Interior(60.0, y_axis="down")
+CAMERA = PhotoInterior(60.0, y_axis="down")
 SIGMA = 0.005
 
 

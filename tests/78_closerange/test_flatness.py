@@ -10,16 +10,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm, t
 
-from fg_orient.closerange.dlt import DltFit, fit_dlt
-from fg_orient.closerange.flatness import ALLOWED, LEVEL, limits
-from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.closerange.dlt import ALLOWED, LEVEL, DltFit, fit_dlt, limits
+from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.model.errors import InputError
 from tests.support.command import in_process as run
 
 from .conftest import Array
 
 SIGMA = 0.003
-CAMERA = Interior(60.0, np.array([0.3, -0.2]), y_axis="down")
+CAMERA = PhotoInterior(60.0, np.array([0.3, -0.2]), y_axis="down")
 
 
 def scene(

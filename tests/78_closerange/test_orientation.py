@@ -7,15 +7,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fg_orient.closerange.intersection import intersect_photos
+from fg_orient.closerange.minima import rival_of
 from fg_orient.closerange.orientation import RelativeOrientation, absolute_orientation, relative_orientation
-from fg_orient.closerange.photo import Interior, Photo
-from fg_orient.closerange.rivals import likeness
+from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.model.errors import InputError
 from tests.support.repetitions import some_slow
 
 from .conftest import Array
 
-CAMERA = Interior(60.0)
+CAMERA = PhotoInterior(60.0)
 SIGMA = 0.003
 
 
@@ -89,10 +89,10 @@ def test_the_second_orientation_of_a_plane_is_told(seed: int) -> None:
     rotation, base, images = pair(rng, points, turned=True)
     found = relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA)
     assert np.linalg.norm(found.base - base) > 0.3 and found.rival is not None
-    assert np.linalg.norm(found.rival.base - base) < 0.05
+    assert np.linalg.norm(found.rival.place - base) < 0.05
     assert np.abs(found.rival.rotation - rotation).max() < 0.05
     assert 1.0 <= found.rival.ratio <= found.rival.limit
-    assert "a second orientation fits nearly as well, base along" in str(found.rival)
+    assert "a second orientation fits nearly as well, base along" in str(found.second_orientation()[0])
     many = rng.uniform(-1.0, 1.0, (20, 3)) * [1.0, 1.0, 0.0]
     images = pair(rng, many, turned=True)[2]
     assert relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA).rival is None
@@ -125,6 +125,11 @@ def test_rays_of_one_place_are_parallel(n_photos: int) -> None:
     image = np.vstack([p.project(points) + rng.normal(scale=SIGMA, size=(5, 2)) for p in photos])
     with pytest.raises(InputError, match=r"close to parallel.*projection centres 0 m apart"):
         intersect_photos(photos, np.repeat(np.arange(n_photos), 5), np.tile(np.arange(5), n_photos), image, sigma=SIGMA)
+
+
+def likeness(own: float, other: float, redundancy: int, *, known: bool = False) -> float | None:
+    rival = rival_of(own, other, redundancy, np.eye(3), np.zeros(3), known=known)
+    return None if rival is None else rival.ratio
 
 
 @pytest.mark.truth

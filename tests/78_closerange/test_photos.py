@@ -9,18 +9,19 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from factors.cameras.image_corrections import NAMES, ideal_points, slopes
-from fg_orient.closerange.axes import (
+from fg_orient.closerange.dlt import fit_dlt
+from fg_orient.closerange.intersection import intersect_photos, normal_case, turned_about_z
+from fg_orient.closerange.orientation import absolute_orientation, relative_orientation
+from fg_orient.closerange.photo import (
+    Photo,
+    PhotoInterior,
     aerial_from_rotation,
     ayhan_from_rotation,
     ayhan_matrix,
+    corrections_of,
     rotation_from_aerial,
     rotation_from_ayhan,
 )
-from fg_orient.closerange.dlt import fit_dlt
-from fg_orient.closerange.intersection import intersect_photos
-from fg_orient.closerange.orientation import absolute_orientation, relative_orientation
-from fg_orient.closerange.parallax import normal_case, turned_about_z
-from fg_orient.closerange.photo import Interior, Photo, corrections_of
 from fg_orient.closerange.resection import resect, three_point_poses
 from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
@@ -32,10 +33,10 @@ CONTROL = np.array(thesis.CONTROL) - 1
 DISTORTION = corrections_of(("k1", "k2", "p1", "p2"), [2e-5, -1e-8, 1e-5, -2e-5])
 
 
-def scene(seed: int, n: int = 20, *, y_axis: str = "up") -> tuple[Interior, list[Photo], list[Array], Array]:
+def scene(seed: int, n: int = 20, *, y_axis: str = "up") -> tuple[PhotoInterior, list[Photo], list[Array], Array]:
     """Two photos of points in a room, one metre apart, far from the origin: camera, photos, rotations, points."""
     rng = np.random.default_rng(seed)
-    camera = Interior(60.0, np.array([0.3, -0.2]), DISTORTION, y_axis)  # type: ignore[arg-type]
+    camera = PhotoInterior(60.0, np.array([0.3, -0.2]), DISTORTION, y_axis)  # type: ignore[arg-type]
     rotations = [rotation_from_ayhan(*rng.normal(scale=0.1, size=3)) for _ in range(2)]
     centres = np.array([[1000.0, 2000.0, 50.0], [1001.0, 2000.1, 50.05]])
     photos = [Photo.of(f"photo {k}", camera, r, c) for k, (r, c) in enumerate(zip(rotations, centres, strict=True))]
@@ -58,7 +59,7 @@ def test_angles_of_the_thesis_turn_a_left_handed_triple() -> None:
     point = np.array([1000.2, 1005.9, 2.9])
     d = point - centre
     r = ayhan_matrix(*angles) @ [d[0], d[2], d[1]]
-    photo = Photo.of("", Interior(c), rotation_from_ayhan(*angles), centre)
+    photo = Photo.of("", PhotoInterior(c), rotation_from_ayhan(*angles), centre)
     assert np.abs(photo.project(point)[0] - c * r[:2] / r[2]).max() <= 1e-12
     assert ayhan_from_rotation(rotation_from_ayhan(*angles)) == pytest.approx(angles)
     assert aerial_from_rotation(rotation_from_aerial(*angles)) == pytest.approx(angles)
@@ -90,7 +91,7 @@ def test_corrections_are_inverted_and_have_their_slopes() -> None:
 @pytest.mark.parametrize("y_axis", ["up", "down"])
 def test_dlt_recovers_the_camera(y_axis: str) -> None:
     _, photos, rotations, points = scene(2, y_axis=y_axis)
-    plain = Interior(60.0, np.array([0.3, -0.2]), y_axis=y_axis)  # type: ignore[arg-type]
+    plain = PhotoInterior(60.0, np.array([0.3, -0.2]), y_axis=y_axis)  # type: ignore[arg-type]
     photo = Photo.of("", plain, rotations[0], photos[0].origin_m)
     found = fit_dlt(points, photo.project(points))
     r = found.recovered
@@ -109,7 +110,9 @@ def test_dlt_with_distortion_about_a_known_point() -> None:
     assert np.abs(found.values[11:] / DISTORTION[[0, 1, 3, 4]] - 1.0).max() <= 1e-3  # k2 r^4 is 1e-5 mm here
     assert np.abs(found.photo.project(points) - image).max() <= 1e-9
     assert found.names[11:] == ("k1", "k2", "p1", "p2")
-    radial = Photo.of("", Interior(60.0, np.array([0.3, -0.2]), corrections_of(("k1",), [2e-5])), *_pose(photos[0], 3))
+    radial = Photo.of(
+        "", PhotoInterior(60.0, np.array([0.3, -0.2]), corrections_of(("k1",), [2e-5])), *_pose(photos[0], 3)
+    )
     centred = fit_dlt(points, radial.project(points), distortion=("k1",))
     assert centred.values[11] == pytest.approx(2e-5, rel=1e-6)  # about the principal point of L, found by repetition
     assert np.abs(centred.recovered.principal - [0.3, -0.2]).max() <= 1e-6
@@ -150,7 +153,7 @@ def test_dlt_equals_an_independent_adjustment() -> None:
 def test_dlt_sigmas_of_the_recovered_orientation(runs: int) -> None:
     """Repetitions: squares of the errors of eight recovered numbers by their variances; half the sigmas fail."""
     _, photos, rotations, points = scene(6)
-    photo = Photo.of("", Interior(60.0), rotations[0], photos[0].origin_m)
+    photo = Photo.of("", PhotoInterior(60.0), rotations[0], photos[0].origin_m)
     exact, rng, total = photo.project(points), np.random.default_rng(7), np.zeros(8)
     for _ in range(runs):
         r = fit_dlt(points, exact + rng.normal(scale=0.002, size=exact.shape), sigma=0.002)
@@ -184,7 +187,7 @@ def test_dlt_refuses(code: str, change: object) -> None:
 def test_dlt_refuses_points_close_to_a_plane() -> None:
     """1 mm of depth on 2 m: full rank, but the projection centre is 1000 times worse than a point; 20 cm pass."""
     _, photos, _, points = scene(8)
-    photo = Photo.of("", Interior(60.0), *_pose(photos[0], 8))  # distortion would be noise
+    photo = Photo.of("", PhotoInterior(60.0), *_pose(photos[0], 8))  # distortion would be noise
     for depth, code in ((1e-3, "closerange.plane"), (0.2, "")):
         thin = np.column_stack([points[:, 0], 2005.0 + depth * (points[:, 1] - 2005.0), points[:, 2]])
         image = photo.project(thin) + np.random.default_rng(1).normal(scale=1e-5, size=(20, 2))
@@ -255,12 +258,12 @@ def test_residuals_of_a_resection_are_computed_minus_ideal(y_axis: str) -> None:
 
 def flat_scene(
     seed: int, distance_m: float, n: int, sigma: float, tilt_deg: float
-) -> tuple[Interior, Photo, Array, Array, Array]:
+) -> tuple[PhotoInterior, Photo, Array, Array, Array]:
     """Points of a plane seen from above: camera, true photo and rotation, points, image coordinates with noise."""
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(-1.0, 1.0, (n, 2)), np.zeros(n)])
     turn = Rotation.from_euler("xz", [180.0 + tilt_deg, rng.uniform(0.0, 360.0)], degrees=True).as_matrix()
-    camera = Interior(60.0, np.zeros(2), y_axis="down")
+    camera = PhotoInterior(60.0, np.zeros(2), y_axis="down")
     photo = Photo.of("", camera, turn, -turn.T @ [0.0, 0.0, distance_m])
     return camera, photo, turn, points, photo.project(points) + rng.normal(scale=sigma, size=(n, 2))
 
@@ -295,9 +298,9 @@ def test_far_control_in_a_plane_tells_its_second_pose() -> None:
         camera, photo, _, points, image = flat_scene(seed, 200.0, 6, 0.001, 20.0)
         found = resect(camera, points, image, sigma=0.001)
         assert found.rival is not None and 1.0 <= found.rival.ratio <= found.rival.limit
-        apart = [float(np.linalg.norm(c - photo.origin_m)) for c in (found.centre_m, found.rival.centre_m)]
+        apart = [float(np.linalg.norm(c - photo.origin_m)) for c in (found.centre_m, found.rival.place)]
         assert min(apart) < 0.25 * max(apart)
-        assert "a second pose fits nearly as well, centre at" in str(found.rival.finding())
+        assert "a second pose fits nearly as well, centre at" in str(found.second_pose()[0])
         camera, _, _, points, image = flat_scene(seed, 3.0, 6, 0.001, 20.0)
         assert resect(camera, points, image, sigma=0.001).rival is None
 
@@ -377,7 +380,7 @@ def test_intersection_refuses() -> None:
     with pytest.raises(FgOrientError, match="behind the camera"):
         intersect_photos(photos[::-1], which, of, image, sigma=0.003)
     _, photos, rotations, points = scene(12, 4)  # one that becomes singular names its point
-    far = Photo.of("far", Interior(1e11), rotations[1], photos[1].origin_m)
+    far = Photo.of("far", PhotoInterior(1e11), rotations[1], photos[1].origin_m)
     image = np.vstack([p.project(points) for p in photos])
     with pytest.raises(NoSolutionError, match="intersection of point a"):
         intersect_photos([photos[0], far], which, of, image, ids=list("abcd"))
@@ -385,12 +388,12 @@ def test_intersection_refuses() -> None:
 
 @pytest.mark.truth
 def test_parallax_is_the_intersection_of_the_normal_case() -> None:
-    left = Photo.of("1", Interior(60.0), rotation_from_ayhan(0.0, 0.0, 0.0), [1000.0, 2000.0, 50.0])
-    right = Photo.of("2", Interior(61.0), rotation_from_ayhan(0.0, 0.0, 0.0), [1001.2, 2000.0, 50.0])
+    left = Photo.of("1", PhotoInterior(60.0), rotation_from_ayhan(0.0, 0.0, 0.0), [1000.0, 2000.0, 50.0])
+    right = Photo.of("2", PhotoInterior(61.0), rotation_from_ayhan(0.0, 0.0, 0.0), [1001.2, 2000.0, 50.0])
     points = np.array([[1000.3, 2005.0, 50.4], [1001.0, 2008.0, 49.0]])
     found = normal_case(left.project(points), right.project(points), 1.2, 60.0, 61.0, left.origin_m)
     assert np.abs(found - points).max() <= 1e-10
-    turned = Photo.of("3", Interior(61.0), rotation_from_ayhan(0.0, 0.05, 0.0), right.origin_m)
+    turned = Photo.of("3", PhotoInterior(61.0), rotation_from_ayhan(0.0, 0.05, 0.0), right.origin_m)
     image = turned.project(points)
     back = min((turned_about_z(image, 61.0, phi) for phi in (0.05, -0.05)),
                key=lambda b: float(np.abs(b - right.project(points)).max()))  # fmt: skip

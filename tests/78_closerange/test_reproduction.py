@@ -142,13 +142,13 @@ def test_sums_control_points_apart(values: Values, land: Array) -> None:
     printed = thesis.points_of(values, "ek1.points", thesis.PHOTO)
     ours = thesis._intersected(thesis.oriented(values), thesis.points_of(values, "ek1.refined", thesis.REFINED),
                                reweighted=True).points_m  # fmt: skip
-    found = compare_points("collinearity 15", land, np.where(control[:, None], printed, ours), control)
+    found = compare_points(land, np.where(control[:, None], printed, ours), control)
     assert found.every.sums_cm2[:3] == pytest.approx([0.394, 2.038, 0.493], abs=0.0005)
     assert (found.control.n, found.other.n) == (15, 34)
     assert found.every.sums_cm2 == pytest.approx(np.add(found.control.sums_cm2, found.other.sums_cm2))
     assert found.other.rms_mm[1] is not None and found.every.rms_mm[1] is not None
     assert found.other.rms_mm[1] > found.every.rms_mm[1]
-    assert compare_points("", land, land, ~control & control).control.rms_mm == [None] * 4
+    assert compare_points(land, land, ~control & control).control.rms_mm == [None] * 4
 
 
 @pytest.mark.truth

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from factors.conditions import surfaces
-from fg_orient.closerange import profile, surface_fit
-from fg_orient.closerange.feet import Conditions, feet
-from fg_orient.closerange.profile import held, reach
+from fg_orient.closerange import minima, surface_fit
+from fg_orient.closerange.fitting import Conditions, foot_points
+from fg_orient.closerange.minima import held, reach
 from fg_orient.closerange.surface import Kind, Surface, map_points, shape_of
 from fg_orient.closerange.surface_fit import Method, SurfaceFit, fit_surface
 from fg_orient.model.cells import CellKey
@@ -37,7 +37,7 @@ def ellipsoid_points(n: int, seed: int, noise: float = 0.0, semi: Array = SEMI) 
     return np.asarray((ball * semi) @ turn + [1000.0, 2000.0, -50.0] + rng.normal(scale=noise, size=(n, 3)))
 
 
-# --- feet ----------------------------------------------------------------------------------------
+# --- foot points ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.oracle
@@ -46,7 +46,7 @@ def test_feet_lie_on_the_surface_and_are_the_nearest_points() -> None:
     rng = np.random.default_rng(0)
     conditions = Conditions(np.diag(SEMI**-2.0), np.zeros(3), -1.0)
     points, sigma = rng.normal(size=(4, 3)), rng.uniform(0.5, 2.0, (4, 3))
-    found = feet(conditions, points, sigma)
+    found = foot_points(conditions, points, sigma)
     assert np.abs(conditions.value(found)).max() <= 1e-13
     for p, s, f in zip(points, sigma, found, strict=True):
 
@@ -64,8 +64,8 @@ def test_feet_lie_on_the_surface_and_are_the_nearest_points() -> None:
 def test_no_foot_is_no_number() -> None:
     """The centre of a ball has no nearest point, an empty quadric no point at all."""
     middle = np.zeros((1, 3))
-    assert np.isnan(feet(Conditions(np.eye(3), np.zeros(3), -1.0), middle, np.ones((1, 3)))).all()
-    assert np.isnan(feet(Conditions(np.eye(3), np.zeros(3), 1.0), middle + 1.0, np.ones((1, 3)))).all()
+    assert np.isnan(foot_points(Conditions(np.eye(3), np.zeros(3), -1.0), middle, np.ones((1, 3)))).all()
+    assert np.isnan(foot_points(Conditions(np.eye(3), np.zeros(3), 1.0), middle + 1.0, np.ones((1, 3)))).all()
 
 
 @pytest.mark.oracle
@@ -73,7 +73,7 @@ def test_feet_on_hyperboloids() -> None:
     rng = np.random.default_rng(1)
     conditions = Conditions(np.diag([1.0, -1.0, 0.5]), np.array([0.1, 0.2, 0.3]), -1.0)
     points = rng.normal(scale=2.0, size=(300, 3))
-    found = feet(conditions, points, np.ones_like(points))
+    found = foot_points(conditions, points, np.ones_like(points))
     assert np.abs(conditions.value(found)).max() <= 1e-12
     normal = np.cross(conditions.slope(found), found - points)
     assert np.abs(normal).max() <= 1e-11  # at right angles to the surface
@@ -267,8 +267,8 @@ def test_growth_at_a_distance_is_that_of_the_limit() -> None:
 @pytest.mark.parametrize("method", ["geometric", "algebraic"])
 def test_what_cannot_be_verified_is_refused(monkeypatch: pytest.MonkeyPatch, land: Array, method: Method) -> None:
     """Neither convergence nor squares that stay above the limit: as after two steps of each fit far away."""
-    monkeypatch.setattr(profile, "_ROUND", 2)
-    monkeypatch.setattr(profile, "_ROUNDS", 1)
+    monkeypatch.setattr(minima, "_ROUND", 2)
+    monkeypatch.setattr(minima, "_ROUNDS", 1)
     with pytest.raises(InputError, match="whether the points determine b could not be verified"):
         fit_surface(land[::6], "spheroid", sigma_m=1e-3, method=method)
 

@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from fg_orient.closerange.axes import rotation_from_ayhan
 from fg_orient.closerange.bundle import BundlePhoto
-from fg_orient.closerange.photo import Interior, Photo, corrections_of
+from fg_orient.closerange.photo import Photo, PhotoInterior, corrections_of, rotation_from_ayhan
 from fg_orient.model.cells import CellKey
 from fg_orient.studies.published.tables import load
 
@@ -22,7 +21,7 @@ SIGMA = 0.002
 class Scene:
     """Truth and measurements: photos, points, image coordinates in order of photos, then points."""
 
-    interior: Interior
+    interior: PhotoInterior
     rotations: list[Array]
     centres: list[Array]
     points: Array
@@ -55,7 +54,7 @@ class Scene:
 
 def make(seed: int, n: int = 20, n_photos: int = 3, *, noise: float = SIGMA, points: Array | None = None) -> Scene:
     rng = np.random.default_rng(seed)
-    interior = Interior(60.0, np.array([0.3, -0.2]), corrections_of(("k1", "p1"), [2e-5, 1e-5]))
+    interior = PhotoInterior(60.0, np.array([0.3, -0.2]), corrections_of(("k1", "p1"), [2e-5, 1e-5]))
     rotations = [rotation_from_ayhan(*rng.normal(scale=0.1, size=3)) for _ in range(n_photos)]
     centres = [np.array([1000.0 + k, 2000.0 + 0.2 * k * k, 50.0 + 0.3 * k]) for k in range(n_photos)]
     if points is None:

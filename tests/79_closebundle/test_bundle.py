@@ -17,7 +17,7 @@ from fg_orient.adjustment.loop import LoopResult
 from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, Observation, Variable, bordered_inverse
 from fg_orient.closerange import bundle
 from fg_orient.closerange.bundle import Bundle, BundlePhoto, adjust_bundle
-from fg_orient.closerange.bundle_determined import motions
+from fg_orient.closerange.bundle_checks import motions
 from fg_orient.closerange.bundle_network import build
 from fg_orient.closerange.constraints import Constraint, observed_element
 from fg_orient.closerange.corrections import SETS, parameters_of

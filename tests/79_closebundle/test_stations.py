@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fg_orient.closerange.axes import aerial_from_rotation
 from fg_orient.closerange.bundle import adjust_bundle
 from fg_orient.closerange.constraints import Constraint
+from fg_orient.closerange.photo import aerial_from_rotation
 from tests.support import photomodeler
 from tests.support.command import Ended
 from tests.support.command import in_process as run

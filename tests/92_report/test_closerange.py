@@ -17,7 +17,7 @@ from factors.cameras.extended_collinearity import NAMES
 from fg_orient.closerange import report_maps as maps
 from fg_orient.closerange import report_plots as plots
 from fg_orient.closerange import report_words as words
-from fg_orient.closerange.distortion import profile
+from fg_orient.closerange.corrections import profile
 from fg_orient.closerange.report_html import render
 from fg_orient.closerange.surface import Surface
 from fg_orient.model.errors import as_record, finding

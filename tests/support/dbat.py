@@ -15,7 +15,7 @@ import numpy as np
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.solve import Estimate
-from fg_orient.closerange.photo import Interior
+from fg_orient.closerange.photo import PhotoInterior
 from fg_orient.closerange.resection import resect
 from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
 from fg_orient.model.names import Role
@@ -101,7 +101,7 @@ def camcal(folder: Path) -> Block:
     principal = (width_mm / 2.0, form.height_mm / 2.0)
     sigma = {**EXTERIOR, "focal": 1.0, "principal_sample": 1.0, "principal_line": 1.0, "k1": 1e-4, "k2": 1e-5,
              "k3": 1e-6, "p1": 1e-5, "p2": 1e-5, "aspect": 1e-4}  # fmt: skip
-    interior = Interior(7.5, np.array(principal), y_axis="down")
+    interior = PhotoInterior(7.5, np.array(principal), y_axis="down")
     options = Options(priors=False, datum="control", optimizer="gauss-newton", max_iterations=20)
     cameras = [
         camera(form, 7.5, principal, (0.0,), pose, sigma)
@@ -110,7 +110,7 @@ def camcal(folder: Path) -> Block:
     return block(cameras, form, marks, control, 0.1, options)
 
 
-def _oriented(interior: Interior, marks: np.ndarray, ground: dict[int, list[float]], form: Format) -> tuple:
+def _oriented(interior: PhotoInterior, marks: np.ndarray, ground: dict[int, list[float]], form: Format) -> tuple:
     """Rotation and projection centre of a photo by the points that are known so far."""
     own = marks[np.isin(marks[:, 1], list(ground))]
     found = resect(interior, [ground[int(i)] for i in own[:, 1]], own[:, 2:4] / form.px_per_mm)

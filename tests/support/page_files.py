@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fg_orient.closerange.axes import rotation_from_ayhan
-from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.closerange.photo import Photo, PhotoInterior, rotation_from_ayhan
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import ecef_to_geodetic
 
@@ -116,8 +115,8 @@ def photos_and_control(folder: Path) -> None:
     rng = np.random.default_rng(1)
     points = np.array([10.6, 25.0, 2.0]) + rng.uniform(-1.0, 1.0, (15, 3))
     photos = [
-        Photo.of("left", Interior(60.0), rotation_from_ayhan(0.01, 0.02, 0.03), [10.0, 20.0, 2.0]),
-        Photo.of("right", Interior(60.0), rotation_from_ayhan(0.0, -0.1, 0.01), [11.2, 20.1, 2.1]),
+        Photo.of("left", PhotoInterior(60.0), rotation_from_ayhan(0.01, 0.02, 0.03), [10.0, 20.0, 2.0]),
+        Photo.of("right", PhotoInterior(60.0), rotation_from_ayhan(0.0, -0.1, 0.01), [11.2, 20.1, 2.1]),
     ]
     image = [
         (f"p{k}", photo.name, *(xy + rng.normal(0.0, 1e-3, 2)).tolist(), *at.tolist())

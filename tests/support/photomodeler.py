@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from factors.conditions.constraints import OBSERVED_ELEMENT
-from fg_orient.closerange.axes import aerial_from_rotation, rotation_from_aerial
-from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.closerange.photo import Photo, PhotoInterior, aerial_from_rotation, rotation_from_aerial
 from fg_orient.formats.frame_model import FrameModel
 from fg_orient.model.block import Block, Coordinates, ExtraObservation, GroundPoints, Image, ImagePoints, Options
 from fg_orient.model.names import Role
@@ -150,7 +149,7 @@ def write_project(path: Path, control: Path, ids: Sequence[int], columns: int, n
     points = np.vstack(
         [known, np.column_stack([rng.uniform(-1.0, 1.0, (max(n - 4, 0), 2)), rng.uniform(-0.4, 0.4, n - 4)])]
     )
-    interior = Interior(FOCAL, np.array([4.05, 3.95]), np.array([1e-3, 0.0, 0.0, 1e-4, 5e-5, 0.0, 0.0]), "down")
+    interior = PhotoInterior(FOCAL, np.array([4.05, 3.95]), np.array([1e-3, 0.0, 0.0, 1e-4, 5e-5, 0.0, 0.0]), "down")
     head = f" {FOCAL} 4.05 3.95 {SIDE_MM} {SIDE_MM} 1e-3 0.0 0.0 1e-4 -5e-5"
     text, marks = ["Bundle Soln a project", " 0.000500 20 1000 1000", " 1.0 0.1", head], []
     for k, (place, name) in enumerate(zip(PLACES, names, strict=True)):

@@ -141,6 +141,10 @@ closerange.second_pose (warning): a second pose fits nearly as well, centre at {
     {centre_m[2]:.4g} m: weighted squares {ratio:.3g} times as large, an F test at 5 % tells poses apart from
     {limit:.3g}
     -> add control points off the plane
+closerange.second_orientation (warning): a second orientation fits nearly as well, base along {base[0]:.4g},
+    {base[1]:.4g}, {base[2]:.4g}: weighted squares {ratio:.3g} times as large, a test at 5 % distinguishes orientations
+    from {limit:.3g} on
+    -> add points, some of them off the plane
 closerange.unseen_control (warning): control points measured in no photo: {names:40}
 closerange.unseen_check (warning): check points measured in no photo: {names:40}
 closerange.unseen_station (warning): stations of photos without image points: {names:40}

@@ -73,8 +73,8 @@ rectify.saved: this is no transformation that rectify fit wrote
     -> give transformation.json of a result folder
 rectify.result: this is not a result of rectify fit, or it was altered
     -> give the folder that rectify fit wrote, unchanged
-rectify.pruned: points were left out until the RMSE was small, and there are no check points: what is left tells no
-    accuracy
+rectify.pruned: the fit left out points until its RMSE was small enough, and it has no check points. The residuals of
+    the other control points therefore do not measure the accuracy
     -> give some points the role check, and fit again
 rectify.ellipsoid: PROJ knows no such ellipsoid
     -> give PROJ's name, for instance WGS84, intl, clrk66
@@ -120,8 +120,8 @@ ortho.other_sensor: the result was computed with another kind of model than this
     -> give the metadata file of the project
 rectify.gross_error (warning): {kind} {point}: gross error of about {error[0]:+.2f}, {error[1]:+.2f} {unit}; F =
     {statistic:.1f}, limit {limit:.1f}
-rectify.rmse_after_pruning (warning): points were left out until the RMSE was small: it is no measure of accuracy any
-    more
+rectify.rmse_after_pruning (warning): points were left out until the RMSE was small enough. The RMSE therefore does
+    not measure the accuracy
 rectify.no_check (warning): no check points: residuals of control points are smaller than errors elsewhere
 rectify.hardly_checked (warning): hardly checked by the others (redundancy below {limit}): {points:40}
 rectify.little_reach (warning): the control points reach little along {direction}: the scale there is known

@@ -13,10 +13,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.closerange.axes import ayhan_from_rotation, rotation_from_ayhan
-from fg_orient.closerange.bundle import Bundle, BundlePhoto, adjust_bundle
+from fg_orient.closerange.bundle import BundlePhoto, BundleResult, adjust_bundle
 from fg_orient.closerange.constraints import Constraint
-from fg_orient.closerange.photo import Interior
+from fg_orient.closerange.photo import PhotoInterior, ayhan_from_rotation, rotation_from_ayhan
 from fg_orient.model.cells import CellKey
 from fg_orient.studies.reproduce.ayhan1996_photos import COMPARATOR, CONTROL, GON, PHOTOS, points_of
 from fg_orient.studies.reproduce.found import Found
@@ -42,7 +41,7 @@ INFERRED: Final = "weights inferred from this listing"
 OWN: Final = "observed as the listing's own result: agreement would say nothing"
 
 
-def bundle(values: Values, *, backend: str = "dense", with_base: bool = True) -> Bundle:
+def bundle(values: Values, *, backend: str = "dense", with_base: bool = True) -> BundleResult:
     """The bundle under the inferred weights; sigmas in units of the printed m0.
 
     Parameters
@@ -58,7 +57,7 @@ def bundle(values: Values, *, backend: str = "dense", with_base: bool = True) ->
         c = values[CellKey("ek1.bundle", quantity="c_observed", parameter=photo)]
         station = [values[CellKey("ek1.cameras", quantity=q, parameter=photo)] for q in STATION]
         photos.append(BundlePhoto(
-            photo, Interior(c, np.array(MIDDLE)), rotation_from_ayhan(0.0, 0.0, 0.0), np.array(station), UNKNOWN,
+            photo, PhotoInterior(c, np.array(MIDDLE)), rotation_from_ayhan(0.0, 0.0, 0.0), np.array(station), UNKNOWN,
             observed={"c": (c, observed)}, sigma_centre_m=np.full(3, observed), sigma_turn_rad=np.full(3, observed),
         ))  # fmt: skip
     land = points_of(values, "ek2.control", ("x_input_m", "y_input_m", "z_input_m"), CONTROL)
@@ -75,7 +74,7 @@ def _m0(values: Values) -> float:
     return values[CellKey("ek1.bundle", quantity="m0", parameter="adjustment")]
 
 
-def parameters(found: Bundle, photo: int) -> dict[str, tuple[float, float]]:
+def parameters(found: BundleResult, photo: int) -> dict[str, tuple[float, float]]:
     """Numbers of a photo by the names of the print, angles in gon: value and root of its cofactor."""
     one = found.photos[photo]
     values = dict(zip(PRINTED, one.values.tolist(), strict=True))
@@ -83,7 +82,7 @@ def parameters(found: Bundle, photo: int) -> dict[str, tuple[float, float]]:
     return {name: (values[name], float(q)) for name, q in zip(PRINTED, np.sqrt(one.cofactors), strict=True)}
 
 
-def point_roots(found: Bundle) -> Array:
+def point_roots(found: BundleResult) -> Array:
     """Roots of the cofactors (15, 3) of the control points."""
     rows = [found.labels.index(f"point {k} X") for k in CONTROL]
     return np.asarray(np.sqrt([found.cofactors[k : k + 3] for k in rows]))

@@ -10,11 +10,9 @@ import numpy.typing as npt
 
 from factors.cameras.image_corrections import ideal_points
 from fg_orient.closerange.accuracy import compare_points
-from fg_orient.closerange.axes import ayhan_from_rotation, rotation_from_ayhan
 from fg_orient.closerange.dlt import DltFit, fit_dlt
-from fg_orient.closerange.intersection import Intersection, intersect_photos
-from fg_orient.closerange.parallax import normal_case
-from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.closerange.intersection import Intersection, intersect_photos, normal_case
+from fg_orient.closerange.photo import Photo, PhotoInterior, ayhan_from_rotation, rotation_from_ayhan
 from fg_orient.model.cells import CellKey
 from fg_orient.studies.reproduce.found import Found
 
@@ -62,11 +60,11 @@ def _camera(values: Values, photo: str) -> dict[str, float]:
     return {key.quantity: v for key, v in values.items() if key.table == "ek1.cameras" and key.parameter == photo}
 
 
-def interior(values: Values, photo: str) -> Interior:
-    """Interior orientation of a photo as printed."""
+def interior(values: Values, photo: str) -> PhotoInterior:
+    """PhotoInterior orientation of a photo as printed."""
     c = _camera(values, photo)
     names = ("k1", "k2", "k3", "p1", "p2", "ap", "bp")
-    return Interior(c["c"], np.array([c["xo"], c["zo"]]), np.array([c[name] for name in names]))
+    return PhotoInterior(c["c"], np.array([c["xo"], c["zo"]]), np.array([c[name] for name in names]))
 
 
 def oriented(values: Values) -> list[Photo]:
@@ -75,11 +73,11 @@ def oriented(values: Values) -> list[Photo]:
     for photo in PHOTOS:
         c = _camera(values, photo)
         rotation = rotation_from_ayhan(c["omega"] * GON, c["phi"] * GON, c["kappa"] * GON)
-        out.append(Photo.of(photo, Interior(c["c"]), rotation, [c["x0"], c["y0"], c["z0"]]))
+        out.append(Photo.of(photo, PhotoInterior(c["c"]), rotation, [c["x0"], c["y0"], c["z0"]]))
     return out
 
 
-def _as_program(camera: Interior, measured: Array) -> Array:
+def _as_program(camera: PhotoInterior, measured: Array) -> Array:
     """Refined coordinates of the thesis' program: it doubles the P2 term of z in its last stage."""
     reduced = np.ascontiguousarray(measured - camera.principal)
     out = ideal_points(camera.corrections, reduced)
@@ -258,7 +256,7 @@ def accuracy_cells(values: Values) -> Cells:
 
 def _sums(land: Array, points: Array) -> Array:
     """[Fxx], [Fyy], [Fzz], cm^2."""
-    return np.array(compare_points("", land, points, np.zeros(len(land), bool)).every.sums_cm2[:3])
+    return np.array(compare_points(land, points, np.zeros(len(land), bool)).every.sums_cm2[:3])
 
 
 def parallax_points(values: Values) -> Array:

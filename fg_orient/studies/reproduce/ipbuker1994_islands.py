@@ -11,7 +11,7 @@ from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.areas import mean_spacing_m, pixel_area_m2, planar_area_m2
 from fg_orient.rectification.projections import gauss_krueger, lambert_cylindrical, lambert_polar, project, unproject
-from fg_orient.rectification.synthetic import REPRODUCED_RUNS, SHEET_EXTENT_KM, digitised_sheets
+from fg_orient.rectification.study import REPRODUCED_RUNS, SHEET_EXTENT_KM, digitised_sheets
 from fg_orient.studies.reproduce.found import Found, attempt
 
 Values = Mapping[CellKey, float]

@@ -10,13 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.model.cells import CellKey
-from fg_orient.rectification.study import admissible_points, growing_degrees, terms
-from fg_orient.rectification.synthetic import (
+from fg_orient.rectification.study import (
     REPRODUCED_RUNS,
     SCENE_POINTS,
     SHEET_EXTENT_KM,
+    admissible_points,
     digitised_sheets,
     distance_ratios,
+    growing_degrees,
+    terms,
 )
 from fg_orient.studies.reproduce.found import Found
 

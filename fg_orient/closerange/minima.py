@@ -1,0 +1,267 @@
+"""Trust in a minimum of weighted squares: other minima, curvature of the unknowns, profiles along one unknown.
+
+Cofactors describe a minimum by its tangent. Three things are not visible there.
+
+- Other minima of nearly the same height: an F test of equal redundancies compares them.
+- Curvature. If two unknowns are strongly correlated and badly determined (centre and rotations of a far camera), the
+  states that fit form a bent band. Each standard deviation is right, but the error of one unknown moves a
+  combination of unknowns that the tangent calls well determined, with its square. This is the parameter-effects
+  curvature of Bates and Watts (1980), here as the displacement at one standard deviation.
+- Profiles. Noise can make a narrow minimum beside a valley that leads far away at nearly the same height. The profile
+  shows how much worse a fit becomes if one unknown is held fixed at a very different value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.dense import RowsBackend
+from fg_orient.adjustment.loop import OPTIMIZERS
+from fg_orient.closerange.fitting import MAX_ITERATIONS, UNDETERMINED, Rows, finite_rows
+from fg_orient.model.distributions import chi_square_limit, f_quantile
+from fg_orient.model.errors import NoSolutionError
+
+Array = npt.NDArray[np.float64]
+
+#: Level of the test that distinguishes two minima.
+RIVAL_LEVEL: Final = 0.05
+#: Two minima are the same if directions differ by less (rad), and centres by less of the object's distance.
+SAME: Final = 1e-5
+#: Bend from which an error of two standard deviations, one of 20, moves another combination by its standard deviation.
+BENT: Final = 0.25
+#: Error probability of an interval; where squares grow as a parabola the decision does not depend on it.
+LEVEL: Final = 1e-3
+#: Factor by which sigmas of points may be too small (a real surface is not a spheroid) without changing the decision;
+#: more where the residuals show it. Noise of f sigmas gains at most f^2 times a chi-square of one degree of freedom
+#: where points do not determine a semi-axis. m0 of a redundancy of one or two is too uncertain to replace the sigmas.
+OPTIMISTIC: Final = 5.0
+#: Parts of the distance at which the fit is followed.
+_WAY: Final = (1 / 64, 1 / 8, 1.0)
+#: Steps of normalised unknowns from a state where derivatives are not defined.
+ASIDE: Final = 1e-5
+#: Iterations of a fit far away, and number of repetitions while it still decreases towards the limit.
+_ROUND: Final = 50
+_ROUNDS: Final = 8
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Second orientation that the points do not distinguish from the result.
+
+    Parameters
+    ----------
+    rotation : (3, 3) array
+    place : (3,) array
+        Projection centre, m, or the direction of the base of a relative orientation.
+    ratio : float
+        Weighted squares, divided by those of the result.
+    limit : float
+        Ratio at which the test distinguishes them (:func:`distinction_limit`).
+    """
+
+    rotation: Array
+    place: Array
+    ratio: float
+    limit: float
+
+
+def ratio_limit(redundancy: int) -> float:
+    """Ratio of weighted squares at which an F test of equal redundancies distinguishes two minima."""
+    return float(f_quantile(redundancy, redundancy, 1.0 - RIVAL_LEVEL))
+
+
+def distinction_limit(own: float, redundancy: int, *, known: bool = False) -> float:
+    """Ratio of weighted squares at which another minimum is distinguished from the result.
+
+    Parameters
+    ----------
+    own : float
+        Weighted squares of the result.
+    redundancy : int
+    known : bool
+        Whether sigmas are given. The difference of the squares must then also exceed chi-square of one (a ratio of
+        likelihoods), because two minima that both fit far better than the sigmas are both possible.
+    """
+    limit = ratio_limit(redundancy)
+    return max(limit, 1.0 + float(chi_square_limit(1.0, RIVAL_LEVEL)) / own) if known and own > 0.0 else limit
+
+
+def rival_of(
+    own: float, other: float, redundancy: int, rotation: Array, place: Array, *, known: bool = False
+) -> Rival | None:  # fmt: skip
+    """Another minimum, with its weighted squares and those of the result; None if the test distinguishes them."""
+    limit = distinction_limit(own, redundancy, known=known)
+    return None if other > limit * own else Rival(rotation, place, other / own if own > 0.0 else 1.0, limit)
+
+
+def bend(rows: Rows, state: Array, m0: float | None) -> float:
+    """Displacement of a combination of unknowns by errors of one standard deviation in others, in its own sigmas.
+
+    The squares of the errors, weighted by the covariance, exceed the number of unknowns by about ``3 bend**2``, the
+    mean square of second-derivative terms within the tangent. Above ``BENT`` each single standard deviation is right,
+    but the covariance as a whole is optimistic.
+
+    Parameters
+    ----------
+    rows : callable
+        Whitened residuals and their derivatives.
+    state : (u,) array
+        The minimum; its unknowns must be determined.
+    m0 : float or None
+        Factor of the given sigmas; None or 0: 1.
+
+    Returns
+    -------
+    float
+        An error e in one combination alone moves others by ``bend e**2``.
+    """
+    residual, design = rows(state, True)
+    length = np.linalg.norm(design, axis=0)
+    left, values, right = np.linalg.svd(design / length, full_matrices=False)
+    unit, u = m0 or 1.0, len(state)
+    steps = unit * (right.T / values / length[:, None]).T  # rows: steps of one standard deviation
+
+    def moved(step: Array) -> Array:
+        return np.asarray(left.T @ (rows(state + step, False)[0] - residual))
+
+    ahead, back = ([moved(sign * step) for step in steps] for sign in (1.0, -1.0))
+    second = np.zeros((u, u, u))
+    for i in range(u):
+        second[:, i, i] = ahead[i] + back[i]
+        for j in range(i):
+            second[:, i, j] = second[:, j, i] = moved(steps[i] + steps[j]) - ahead[i] - ahead[j]
+    half = second / (2.0 * unit)
+    # mean of (e^T A e)^2 for e of unit variance: 2 tr(A^2) + tr(A)^2
+    square = 2.0 * float(np.sum(half**2)) + float(np.sum(np.einsum("kii->k", half) ** 2))
+    return float(np.sqrt(square / 3.0))
+
+
+def reach(sigma: float, squares: float, redundancy: int, *, known: bool) -> tuple[float, float] | None:
+    """Distance at which to hold an unknown fixed, and growth of the weighted squares there if it is determined.
+
+    Parameters
+    ----------
+    sigma : float
+        Of a point, in the unit of the unknown.
+    squares : float
+        Least weighted squares.
+    redundancy : int
+    known : bool
+        Whether sigmas are given; else m0 replaces them, and the limit is that of F.
+
+    Returns
+    -------
+    tuple of float or None
+        None if the size of the noise is unknown. If squares grow as a parabola, an unknown with a standard deviation
+        of ``UNDETERMINED`` sigmas has exactly this growth at this distance.
+    """
+    own = squares / redundancy if redundancy > 0 else 1.0
+    if known:
+        scale, limit = max(OPTIMISTIC**2, own), float(chi_square_limit(1.0, LEVEL))
+    elif redundancy > 0:
+        scale, limit = own, float(f_quantile(1, redundancy, 1.0 - LEVEL))
+    else:
+        return None
+    return UNDETERMINED * sigma * float(np.sqrt(scale * limit)), scale * limit
+
+
+@dataclass(frozen=True)
+class Held:
+    """Fit with one unknown held fixed.
+
+    Parameters
+    ----------
+    state : (u,) array
+    squares : float
+        Least weighted squares.
+    converged : bool
+        False: they are below the limit, or too far above to reach it at their rate of decrease.
+    """
+
+    state: Array
+    squares: float
+    converged: bool
+
+
+def held(rows: Rows, state: Array, k: int, value: float, limit: float = np.inf) -> Held | None:
+    """State with the least weighted squares while one unknown is held fixed.
+
+    Far from the shape of the points the iteration may need hundreds of steps at squares thousands of times the limit.
+    So it need not converge: squares that stay above the limit suffice.
+
+    Parameters
+    ----------
+    limit : float
+        The question is whether the least weighted squares lie below. Default: the iteration must converge.
+
+    Returns
+    -------
+    Held or None
+        None: neither converged nor below the limit nor clearly above it.
+    """
+    free = np.arange(len(state)) != k
+
+    def full(part: Array) -> Array:
+        return np.insert(part, k, value)
+
+    def some(part: Array, with_jacobian: bool) -> tuple[Array, Array]:
+        residual, design = rows(full(part), with_jacobian)
+        return residual, design[:, free]
+
+    start, far = _off_ridge(some, state[free]), np.isfinite(limit)
+    backend = RowsBackend(finite_rows(some))
+    for _ in range(_ROUNDS if far else 1):
+        try:
+            run = OPTIMIZERS["levenberg-marquardt"](backend, start, _ROUND if far else MAX_ITERATIONS)
+        except NoSolutionError:
+            return None
+        squares, start = 2.0 * run.error, run.state
+        if run.converged and np.isfinite(squares):
+            return Held(full(start), squares, True)
+        above = squares - limit > run.log[len(run.log) // 2].chi2 - squares
+        if far and (squares < limit or above):
+            return Held(full(start), squares, False)
+    return None
+
+
+def _off_ridge(rows: Rows, state: Array) -> Array:
+    """State, moved if a point has no unique nearest point, for example a point on the axis of a long spheroid.
+
+    The squares decrease on both sides of such a state, so it is not a minimum.
+    """
+    if np.isfinite(rows(state, True)[1]).all():
+        return state
+    return np.asarray(state + ASIDE * np.cos(np.arange(len(state))))  # a different step for each unknown
+
+
+def followed(rows: Rows, state: Array, k: int, to: float, limit: float) -> tuple[Array, float] | None:
+    """Fit with an unknown held fixed at ``to``, far from a state; each step starts on the line through the last two.
+
+    Returns
+    -------
+    tuple of (state (u,), weighted squares) or None
+        State after the first step, which still has the directions near the start, and the squares at the end; None if
+        these may lie on either side of the limit (:func:`held`).
+    """
+    path, squares = [state, state], np.inf
+    for part in _WAY:
+        value = float(state[k] + part * (to - state[k]))
+        before, now = path[-2:]
+        run = now[k] - before[k]
+        begin = now + (now - before) * ((value - now[k]) / run if run else 0.0)
+        fits = list[Held]()
+        for first in (begin, now):
+            fit = held(rows, first, k, value, limit)
+            fits += [] if fit is None else [fit]
+            if fit is not None and fit.converged:
+                break
+        if not fits:
+            return None
+        best = min(fits, key=lambda one: one.squares)
+        path.append(best.state)
+        squares = best.squares
+    return path[2], squares
