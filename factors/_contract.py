@@ -123,6 +123,21 @@ def register(equation: Equation) -> Equation:
     return equation
 
 
+def register_condition(
+    name: str, residual: Callable[..., Any], jacobians: Callable[..., Any], arguments: tuple[Argument, ...],
+    example: Callable[[np.random.Generator], Example], source: str,
+) -> Equation:  # fmt: skip
+    """Register an equation by its residual and ``jacobians(record, setup, value, x_1, ...)``: one array or a tuple."""
+
+    def kernel(record: Array, setup: Array, *unknowns_and_want: Any) -> tuple[Array, ...]:
+        *x, want = unknowns_and_want
+        value = residual(record, setup, *x)
+        blocks = jacobians(record, setup, value, *x) if want else tuple(np.empty((0, 0)) for _ in x)
+        return value, *(blocks if isinstance(blocks, tuple) else (blocks,))
+
+    return register(Equation(name, kernel, residual, arguments, example, source))
+
+
 def registered() -> dict[str, Equation]:
     """Give a copy of the registry, name to equation."""
     return dict(_REGISTRY)

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, register
+from factors._contract import Argument, Array, Example, register_condition
 from factors.cameras.frame_camera import CAMERA, turned
 from factors.records import Record
 
@@ -22,12 +22,10 @@ def residual_plumb_line(record: Any, setup: Any, x: Any, p: Any) -> Any:
     return np.array([record[FACTOR.factor] * (p[0] - x[0]), record[FACTOR.factor] * (p[1] - x[1])])
 
 
-def kernel_plumb_line(record: Array, setup: Array, x: Array, p: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (2,), Jacobians (2, 2) and (2, 3)."""
-    value, s = residual_plumb_line(record, setup, x, p), record[FACTOR.factor]
-    if not want:
-        return value, np.empty((0, 0)), np.empty((0, 0))
-    return value, np.array([[-s, 0.0], [0.0, -s]]), np.array([[s, 0.0, 0.0], [0.0, s, 0.0]])
+def jacobians_plumb_line(record: Array, setup: Array, value: Array, x: Array, p: Array) -> tuple[Array, Array]:
+    """Jacobians (2, 2) and (2, 3)."""
+    s = record[FACTOR.factor]
+    return np.array([[-s, 0.0], [0.0, -s]]), np.array([[s, 0.0, 0.0], [0.0, s, 0.0]])
 
 
 def _normal(record: Any, x: Any) -> Any:
@@ -44,11 +42,9 @@ def residual_circle(record: Any, setup: Any, x: Any, p: Any) -> Any:
     return np.array([s * off, s * (distance - x[5])])
 
 
-def kernel_circle(record: Array, setup: Array, x: Array, p: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (2,), Jacobians (2, 6) and (2, 3)."""
-    value, s = residual_circle(record, setup, x, p), record[CIRCLE_RECORD.factor]
-    if not want:
-        return value, np.empty((0, 0)), np.empty((0, 0))
+def jacobians_circle(record: Array, setup: Array, value: Array, x: Array, p: Array) -> tuple[Array, Array]:
+    """Jacobians (2, 6) and (2, 3)."""
+    s = record[CIRCLE_RECORD.factor]
     n, d = _normal(record, x), p - x[:3]
     size, radius = np.sqrt(np.sum(n * n)), np.sqrt(np.sum(d * d))
     out, ground = np.zeros((2, 6)), np.empty((2, 3))
@@ -57,7 +53,7 @@ def kernel_circle(record: Array, setup: Array, x: Array, p: Array, want: bool) -
         out[0, 3 + k] = s / size * np.sum(e * d) - value[0] * x[3 + k] / (size * size)
     out[:, :3] = -ground
     out[1, 5] = -s
-    return value, out, ground
+    return out, ground
 
 
 def residual_horizontal(record: Any, setup: Any, x: Any, p: Any) -> Any:
@@ -66,15 +62,13 @@ def residual_horizontal(record: Any, setup: Any, x: Any, p: Any) -> Any:
     return np.array([s * (p[2] - x[2]), s * (np.sqrt(dx * dx + dy * dy) - x[3])])
 
 
-def kernel_horizontal(record: Array, setup: Array, x: Array, p: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (2,), Jacobians (2, 4) and (2, 3)."""
-    value, s = residual_horizontal(record, setup, x, p), record[FACTOR.factor]
-    if not want:
-        return value, np.empty((0, 0)), np.empty((0, 0))
+def jacobians_horizontal(record: Array, setup: Array, value: Array, x: Array, p: Array) -> tuple[Array, Array]:
+    """Jacobians (2, 4) and (2, 3)."""
+    s = record[FACTOR.factor]
     dx, dy = p[0] - x[0], p[1] - x[1]
     f = s / np.sqrt(dx * dx + dy * dy)
     return (
-        value, np.array([[0.0, 0.0, -s, 0.0], [-f * dx, -f * dy, 0.0, -s]]),
+        np.array([[0.0, 0.0, -s, 0.0], [-f * dx, -f * dy, 0.0, -s]]),
         np.array([[0.0, 0.0, s], [f * dx, f * dy, 0.0]]),
     )  # fmt: skip
 
@@ -95,16 +89,13 @@ def residual_attitude(record: Any, setup: Any, v: Any, w: Any) -> Any:
     return np.array([f * (e[2, 1] - e[1, 2]), f * (e[0, 2] - e[2, 0]), f * (e[1, 0] - e[0, 1])])
 
 
-def kernel_attitude(record: Array, setup: Array, v: Array, w: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (3,), Jacobians (3, 3) by the rotation vectors of both cameras."""
-    value = residual_attitude(record, setup, v, w)
-    if not want:
-        return value, np.empty((0, 0)), np.empty((0, 0))
+def jacobians_attitude(record: Array, setup: Array, value: Array, v: Array, w: Array) -> tuple[Array, Array]:
+    """Jacobians (3, 3) by the rotation vectors of both cameras."""
     first, second, e, between = _relative(record, v, w)
     # [a]x E - ([a]x E)^T is the cross-product matrix of (tr E I - E^T)^T a
     by_turn = 0.5 * record[ATTITUDE_RECORD.factor] * ((e[0, 0] + e[1, 1] + e[2, 2]) * np.eye(3) - e)
     left, right = first[CAMERA.jacobian].reshape(3, 3), second[CAMERA.jacobian].reshape(3, 3)
-    return value, -(by_turn @ (between @ left)), by_turn @ right
+    return -(by_turn @ (between @ left)), by_turn @ right
 
 
 def _example_circle(rng: np.random.Generator) -> Example:
@@ -122,21 +113,21 @@ def _example_attitude(rng: np.random.Generator) -> Example:
 
 _NONE: Final = np.zeros((2, 0))
 _POINT: Final = Argument("point", "m", is_point=True)
-PLUMB_LINE = register(Equation(
-    "constraint_plumb_line", kernel_plumb_line, residual_plumb_line, (Argument("plumb line", "m"), _POINT),
+PLUMB_LINE = register_condition(
+    "constraint_plumb_line", residual_plumb_line, jacobians_plumb_line, (Argument("plumb line", "m"), _POINT),
     lambda rng: Example(rng.uniform(0.5, 2.0, 1), _NONE, (rng.normal(size=2), rng.normal(size=3))),
     "Ayhan 1996, eq. 113",
-))  # fmt: skip
-CIRCLE = register(Equation(
-    "constraint_circle", kernel_circle, residual_circle, (Argument("circle", "m, 1, m"), _POINT), _example_circle,
+)  # fmt: skip
+CIRCLE = register_condition(
+    "constraint_circle", residual_circle, jacobians_circle, (Argument("circle", "m, 1, m"), _POINT), _example_circle,
     "Ayhan 1996, eqs. 115-116",
-))  # fmt: skip
-HORIZONTAL_CIRCLE = register(Equation(
-    "constraint_horizontal_circle", kernel_horizontal, residual_horizontal, (Argument("circle", "m"), _POINT),
+)  # fmt: skip
+HORIZONTAL_CIRCLE = register_condition(
+    "constraint_horizontal_circle", residual_horizontal, jacobians_horizontal, (Argument("circle", "m"), _POINT),
     lambda rng: Example(rng.uniform(0.5, 2.0, 1), _NONE, (rng.normal(size=4), rng.normal(size=3))),
     "Ayhan 1996, eq. 117",
-))  # fmt: skip
-EQUAL_ATTITUDE = register(Equation(
-    "constraint_equal_attitude", kernel_attitude, residual_attitude,
+)  # fmt: skip
+EQUAL_ATTITUDE = register_condition(
+    "constraint_equal_attitude", residual_attitude, jacobians_attitude,
     (Argument("rotation", "rad"), Argument("rotation", "rad")), _example_attitude, "Ayhan 1996, eq. 112",
-))  # fmt: skip
+)  # fmt: skip

@@ -21,7 +21,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, register
+from factors._contract import Argument, Array, Example, register_condition
 from factors.geometry.rotations import Vector
 from factors.records import Record
 
@@ -46,14 +46,11 @@ def residual_distance(record: Any, setup: Any, p: Any, q: Any) -> Any:
     return np.array([record[LENGTH.factor] * (np.sqrt(_dot(d, d)) - record[LENGTH.distance])])
 
 
-def kernel_distance(record: Array, setup: Array, p: Array, q: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (1,), Jacobians (1, 3)."""
-    value = residual_distance(record, setup, p, q)
-    if not want:
-        return value, np.empty((0, 0)), np.empty((0, 0))
+def jacobians_distance(record: Array, setup: Array, value: Array, p: Array, q: Array) -> tuple[Array, Array]:
+    """Jacobians (1, 3)."""
     d = q - p
     row = (record[LENGTH.factor] / np.sqrt(_dot(d, d)) * d).reshape((1, 3))
-    return value, -row, row
+    return -row, row
 
 
 def residual_parallel(record: Any, setup: Any, p: Any, q: Any, r: Any, t: Any) -> Any:
@@ -64,14 +61,10 @@ def residual_parallel(record: Any, setup: Any, p: Any, q: Any, r: Any, t: Any) -
     return np.array([s * _dot(record[DIRECTION.e_1], c) / size, s * _dot(record[DIRECTION.e_2], c) / size])
 
 
-def kernel_parallel(
-    record: Array, setup: Array, p: Array, q: Array, r: Array, t: Array, want: bool
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Residual (2,), Jacobians (2, 3)."""
-    value = residual_parallel(record, setup, p, q, r, t)
-    if not want:
-        none = np.empty((0, 0))
-        return value, none, none, none, none
+def jacobians_parallel(
+    record: Array, setup: Array, value: Array, p: Array, q: Array, r: Array, t: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Jacobians (2, 3)."""
     a, b = q - p, t - r
     aa, bb = _dot(a, a), _dot(b, b)
     f = record[DIRECTION.factor] / np.sqrt(aa * bb)
@@ -79,7 +72,7 @@ def kernel_parallel(
     for i, e in enumerate((record[DIRECTION.e_1], record[DIRECTION.e_2])):
         by_a[i] = f * _cross(b, e) - value[i] / aa * a
         by_b[i] = f * _cross(e, a) - value[i] / bb * b
-    return value, -by_a, by_a, -by_b, by_b
+    return -by_a, by_a, -by_b, by_b
 
 
 def _normal(record: Any, x: Any) -> Any:
@@ -92,11 +85,8 @@ def residual_plane(record: Any, setup: Any, x: Any, p: Any) -> Any:
     return np.array([record[FIGURE.factor] * (_dot(n, p - record[FIGURE.place]) - x[2]) / np.sqrt(_dot(n, n))])
 
 
-def kernel_plane(record: Array, setup: Array, x: Array, p: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (1,), Jacobians (1, 3)."""
-    value = residual_plane(record, setup, x, p)
-    if not want:
-        return value, np.empty((0, 0)), np.empty((0, 0))
+def jacobians_plane(record: Array, setup: Array, value: Array, x: Array, p: Array) -> tuple[Array, Array]:
+    """Jacobians (1, 3)."""
     n, d = _normal(record, x), p - record[FIGURE.place]
     nn = _dot(n, n)
     f = record[FIGURE.factor] / np.sqrt(nn)
@@ -104,7 +94,7 @@ def kernel_plane(record: Array, setup: Array, x: Array, p: Array, want: bool) ->
     for i, e in enumerate((record[FIGURE.e_1], record[FIGURE.e_2])):
         out[0, i] = f * _dot(e, d) - value[0] * x[i] / nn
     out[0, 2] = -f
-    return value, out, (f * n).reshape((1, 3))
+    return out, (f * n).reshape((1, 3))
 
 
 def residual_line(record: Any, setup: Any, x: Any, p: Any) -> Any:
@@ -117,17 +107,14 @@ def residual_line(record: Any, setup: Any, x: Any, p: Any) -> Any:
     ])  # fmt: skip
 
 
-def kernel_line(record: Array, setup: Array, x: Array, p: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (2,), Jacobians (2, 4) and (2, 3)."""
-    value = residual_line(record, setup, x, p)
-    if not want:
-        return value, np.empty((0, 0)), np.empty((0, 0))
+def jacobians_line(record: Array, setup: Array, value: Array, x: Array, p: Array) -> tuple[Array, Array]:
+    """Jacobians (2, 4) and (2, 3)."""
     s, out, ground = record[FIGURE.factor], np.zeros((2, 4)), np.empty((2, 3))
     along = _dot(record[FIGURE.normal], p - record[FIGURE.place])
     for i, e in enumerate((record[FIGURE.e_1], record[FIGURE.e_2])):
         out[i, i], out[i, 2 + i] = -s, -s * along
         ground[i] = s * (e - x[2 + i] * record[FIGURE.normal])
-    return value, out, ground
+    return out, ground
 
 
 def residual_element(record: Any, setup: Any, x: Any) -> Any:
@@ -135,14 +122,11 @@ def residual_element(record: Any, setup: Any, x: Any) -> Any:
     return np.array([record[ELEMENT.factor] * (x[int(record[ELEMENT.number])] - record[ELEMENT.value])])
 
 
-def kernel_element(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
-    """Residual (1,), Jacobian (1, k)."""
-    value = residual_element(record, setup, x)
-    if not want:
-        return value, np.empty((0, 0))
+def jacobians_element(record: Array, setup: Array, value: Array, x: Array) -> Array:
+    """Jacobian (1, k)."""
     out = np.zeros((1, len(x)))
     out[0, int(record[ELEMENT.number])] = record[ELEMENT.factor]
-    return value, out
+    return out
 
 
 def _random_points(rng: np.random.Generator, n: int) -> list[Array]:
@@ -156,25 +140,25 @@ def _frame(rng: np.random.Generator) -> Array:
 
 _NONE: Final = np.zeros((2, 0))
 _POINT: Final = Argument("point", "m", is_point=True)
-DISTANCE = register(Equation(
-    "constraint_distance", kernel_distance, residual_distance, (_POINT, _POINT),
+DISTANCE = register_condition(
+    "constraint_distance", residual_distance, jacobians_distance, (_POINT, _POINT),
     lambda rng: Example(rng.uniform(0.5, 2.0, 2), _NONE, tuple(_random_points(rng, 2))), "Ayhan 1996, eqs. 111, 118",
-))  # fmt: skip
-PARALLEL = register(Equation(
-    "constraint_parallel", kernel_parallel, residual_parallel, (_POINT,) * 4,
+)  # fmt: skip
+PARALLEL = register_condition(
+    "constraint_parallel", residual_parallel, jacobians_parallel, (_POINT,) * 4,
     lambda rng: Example(_frame(rng)[: DIRECTION.size], _NONE, tuple(_random_points(rng, 4))),
     "Ayhan 1996, section 2.4.2",
-))  # fmt: skip
-PLANE = register(Equation(
-    "constraint_plane", kernel_plane, residual_plane, (Argument("plane", "1, m"), _POINT),
+)  # fmt: skip
+PLANE = register_condition(
+    "constraint_plane", residual_plane, jacobians_plane, (Argument("plane", "1, m"), _POINT),
     lambda rng: Example(_frame(rng), _NONE, (rng.normal(scale=0.2, size=3), rng.normal(size=3))), "Ayhan 1996, eq. 116",
-))  # fmt: skip
-LINE = register(Equation(
-    "constraint_line", kernel_line, residual_line, (Argument("line", "m, 1"), _POINT),
+)  # fmt: skip
+LINE = register_condition(
+    "constraint_line", residual_line, jacobians_line, (Argument("line", "m, 1"), _POINT),
     lambda rng: Example(_frame(rng), _NONE, (rng.normal(scale=0.2, size=4), rng.normal(size=3))), "Ayhan 1996, eq. 113",
-))  # fmt: skip
-OBSERVED_ELEMENT = register(Equation(
-    "observed_element", kernel_element, residual_element, (Argument("x", "any"),),
+)  # fmt: skip
+OBSERVED_ELEMENT = register_condition(
+    "observed_element", residual_element, jacobians_element, (Argument("x", "any"),),
     lambda rng: Example(np.append(rng.uniform(0.5, 2.0, 2), rng.integers(0, 4)), _NONE, (rng.normal(size=4),)),
     "Ayhan 1996, eqs. 81-89",
-))  # fmt: skip
+)  # fmt: skip

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, register
+from factors._contract import Argument, Array, Example, register_condition
 from factors.cameras import frame
 from factors.cameras.frame_camera import CAMERA, turned
 from factors.geometry.rotations import Vector
@@ -83,11 +83,8 @@ def position_residual(record: Any, setup: Any, x: Any) -> Any:
     return record[POSITION.whitening].reshape(3, 3) @ (record[POSITION.offset] - d[UNKNOWN.centre] + arm - wrong)
 
 
-def position_kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
-    """Residual (3,) and Jacobian (3, k)."""
-    value = position_residual(record, setup, x)
-    if not want:
-        return value, np.empty((0, 0))
+def position_jacobian(record: Array, setup: Array, value: Array, x: Array) -> Array:
+    """Jacobian (3, k)."""
     d, out = _corrections(setup, x), np.zeros((3, UNKNOWN.size))
     rotation, by_w = _rotation(record[POSITION.rotation], d[UNKNOWN.rotation])
     mounting, by_beta = _rotation(record[POSITION.mounting], d[UNKNOWN.boresight])
@@ -96,7 +93,7 @@ def position_kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[
     out[:, UNKNOWN.rotation], out[:, UNKNOWN.centre] = across @ by_w, -np.eye(3)
     out[:, UNKNOWN.shift], out[:, UNKNOWN.drift] = -axes, -record[POSITION.tau] * axes
     out[:, UNKNOWN.lever], out[:, UNKNOWN.boresight] = rotation.T @ mounting, -across @ by_beta
-    return value, _chosen(record, setup, out)
+    return _chosen(record, setup, out)
 
 
 def attitude_residual(record: Any, setup: Any, x: Any) -> Any:
@@ -109,11 +106,8 @@ def attitude_residual(record: Any, setup: Any, x: Any) -> Any:
     return record[ATTITUDE.whitening].reshape(3, 3) @ (theta - wrong)
 
 
-def attitude_kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
-    """Residual (3,) and Jacobian (3, k)."""
-    value = attitude_residual(record, setup, x)
-    if not want:
-        return value, np.empty((0, 0))
+def attitude_jacobian(record: Array, setup: Array, value: Array, x: Array) -> Array:
+    """Jacobian (3, k)."""
     d, out = _corrections(setup, x), np.zeros((3, UNKNOWN.size))
     rotation, by_w = _rotation(record[ATTITUDE.rotation], d[UNKNOWN.rotation])
     mounting, by_beta = _rotation(record[ATTITUDE.mounting], d[UNKNOWN.boresight])
@@ -121,7 +115,7 @@ def attitude_kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[
     inner = _inverse_right_jacobian(theta) @ mounting.T
     out[:, UNKNOWN.rotation], out[:, UNKNOWN.boresight] = -inner @ by_w, inner @ by_beta
     out[:, UNKNOWN.turn], out[:, UNKNOWN.turn_drift] = -np.eye(3), -record[ATTITUDE.tau] * np.eye(3)
-    return value, _chosen(record, setup, out)
+    return _chosen(record, setup, out)
 
 
 def _chosen(record: Array, setup: Array, out: Array) -> Array:
@@ -161,11 +155,11 @@ def _attitude_example(rng: np.random.Generator) -> Example:
     return Example(record, setup, (x,))
 
 
-ANTENNA_POSITION = register(Equation(
-    "antenna_position", position_kernel, position_residual, (Argument("image", "prior sigma"),), _position_example,
+ANTENNA_POSITION = register_condition(
+    "antenna_position", position_residual, position_jacobian, (Argument("image", "prior sigma"),), _position_example,
     "Terlemezoğlu 2019, eq. 2.2; shift and drift: Ackermann 1994",
-))  # fmt: skip
-INERTIAL_ATTITUDE = register(Equation(
-    "inertial_attitude", attitude_kernel, attitude_residual, (Argument("image", "prior sigma"),), _attitude_example,
+)  # fmt: skip
+INERTIAL_ATTITUDE = register_condition(
+    "inertial_attitude", attitude_residual, attitude_jacobian, (Argument("image", "prior sigma"),), _attitude_example,
     "Terlemezoğlu 2019, eq. 2.2, as a rotation vector",
-))  # fmt: skip
+)  # fmt: skip

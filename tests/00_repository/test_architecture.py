@@ -14,7 +14,7 @@ import pytest
 pytestmark = pytest.mark.repository
 
 LIMIT = {"factors": 200, "fg_orient": 450}  # lines per module
-MEDIAN = {"factors": 100, "fg_orient": 200}
+MEDIAN = {"factors": 125, "fg_orient": 200}
 
 
 def modules(repository: Path, *packages: str) -> list[Path]:

@@ -188,7 +188,8 @@ class Program:
     def _take_contract(self) -> None:
         """Kernels, residuals and fills of equations: the first argument is a record, the others are none."""
         for module in self.modules.values():
-            for call in (n for n in ast.walk(module.tree) if _is_call(n, "Equation")):
+            made = ("Equation", "register_condition")
+            for call in (n for n in ast.walk(module.tree) if any(_is_call(n, name) for name in made)):
                 for name in (n for a in call.args for n in ast.walk(a) if isinstance(n, ast.Name)):  # type: ignore[attr-defined]
                     function = self.resolve(module, name)
                     if (function and function.parameters[:1] in (["record"], ["records"])) or (

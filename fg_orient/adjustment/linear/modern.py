@@ -1,4 +1,4 @@
-"""Solvers of today beside the published ones: QR, SVD, truncated SVD, LAPACK, and their column-scaled versions.
+"""Modern solvers in addition to the published ones: QR, SVD, truncated SVD, LAPACK, and their column-scaled versions.
 
 QR and SVD work on A and so on cond(A), not its square.
 """
@@ -6,12 +6,13 @@ QR and SVD work on A and so on cond(A), not its square.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 from scipy.linalg import lapack, qr
 
 from fg_orient.adjustment.linear.inverses import moore_penrose_inverse
-from fg_orient.adjustment.linear.registry import register_solver
+from fg_orient.adjustment.linear.registry import Function, register_solver
 from fg_orient.adjustment.linear.scaling import scaled
 from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSolution, LinearSystem
 from fg_orient.adjustment.linear.triangular import back_substitution
@@ -82,12 +83,16 @@ def _by_svd(system: LinearSystem, method: str, relative: float | None) -> Linear
     return LinearSolution(x, rank=rank, notes=(f"{u - rank} of {u} singular values set to zero",) if rank < u else ())
 
 
-def _in_scaled_units(function: Callable[[LinearSystem], LinearSolution], system: LinearSystem) -> LinearSolution:
-    """Solve in unknowns of unit-length columns and go back."""
-    inner, lengths = scaled(system)
-    found = function(inner)
-    inverse = None if found.inverse is None else found.inverse / np.outer(lengths, lengths)
-    return LinearSolution(found.x / lengths, inverse=inverse, rank=found.rank, notes=found.notes)
+def _scaled(function: Callable[[LinearSystem], LinearSolution]) -> Callable[[LinearSystem], LinearSolution]:
+    """Solve in unknowns of unit-length columns and transform back."""
+
+    def solve_scaled(system: LinearSystem) -> LinearSolution:
+        inner, lengths = scaled(system)
+        found = function(inner)
+        inverse = None if found.inverse is None else found.inverse / np.outer(lengths, lengths)
+        return LinearSolution(found.x / lengths, inverse=inverse, rank=found.rank, notes=found.notes)
+
+    return solve_scaled
 
 
 def _qr(system: LinearSystem) -> LinearSolution:
@@ -109,66 +114,35 @@ def _lapack_cholesky(system: LinearSystem) -> LinearSolution:
     return LinearSolution(x)
 
 
-@register_solver("qr", "QR", "modern", source="Householder 1958; Golub 1965", needs_design=True)
-def qr_solver(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """QR of A."""
-    return _qr(system)
-
-
-@register_solver("qr_scaled", "QR, scaled columns", "modern", source="van der Sluis 1969", needs_design=True)
-def qr_scaled(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """QR of A with unit-length columns; the same up to rounding, for QR does not see the units."""
-    return _in_scaled_units(_qr, system)
-
-
-@register_solver("svd", "SVD", "modern", source="Golub, Kahan 1965", needs_design=True)
-def svd(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """SVD of A; singular values that are rounding are dropped."""
-    return _svd(system)
-
-
-@register_solver("svd_scaled", "SVD, scaled columns", "modern", source="Golub, Kahan 1965", needs_design=True)
-def svd_scaled(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """SVD of A with unit-length columns."""
-    return _in_scaled_units(_svd, system)
-
-
-@register_solver("truncated_svd", "Truncated SVD", "modern", source="Hansen 1987", needs_design=True)
-def truncated_svd(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """SVD of A, directions below 1e-9 of the largest singular value dropped."""
-    return _truncated_svd(system)
-
-
-@register_solver(
-    "truncated_svd_scaled", "Truncated SVD, scaled columns", "modern", source="Hansen 1987", needs_design=True
-)
-def truncated_svd_scaled(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """SVD of A with unit-length columns, directions below 1e-9 dropped."""
-    return _in_scaled_units(_truncated_svd, system)
-
-
-@register_solver("lapack_cholesky", "LAPACK Cholesky", "modern", source="LAPACK dposv")
-def lapack_cholesky(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """Cholesky of N by LAPACK."""
-    return _lapack_cholesky(system)
-
-
-@register_solver("lapack_cholesky_scaled", "LAPACK Cholesky, scaled columns", "modern", source="LAPACK dposv")
-def lapack_cholesky_scaled(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """Cholesky by LAPACK of N with unit diagonal."""
-    return _in_scaled_units(_lapack_cholesky, system)
-
-
-@register_solver("lapack_lu", "LAPACK LU", "modern", source="LAPACK dgesv")
-def lapack_lu(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """LU with partial pivoting of N by LAPACK."""
+def _lapack_lu(system: LinearSystem) -> LinearSolution:
     _, _, x, info = lapack.dgesv(system.normal, system.rhs)
     if info > 0:
         raise Breakdown.of("linear.zero_pivot", place=f"lapack_lu, step {info} of {len(system)}", value=0.0)
     return LinearSolution(x)
 
 
-@register_solver("moore_penrose_scaled", "Moore-Penrose, scaled columns", "modern", source="Penrose 1955, scaled")
-def moore_penrose_scaled(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """Pseudo-inverse of N with unit diagonal."""
-    return _in_scaled_units(lambda inner: moore_penrose_inverse(inner, False), system)
+def _moore_penrose(system: LinearSystem) -> LinearSolution:
+    return moore_penrose_inverse(system, False)
+
+
+#: Name, label, source, solver, and whether it works on A. QR does not depend on the units, but for rounding.
+_SOLVERS: Final[tuple[tuple[str, str, str, Callable[[LinearSystem], LinearSolution], bool], ...]] = (
+    ("qr", "QR", "Householder 1958; Golub 1965", _qr, True),
+    ("qr_scaled", "QR, scaled columns", "van der Sluis 1969", _scaled(_qr), True),
+    ("svd", "SVD", "Golub, Kahan 1965", _svd, True),
+    ("svd_scaled", "SVD, scaled columns", "Golub, Kahan 1965", _scaled(_svd), True),
+    ("truncated_svd", "Truncated SVD", "Hansen 1987", _truncated_svd, True),
+    ("truncated_svd_scaled", "Truncated SVD, scaled columns", "Hansen 1987", _scaled(_truncated_svd), True),
+    ("lapack_cholesky", "LAPACK Cholesky", "LAPACK dposv", _lapack_cholesky, False),
+    ("lapack_cholesky_scaled", "LAPACK Cholesky, scaled columns", "LAPACK dposv", _scaled(_lapack_cholesky), False),
+    ("lapack_lu", "LAPACK LU", "LAPACK dgesv", _lapack_lu, False),
+    ("moore_penrose_scaled", "Moore-Penrose, scaled columns", "Penrose 1955, scaled", _scaled(_moore_penrose), False),
+)
+
+
+def _function(function: Callable[[LinearSystem], LinearSolution]) -> Function:
+    return lambda system, as_run: function(system)
+
+
+for _name, _label, _source, _solver, _on_design in _SOLVERS:
+    register_solver(_name, _label, "modern", source=_source, needs_design=_on_design)(_function(_solver))

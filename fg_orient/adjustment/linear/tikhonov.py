@@ -6,13 +6,13 @@ Sources: Tikhonov 1963; Terlemezoğlu 2019, section 3.2, T(3.2)-(3.8) with the s
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from fg_orient.adjustment.linear.kappa import Given, choose_kappa
-from fg_orient.adjustment.linear.registry import register_solver, solve
+from fg_orient.adjustment.linear.registry import Function, register_solver, solve
 from fg_orient.adjustment.linear.system import Array, LinearSolution, LinearSystem
 from fg_orient.model.errors import InputError
 
@@ -206,37 +206,21 @@ def tikhonov(
     return replace(found, rule=rule, notes=(*choice.notes, *found.notes))
 
 
-@register_solver("tikhonov_hkb", "Tikhonov HKB", "tikhonov", source="T(3.5)", published=True, needs_design=True)
-def tikhonov_hkb(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """HKB, clamped as published."""
-    return tikhonov(system, "hkb", clamp=True, solver=PUBLISHED_SOLVER)
+#: Rule, label and source of the solvers "tikhonov_..."; the published ones clamp kappa, and "od" works on N alone.
+_RULES: Final = (
+    ("hkb", "HKB", "T(3.5)", True), ("lw", "LW", "T(3.6)", True), ("od", "OD", "T(3.8)", True),
+    ("l_curve", "L-curve", "Hansen, O'Leary 1993", False), ("gcv", "GCV", "Golub, Heath, Wahba 1979", False),
+    ("creso", "CRESO", "Colli-Franzone 1985", False),
+)  # fmt: skip
 
 
-@register_solver("tikhonov_lw", "Tikhonov LW", "tikhonov", source="T(3.6)", published=True, needs_design=True)
-def tikhonov_lw(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """LW, clamped as published."""
-    return tikhonov(system, "lw", clamp=True, solver=PUBLISHED_SOLVER)
+def _function(rule: str, published: bool) -> Function:
+    solver = PUBLISHED_SOLVER if published else MODERN_SOLVER
+    return lambda system, as_run: tikhonov(system, rule, clamp=published, solver=solver)
 
 
-@register_solver("tikhonov_od", "Tikhonov OD", "tikhonov", source="T(3.8)", published=True)
-def tikhonov_od(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """OD, in [0, 1] by its definition."""
-    return tikhonov(system, "od", clamp=True, solver=PUBLISHED_SOLVER)
-
-
-@register_solver("tikhonov_l_curve", "Tikhonov L-curve", "tikhonov", source="Hansen, O'Leary 1993", needs_design=True)
-def tikhonov_l_curve(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """Kappa of the L-curve."""
-    return tikhonov(system, "l_curve")
-
-
-@register_solver("tikhonov_gcv", "Tikhonov GCV", "tikhonov", source="Golub, Heath, Wahba 1979", needs_design=True)
-def tikhonov_gcv(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """Kappa of generalised cross-validation."""
-    return tikhonov(system, "gcv")
-
-
-@register_solver("tikhonov_creso", "Tikhonov CRESO", "tikhonov", source="Colli-Franzone 1985", needs_design=True)
-def tikhonov_creso(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """Kappa of CRESO."""
-    return tikhonov(system, "creso")
+for _rule, _label, _source, _published in _RULES:
+    register_solver(
+        f"tikhonov_{_rule}", f"Tikhonov {_label}", "tikhonov", source=_source, published=_published,
+        needs_design=_rule != "od",
+    )(_function(_rule, _published))  # fmt: skip
