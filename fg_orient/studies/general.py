@@ -223,7 +223,7 @@ class End:
         """The end in words."""
         if self.converged:
             return "the step is below the tolerance"
-        return f"no convergence within {self.iterations} iteration(s): the last whitened step is {self.change:.1e}"
+        return f"no convergence within {self.iterations} iterations: the last whitened step is {self.change:.1e}"
 
 
 def require_iterations(count: int) -> None:

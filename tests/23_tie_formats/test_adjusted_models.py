@@ -35,11 +35,11 @@ def test_a_model_is_adjusted_and_written_with_the_residuals_of_the_solution(tmp_
         sample=np.append(alone.sample, 700.0),
     )  # fmt: skip
     block = frame_block(shaken(model), "scene", sigma_px=NOISE_PX)
-    assert tuple(map(str, block.notes)) == ("1 point(s) measured in one image only are left out",)
+    assert tuple(map(str, block.notes)) == ("left out: 1 point measured in one image only",)
     solution = fg.adjust(block)
     assert 0.7 < solution.sigma0 < 1.3
     adjusted = adjusted_model(shaken(model), [solution.correction(p.name) for p in model.poses], solution.ground_m)
-    assert tuple(map(str, adjusted.notes)) == ("1 point(s) that were not adjusted are left out",)
+    assert tuple(map(str, adjusted.notes)) == ("1 unadjusted point is left out",)
     assert set(adjusted.cameras) == set(model.cameras)
     # the longest distance to a camera is 6 m: rounding of coordinates moves pixels by less than 1e-9
     assert np.abs(adjusted.residuals_px() - solution.residuals_px).max() < 1e-9

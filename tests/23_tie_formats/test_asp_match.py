@@ -84,7 +84,7 @@ def test_a_conflict_is_dropped_and_told(tmp_path: Path) -> None:
     assert survey.observed.line.tolist() == [9.0, 8.0]
     (told,) = survey.notes
     assert str(told) == (
-        "1 of 2 tie point(s) left out (4 image points): their matches chain two places of one image, the first "
+        "1 of 2 tie points left out (4 image points): their matches chain two places of one image, the first "
         "(1, 2) and (1, 7) of a"
     )
 

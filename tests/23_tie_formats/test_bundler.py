@@ -56,7 +56,7 @@ def written(folder: Path, old: str = "", new: str = "") -> Path:
 @pytest.mark.oracle
 def test_pixels_are_those_of_the_printed_formula_and_images_without_orientation_are_left_out(tmp_path: Path) -> None:
     data, images, notes = read_bundler(written(tmp_path))
-    assert (images, *map(str, notes)) == ((1,), "1 image(s) without orientation are left out")
+    assert (images, *map(str, notes)) == ((1,), "left out: 1 image without orientation")
     model = frame_model_of(data, ["b.jpg"], [(601, 800)])
     assert np.abs(model.residuals_px()).max() < 1e-9
     x, y = snavely()

@@ -74,7 +74,7 @@ def test_pixels_are_those_of_colmaps_formulas(camera: str, tmp_path: Path) -> No
     model = model_of(camera, tmp_path)
     assert np.abs(model.residuals_px()).max() < 1e-9
     assert (model.poses[0].name, model.point_ids) == ("a b.jpg", ("9",))
-    assert tuple(map(str, model.notes)) == ("1 keypoint(s) without a point are left out",)
+    assert tuple(map(str, model.notes)) == ("left out: 1 keypoint without a point",)
     x, y = colmap_pixel(camera)
     assert (model.line[0], model.sample[0]) == (y - 0.5, x - 0.5)
 

@@ -84,8 +84,8 @@ def test_points_seen_once_and_points_behind_are_told(tmp_path: Path) -> None:
     path.write_text("\n".join(lines))
     kept, dropped = read_bal(path), read_bal(path, keep_behind=False)
     assert tuple(map(str, kept.notes)) == (
-        "1 point(s) measured in one image only are left out",
-        "1 point(s) begin behind a camera",
+        "left out: 1 point measured in one image only",
+        "behind a camera: 1 point",
     )
     assert len(kept.observations) == 34
     assert len(dropped.observations) == 31
@@ -100,7 +100,7 @@ def test_two_measurements_in_one_image_do_not_make_a_second(tmp_path: Path) -> N
     path = tmp_path / "bundle.txt"
     path.write_text("\n".join(lines))
     block = read_bal(path)
-    assert tuple(map(str, block.notes)) == ("1 point(s) measured in one image only are left out",)
+    assert tuple(map(str, block.notes)) == ("left out: 1 point measured in one image only",)
     assert len(block.observations) == 33 and not (block.observations.point == 0).any()
 
 
@@ -157,5 +157,5 @@ def test_ladybug_begins_at_the_cost_of_the_printed_model(real_data: Path) -> Non
     found = problem.pixel_residuals(problem.start)
     assert len(found) == 31843
     assert float(np.sum(found**2)) == pytest.approx(float(np.sum(theirs**2)), rel=1e-12)
-    assert [*map(str, read_bal(path).notes)] == ["10 point(s) begin behind a camera"]
+    assert [*map(str, read_bal(path).notes)] == ["behind a camera: 10 points"]
     assert len(read_bal(path, keep_behind=False).observations) == 31843 - 31

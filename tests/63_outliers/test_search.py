@@ -61,7 +61,7 @@ def test_planted_errors_are_found_in_order(backend: str, test: str) -> None:
     assert found.snooping.rounds[-1].sigma0 == found.sigma0
     assert found.snooping.rounds[-1].redundancy == found.snooping.rounds[0].redundancy - 4
     assert len(wrong.observations) == len(found.problem.observations) + 2  # the given block stays whole
-    assert any("snooping left out 2 observation(s) in 3 rounds" in text for text in found.warnings)
+    assert any("snooping left out 2 observations in 3 rounds" in text for text in found.warnings)
 
 
 @pytest.mark.behaviour
@@ -78,7 +78,7 @@ def test_what_went_with_it_is_counted_and_named() -> None:
     assert len(solution.accuracy.check) == len(block.points.where(Role.CHECK)) - 1
     first, second = solution.warnings[:2]
     assert first.endswith(f"; with them, as single rays of their points: {search.went_with[0]}")
-    assert second == f"1 check point(s) are not in the accuracy, as snooping left them no two rays: {point}"
+    assert second == f"1 check point is not in the accuracy, as snooping left them no two rays: {point}"
     control = fg.adjust(with_error(block, row_of(block, Role.CONTROL, 2), 5.0, 1.0), snoop=True, outlier_level=0.001)
     assert (control.snooping.went_with, control.snooping.check_points) == ((), ())
 

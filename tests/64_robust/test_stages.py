@@ -134,7 +134,7 @@ def test_a_point_left_on_one_ray_is_said(image: int) -> None:
     assert np.count_nonzero(solution.weights.image[o.point == point] < 0.5) == 1
     name = block.points.ids[point]
     (text,) = (w for w in solution.warnings if "all but one ray of" in w)
-    assert text.endswith(f"1 point(s), which nothing holds along it: {name}; check points among them: {name}")
+    assert text.endswith(f"1 point, which nothing holds along it: {name}; check points among them: {name}")
     robust = summary(solution)["robust"]
     assert (robust["points_on_one_ray"], robust["points_without_ray"]) == ([name], [])
     clean = fg.adjust(block, loss="tukey", max_iterations=200)

@@ -225,7 +225,7 @@ def test_verdict_in_words(comparison: Comparison) -> None:
     assert found["kind"] == "warn"
     assert found["title"] == "With the graph, 2 of 3 EOP sets are at the target of 4.98 m"
     assert "The graph (GTSAM): 2 of 3 sets at the target, not 5 (worst: control" in text
-    assert "with each of 3 solver(s)" in text
+    assert "with each of 3 solvers" in text
     assert "published procedure, type 1: 1 of 3 sets at the target with every solver" in text
     assert re.search(r"differ by at most \d\.\de-\d+ prior sigmas", text)
     assert "Not tried (6 rows; each says why): dense Cramer inverse; dense Tikhonov OD." in text

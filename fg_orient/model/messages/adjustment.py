@@ -184,7 +184,7 @@ weights.one_ray (warning): the loss has turned down all but one ray of {n} point
     + ; check points among them: {check:10}
 solution.sigmas_large (warning): sigma0 lies below {limit:.2f}, the lower end of its 99.9 % interval: the sigmas are
     too large, so the standard deviations in prior scale are too
-solution.weak_directions (warning): without priors {n} direction(s) of the block are determined 100 times worse than
+solution.weak_directions (warning): without priors {n} block direction(s) are determined 100 times worse than
     their prior sigma: results along them are not reliable
 solution.relative (warning): relative adjustment: no control point tells where the block lies; it moved by
     {moved_m[0]:+.1f}, {moved_m[1]:+.1f}, {moved_m[2]:+.1f} m {axes}. No figure of it is an accuracy; if it moved
@@ -198,7 +198,7 @@ solution.parts (warning): the block falls into {n} parts that no point links: {p
 solution.singular (warning): the normal equations are ill-conditioned: to working precision they are singular
 solution.ill_conditioned (warning): the normal equations are ill-conditioned (condition {condition:.0e} with scaled
     unknowns, the limit is {limit:.0e}): solvers agree to about {digits} digits of the image unknowns only
-solution.unobservable (warning): {n} direction(s) of the orientation are not observable and are held by their priors
+solution.unobservable (warning): {n} orientation direction(s) are not observable and are held by their priors
     alone
 solution.unobservable_image (warning): {summary}
 solution.look_angles (warning): the constant and linear look-angle terms nearly duplicate roll, pitch and yaw: judge

@@ -311,14 +311,14 @@ rpc.fitted_correction (note): its corrected RPC is fitted, it differs from model
     {line_px:.2g} px in line, {sample_px:.2g} px in sample
 points.operation (note): {operation}
 points.back (note): and from there to {crs} by the inverse of {operation}
-points.alone (note): {n} point(s) measured in one image only are left out
-points.behind (note): {n} point(s) begin behind a camera
-points.not_adjusted (note): {n} point(s) that were not adjusted are left out
+points.alone (note): left out: {n} point(s) measured in one image only
+points.behind (note): behind a camera: {n} point(s)
+points.not_adjusted (note): {n} unadjusted point(s) are left out
 points.crs_replaced (note): the CRS of the file ({stated}) is none of EPSG: {crs} takes its place
 points.columns_ignored (note): columns not read: {columns:40}
 points.numbered (note): {n} points without a name are numbered in their order
-points.no_track (note): {n} keypoint(s) without a point are left out
-points.images_left_out (note): {n} image(s) without orientation are left out
+points.no_track (note): left out: {n} keypoint(s) without a point
+points.images_left_out (note): left out: {n} image(s) without orientation
 points.matches (note): {n} {kind} matches
 points.model_left_out (note): {poses} poses with {cameras} cameras and the local coordinates of {points} points are
     left out

@@ -135,7 +135,7 @@ def _many(name: str, comparison: Comparison, lines: list[Summary]) -> str:
         return ""
     total = len(comparison.eop_sets)
     if len({(s.reached, s.missed) for s in lines}) == 1:
-        return f"{name}: {_reached(lines[0], total)}, with each of {len(lines)} solver(s)."
+        return f"{name}: {_reached(lines[0], total)}, with each of {len(lines)} solvers."
     always = [n for n in comparison.eop_sets if all(n not in s.missed for s in lines)]
     never = [n for n in comparison.eop_sets if all(n in s.missed for s in lines)]
     best = max(s.reached for s in lines)
