@@ -52,8 +52,9 @@ INKS: Final = {
     "control": Ink(BLUE, "^", 5.7), "check": Ink(ORANGE, radius=4.0, filled=False), "tie": Ink(GREY, radius=1.8),
     "station": Ink(INK, "s", 4.5, filled=False), "dot-foot": Ink(INK, radius=1.2),
     "line-dot": Ink(BLUE, radius=2.6), "sample-dot": Ink(ORANGE, "s", 2.4, filled=False),
-    "sv-0": Ink(BLUE, radius=2.8, filled=False), "sv-1": Ink(ORANGE, "s", 2.4, filled=False),
-    "sv-2": Ink(GREEN, "^", 3.2, filled=False), "sv-3": Ink(PINK, "D", 2.6, filled=False),
+    "series-0": Ink(BLUE, radius=2.8, filled=False), "series-1": Ink(ORANGE, "s", 2.4, filled=False, line="--"),
+    "series-2": Ink(GREEN, "^", 3.2, filled=False, line=":"), "series-3": Ink(PINK, "D", 2.6, False, line="-."),
+    "series-4": Ink(INK, radius=2.8, filled=False), "series-5": Ink(GREY, "s", 2.4, filled=False, line="--"),
     "curve": Ink(INK), "zero": Ink(INK, width=0.6), "limit": Ink(GREY, line="--", width=0.8),
     "whisker": Ink(BLUE), "across": Ink(ORANGE, line="--"), "of-line": Ink(BLUE, width=1.2),
     "of-sample": Ink(ORANGE, line="--", width=1.2), "normal": Ink(GREY), "column": Ink(BLUE, width=1.2),
@@ -66,6 +67,8 @@ INKS: Final = {
         ("equal", GREEN), ("order", "#56b4e9"), ("rounding", BLUE), ("pattern", "#c9b400"), ("differs", ORANGE),
         ("not_reproducible", GREY))},
 }  # fmt: skip
+#: Kinds of marks that tell series apart.
+SERIES: Final = 6
 #: Distances of ticks that read well, times a power of ten.
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 #: Most powers of ten that a logarithmic axis names.
@@ -105,6 +108,19 @@ def log_ticks(low: float, high: float) -> list[float]:
     decades = range(math.floor(ends[0]), math.ceil(ends[1]) + 1)
     between = [step * 10.0**k for k in decades for step in _STEPS[:3] if low <= step * 10.0**k <= high]
     return between if len(between) > 1 else ticks(low, high, 3)
+
+
+def decades(values: npt.ArrayLike) -> tuple[float, float]:
+    """Powers of ten about positive values; others are left out."""
+    exponents = np.log10([v for v in np.asarray(values, float) if math.isfinite(v) and v > 0.0] or [1.0])
+    return 10.0 ** math.floor(exponents.min() - 0.05), 10.0 ** math.ceil(exponents.max() + 0.05)
+
+
+def limits_of(values: npt.ArrayLike) -> tuple[float, float]:
+    """Limits about positive values with a margin of 9 % of the decades, at least a twentieth; others are left out."""
+    exponents = np.log10([v for v in np.asarray(values, float) if math.isfinite(v) and v > 0.0] or [1.0])
+    margin = max(0.09 * float(np.ptp(exponents)), 0.05)
+    return 10.0 ** (float(exponents.min()) - margin), 10.0 ** (float(exponents.max()) + margin)
 
 
 def plain(value: float) -> str:
@@ -276,9 +292,9 @@ class Chart:
         """Add marks; see :class:`Mark`."""
         self.marks.append(Mark(shape, kind, np.asarray(x, float), np.asarray(y, float), **more))  # type: ignore[arg-type]
 
-    def across(self, kind: str, y: float) -> None:
+    def across(self, kind: str, y: float, label: str = "") -> None:
         """Add a horizontal line."""
-        self.add("line", kind, self.x.limits, [y, y])
+        self.add("line", kind, self.x.limits, [y, y], label=label)
 
     def upright(self, kind: str, x: float) -> None:
         """Add a vertical line."""

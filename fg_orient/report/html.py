@@ -22,6 +22,7 @@ from fg_orient.report.words import accuracy_words, orientation_words, verdict
 from fg_orient.result.record import Result
 
 Values = Mapping[str, Any]
+Supply = Callable[[Result], Values | None]
 
 #: Rows of a table, and images, that the page shows; the files hold all.
 MANY: Final = {"rows": 100, "images": 40, "terms": 1500}
@@ -47,7 +48,7 @@ class Section:
 
     id: str
     title: str
-    values: Callable[[Result], Values | None]
+    values: Supply
     template: str = ""
 
 
@@ -55,9 +56,7 @@ class Section:
 SECTIONS: Final[list[Section]] = []
 
 
-def section(
-    id: str, title: str, template: str = "", before: str = ""
-) -> Callable[[Callable[[Result], Values | None]], Callable[[Result], Values | None]]:
+def section(id: str, title: str, template: str = "", before: str = "") -> Callable[[Supply], Supply]:
     """Add a section to the report of an adjustment.
 
     Parameters
@@ -70,7 +69,7 @@ def section(
         Id of the section that follows; before the provenance where empty.
     """
 
-    def add(values: Callable[[Result], Values | None]) -> Callable[[Result], Values | None]:
+    def add(values: Supply) -> Supply:
         place = next((k for k, other in enumerate(SECTIONS) if other.id == before), len(SECTIONS))
         SECTIONS.insert(place, Section(id, title, values, template))
         return values
@@ -96,7 +95,7 @@ def _page(result: Result, sections: Sequence[Section], verdict: Values, problems
         values = one.values(result)
         if values is not None:
             template = shell.from_string(one.template) if one.template else shell.get_template(f"{one.id}.html.j2")
-            parts.append((one.id.partition("-")[0], one.title, Markup(template.render({**shared, **values}))))
+            parts.append((one.id, one.title, Markup(template.render({**shared, **values}))))
     page = shell.get_template("report.html.j2")
     return page.render(shared, verdict=verdict, problems=problems, parts=parts, what=orientation_words(record))
 
@@ -116,9 +115,7 @@ _AXES: Final = (("East", "east"), ("North", "north"), ("Up", "up"), ("ECEF X", "
                 ("ECEF Z", "ecef_z"))  # fmt: skip
 
 
-@section("summary", "Summary")
-def _summary(result: Result) -> Values:
-    return {"axes": _AXES}
+section("summary", "Summary")(lambda _: {"axes": _AXES})
 
 
 @section("map", "Map")
@@ -131,14 +128,8 @@ def _clipped(result: Result) -> bool:
     return maps.view_of(result.record, result.points.numbers("lon_deg", "lat_deg")) is not None
 
 
-@section("figures", "Figures")
-def _figures(result: Result) -> Values:
-    return {}
-
-
-@section("accuracy", "Accuracy axis by axis")
-def _accuracy(result: Result) -> Values:
-    return {"axes": _AXES}
+section("figures", "Figures")(lambda _: {})
+section("accuracy", "Accuracy axis by axis")(lambda _: {"axes": _AXES})
 
 
 @section("residuals", "Image residuals")
@@ -233,11 +224,11 @@ def render_deficient(result: Result) -> str:
     sections = (
         Section("undetermined", "Undetermined directions", lambda _: {
             "groups": [(*key, places) for key, places in groups.items()], "few": FEW}),
-        Section("map-start", "Map", lambda result: {
+        Section("map", "Map", lambda result: {
             "point_map": maps.point_map(result), "clipped": _clipped(result), "without": [
                 name for name, lon in zip(points.words["id"], points.figures["lon_deg"].tolist(), strict=True)
-                if math.isnan(lon)]}),
-        Section("observability-start", "Observability", _spectra),
+                if math.isnan(lon)]}, '{% include "map-start.html.j2" %}'),
+        Section("observability", "Observability", _spectra, '{% include "observability-start.html.j2" %}'),
     )  # fmt: skip
     remedies = list(dict.fromkeys(remedy for _, remedy in groups))
     return _page(result, sections, _nothing(record, remedies), ())

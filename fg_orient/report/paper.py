@@ -78,6 +78,28 @@ def figure_of(charts: Sequence[Chart], columns: int = 2) -> Figure:
     return figure
 
 
+def panels_of(charts: Sequence[Chart], width: float, height: float, columns: int = 5) -> Figure:
+    """Draw charts as panels of a size in inches with one legend above all; several stand in rows of so many."""
+    columns = min(columns, len(charts))
+    lines = -(-len(charts) // columns)
+    figure = new_figure(max(width * columns, 5.0), height * lines + (0.9 if len(charts) > 1 else 0.0))
+    panels = list(figure.subplots(lines, columns, squeeze=False).ravel())
+    for k, (axes, chart) in enumerate(zip(panels, charts, strict=False)):
+        draw(axes, chart)
+        if k % columns:
+            axes.set_ylabel("")
+        if k + columns < len(charts):
+            axes.set_xlabel("")
+        if legend := axes.get_legend():
+            legend.remove()
+    for axes in panels[len(charts) :]:
+        axes.set_axis_off()
+    handles = {label: h for p in panels for h, label in zip(*p.get_legend_handles_labels(), strict=True)}
+    if handles:
+        figure.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=2, frameon=False)
+    return figure
+
+
 def _shape(chart: Chart) -> float:
     """Height of the frame over its width."""
     if chart.y.names and not chart.x.names:
@@ -124,7 +146,7 @@ def _scale(axes: Axes, axis: Axis, name: Literal["x", "y"]) -> None:
     of.set_ticks([value for value, _ in given], labels=[words for _, words in given])
     of.minorticks_off()
     if axis.names:
-        axes.tick_params(axis=name, length=0, labelrotation=90 if name == "x" else 0)
+        axes.tick_params(axis=name, length=0, labelrotation=90 if name == "x" and max(map(len, axis.names)) > 3 else 0)
 
 
 def _line(axes: Axes, mark: Mark, chart: Chart) -> None:
@@ -145,7 +167,7 @@ def _dots(axes: Axes, mark: Mark, chart: Chart) -> None:
     ink = INKS[mark.kind]
     radii = ink.radius if mark.sizes is None else mark.sizes
     axes.scatter(
-        mark.x, mark.y, s=(0.8 * radii) ** 2, marker=ink.marker, label=mark.label or None, zorder=3,
+        mark.x, mark.y, s=(0.9 * radii) ** 2, marker=ink.marker, label=mark.label or None, zorder=3,
         facecolors=ink.colour if ink.filled else "none", edgecolors=ink.colour, linewidths=0.7,
     )  # fmt: skip
     if mark.vectors is None or not chart.per_width:

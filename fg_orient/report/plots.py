@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.model.distributions import beta_quantile, normal_probability, normal_quantile
-from fg_orient.report.chart import Axis, Chart, broad, cut, large, round_down
+from fg_orient.report.chart import SERIES, Axis, Chart, broad, cut, decades, large, limits_of, round_down
 from fg_orient.report.words import number
 from fg_orient.result.record import Result
 
@@ -123,8 +123,8 @@ def histogram(ratio: Array, name: str, tested: bool, axes: tuple[str, str] = LIN
         w = column[np.isfinite(column)]
         counts = np.histogram(np.clip(w, -ENDS, ENDS - 1e-9), edges)[0]
         highest = max(highest, float(counts.max(initial=0)))
-        told = f": mean {w.mean():.2f}, s {w.std():.2f}".replace("-", "−") if len(w) else ""
-        chart.add("bars", kind, edges, counts, label=f"{axis}{told}")
+        spread_words = f": mean {w.mean():.2f}, s {w.std():.2f}".replace("-", "−") if len(w) else ""
+        chart.add("bars", kind, edges, counts, label=f"{axis}{spread_words}")
     chart.add("line", "normal", x, curve, label="normal, σ = 1" if tested else f"normal, σ = {spread:.2f}")
     chart.y = Axis(f"count ({n})", (0.0, 1.5 * highest), about=4)
     return chart
@@ -258,7 +258,7 @@ def singular_values(images: Sequence[dict[str, Any]]) -> Chart | None:
         chart.upright("limit", limit)
     for k, image in enumerate(images):
         values = np.maximum([v or 0.0 for v in image["singular_values"]], FLOOR)
-        chart.add("dots", f"sv-{k % 4}", values, np.full(len(values), k))
+        chart.add("dots", f"series-{k % SERIES}", values, np.full(len(values), k))
     return chart
 
 
@@ -313,8 +313,7 @@ def _history(log: Sequence[dict[str, Any]], key: str, words: str) -> Chart | Non
     given = [i for i in log if i[key] is not None and math.isfinite(i[key]) and i[key] > 0.0]
     if not any(i["accepted"] for i in given):
         return None
-    values = [math.log10(i[key]) for i in given]
-    limits = 10.0 ** math.floor(min(values) - 0.05), 10.0 ** math.ceil(max(values) + 0.05)
+    limits = decades([i[key] for i in given])
     ends = (0.0, max(1.0, float(log[-1]["iteration"])))
     chart = Chart(f"{words} over the iterations", Axis("iteration", ends, whole=True, about=6),
                   Axis(words, limits, log=True), title=words)  # fmt: skip
@@ -360,7 +359,7 @@ def l_curve(section: dict[str, Any] | None, norms: tuple[str, str] = NORMS) -> C
         return None
     choices = [choice for choice in ranked(section) if _on_curve(choice)]
     marks = _norms(choices)
-    limits = [_with_margin(np.concatenate([curve[:, k], marks[:, k]])) for k in (0, 1)]
+    limits = [limits_of(np.concatenate([curve[:, k], marks[:, k]])) for k in (0, 1)]
     chart = broad("L-curve: norm of the solution over norm of the residuals, with the choices of the rules",
                   Axis(norms[0], limits[0], log=True), Axis(norms[1], limits[1], log=True), 380.0,
                   left=62.0)  # fmt: skip
@@ -386,13 +385,6 @@ def _on_curve(choice: dict[str, Any]) -> bool:
 
 def _norms(rows: Sequence[dict[str, Any]]) -> Array:
     return np.array([[row[name] for name in _NORMS] for row in rows if _on_curve(row)], float).reshape(-1, 2)
-
-
-def _with_margin(values: Array) -> tuple[float, float]:
-    """Limits with a margin of 9 % of the decades, at least a twentieth of a decade."""
-    low, high = math.log10(values.min()), math.log10(values.max())
-    margin = max(0.09 * (high - low), 0.05)
-    return 10.0 ** (low - margin), 10.0 ** (high + margin)
 
 
 def neighbours(places: Array, near: float) -> list[list[int]]:

@@ -378,7 +378,9 @@ def test_a_section_from_outside_is_one_declaration(result: Result, monkeypatch: 
     """Heading, link, values and template are in one place; a section without values is left out."""
     monkeypatch.setattr(html, "SECTIONS", [*html.SECTIONS])
 
-    @html.section("rays", "Rays of the points", "<p>{{ n }} rays of {{ r.name }}, {{ worst }}</p>", before="residuals")
+    @html.section(
+        "rays-of", "Rays of the points", "<p>{{ n }} rays of {{ r.name }}, {{ worst }}</p>", before="residuals"
+    )
     def rays(result: Result) -> dict[str, Any]:
         return {"n": len(result.residuals), "worst": "<b>"}
 
@@ -390,5 +392,5 @@ def test_a_section_from_outside_is_one_declaration(result: Result, monkeypatch: 
         < page.index('<section id="rays"><h2>Rays of the points')
         < page.index('id="residuals"')
     )
-    assert '<a href="#rays">Rays of the points</a>' in page
+    assert '<a href="#rays-of">Rays of the points</a>' in page
     assert rays(result)["n"] == 94 and 'href="#nothing"' not in page

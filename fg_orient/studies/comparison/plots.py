@@ -8,22 +8,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from fg_orient.adjustment.linear.registry import solver
 from fg_orient.model.names import EOP_SETS
-from fg_orient.report.chart import BLUE, GREEN, GREY, INK, ORANGE, PINK, plain_exponent, short
-from fg_orient.report.paper import STYLE, available, file_of, new_figure
+from fg_orient.report.chart import BLUE, GREY, INK, ORANGE, SERIES, Axis, Chart, broad, decades, limits_of, short
+from fg_orient.report.paper import STYLE, available, file_of, new_figure, panels_of
 from fg_orient.studies.comparison.model import LARGEST_CONDITION, Comparison, groups
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-    from fg_orient.adjustment.linear.l_curve import LCurve
 
 #: Larger than in a paper's column: these figures are read on pages.
 _STYLE: Final[dict[Any, Any]] = {
@@ -32,14 +31,14 @@ _STYLE: Final[dict[Any, Any]] = {
 }  # fmt: skip
 #: Powers of ten beside the target that the heat maps tell apart.
 _DECADES: Final = (-2.0, 4.0)
-#: Systems of the condition numbers and spectra: words, colour, marker, line.
+#: Systems of the condition numbers and spectra: words and kind of mark.
 _SYSTEMS: Final = {
-    ("published 1", "raw"): ("published, raw units", ORANGE, "s", "-"),
-    ("published 1", "columns"): ("published, columns scaled", PINK, "D", "--"),
-    ("published 2", "raw"): ("published, raw units", ORANGE, "s", "-"),
-    ("published 2", "columns"): ("published, columns scaled", PINK, "D", "--"),
-    ("no priors", "priors"): ("prior units, without priors", GREEN, "^", ":"),
-    ("adjustment", "priors"): ("prior units, with priors (as solved)", BLUE, "o", "-"),
+    ("published 1", "raw"): ("published, raw units", "series-1"),
+    ("published 1", "columns"): ("published, columns scaled", "series-3"),
+    ("published 2", "raw"): ("published, raw units", "series-1"),
+    ("published 2", "columns"): ("published, columns scaled", "series-3"),
+    ("no priors", "priors"): ("prior units, without priors", "series-2"),
+    ("adjustment", "priors"): ("prior units, with priors (as solved)", "series-0"),
 }
 
 
@@ -142,21 +141,18 @@ def _conditions(comparison: Comparison) -> Figure | None:
     wanted = _systems(comparison)
     if not wanted:
         return None
-    figure = new_figure(7.2, 3.6)
-    axes = figure.add_subplot()
+    sets = comparison.eop_sets
+    values = [s.condition for s in comparison.spectra if (s.system, s.scaling) in wanted]
+    x = Axis("EOP set", (-0.6, len(sets) - 0.4), names=[str(n) for n in sets])
+    y = Axis("condition number of N", decades([*values, LARGEST_CONDITION]), log=True)
+    chart = broad("condition numbers", x, y)
     for key in wanted:
-        label, colour, marker, _ = _SYSTEMS[key]
+        label, kind = _SYSTEMS[key]
         found = {s.eop_set: s.condition for s in comparison.spectra if (s.system, s.scaling) == key}
-        places = [comparison.eop_sets.index(n) for n in found]
-        axes.plot(places, list(found.values()), color=colour, marker=marker, ls="", ms=5, label=label)
-    log_scale(axes)
-    axes.axhline(1e16, color=GREY, lw=1, ls="-.", label="1e16: limit of the publication")
-    axes.axhline(LARGEST_CONDITION, color=GREY, lw=0.6)
-    axes.set_xticks(range(len(comparison.eop_sets)), [str(n) for n in comparison.eop_sets])
-    axes.set_xlabel("EOP set")
-    axes.set_ylabel("condition number of N")
-    figure.legend(loc="outside upper center", ncols=2, frameon=False)
-    return figure
+        chart.add("dots", kind, [sets.index(n) for n in found], list(found.values()), label=label)
+    chart.across("limit", 1e16, label="1e16: limit of the publication")
+    chart.across("zero", LARGEST_CONDITION)
+    return panels_of([chart], 7.2, 3.6)
 
 
 def _systems(comparison: Comparison) -> list[tuple[str, str]]:
@@ -171,107 +167,59 @@ def _spectra(comparison: Comparison) -> Figure | None:
     wanted = _systems(comparison)
     if not wanted:
         return None
-    sets = comparison.eop_sets
-    columns = min(5, len(sets))
-    lines = -(-len(sets) // columns)
-    figure = new_figure(max(1.75 * columns, 5.0), 1.5 * lines + 0.9)
-    panels = figure.subplots(lines, columns, sharex=False, sharey=True, squeeze=False).ravel()
-    for panel, number in zip(panels, sets, strict=False):
+    drawn = [s for s in comparison.spectra if (s.system, s.scaling) in wanted]
+    floor = np.finfo(float).eps / 10.0  # below is rounding of rounding
+    shares = [np.maximum(s.values / s.values[0], floor) for s in drawn]
+    y = Axis("singular value / largest", decades(np.concatenate(shares)), log=True)
+    charts = []
+    for number in comparison.eop_sets:
         silent = sum(d.held_by == "nothing" for d in comparison.directions if d.eop_set == number)
-        panel.set_title(f"{number} {EOP_SETS[number].name}" + (f": {silent} silent" if silent else ""))
-        for key in wanted:
-            label, colour, _, line = _SYSTEMS[key]
-            for s in comparison.spectra:
-                if s.eop_set == number and (s.system, s.scaling) == key:
-                    floor = s.values[0] * np.finfo(float).eps / 10.0  # below is rounding of rounding
-                    panel.plot(np.linspace(0, 1, len(s.values)), np.maximum(s.values, floor) / s.values[0],
-                               color=colour, ls=line, lw=1.2, label=label)  # fmt: skip
-        log_scale(panel)
-        panel.set_xticks([0, 1], ["first", "last"])
-    for panel in panels[len(sets) :]:
-        panel.set_axis_off()
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=2, frameon=False)
-    figure.supylabel("singular value / largest", fontsize=9)
-    return figure
+        title = f"{number} {EOP_SETS[number].name}" + (f": {silent} silent" if silent else "")
+        chart = Chart("singular values", Axis("first to last", about=1), y, title=title)
+        for s, share in zip(drawn, shares, strict=True):
+            if s.eop_set == number:
+                label, kind = _SYSTEMS[s.system, s.scaling]
+                chart.add("line", kind, np.linspace(0, 1, len(share)), share, label=label)
+        charts.append(chart)
+    return panels_of(charts, 1.75, 1.6)
 
 
 def _l_curves(comparison: Comparison) -> Figure | None:
     """L-curves of the published bundle, one panel per EOP set, with the choices of its Tikhonov solvers."""
-    kinds = sorted({found.type for found in comparison.curves})
+    types = sorted({found.type for found in comparison.curves})
     chosen = [(name, solver(name).label) for name in comparison.solvers if solver(name).family == "tikhonov"]
-    if not kinds or not chosen:
+    if not types or not chosen:
         return None
-    sets, columns = comparison.eop_sets, min(5, len(comparison.eop_sets))
-    lines = -(-len(sets) // columns)
-    figure = new_figure(max(1.75 * columns, 5.0), 1.6 * lines + 0.9)
-    panels = figure.subplots(lines, columns, squeeze=False).ravel()
-    curves = {found.eop_set: found.curve for found in comparison.curves if found.type == kinds[0]}
-    for panel, number in zip(panels, sets, strict=False):
-        panel.set_title(f"{number} {EOP_SETS[number].name}")
-        panel.set_xscale("log")
-        panel.set_yscale("log")
+    curves = {found.eop_set: found.curve for found in comparison.curves if found.type == types[0]}
+    charts = []
+    for number in comparison.eop_sets:
+        chart = Chart("L-curve", title=f"{number} {EOP_SETS[number].name}")
         if number in curves:
-            kappas = {row.solver: row.kappa for row in comparison.select(eop_set=number, type=kinds[0])}
-            _l_curve(panel, curves[number], [(label, kappas.get(name, math.nan)) for name, label in chosen])
-        plain_log_ticks(panel.xaxis, 3)
-        plain_log_ticks(panel.yaxis, 5)
-        panel.tick_params(labelsize=7)
-    for panel in panels[len(sets) :]:
-        panel.set_axis_off()
-    handles = {label: h for p in panels for h, label in zip(*p.get_legend_handles_labels(), strict=True)}
-    figure.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=4, frameon=False)
-    figure.supxlabel("norm of the residuals |Ax − l|", fontsize=9)
-    figure.supylabel("norm of the solution |x| (m, m/s, rad)", fontsize=9)
-    return figure
-
-
-def _l_curve(panel: Axes, curve: LCurve, chosen: list[tuple[str, float]]) -> None:
-    """Draw a curve with the kappas of some solvers by their labels."""
-    panel.plot(curve.residual_norm, curve.solution_norm, color=GREY, lw=1.2)
-    for k, (label, kappa) in enumerate(chosen):
-        colour, marker = (BLUE, ORANGE, GREEN, PINK)[k % 4], "osD^v*"[k % 6]
-        panel.plot(*curve.place(kappa), color=colour, marker=marker, mfc="none", ls="", ms=5, label=label)
+            curve = curves[number]
+            kappas = {row.solver: row.kappa for row in comparison.select(eop_set=number, type=types[0])}
+            places = [curve.place(kappas.get(name, math.nan)) for name, _ in chosen]
+            chart.add("line", "normal", curve.residual_norm, curve.solution_norm)
+            for k, ((_, label), place) in enumerate(zip(chosen, places, strict=True)):
+                chart.add("dots", f"series-{k % SERIES}", [place[0]], [place[1]], label=label)
+            across, up = (limits_of([*norms, *(p[k] for p in places)])
+                          for k, norms in enumerate((curve.residual_norm, curve.solution_norm)))  # fmt: skip
+            chart.x, chart.y = Axis("|Ax − l|", across, log=True), Axis("|x|: m, m/s, rad", up, log=True)
+        charts.append(chart)
+    return panels_of(charts, 1.75, 1.8)
 
 
 def _seconds(comparison: Comparison) -> Figure | None:
     """Median and range of the run times over the EOP sets."""
-    timed: list[tuple[str, list[float]]] = []
-    for key, rows in groups(comparison.rows).items():
-        values = [r.seconds for r in rows if math.isfinite(r.seconds) and not r.failure]
-        if values:
-            timed.append((row_name(comparison, *key), values))
+    timed = {row_name(comparison, *key): [r.seconds for r in rows if math.isfinite(r.seconds) and not r.failure]
+             for key, rows in groups(comparison.rows).items()}  # fmt: skip
+    timed = {name: values for name, values in timed.items() if values}
     if not timed:
         return None
-    figure = new_figure(7.2, 0.9 + 0.22 * len(timed))
-    axes = figure.add_subplot()
-    for i, (_, values) in enumerate(timed):
-        axes.plot([min(values), max(values)], [i, i], color=GREY, lw=2, solid_capstyle="round")
-        axes.plot([float(np.median(values))], [i], "o", color=BLUE, ms=5)
-    axes.set_xscale("log")
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.set_yticks(range(len(timed)), [name for name, _ in timed])
-    axes.invert_yaxis()
-    axes.set_xlabel("seconds per adjustment: median and range over the EOP sets")
-    axes.grid(axis="x", lw=0.4, color=GREY)
-    return figure
-
-
-def log_scale(axes: Axes) -> None:
-    """Powers of ten up the side, in plain figures."""
-    axes.set_yscale("log")
-    axes.minorticks_off()
-    axes.yaxis.set_major_formatter(lambda value, _: plain_exponent(f"{value:.0e}"))
-
-
-def plain_log_ticks(axis: Axis, most: int = 8) -> None:
-    """Powers of ten in plain figures; with 2 and 5 where they are few, other round values where there are none."""
-    from matplotlib.ticker import LogLocator, MaxNLocator
-
-    low, high = (math.log10(v) for v in axis.get_view_interval())
-    few = math.floor(high) - math.ceil(low) < 2
-    log = LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=most)
-    axis.set_major_locator(log if high - low > 0.7 else MaxNLocator(nbins=max(2, most // 2)))
-    axis.set_major_formatter(lambda value, _: f"{value:g}" if 1e-3 <= value < 1e5 else plain_exponent(f"{value:.0e}"))
-    axis.set_minor_formatter(lambda value, _: "")
-    axis.set_tick_params(which="minor", length=0)
+    x = Axis(
+        "seconds per adjustment: median and range over the EOP sets", limits_of([*chain(*timed.values())]), log=True
+    )
+    chart = broad("run times", x, Axis(limits=(-0.5, len(timed) - 0.5), down=True, names=[*timed]))
+    for k, values in enumerate(timed.values()):
+        chart.add("line", "limit", [min(values), max(values)], [k, k])
+    chart.add("dots", "line-dot", [float(np.median(values)) for values in timed.values()], range(len(timed)))
+    return panels_of([chart], 7.2, 0.9 + 0.22 * len(timed))
