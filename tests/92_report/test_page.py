@@ -377,20 +377,16 @@ def test_first_page_names_what_a_test_suspects_and_repeats_no_verdict(result: Re
 def test_a_section_from_outside_is_one_declaration(result: Result, monkeypatch: pytest.MonkeyPatch) -> None:
     """Heading, link, values and template are in one place; a section without values is left out."""
     monkeypatch.setattr(html, "SECTIONS", [*html.SECTIONS])
+    template = "<p>{{ n }} rays of {{ r.name }}, {{ worst }}</p>"
 
-    @html.section(
-        "rays-of", "Rays of the points", "<p>{{ n }} rays of {{ r.name }}, {{ worst }}</p>", before="residuals"
-    )
+    @html.section("rays-of", "Rays of the points", template, before="residuals")
     def rays(result: Result) -> dict[str, Any]:
         return {"n": len(result.residuals), "worst": "<b>"}
 
     html.section("nothing", "Nothing", "<p>never</p>")(lambda result: None)
     page = render(result)
     assert f"<p>94 rays of {result.record['name']}, &lt;b&gt;</p>" in page and "never" not in page
-    assert (
-        page.index('id="accuracy"')
-        < page.index('<section id="rays"><h2>Rays of the points')
-        < page.index('id="residuals"')
-    )
+    places = [page.index(f'<section id="{name}"><h2>') for name in ("accuracy", "rays-of", "residuals")]
+    assert places == sorted(places)
     assert '<a href="#rays-of">Rays of the points</a>' in page
     assert rays(result)["n"] == 94 and 'href="#nothing"' not in page
