@@ -56,7 +56,7 @@ from fg_orient.cli.selftest import self_test
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.model.block import Block, Coordinates, GroundPoints, ImagePoints
 from fg_orient.model.names import Role
-from fg_orient.quality.residuals import residual_cofactors
+from fg_orient.quality.reliability import residual_cofactors
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.simulation import Truth
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block

@@ -261,7 +261,7 @@ def conclude(
     assessment = verdict.judge(compiled, estimate, withheld)
     findings = verdict.findings(compiled, estimate, assessment, observability, block_view, accuracy)
     if assessment.status is Status.NOT_TRUSTWORTHY:
-        from fg_orient.quality.mix_ups import mix_ups
+        from fg_orient.quality.verdict import mix_ups
 
         findings = (*findings[:1], *mix_ups(compiled.block), *findings[1:])
     if located is not None and len(located.lost):

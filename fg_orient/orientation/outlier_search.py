@@ -23,9 +23,8 @@ from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.quality.freedom import least_freedom, with_freedom
 from fg_orient.quality.observation_groups import groups_of, scaled
 from fg_orient.quality.outliers import GroupTest, OutlierTests
-from fg_orient.quality.prediction import Fit, Suspect, prediction
-from fg_orient.quality.rejection import MOST, Rejection, reject
-from fg_orient.quality.search import Found, Round, Search
+from fg_orient.quality.prediction import ConsistencyTest, Suspect, prediction
+from fg_orient.quality.rejection import MOST, ExcludedObservation, Rejection, Round, Search, reject
 from fg_orient.quality.variance_components import VarianceComponents
 from fg_orient.sensors import initial
 
@@ -82,7 +81,7 @@ def require_possible_search(block: Block) -> None:
 class _Removal:
     """Observations left out together: rows of the given block's image points, and the coordinates of the point.
 
-    ``test``, ``with_it`` and ``fit`` as in :class:`Found`.
+    ``test``, ``with_it`` and ``fit`` as in :class:`ExcludedObservation`.
     """
 
     point: int
@@ -90,7 +89,7 @@ class _Removal:
     control: bool
     test: GroupTest = field(compare=False)
     with_it: tuple[str, ...] = field(default=(), compare=False)
-    fit: Fit | None = field(default=None, compare=False)
+    fit: ConsistencyTest | None = field(default=None, compare=False)
 
 
 class _Rounds:
@@ -218,7 +217,7 @@ class _Rounds:
                 for r, c in changes
             ),
             tuple(
-                Found(one.test, r.number, one.with_it, one.fit, readmitted.get(id(one)))
+                ExcludedObservation(one.test, r.number, one.with_it, one.fit, readmitted.get(id(one)))
                 for r, change in changes if (one := change.left_out) is not None
             ),
             _given_up(end), tuple(self._name(r) for r in single.tolist()), tuple(points.ids[j] for j in lost),

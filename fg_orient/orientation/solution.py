@@ -26,8 +26,8 @@ from fg_orient.quality.freedom import UnknownFreedom
 from fg_orient.quality.hypotheses import GlobalTest, global_test
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.quality.outliers import GroupTest
+from fg_orient.quality.rejection import Search
 from fg_orient.quality.reliability import ALPHA, POWER, BlockReliability, reliability
-from fg_orient.quality.search import Search
 from fg_orient.quality.significance import LEVEL as SIGNIFICANCE_LEVEL
 from fg_orient.quality.significance import Significance, significance
 from fg_orient.quality.suspects import Kind
@@ -39,11 +39,11 @@ if TYPE_CHECKING:
 
     import pandas
 
+    from fg_orient.quality.accuracy import PredictionTest
+    from fg_orient.quality.conditioning import Regularisation
     from fg_orient.quality.dem_accuracy import DemComparison
     from fg_orient.quality.free_network import FreeNetwork
     from fg_orient.quality.located_point import LocatedPoint, Orientation
-    from fg_orient.quality.prediction_test import PredictionTest
-    from fg_orient.quality.regularisation import Regularisation
     from fg_orient.sensors.correction import HeightSurface
 
 Array = npt.NDArray[np.float64]
@@ -315,20 +315,20 @@ class Solution(AdjustmentResult):
         return significance(self.problem, self.state, q, self.sigma0, level=level, freedom=self.unknown_freedom)
 
     def prediction_test(self) -> PredictionTest:
-        """Compare the predicted accuracy with the check points; see ``fg_orient.quality.prediction_test``.
+        """Compare the predicted accuracy with the check points; see ``fg_orient.quality.accuracy``.
 
         NoSolutionError: no covariance, no check points, or check points that are not unknowns.
         """
-        from fg_orient.quality.prediction_test import prediction_test
+        from fg_orient.quality.accuracy import prediction_test
 
         return prediction_test(self.problem, self.state, self.required_cofactors(), self.accuracy.check)
 
     @cached_property
     def regularisation(self) -> Regularisation | None:
-        """L-curve and chosen kappas of a Tikhonov solver (``fg_orient.quality.regularisation``); None for others."""
+        """L-curve and chosen kappas of a Tikhonov solver (``fg_orient.quality.conditioning``); None for others."""
         if not self.solver:  # another backend: the kappa rules are not loaded
             return None
-        from fg_orient.quality.regularisation import regularisation
+        from fg_orient.quality.conditioning import regularisation
 
         return regularisation(self.weighted, self.solver, self.log)
 

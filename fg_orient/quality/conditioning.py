@@ -1,15 +1,27 @@
-"""Condition of the normal equations at the solution, the same measure whichever backend solved."""
+"""Condition of the normal equations at the solution, and regularisation by a Tikhonov solver.
+
+The condition is the same measure for all backends. A Tikhonov solver of the dense backend shortens each step and
+chooses kappa again for it. The L-curve is that of the equations at the approximate values: the step from there is the
+longest, and at the solution all steps are zero. The sigmas, and under a loss the weights, are those of the result;
+without a loss these are the equations of the first Gauss-Newton step.
+"""
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.problem import Problem, schur_possible
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.errors import Finding, finding
+
+if TYPE_CHECKING:
+    from fg_orient.adjustment.linear.l_curve import LCurve
 
 #: Beyond this condition solutions of different solvers agree to 5 or 6 digits only (eps times condition is 2e-6).
 ILL_CONDITIONED: Final = 1e10
@@ -52,3 +64,72 @@ def findings(problem: Problem, estimate: Estimate) -> list[Finding]:
         return [finding("solution.singular")]
     digits = max(0, int(-np.log10(np.finfo(float).eps * found)))
     return [finding("solution.ill_conditioned", condition=found, limit=ILL_CONDITIONED, digits=digits)]
+
+
+# --- regularised solvers --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Regularisation:
+    """How strongly an adjustment was regularised.
+
+    Parameters
+    ----------
+    solver, label : str
+        "tikhonov_l_curve", "Tikhonov L-curve".
+    rule : str
+        The kappa rule of the solver; "" if it has none.
+    curve : LCurve
+        At the start values. Unknowns are prior sigmas (images) and metres (ground points), residuals are sigmas.
+    kappa : float or None
+        What the solver chooses there; None where it finds none (``failure`` says why).
+    kappas : tuple of (int, float)
+        Iteration and kappa of each step taken.
+    """
+
+    solver: str
+    label: str
+    rule: str
+    curve: LCurve
+    kappa: float | None
+    kappas: tuple[tuple[int, float], ...]
+    failure: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give the section ``regularisation`` of a record."""
+        curve = asdict(self.curve)
+        return {
+            "solver": self.solver, "label": self.label, "rule": self.rule or None, "kappa": self.kappa,
+            "failure": self.failure, "rules": curve.pop("choices"), "curve": curve,
+            "steps": [{"iteration": number, "kappa": kappa} for number, kappa in self.kappas],
+        }  # fmt: skip
+
+
+def regularisation(judged: Problem, name: str, log: Sequence[IterationRecord]) -> Regularisation | None:
+    """Describe the regularisation of an adjustment; None for a solver that does not regularise.
+
+    Parameters
+    ----------
+    judged : Problem
+        What was solved; under a loss with the weights at the solution.
+    name : str
+        Solver of the dense backend; "" for the other backends.
+    log : sequence of IterationRecord
+
+    Raises
+    ------
+    Breakdown
+        The equations at the start values are zero.
+    """
+    if not name:  # the kappa rules need not be loaded
+        return None
+    from fg_orient.adjustment.dense import DenseBackend
+    from fg_orient.adjustment.linear.l_curve import l_curve_of
+    from fg_orient.adjustment.linear.registry import attempt, solver
+
+    if solver(name).family != "tikhonov":
+        return None
+    system = DenseBackend(judged, name).linearise(judged.start).equations()
+    found = attempt(name, system)
+    kappas = tuple((record.iteration, record.kappa) for record in log if record.accepted)
+    return Regularisation(name, solver(name).label, found.rule, l_curve_of(system), found.kappa, kappas, found.failure)

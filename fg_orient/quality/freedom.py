@@ -24,8 +24,8 @@ from fg_orient.model.errors import NoSolutionError
 from fg_orient.quality import hypotheses
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.observation_groups import groups_of
-from fg_orient.quality.prediction import Fit
-from fg_orient.quality.residuals import ResidualCofactors
+from fg_orient.quality.prediction import ConsistencyTest
+from fg_orient.quality.reliability import ResidualCofactors
 from fg_orient.quality.suspects import Suspects
 from fg_orient.quality.variance_components import Residuals, VarianceComponents
 
@@ -147,7 +147,7 @@ def least_freedom(components: VarianceComponents) -> float:
     return min(KNOWN, 2.0 / float(variances.max())) if len(variances) else KNOWN
 
 
-def with_freedom(fit: Fit, freedom: float, test: str) -> Fit:
+def with_freedom(fit: ConsistencyTest, freedom: float, test: str) -> ConsistencyTest:
     """Judge what was predicted from the rest with degrees of freedom of its own."""
     if not fit.dimension:
         return fit

@@ -29,8 +29,7 @@ from fg_orient.adjustment.rows import linearised
 from fg_orient.model.errors import Finding, finding
 from fg_orient.model.parameters import ImageParameters
 from fg_orient.quality.elimination import eliminated, eliminated_with_own
-from fg_orient.quality.motions import SHIFT_M, UNOBSERVABLE, FreeMotions, free_motions
-from fg_orient.quality.on_board import held_on_board
+from fg_orient.quality.motions import SHIFT_M, UNOBSERVABLE, FreeMotions, free_motions, held_on_board
 from fg_orient.quality.structure import Structure, analyse_structure, named
 
 Array = npt.NDArray[np.float64]

@@ -23,7 +23,7 @@ from fg_orient.quality import hypotheses
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.freedom import freedoms
 from fg_orient.quality.observation_groups import groups_of
-from fg_orient.quality.residuals import ResidualCofactors
+from fg_orient.quality.reliability import ResidualCofactors
 from fg_orient.quality.suspects import KINDS, Kind, Suspects, suspects
 from fg_orient.quality.variance_components import Residuals, VarianceComponents
 

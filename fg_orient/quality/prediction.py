@@ -34,8 +34,8 @@ STEP_M: Final = 1e-6
 
 
 @dataclass(frozen=True)
-class Fit:
-    """How observations fit to the rest.
+class ConsistencyTest:
+    """Consistency test of excluded observations.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class Suspect:
 def prediction(
     full: Problem, rest: Problem, state: State, cofactors: Cofactors, chi2: float, test: str,
     point: int, rows: Sequence[int], control: bool, suspect: Suspect,
-) -> Fit:  # fmt: skip
+) -> ConsistencyTest:  # fmt: skip
     """Judge a suspect among observations of one ground point that took no part.
 
     Parameters
@@ -90,7 +90,7 @@ def prediction(
     if not held:
         found = _intersected(full, state, point, rows, control)
         if found is None:  # no place, so nothing to judge them by
-            return Fit(0.0, 0, None, None)
+            return ConsistencyTest(0.0, 0, None, None)
         x = found
     v, d_image, d_ground, images = _rows(full, state, point, x, rows, control)
     e = _columns(full, point, rows, control, suspect)
@@ -119,7 +119,7 @@ def _columns(full: Problem, point: int, rows: Sequence[int], control: bool, susp
     return out[:, :2] if suspect.part == "position" else out[:, 2:]
 
 
-def _judged(v: Array, e: Array, s: Array, chi2: float, redundancy: int, test: str) -> Fit:
+def _judged(v: Array, e: Array, s: Array, chi2: float, redundancy: int, test: str) -> ConsistencyTest:
     """Test in the adjustment with the observations: f grows by their number, v^T v by their own sum."""
     residual, weighted = np.linalg.solve(s, v), np.linalg.solve(s, e)
     size, axes = np.linalg.eigh(e.T @ weighted)
@@ -127,10 +127,10 @@ def _judged(v: Array, e: Array, s: Array, chi2: float, redundancy: int, test: st
     along = axes[:, checked].T @ (e.T @ residual)
     t, d, f = np.array([along**2 @ (1.0 / size[checked])]), np.array([checked.sum()]), redundancy + len(v)
     if not hypotheses.can_be_tested(d, f, test)[0]:
-        return Fit(float(t[0]), 0, None, None)
+        return ConsistencyTest(float(t[0]), 0, None, None)
     total = chi2 + float(v @ residual)
     statistic, p = (law(t, d, total, f, test)[0] for law in (hypotheses.statistics, hypotheses.probabilities))
-    return Fit(float(t[0]), int(d[0]), float(statistic), float(p))
+    return ConsistencyTest(float(t[0]), int(d[0]), float(statistic), float(p))
 
 
 def _rows(

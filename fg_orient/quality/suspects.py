@@ -22,7 +22,7 @@ from fg_orient.adjustment.cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import Rows, linearised, residuals, side_by_side
 from fg_orient.quality.covariance import Cofactors
-from fg_orient.quality.residuals import ResidualCofactors, residual_cofactors
+from fg_orient.quality.reliability import ResidualCofactors, residual_cofactors
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -36,7 +36,7 @@ from fg_orient.model.options import USUAL_GROUPS
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.group_cofactors import LARGEST, GroupCofactors, cost
 from fg_orient.quality.observation_groups import Groups, groups_of
-from fg_orient.quality.residuals import ResidualCofactors, residual_cofactors
+from fg_orient.quality.reliability import ResidualCofactors, residual_cofactors
 from fg_orient.quality.suspects import Suspects
 
 Array = npt.NDArray[np.float64]

@@ -1,21 +1,28 @@
-"""The verdict on a solution: status, reason, and what a reader must know first.
+"""Assessment of a solution: status, reason and the most important findings.
 
 ``sigma0`` above the upper end of its two-sided 99.9 % interval makes a solution not
 trustworthy: model and weights contradict the observations. Below the lower end the sigmas
-are too large, which is said but spoils nothing.
+are too large; this is reported and does not change the status.
+
+Image coordinates that are exchanged or counted from the other side are detected before the adjustment
+(:func:`mix_ups`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.robust import UNWEIGHED, Weights, are_information
 from fg_orient.adjustment.solve import Estimate
+from fg_orient.model.block import Block
 from fg_orient.model.distributions import chi_square_interval
-from fg_orient.model.errors import Finding, finding
+from fg_orient.model.errors import FgOrientError, Finding, finding
 from fg_orient.model.names import Role, Status
 from fg_orient.quality import conditioning
 from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy, PointDifferences
@@ -32,7 +39,7 @@ NO_INTERVAL = (float("nan"), float("nan"))
 
 
 @dataclass(frozen=True)
-class Verdict:
+class SolutionAssessment:
     """Status, what decided on it, and the 99.9 % interval of sigma0 (nan where there is none)."""
 
     status: Status
@@ -40,43 +47,47 @@ class Verdict:
     interval: tuple[float, float]
 
 
-def judge(problem: Problem, estimate: Estimate, withheld: tuple[Finding, ...]) -> Verdict:
+def judge(problem: Problem, estimate: Estimate, withheld: tuple[Finding, ...]) -> SolutionAssessment:
     """Status from convergence, covariance and the global test of sigma0."""
     f = problem.redundancy
     if not estimate.converged or not np.isfinite(estimate.chi2):
-        return Verdict(Status.NOT_CONVERGED, estimate.end, NO_INTERVAL)
+        return SolutionAssessment(Status.NOT_CONVERGED, estimate.end, NO_INTERVAL)
     interval = sigma0_interval(f) if f > 0 and estimate.weights is None else NO_INTERVAL
     if problem.least_damping > 0.0:
-        return Verdict(Status.NOT_TRUSTWORTHY, finding("verdict.free_datum"), interval)
+        return SolutionAssessment(Status.NOT_TRUSTWORTHY, finding("verdict.free_datum"), interval)
     plain = estimate.weights is None or are_information(problem.block.options.loss, estimate.weights)
     if withheld and plain and not problem.block.options.priors and problem.block.options.datum != "inner":
-        return Verdict(Status.NOT_TRUSTWORTHY, finding("verdict.weak_control"), interval)
+        return SolutionAssessment(Status.NOT_TRUSTWORTHY, finding("verdict.weak_control"), interval)
     if f <= 0:
-        return Verdict(Status.CONVERGED, finding("verdict.no_redundancy"), interval)
+        return SolutionAssessment(Status.CONVERGED, finding("verdict.no_redundancy"), interval)
     if estimate.weights is not None:
-        return _judge_weights(problem, estimate, estimate.weights)
+        return _assess_weights(problem, estimate, estimate.weights)
     sigma0 = float(np.sqrt(estimate.chi2 / f))
     if sigma0 > interval[1]:
-        return Verdict(Status.NOT_TRUSTWORTHY, finding("verdict.sigma0", sigma0=sigma0, limit=interval[1]), interval)
-    return Verdict(Status.CONVERGED, estimate.end, interval)
+        return SolutionAssessment(
+            Status.NOT_TRUSTWORTHY, finding("verdict.sigma0", sigma0=sigma0, limit=interval[1]), interval
+        )
+    return SolutionAssessment(Status.CONVERGED, estimate.end, interval)
 
 
-def _judge_weights(problem: Problem, estimate: Estimate, weights: Weights) -> Verdict:
+def _assess_weights(problem: Problem, estimate: Estimate, weights: Weights) -> SolutionAssessment:
     """Under a loss sigma0 follows no chi-square; a loss that turns most of the observations down fits too few.
 
     So does one that turns most image points of one image down: what is left, or its priors, orient it. Least absolute
     values turn nothing down: their weights fall from the first residual on.
     """
     if problem.block.options.loss in UNWEIGHED:
-        return Verdict(Status.CONVERGED, estimate.end, NO_INTERVAL)
+        return SolutionAssessment(Status.CONVERGED, estimate.end, NO_INTERVAL)
     down, n = int(np.count_nonzero(weights.image < DOWN)), len(weights.image)
     if down > MOST_DOWN * n:
-        return Verdict(Status.NOT_TRUSTWORTHY, finding("verdict.loss", down=down, n=n, limit=DOWN), NO_INTERVAL)
+        return SolutionAssessment(
+            Status.NOT_TRUSTWORTHY, finding("verdict.loss", down=down, n=n, limit=DOWN), NO_INTERVAL
+        )
     images = [f"image {name}: {bad} of {all_}" for name, bad, all_ in turned_down_images(problem, weights)]
     if images:
         found = finding("verdict.loss_of_images", count=len(images), limit=DOWN, images=images)
-        return Verdict(Status.NOT_TRUSTWORTHY, found, NO_INTERVAL)
-    return Verdict(Status.CONVERGED, estimate.end, NO_INTERVAL)
+        return SolutionAssessment(Status.NOT_TRUSTWORTHY, found, NO_INTERVAL)
+    return SolutionAssessment(Status.CONVERGED, estimate.end, NO_INTERVAL)
 
 
 def turned_down_images(problem: Problem, weights: Weights) -> list[tuple[str, int, int]]:
@@ -140,7 +151,7 @@ def sigma0_interval(redundancy: int) -> tuple[float, float]:
 def findings(
     problem: Problem,
     estimate: Estimate,
-    verdict: Verdict,
+    verdict: SolutionAssessment,
     observability: tuple[ImageObservability, ...],
     block: BlockObservability | None,
     accuracy: Accuracy,
@@ -206,3 +217,67 @@ def _outside(problem: Problem, estimate: Estimate) -> list[Finding]:
             names = [problem.block.points.ids[int(j)] for j in points[~valid]]
             out.append(finding("solution.outside_validity", image=image.id, n=int((~valid).sum()), points=names))
     return out
+
+
+# --- mistakes in tables of image points -----------------------------------------------------------
+
+Array = npt.NDArray[np.float64]
+
+#: Points that an image needs for a judgement, and how many times better another reading must fit.
+LEAST_POINTS: Final = 3
+BETTER: Final = 10.0
+
+Reading = Callable[[Array, Array, Any], tuple[Array, Array]]
+
+#: Other readings of line and sample, by what they mean.
+READINGS: Final[dict[str, Reading]] = {
+    "line and sample exchanged": lambda line, sample, sensor: (sample, line),
+    "lines counted from the last one": lambda line, sample, sensor: (
+        sensor.first_line + sensor.last_line - line, sample
+    ),
+    "samples counted from the last one": lambda line, sample, sensor: (
+        line, sensor.first_sample + sensor.last_sample - sample
+    ),
+}  # fmt: skip
+
+
+def mix_ups(block: Block) -> tuple[Finding, ...]:
+    """Name images whose control points fit far better when their image coordinates are read in another way.
+
+    Parameters
+    ----------
+    block : Block
+
+    Returns
+    -------
+    tuple of Finding
+        One per image; median distances are those between the points measured and the points projected with
+        the orientation of the metadata, in pixels.
+    """
+    out = []
+    for k, image in enumerate(block.images):
+        distances = _distances(block, k)
+        if distances is None:
+            continue
+        given = distances.pop("")
+        name, best = min(distances.items(), key=lambda item: item[1])
+        if BETTER * best < given:
+            out.append(finding("solution.mix_up", image=image.id, best_px=best, given_px=given, reading=name))
+    return tuple(out)
+
+
+def _distances(block: Block, k: int) -> dict[str, float] | None:
+    """Median distance in pixels by reading, "" as given; None where an image cannot be judged."""
+    o, known, sensor = block.observations, block.points.known, block.images[k].sensor
+    row = np.flatnonzero((o.image == k) & np.isfinite(known.ecef_m[o.point]).all(axis=1))
+    if len(row) < LEAST_POINTS:
+        return None
+    try:
+        line, sample = (np.asarray(x, np.float64) for x in sensor.project(known.ecef_m[o.point[row]]))
+        read = {"": (o.line[row], o.sample[row])}
+        read |= {name: reading(o.line[row], o.sample[row], sensor) for name, reading in READINGS.items()}
+    except (FgOrientError, AttributeError):  # nothing to hold them against
+        return None
+    away = {name: np.hypot(x - line, y - sample) for name, (x, y) in read.items()}
+    seen = np.isfinite(away[""])
+    return {name: float(np.median(d[seen])) for name, d in away.items()} if seen.sum() >= LEAST_POINTS else None

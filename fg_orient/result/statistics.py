@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from fg_orient.orientation.solution import Solution
     from fg_orient.quality.covariance import NamedMatrix
     from fg_orient.quality.outliers import GroupTest, OutlierTests
+    from fg_orient.quality.rejection import ExcludedObservation, Search
     from fg_orient.quality.reliability import BlockReliability, Reliability
-    from fg_orient.quality.search import Found, Search
     from fg_orient.result.plain import Column
 
 Array = npt.NDArray[np.float64]
@@ -302,7 +302,7 @@ def outlier_rows(search: Search) -> list[tuple[object, ...]]:
     return [_row(excluded) for excluded in search.found]
 
 
-def _row(found: Found) -> tuple[object, ...]:
+def _row(found: ExcludedObservation) -> tuple[object, ...]:
     """One row."""
     test, fit = found.test, found.fit
     error = np.full(5, np.nan)

@@ -19,9 +19,9 @@ from fg_orient.model.declaration import declared
 from fg_orient.model.errors import Finding, NoSolutionError, as_record, finding
 from fg_orient.model.names import EOP_SETS, Status
 from fg_orient.model.options import Options
+from fg_orient.quality.accuracy import rms_px, y_parallaxes
 from fg_orient.quality.deficiency import DEFICIENT, Evidence, judge_observability
 from fg_orient.quality.motions import UNOBSERVABLE
-from fg_orient.quality.parallax import rms_px, y_parallaxes
 from fg_orient.quality.verdict import DOWN, points_on_one_ray, points_without_ray, turned_down_images
 from fg_orient.result.plain import plain
 from fg_orient.result.provenance import provenance
@@ -238,7 +238,7 @@ def _check(points: PointDifferences) -> dict[str, Any]:
 
 def _prediction(solution: Solution) -> dict[str, Any]:
     """Test of the predicted accuracy (null where it is impossible), the reason, and the test of the means."""
-    from fg_orient.quality.prediction_test import bias_test
+    from fg_orient.quality.accuracy import bias_test
 
     test, withheld = None, None
     try:

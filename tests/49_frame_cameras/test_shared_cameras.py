@@ -18,7 +18,7 @@ from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 from fg_orient.quality.covariance import Cofactors, cofactors_of
-from fg_orient.quality.residuals import residual_cofactors
+from fg_orient.quality.reliability import residual_cofactors
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameSensor
 from fg_orient.simulate.frames import SIGMA, pinhole_block
 from tests.support import dbat

@@ -13,7 +13,7 @@ from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.model.block import Block, Coordinates
 from fg_orient.model.names import Role
 from fg_orient.quality.outliers import GroupTest
-from fg_orient.quality.residuals import residual_cofactors
+from fg_orient.quality.reliability import residual_cofactors
 from tests.support.rpc_block import rpc_twin
 
 

@@ -18,8 +18,8 @@ from fg_orient.adjustment.problem import compile_problem
 from fg_orient.model.block import Block, Image, ImagePoints
 from fg_orient.model.errors import InputError, RankDeficientError
 from fg_orient.model.names import Role, Status
+from fg_orient.quality.accuracy import rms_px, y_parallaxes
 from fg_orient.quality.covariance import cofactors_of
-from fg_orient.quality.parallax import rms_px, y_parallaxes
 from fg_orient.rpc.corrected import corrected
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from tests.support.full_statistics import Full, step_of_numpy

@@ -15,8 +15,7 @@ from fg_orient.model.block import Block
 from fg_orient.model.names import Role
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality import located_point
-from fg_orient.quality.located_point import LocatedPoint
-from fg_orient.quality.regions import error_ellipse, radius
+from fg_orient.quality.located_point import LocatedPoint, error_ellipse, radius
 from tests.support.rpc_block import rpc_twin
 
 

@@ -15,7 +15,7 @@ from fg_orient.model.block import Block
 from fg_orient.model.names import Role
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality.observation_groups import groups_of
-from fg_orient.quality.residuals import residual_cofactors
+from fg_orient.quality.reliability import residual_cofactors
 from fg_orient.quality.variance_components import Residuals
 from tests.support.frame_above import with_frame_above
 from tests.support.full_statistics import Full, fixed, measured_twice, options, own_observations

@@ -15,9 +15,8 @@ from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.model.names import Role
 from fg_orient.orientation.solution import Solution
-from fg_orient.quality.datum import s_matrix, s_transform
-from fg_orient.quality.free_network import null_space, with_minimal_datum
-from fg_orient.quality.residuals import residual_cofactors
+from fg_orient.quality.free_network import null_space, s_matrix, s_transform, with_minimal_datum
+from fg_orient.quality.reliability import residual_cofactors
 from tests.support.degenerate_blocks import options, pinhole, pushbroom, rpc, two_pinhole_blocks, with_control
 from tests.support.full_statistics import Full
 

@@ -13,8 +13,7 @@ import fg_orient as fg
 from fg_orient.model.distributions import binomial_limit
 from fg_orient.model.errors import NoSolutionError
 from fg_orient.orientation.solution import Solution
-from fg_orient.quality.accuracy import BEYOND, CHANCE, PointDifferences
-from fg_orient.quality.prediction_test import PredictionTest, bias_test, prediction_test
+from fg_orient.quality.accuracy import BEYOND, CHANCE, PointDifferences, PredictionTest, bias_test, prediction_test
 from fg_orient.quality.verdict import of_check_points
 from fg_orient.simulate.block import BlockOptions, grid_block
 

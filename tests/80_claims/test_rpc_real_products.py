@@ -11,7 +11,7 @@ import pytest
 import fg_orient as fg
 from fg_orient.model.block import Block
 from fg_orient.model.names import Status
-from fg_orient.quality.parallax import rms_px, y_parallaxes
+from fg_orient.quality.accuracy import rms_px, y_parallaxes
 from tests.support.real_rpc import pleiades_1, pleiades_neo, spot7, spread, with_roles
 
 pytestmark = pytest.mark.real_data
