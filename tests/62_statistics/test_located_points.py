@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 import fg_orient as fg
-from fg_orient.adjustment import located
+from fg_orient.adjustment import resection
 from fg_orient.adjustment.problem import State
 from fg_orient.model.block import Block
 from fg_orient.model.names import Role
@@ -159,7 +159,7 @@ def test_an_intersection_that_does_not_settle_is_refused(twin: Block, monkeypatc
 def test_excluded_check_points_that_do_not_settle_have_no_coordinates(
     twin: Block, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(located, "MAX_STEPS", 1)
+    monkeypatch.setattr(resection, "MAX_STEPS", 1)
     solution = fg.adjust(twin, eop_set=10, check_points="exclude")
     check = twin.points.where(Role.CHECK)
     gone = check[np.isnan(solution.ground_m[check]).any(axis=1)]
