@@ -1,7 +1,7 @@
-"""Checkpoints: what a loop carries, on disk, so that a run that is stopped goes on as if it had not been.
+"""Checkpoints: what a loop carries, in a file, so that an interrupted run continues bit by bit.
 
-The file holds the state, damping or radius, the stage and scale of the loss and the log; robust weights follow
-from the state, and nothing here is random. It is written whole or not at all, and knows the problem it belongs to.
+The file contains the state, damping or radius, the stage and scale of the loss, the log, and a fingerprint of the
+problem. Robust weights follow from the state. The file is written whole or not at all.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ _WHOLE: Final = ("rejected", "rising", "begun_at")
 
 
 class Checkpoint:
-    """A file that a run keeps and can go on from.
+    """File from which an interrupted run continues.
 
     Parameters
     ----------
     path : path
         Its folder must exist when it is written.
     every_s : float
-        Seconds between two writings at least; 0 writes after each iteration.
+        Minimum time between two writings; 0 writes after each iteration.
     resume : bool
-        Go on from the file if it exists; otherwise it is overwritten.
+        Continue from the file if it exists; otherwise it is overwritten.
     scope : str
-        What else decides the last bits, such as the number of parts: a run goes on in the same scope only.
+        Further inputs that change the last bits, such as the number of parts: a run continues in the same scope only.
 
     Raises
     ------
@@ -65,7 +65,7 @@ class Checkpoint:
         self._fingerprint = ""
 
     def keep(self, problem: Problem, backend: str, carried: Carried[State]) -> None:
-        """Remember what is carried; write it when it is time.
+        """Store what is carried; write it if ``every_s`` has passed.
 
         Raises
         ------
@@ -79,7 +79,7 @@ class Checkpoint:
             self.write()
 
     def write(self) -> int | None:
-        """Write what was remembered last; the number of its iterations, or None if there is nothing.
+        """Write what was stored last; return the number of its iterations, or None without any.
 
         Raises
         ------
@@ -102,12 +102,12 @@ class Checkpoint:
         return len(carried.log)
 
     def read(self, problem: Problem) -> tuple[str, Carried[State]] | None:
-        """Backend and what it carried, where the run shall go on and there is a file.
+        """Backend and what it carried; None without a file, or if the run shall not continue.
 
         Raises
         ------
         InputError
-            The file is no checkpoint, or that of another problem.
+            The file is not a checkpoint, or belongs to another problem.
         """
         self._pending = None
         if not (self.resume and self.path.exists()):
@@ -117,13 +117,13 @@ class Checkpoint:
                 arrays = dict(content)
             if int(arrays["format"]) != FORMAT:
                 raise InputError.of("checkpoint.unreadable", file=self.path, value=f"format {arrays['format']}")
-            found = str(arrays["fingerprint"]), str(arrays["backend"]), _carried(arrays)
+            belongs_to, backend, carried = str(arrays["fingerprint"]), str(arrays["backend"]), _carried(arrays)
         except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise InputError.of("checkpoint.unreadable", file=self.path, value=type(error).__name__) from error
         self._of, self._pending, self._fingerprint = problem, None, fingerprint(problem, self.scope)
-        if found[0] != self._fingerprint:
+        if belongs_to != self._fingerprint:
             raise InputError.of("checkpoint.other", file=self.path, option="resume")
-        return found[1:]
+        return backend, carried
 
     def remove(self) -> None:
         """Remove the file; the run has ended."""
@@ -144,7 +144,7 @@ def _record(row: list[float]) -> IterationRecord:
 
 
 def fingerprint(problem: Problem, scope: str = "") -> str:
-    """SHA-256 of everything that decides what an iteration does; ``scope``: see :class:`Checkpoint`."""
+    """SHA-256 of all inputs of an iteration; ``scope``: see :class:`Checkpoint`."""
     digest = hashlib.sha256(repr((__version__, scope)).encode())
     given = asdict(problem.block.options)
     options = {name: given[name] for name, one in declared(Options).items() if one.iterates}

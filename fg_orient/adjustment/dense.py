@@ -1,11 +1,11 @@
 """The dense backend: the same rows as the graph, as full matrices, for any registered linear solver.
 
-Rows are whitened (a unit is one sigma): image points, control points, priors, own observations;
-columns are image unknowns (prior sigmas), then unknown ground points (m). The kernels are those
-of the factors, so a difference from the graph backend is the solver's. GTSAM is not used.
+Rows are whitened (the unit is one sigma): image points, control points, priors, extra observations. Columns are image
+unknowns (prior sigmas), then unknown ground points (m). The kernels are those of the factors, so that a difference from
+the graph backend comes from the solver. GTSAM is not used.
 
-Each step solves ``J x = -r``; Levenberg-Marquardt adds rows of a diagonal matrix. Cost and memory grow
-with the square and cube of the unknowns: more than :data:`MAX_UNKNOWNS` are refused.
+Each step solves ``J x = -r``; Levenberg-Marquardt adds rows of a diagonal matrix. Memory and time grow with the square
+and cube of the unknowns: more than :data:`MAX_UNKNOWNS` are refused.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-#: Orthogonal, on J itself: its error grows with cond(J), that of methods on J^T J with the square.
+#: Orthogonal, on J itself: its error grows with cond(J), the error of methods on J^T J with its square.
 DEFAULT_SOLVER = "qr"
-#: The same with columns of unit length, for unknowns whose units differ in size.
+#: QR with columns of unit length, for unknowns of different magnitude.
 SCALED_SOLVER = "qr_scaled"
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Where the unknowns of a problem stand: images, then unknown ground points.
+    """Columns of the unknowns of a problem: images, then unknown ground points.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Columns:
     ground : (p,) int array
         Ground points that are unknowns, in order.
     first : (N,) int array
-        First column of each ground point; -1 for those that are none.
+        First column of each ground point; -1 for points that are not unknowns.
     """
 
     images: npt.NDArray[np.intp]
@@ -147,9 +147,9 @@ def _control_rows(problem: Problem, state: State, columns: Columns, jacobian: bo
 def extra_blocks(
     problem: Problem, extra: ExtraObservation, state: State, *, jacobian: bool
 ) -> tuple[Array, list[tuple[ExtraArgument, Array]]]:
-    """Residual and, if asked, Jacobians of an own observation with what they belong to, constants left out.
+    """Residual and, if asked, Jacobians of an extra observation with their arguments, without constants.
 
-    Its equation's kernel, checked as in a factor.
+    The kernel of its equation is checked as in a factor.
     """
     arguments = problem.extra_arguments(extra)
     x = [
@@ -167,7 +167,7 @@ def extra_blocks(
 def _extra_rows(
     problem: Problem, extra: ExtraObservation, state: State, columns: Columns, jacobian: bool
 ) -> tuple[Array, Array]:
-    """Rows of an own observation."""
+    """Rows of an extra observation."""
     residual, blocks = extra_blocks(problem, extra, state, jacobian=jacobian)
     out = np.zeros((extra.n_residuals if jacobian else 0, len(columns)))
     for a, block in blocks:
@@ -177,7 +177,7 @@ def _extra_rows(
 
 @dataclass(frozen=True)
 class DenseStep:
-    """A step (u,); see ``loop.Step``. ``kappa``: that of a regularised solver, nan of others."""
+    """A step (u,); see ``loop.Step``. ``kappa`` of a regularised solver, else nan."""
 
     data: Array
     length: float
@@ -196,10 +196,9 @@ class DenseSystem:
     solver : str
         Name in the registry of linear solvers.
     excess : float
-        By how much the cost under a loss exceeds half the squares of the weighted residuals.
+        Cost under a loss minus half the sum of squares of the weighted residuals.
     problem : Problem, optional
-        What it linearises: least damping, columns of ground points and their damping; without it all columns are
-        damped alike.
+        Gives minimum damping and damping of the ground points; without it all columns are damped alike.
     """
 
     def __init__(
@@ -215,13 +214,13 @@ class DenseSystem:
         Raises
         ------
         Breakdown
-            The solver cannot go on.
+            The solver fails.
         """
-        found = solve(self._solver, self.equations(damping))
-        return self._step(found.x, math.nan if found.kappa is None else found.kappa)
+        solution = solve(self._solver, self.equations(damping))
+        return self._step(solution.x, math.nan if solution.kappa is None else solution.kappa)
 
     def equations(self, damping: float = 0.0) -> LinearSystem:
-        """Equations of the step that a solver gets, the rows of the damping included; see :meth:`solve`."""
+        """Equations of the step for a solver, with the rows of the damping; see :meth:`solve`."""
         design, observed, damping = self.design, -self.residual, max(damping, self._least)
         if damping > 0.0:
             u = design.shape[1]
@@ -230,7 +229,7 @@ class DenseSystem:
         return LinearSystem.from_design(design, observed)
 
     def _damping_roots(self, damping: float) -> Array:
-        """Roots (u,) of what a damping adds to the diagonal of the normal equations."""
+        """Roots (u,) of the diagonal that a damping adds to the normal equations."""
         out = np.full(self.design.shape[1], np.sqrt(damping))
         if self._problem is not None:
             first = self._problem.n_free_unknowns
@@ -262,7 +261,7 @@ DenseRows = Callable[[Array, bool], tuple[Array, Array]]
 
 
 def equation_rows(equation: Equation, records: Array, setup: Array, fixed: Sequence[Array] = ()) -> DenseRows:
-    """Rows of a registered equation whose first unknown all observations share.
+    """Rows of a registered equation with a common first unknown.
 
     Parameters
     ----------
@@ -301,7 +300,7 @@ class RowsBackend:
 
     def error(self, state: Array) -> float:
         """Half the weighted sum of squares."""
-        with np.errstate(all="ignore"):  # a trial step may leave the model: an error that is not finite is rejected
+        with np.errstate(all="ignore"):  # a trial step may leave the model: the loop rejects errors that are not finite
             residual, _ = self.rows(state, False)
             return 0.5 * float(residual @ residual)
 
@@ -317,12 +316,12 @@ class DenseBackend:
     ----------
     problem : Problem
     solver : str
-        Name in the registry of linear solvers; a regularised one gives the x of each step.
+        Name in the registry of linear solvers; a regularised solver regularises each step.
 
     Raises
     ------
     InputError
-        More than 2000 unknowns, judged before any matrix is made; no such solver.
+        More than 2000 unknowns, before any matrix is allocated; no such solver.
     """
 
     name = "dense"

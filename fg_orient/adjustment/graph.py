@@ -1,9 +1,8 @@
 """The graph backend: the problem as a GTSAM factor graph.
 
-One CustomFactor per image point links the image's coefficient vector to the ground point;
-control points and priors are GTSAM's own prior factors with the same weights as
-``factors.conditions.control``. GTSAM linearises, eliminates (points first, then images: the Schur
-complement as an ordering) and retracts; the loop is ours (``fg_orient.adjustment.loop``).
+One CustomFactor per image point links the image's coefficient vector to the ground point. Control points and priors are
+GTSAM's own prior factors, with the weights of ``factors.conditions.control``. GTSAM linearises, eliminates (points
+first, then images: the Schur complement as an ordering) and retracts; ``fg_orient.adjustment.loop`` drives it.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ def point_key(j: int) -> int:
 
 
 def shared_key(g: int) -> int:
-    """GTSAM key of what images have in common under the g-th id."""
+    """GTSAM key of the unknowns that images share under the g-th id."""
     return int(gtsam.symbol("c", g))
 
 
@@ -58,24 +57,20 @@ def vector_keys(problem: Problem) -> list[tuple[int, slice]]:
 
 
 def image_unknown(problem: Problem, k: int) -> int | Split | Array:
-    """What a factor takes as the vector of an image: its key, several where it shares unknowns, or an empty vector."""
+    """Argument of a factor for the vector of an image: key, several keys with shared unknowns, or an empty vector."""
     ties, size = problem.ties, len(problem.parameters[k])
     if not size:
         return np.zeros(0)
-    of = (
-        np.arange(problem.first[k], problem.first[k + 1]) if ties is None else ties.of[slice(*problem.first[k : k + 2])]
-    )
-    found = []
+    if ties is None:
+        return image_key(k)
+    of, parts = ties.of[slice(*problem.first[k : k + 2])], []
     for key, part in vector_keys(problem):
         columns = np.flatnonzero((of >= part.start) & (of < part.stop))
         if len(columns):
-            found.append((key, columns, of[columns] - part.start, part.stop - part.start))
-    if len(found) == 1 and found[0][3] == size:
-        return found[0][0]
-    return Split(
-        tuple(key for key, _, _, _ in found), tuple(columns for _, columns, _, _ in found),
-        tuple(places for _, _, places, _ in found), tuple(n for _, _, _, n in found),
-    )  # fmt: skip
+            parts.append((key, columns, of[columns] - part.start, part.stop - part.start))
+    if len(parts) == 1 and parts[0][3] == size:
+        return parts[0][0]
+    return Split(*(tuple(values) for values in zip(*parts, strict=True)))
 
 
 def build_graph(problem: Problem, image_loss: Any = None, control_loss: Any = None) -> gtsam.NonlinearFactorGraph:
@@ -100,7 +95,7 @@ def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss:
     makers: dict[int, Callable[[int, int, int], gtsam.CustomFactor]] = {}
     for images in groups(models):
         equation, parameters = models[images[0]].equation, models[images[0]].parameters
-        if equation.fill is None:  # a user's equation: one factor of the general kind for each row
+        if equation.fill is None:  # general factors below
             continue
         make = image_point_factors(
             equation, len(parameters), records, parameters.setup, lambda n: problem.label(rows[n]), loss=loss
@@ -125,7 +120,7 @@ def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss:
 
 
 def _extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.CustomFactor:
-    """Factor of an observation given by the user."""
+    """Factor of an extra observation."""
     unknowns: list[int | Array | Split] = []
     arguments = problem.extra_arguments(extra)
     for argument in arguments:
@@ -196,10 +191,10 @@ class GraphSystem:
             linear.push_back(self._backend.damping_factors(damping, self._point_diagonals))
         if not self._backend.use_qr:
             try:
-                # one unknown after the other: a sixth less time than by cliques, whose points are single anyway
+                # one unknown after the other: a sixth less time than by cliques, in which each point is alone anyway
                 return self._step(linear.eliminateSequential(self._backend.ordering).optimize())
-            except RuntimeError:  # GTSAM's Cholesky gives up on well-posed but badly scaled systems; QR does not
-                pass  # and is not taken for the next one, too: no iteration may depend on what is not carried
+            except RuntimeError:  # GTSAM's Cholesky fails on well-posed but badly scaled systems; QR does not
+                pass  # Cholesky is tried again next time: an iteration depends only on what is carried
         return self._step(linear.optimize(self._backend.ordering, gtsam.EliminateQR))
 
     def dogleg(self, radius: float) -> GraphStep:
@@ -226,7 +221,7 @@ class GraphBackend:
     ----------
     problem : Problem
     robust : Robust, optional
-        Losses; may be exchanged for others between linearisations, but neither added nor taken away later.
+        Losses; they may be replaced between linearisations, but not added or removed.
     """
 
     name = "graph"
@@ -235,7 +230,7 @@ class GraphBackend:
         self.problem, self.robust = problem, robust
         losses = () if robust is None else (self._estimator("image"), self._estimator("control"))
         self.graph = build_graph(problem, *losses)
-        # without priors the normal equations may be too ill-conditioned for Cholesky; rank was judged before
+        # without priors the normal equations may be too ill-conditioned for Cholesky; their rank is known
         self.use_qr = not problem.block.options.priors
         self._points = [int(j) for j in np.flatnonzero(problem.active)]
         self.ordering = gtsam.Ordering()
@@ -252,7 +247,7 @@ class GraphBackend:
             self.zero.insert(point_key(j), np.zeros(3))
 
     def _estimator(self, kind: str) -> Any:
-        """GTSAM's form of a loss: it asks for the one in force at each call."""
+        """GTSAM's form of a loss: it looks up the present loss at each call."""
 
         def loss() -> ScaledLoss:
             return getattr(self.robust, kind)  # type: ignore[no-any-return]
@@ -301,7 +296,7 @@ class GraphBackend:
         return state.retract(step.data)
 
     def damping_factors(self, damping: float, diagonal: dict[int, Array]) -> gtsam.GaussianFactorGraph:
-        """Rows that add ``damping`` to the diagonal of the images and a share of their own to that of the points."""
+        """Rows that add ``damping`` to the diagonal of the images, and a share of it to the diagonal of the points."""
         graph = gtsam.GaussianFactorGraph()
         root, point = np.sqrt(damping), gtsam.noiseModel.Unit.Create(3)
         share = self.problem.point_damping(damping)
@@ -338,7 +333,7 @@ def run_native(backend: GraphBackend, optimizer: str, max_iterations: int) -> tu
     run = make(backend.graph, backend.initial(), params)
     values, iterations = run.optimize(), int(run.iterations())
     if optimizer == "native-levenberg-marquardt":
-        # it refuses steps whose decrease is below the rounding of chi2 (about 1e-7 sigma): one undamped step more
+        # it rejects steps whose decrease is below the rounding of chi2 (about 1e-7 sigma): one more undamped step
         last = gtsam.GaussNewtonOptimizer(backend.graph, values, _zero_tolerances(gtsam.GaussNewtonParams()))
         last.iterate()
         values, iterations = last.values(), iterations + 1

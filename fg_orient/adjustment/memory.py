@@ -1,8 +1,8 @@
-"""Memory an adjustment will need, told before anything is allocated, and the memory there is.
+"""Memory that an adjustment will need, estimated before it is allocated, and available memory.
 
-The estimate counts the arrays of the problem, of the backend and of what follows; a run above the limit is refused
-with both figures. Constants per image point are measured, at 1e6 of them; the arrays of the dense backend and
-the reduced matrix are counted. The block itself is there already.
+The estimate includes the arrays of the problem, the backend and the statistics; a run above the limit is refused with
+both values. Constants per image point are measured at 1e6 image points; the arrays of the dense backend and the reduced
+matrix are counted. The block itself is in memory already.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fg_orient.model.block import Block
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 
-#: Share of the available memory that a run may take unless told otherwise.
+#: Default share of the available memory that a run may take.
 SHARE: Final = 0.8
 #: Bytes per image point: arrays of the Schur backend; factors, values, linear graph and Bayes tree of GTSAM; start
 #: values and results (cofactors, tables, report).
@@ -34,7 +34,7 @@ RESULTS: Final = 400
 #: Bytes per image point of the statistics of every observation, and of those whose Jacobians are held at once.
 STATISTICS: Final = 700
 STATISTICS_CHUNK: Final = 300
-#: Bytes of what does not grow with the block: models, names, records of the run.
+#: Bytes that do not grow with the block: models, names, records of the run.
 FIXED: Final = 500_000
 #: Numbers per ground point in problem, state and results.
 PER_POINT: Final = 60
@@ -46,7 +46,7 @@ _OWN_GROUPS: Final = Path("/proc/self/cgroup")
 
 @dataclass(frozen=True)
 class Need:
-    """Estimated bytes of an adjustment, the backend it is for, and what it may take (None: not known)."""
+    """Estimated bytes of an adjustment with a backend, and its limit (None: unknown)."""
 
     backend: str
     needed: int
@@ -62,7 +62,7 @@ class Need:
         return {"backend": self.backend, "needed_bytes": self.needed, "allowed_bytes": self.allowed}
 
     def problem(self, name: str) -> Finding:
-        """What is said of a block of this name when it does not fit."""
+        """Error for a block of this name that does not fit."""
         return finding(
             "adjust.memory", file=name, place=f"backend {self.backend}", value=f"{self.needed / GB:.3g} GB",
             allowed=f"{(self.allowed or 0) / GB:.3g} GB",
@@ -70,14 +70,14 @@ class Need:
 
 
 def need_of(block: Block, *, elsewhere: bool = False) -> Need:
-    """Estimate what the adjustment of a block needs beside the block itself.
+    """Estimate the memory of an adjustment, without the block itself.
 
     Parameters
     ----------
     block : Block
         With the options of the run.
     elsewhere : bool
-        Other machines eliminate the ground points: their arrays are not held here.
+        Other machines eliminate the ground points: their arrays are not in this memory.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def _schur(block: Block, n: int, u: int, widest: int) -> float:
 
 
 def _graph(block: Block, n: int, u: int, widest: int) -> float:
-    """All that GTSAM holds; joint cofactors of the images."""
+    """Memory of GTSAM; joint cofactors of the images."""
     return n * GRAPH + 2 * 8 * u**2
 
 
@@ -127,13 +127,7 @@ def _dense(block: Block, n: int, u: int, widest: int) -> float:
 
 
 def require_memory(block: Block, *, elsewhere: bool = False) -> Need:
-    """Give the need of a block, if the run may take it.
-
-    Raises
-    ------
-    InputError
-        It is above the limit.
-    """
+    """Estimate the memory of a block; raise InputError if it is above the limit."""
     need = need_of(block, elsewhere=elsewhere)
     if not need.fits:
         raise InputError(need.problem(block.name))
@@ -141,7 +135,7 @@ def require_memory(block: Block, *, elsewhere: bool = False) -> Need:
 
 
 def allowed_bytes(limit_gb: float | None) -> int | None:
-    """The limit given, or 80 % of what is available; None where the system does not tell."""
+    """The given limit, or 80 % of the available memory; None if unknown."""
     if limit_gb is not None:
         return int(limit_gb * GB)
     available = available_bytes()
@@ -149,7 +143,7 @@ def allowed_bytes(limit_gb: float | None) -> int | None:
 
 
 def available_bytes() -> int | None:
-    """Memory that this process can still get: of the system, and of its control group."""
+    """Memory that this process can still allocate: the less of system and control group."""
     known = [*_of_system(), *_of_group()]
     return min(known) if known else None
 
@@ -166,9 +160,9 @@ def _of_system() -> Iterator[int]:
 
 
 def _of_group() -> Iterator[int]:
-    """What the control groups of this process leave, versions 2 and 1; memory of files that can be given up is free.
+    """Memory left in the control groups of this process (versions 2 and 1); reclaimable file memory counts as free.
 
-    A group without a limit has a word or a huge number.
+    The limit of an unlimited group is a word or a huge number.
     """
     for limit, usage, reclaimable, folder in _group_files():
         try:

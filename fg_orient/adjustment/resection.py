@@ -1,20 +1,25 @@
-"""Start values that many gross errors do not move: least median or least trimmed squares, image by image.
+"""Resection and space intersection with one side held fixed: robust start values, and points located afterwards.
 
-Random subsets of 5 to 9 control points of **one image** give its orientation by resection at the measured coordinates;
-the one whose residuals have the least median (LMS, Rousseeuw 1984) or the least trimmed sum (LTS) of squared lengths is
-kept. Subsets of the whole block would need one clean draw of hundreds of observations; those of an image need one of
-five. What fits the best subset within 2.5 scales is adjusted again by least squares (reweighted least squares), scale::
+Start values that resist many gross errors are least median or least trimmed squares, image by image. Random subsets of
+5 to 9 control points of **one image** give its orientation by resection at the measured coordinates. The subset whose
+residuals have the least median (LMS, Rousseeuw 1984) or the least trimmed sum (LTS) of squared lengths is kept. A
+subset of the whole block would have to be free of gross errors in hundreds of observations, a subset of an image in
+five. Observations that fit the best subset within 2.5 scales are adjusted again by least squares, with the scale::
 
     s = c (1 + 5 / (n - u)) sqrt(med),   c = 1.4826 in one dimension, 0.8493 for image points (median of chi2_2)
 
-with n residuals and u unknowns that they determine. Images with too few control points come after those that have
-enough, by points that two of these locate. The sigmas of control and located points are carried to the image:
-whitening takes ``I + C Q C^T``. Each ground point then starts where most of its rays and its measured coordinates
-agree, by the least sum of squares cut off at 2.5 scales, among the intersections of pairs of its rays and the
-measured coordinates. (The least median says nothing of a point with two rays: their intersection always fits.)
+with n residuals and u unknowns that they determine. Images with too few control points follow later, from points that
+two oriented images locate. The sigmas of control and located points are propagated to the image: whitening uses
+``I + C Q C^T``. Each ground point then starts where most of its rays and its measured coordinates agree: the least sum
+of squares cut off at 2.5 scales, among the intersections of pairs of its rays and the measured coordinates. (The least
+median cannot judge a point with two rays: their intersection always fits.)
 
-The number of subsets keeps the probability that not one is clean below 1 - :data:`CERTAINTY`, if :data:`SHARE` of
-the image points are wrong.
+The number of subsets keeps the probability that none is free of gross errors below 1 - :data:`CERTAINTY`, if
+:data:`SHARE` of the image points are wrong.
+
+Check points that took no part are located after the adjustment (:func:`locate_points`): the whitened conditions of all
+rays are minimised over the three coordinates with the adjusted orientation held fixed. The same Jacobians propagate
+image noise and orientation cofactors: ``G = (A^T A)^-1 A^T``, ``Q = G (I + B Q_ee B^T) G^T``.
 """
 
 from __future__ import annotations
@@ -39,17 +44,17 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 METHODS: Final = ("lms", "lts")
-#: Probability of one clean subset at least, where this share of the image points is wrong.
+#: Probability of at least one subset without gross errors, and the share of wrong image points assumed.
 CERTAINTY: Final = 0.999
 SHARE: Final = 0.4
-#: Image points of a subset; more than the least where more than twice as many unknowns are determined.
+#: Least and largest number of image points of a subset; half the number of determined unknowns within these limits.
 SIZES: Final = (5, 9)
-#: Points of an image beyond a subset, which judge it.
+#: Minimum number of points of an image outside a subset, which assess it.
 JUDGES: Final = 2
 SEED: Final = 1984
-#: Linearisations: at the metadata, and at what the first gave.
+#: Linearisations: at the metadata, and at the result of the first.
 ROUNDS: Final = 2
-#: What lies farther than a good observation does with this probability (2.5 sigmas of one number) is left out.
+#: Probability of the limit beyond which observations are left out (2.5 sigmas in one dimension).
 KEPT: Final = 0.98758
 #: Pairs of rays tried per ground point.
 MOST_PAIRS: Final = 28
@@ -57,7 +62,7 @@ MOST_PAIRS: Final = 28
 
 @dataclass(frozen=True)
 class Resection:
-    """Orientation of one image from its control points, or from points that other images located.
+    """Orientation of one image from its control points, or from points located by other images.
 
     Parameters
     ----------
@@ -66,11 +71,11 @@ class Resection:
     rows : (n,) int array
         Image points used.
     kept : (n,) bool array
-        Those that fit.
+        Image points that fit.
     scale : float
-        s in sigmas.
+        Scale s in sigmas.
     size, subsets : int
-        Image points of a subset; subsets tried.
+        Image points of a subset; number of subsets.
     """
 
     unknowns: Array
@@ -82,12 +87,12 @@ class Resection:
 
 
 def subset_count(size: int, share: float = SHARE, certainty: float = CERTAINTY) -> int:
-    """Random subsets of this size, one of which at least is clean with this certainty (Rousseeuw & Leroy 1987)."""
+    """Number of random subsets of this size for this certainty, see :data:`CERTAINTY` (Rousseeuw & Leroy 1987)."""
     return math.ceil(math.log(1.0 - certainty) / math.log(1.0 - (1.0 - share) ** size))
 
 
 def resection_start(compiled: Problem, method: str, seed: int = SEED) -> tuple[State, tuple[Resection, ...]]:
-    """Give the start of a robust adjustment.
+    """Start of a robust adjustment, and the resections of all images.
 
     Parameters
     ----------
@@ -95,28 +100,28 @@ def resection_start(compiled: Problem, method: str, seed: int = SEED) -> tuple[S
     method : str
         "lms" or "lts".
     seed : int
-        Of the subsets.
+        Seed of the random subsets.
 
     Raises
     ------
     InputError
-        An image has too few control points, and too few that other images locate; names all of them. Images have
-        unknowns in common.
+        An image has too few control points and points located by other images; names all such images. Images share
+        unknowns.
     """
     if compiled.ties is not None:
         raise InputError.of("frame.shared_not", option="robust_start", value=method, id=", ".join(compiled.ties.ids))
     image = compiled.start.image
     for _ in range(ROUNDS):
-        found = _Pass(compiled, image, method, seed)
-        found.run()
-        image = compiled.image_matrix(np.concatenate([found.resections[k].unknowns for k in range(compiled.n_images)]))
-    resections = tuple(found.resections[k] for k in range(compiled.n_images))
-    ground, _ = found.located(compiled.active, np.ones(len(compiled.observations), bool))
+        last = _Pass(compiled, image, method, seed)
+        last.run()
+        resections = tuple(last.resections[k] for k in range(compiled.n_images))
+        image = compiled.image_matrix(np.concatenate([r.unknowns for r in resections]))
+    ground, _ = last.located(compiled.active, np.ones(len(compiled.observations), bool))
     return State(image, ground), resections
 
 
 class _Pass:
-    """Resections of all images, linearised at given unknowns: those first that have control, then their neighbours.
+    """Resections of all images, linearised at given unknowns: first images with control, then their neighbours.
 
     ``known``: control points and points located so far; ``cofactors`` (N, 3, 3) m^2 of these.
     """
@@ -132,17 +137,11 @@ class _Pass:
 
     @property
     def state(self) -> State:
-        """Where it stands."""
+        """Present state."""
         return State(self.image, self.ground)
 
     def run(self) -> None:
-        """Resect all images.
-
-        Raises
-        ------
-        InputError
-            See :func:`resection_start`.
-        """
+        """Resect all images; errors as of :func:`resection_start`."""
         o, least = self.compiled.observations, SIZES[0] + JUDGES
         while len(self.resections) < self.compiled.n_images:
             left = {k: own[self.known[o.point[own]]] for k, own in enumerate(self.rows) if k not in self.resections}
@@ -153,15 +152,15 @@ class _Pass:
                     finding("adjust.few_control", place=f"image {ids[k]}", value=len(own), least=least)
                     for k, own in left.items()
                 ))  # fmt: skip
-            found = {k: _resect(self.compiled, self.state, self.cofactors, k, left[k], self.method, self.seed)
-                     for k in ready}  # fmt: skip
-            for k, resection in found.items():
+            resected = {k: _resect(self.compiled, self.state, self.cofactors, k, left[k], self.method, self.seed)
+                        for k in ready}  # fmt: skip
+            for k, resection in resected.items():
                 self.image[k, : len(resection.unknowns)] = resection.unknowns
-            self.resections |= found
+            self.resections |= resected
             self._locate()
 
     def _locate(self) -> None:
-        """Locate the points that two oriented images see."""
+        """Locate the points measured in two oriented images."""
         o = self.compiled.observations
         usable = np.isin(o.image, list(self.resections))
         wanted = ~self.known & (np.bincount(o.point[usable], minlength=len(self.known)) >= 2)
@@ -241,7 +240,7 @@ def _squares(v: Array, b: Array, step: Array) -> Array:
 
 
 def _half(n: int, size: int) -> int:
-    """How many of n must fit: the majority, counted as Rousseeuw & Leroy (1987) do."""
+    """Number of n observations that must fit: the majority as defined by Rousseeuw & Leroy (1987)."""
     return min((n + size + 1) // 2, n)
 
 
@@ -281,17 +280,17 @@ STEP_M = 1e-6
 
 @dataclass(frozen=True)
 class LocatedPoints:
-    """Points located with the orientation of a state held.
+    """Points located with the orientation of a state held fixed.
 
     Parameters
     ----------
     problem : Problem
-        All rays of these points, which are its only unknown ground points.
+        All rays of these points, its only unknown ground points.
     state : State
     index : (n,) int array
         Ground points.
     lost : (m,) int array
-        Those wanted whose steps did not end: their rays hardly meet, so they have no coordinates.
+        Points without coordinates: their steps did not converge, because their rays hardly intersect.
     """
 
     problem: Problem
@@ -310,17 +309,17 @@ class LocatedPoints:
 
 
 def locate_points(problem: Problem, state: State, start_m: Array, index: Index) -> LocatedPoints:
-    """Locate ground points from all their rays, each by Gauss-Newton steps of its own.
+    """Locate ground points from all their rays, each by separate Gauss-Newton steps.
 
     Parameters
     ----------
     problem : Problem
     state : State
-        Its image unknowns count.
+        Its image unknowns are used.
     start_m : (N, 3) array
-        ECEF m, near the points wanted; the weights are those of the start. Other rows are not looked at.
+        ECEF m, near the points; also gives the weights. Other rows are ignored.
     index : (n,) int array
-        Ground points, each seen twice or more.
+        Ground points, each measured in two or more images.
     """
     wanted = np.zeros(len(problem.active), bool)
     wanted[index] = True
@@ -344,7 +343,7 @@ def locate_points(problem: Problem, state: State, start_m: Array, index: Index) 
 
 
 def _steps(problem: Problem, state: State, rows: list[Index], place: Index, n: int) -> Array:
-    """Gauss-Newton steps (n, 3) of the points; ``place`` is that of the point of each ray among them."""
+    """Gauss-Newton steps (n, 3) of the points; ``place``: place of each ray's point among them."""
     normal, right = np.zeros((n, 3, 3)), np.zeros((n, 3))
     for k, own in enumerate(rows):
         value, _, d_ground = image_rows(problem, state, k, own, jacobian=True)

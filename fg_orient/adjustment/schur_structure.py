@@ -1,7 +1,7 @@
 """A problem compiled to arrays for the Schur backend, once: sorted observations, columns, pieces, chunks, tiles.
 
-Image points are sorted by ground point, and ground points by the images that see them: what is used together lies
-together in memory. The layout is that of ``fg_orient.kernels.batch``, ``fg_orient.kernels.batch_points`` and
+Image points are sorted by ground point, and ground points by the images that see them, so that data used together are
+adjacent in memory. The layout is that of ``fg_orient.kernels.batch``, ``fg_orient.kernels.batch_points`` and
 ``fg_orient.kernels.batch_pairs``.
 """
 
@@ -26,23 +26,23 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 Small = npt.NDArray[np.int32]
 
-#: Fewer image points than this are computed by one thread: starting a second one costs 50 us at each stage (measured).
+#: Up to so many image points one thread is used: a second thread costs 50 us at each stage (measured).
 SERIAL_LIMIT: Final = 2000
-#: Chunks: about so many, of so many image points. Each has sums of its own (some blocks of 6 kB), and they are what is
-#: shared out among threads.
+#: Number of chunks, least and largest number of their image points. Each chunk has separate sums (some blocks of 6 kB);
+#: threads share the chunks.
 CHUNKS: Final = 12
 LEAST_CHUNK: Final = 768
 MOST_CHUNK: Final = 16384
 #: Time that the rows of an image point take, in pairs of rays (measured: 110 and 50 ns).
 RAY_COST: Final = 2
-#: Bytes per image point that the sums of the chunks may take, and bytes they always may; chunks there always are.
+#: Limits of the sums of the chunks: bytes per image point, bytes that are always allowed; least number of chunks.
 SUMS: Final = 48
 LEAST_SUMS: Final = 32_000_000
 LEAST_CHUNKS: Final = 4
 #: Image points whose rows are computed together: 25 MB.
 TILE: Final = 131_072
-#: Up to so many image points all rows are kept, 200 bytes each; of larger blocks this share, so that the working set
-#: stays below 256 bytes per image point. The others are computed three times instead of once.
+#: Up to so many image points all rows are kept, 200 bytes each. Larger blocks keep this share, so that the working set
+#: stays below 256 bytes per image point; the other rows are computed three times instead of once.
 ALL_KEPT: Final = 300_000
 KEPT_SHARE: Final = 0.28
 #: Records that are copied at once.
@@ -53,7 +53,7 @@ RECORDS: Final = 32_768
 class Group:
     """Images of one equation and one set of unknowns.
 
-    ``members`` (m,): their image points in ascending order; None where they are all.
+    ``members`` (m,): their image points in ascending order; None: all image points.
     """
 
     rows: Callable[..., int]
@@ -65,14 +65,14 @@ class Group:
 
 @dataclass(frozen=True)
 class Tile:
-    """A run of chunks whose rows are computed, and used, together.
+    """Consecutive chunks whose rows are computed and used together.
 
     Parameters
     ----------
     points, places, chunks : (2,) int tuples
         First and end of its image points, of its places among the ground points, of its chunks.
     kept : bool
-        Whether its rows are kept; those of the others are computed again.
+        Whether its rows are kept; otherwise they are computed again for each use.
     """
 
     points: tuple[int, int]
@@ -83,7 +83,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class Structure:
-    """What does not change between iterations.
+    """Arrays that do not change between iterations.
 
     Parameters
     ----------
@@ -212,12 +212,12 @@ def _sorted(problem: Problem) -> tuple[Small, Small, Small, Small]:
 
 def _groups(problem: Problem, image: Small) -> tuple[Group, ...]:
     """Images with the same equation and unknowns, and their image points."""
-    out, found = [], groups(problem.models)
-    for images in found:
+    out, image_groups = [], groups(problem.models)
+    for images in image_groups:
         model = problem.models[images[0]]
         rows, columns = batch(model.equation, model.parameters.setup, problem.records)
         members = None
-        if len(found) > 1:
+        if len(image_groups) > 1:
             inside = np.zeros(problem.n_images, dtype=bool)
             inside[images] = True
             members = np.flatnonzero(inside[image]).astype(np.int32)
@@ -235,10 +235,10 @@ def _write_basis(problem: Problem, row: Small, group: Group, basis: Array) -> No
 def _chunks(
     first: Small, image: Small, free: npt.NDArray[np.int8], n_images: int, numbers: int
 ) -> tuple[Index, Index, dict[str, Any]]:  # fmt: skip
-    """Pieces (Q, 5), the first of each chunk and their number (N + 1,), and what :func:`_slots` gives of them.
+    """Pieces (Q, 5), the first of each chunk and their number (N + 1,), and their :func:`_slots`.
 
-    Chunks become fewer where their sums, ``numbers`` for each slot, would outgrow the rows: where the images of
-    neighbouring points have nothing in common.
+    The number of chunks is reduced where their sums, ``numbers`` for each slot, would need more memory than the rows:
+    where neighbouring points are seen by different images.
     """
     total = int(first[-1])
     limit = min(max(total // CHUNKS, LEAST_CHUNK), MOST_CHUNK)

@@ -77,11 +77,11 @@ class Estimate:
     linear : GraphSystem, SchurSystem, DenseSystem or SummedSystem
         The undamped linearisation at the state, for cofactors.
     structure_s, solve_s : float
-        Wall-clock seconds: building the graph, optimising.
+        Wall-clock seconds of compilation and optimisation.
     weights : Weights or None
         Under a loss the weights at the state.
     resumed_at : int
-        Iterations of the run that was stopped, which this one went on with.
+        Iterations of an interrupted run that this run continued.
     """
 
     state: State
@@ -100,7 +100,7 @@ class Estimate:
 
     @property
     def reason(self) -> str:
-        """Why it ended, in words."""
+        """Sentence on the end of the iteration."""
         return str(self.end)
 
 
@@ -111,29 +111,27 @@ def solve(
     checkpoint: Checkpoint | None = None,
     start: State | None = None,
 ) -> Estimate:
-    """Adjust through the backend of the block's options.
+    """Adjust with the backend of the block's options.
 
     Parameters
     ----------
     problem : Problem
     callback : callable, optional
-        Called with each record; those of a run that is resumed come first.
+        Receives each record, first those of an interrupted run that is continued.
     schur : callable, optional
-        Makes another backend that does what the Schur backend does, and is then taken whatever the options say
-        (``fg_orient.adjustment.parts``).
+        Makes a backend that replaces the Schur backend, whatever the options say (``fg_orient.adjustment.parts``).
     checkpoint : Checkpoint, optional
-        Keeps the run, or is what it goes on from. The caller removes it when the result is safe.
+        File that keeps the run, or from which it continues. The caller removes it when the result is safe.
     start : State, optional
-        Where to begin, instead of the problem's start; GTSAM's own optimisers do not look at it.
+        Start instead of the problem's; GTSAM's own optimisers ignore it.
 
     Raises
     ------
     InputError
-        Unknown backend, optimiser or solver; a native optimiser on too large a block; a dense
-        adjustment of too many unknowns; a block that the Schur backend cannot take; no such loss; a checkpoint
-        of another problem.
+        Unknown backend, optimiser, solver or loss; too many image points for a native optimiser, or unknowns for the
+        dense backend; a block that the Schur backend refuses; a checkpoint of another problem.
     NoSolutionError
-        The equations become singular or not finite on the way.
+        The equations become singular or not finite.
     KeyboardInterrupt
         Its text says whether a checkpoint was written.
     """
@@ -166,7 +164,7 @@ def suitable_backend(block: Block) -> Backend:
 
 
 def require_possible(options: Options) -> None:
-    """Refuse losses that do not exist and choices that do not go together.
+    """Refuse unknown losses and options that exclude each other.
 
     Raises
     ------
@@ -184,7 +182,7 @@ def require_possible(options: Options) -> None:
 
 
 def _require_robust(options: Options) -> None:
-    """Refuse choices of a robust adjustment that do not go together."""
+    """Refuse options of a robust adjustment that exclude each other."""
     mad, resections = options.robust_scale == "mad", options.robust_start in METHODS
     wish = "robust_scale" if mad else "robust_start"
     if options.loss == NONE:
@@ -202,24 +200,21 @@ def _require_robust(options: Options) -> None:
 
 
 def first_sentence(error: Exception) -> str:
-    """One line of an exception's text: GTSAM's own run over many."""
+    """One line of an exception's text: GTSAM's messages have many."""
     return " ".join(str(error).split())[:160]
 
 
 class _Job:
-    """A problem, who is told of its iterations, and where it goes on from.
-
-    ``start``: a state to begin from, instead of the problem's.
-    """
+    """Problem, iteration callback and restart state; ``start`` replaces the start of the problem."""
 
     def __init__(
         self, problem: Problem, callback: Callback | None, checkpoint: Checkpoint | None, start: State | None = None
     ) -> None:
         self.problem, self.options = problem, problem.block.options
         self._callback, self._checkpoint, self._plan = callback, checkpoint, plan_of(self.options)
-        found = None if checkpoint is None else checkpoint.read(problem)
-        self.backend = suitable_backend(problem.block) if found is None else found[0]
-        self._found = None if found is None else found[1]
+        kept = None if checkpoint is None else checkpoint.read(problem)
+        self.backend = suitable_backend(problem.block) if kept is None else kept[0]
+        self._resumed = None if kept is None else kept[1]
         self._start, self._scale = start, A_PRIORI
         self._marks = [working_clock()]
 
@@ -230,9 +225,9 @@ class _Job:
 
     @cached_property
     def _first(self) -> Carried[State]:
-        """What the first iteration begins with: what a stopped run carried, or the start."""
-        if self._found is not None:
-            return self._found
+        """Input of the first iteration: what an interrupted run carried, or the start."""
+        if self._resumed is not None:
+            return self._resumed
         if self._plan is None or self.options.gnc or self.options.robust_start not in METHODS:
             return Carried(self._start or self.problem.start, mu=math.nan if self._plan is None else PLAIN)
         state, _ = resection_start(self.problem, self.options.robust_start)
@@ -245,17 +240,17 @@ class _Job:
 
     def start_again(self, backend: str) -> None:
         """Begin from the start with another backend."""
-        self.backend, self._found, self._marks = backend, None, [working_clock()]
+        self.backend, self._resumed, self._marks = backend, None, [working_clock()]
         self.__dict__.pop("_first", None)
 
     def mark(self) -> None:
-        """Note the time at which a phase ends."""
+        """Record the time at the end of a phase."""
         self._marks.append(working_clock())
 
     def optimise(self, backend: Any, to_state: Callable[[S], State], of_state: Callable[[State], S]) -> LoopResult[S]:
-        """Drive a backend; its states are translated for the checkpoint."""
-        options, found = self.options, self._first
-        carried: Carried[S] = _with_state(found, of_state(found.state))
+        """Run the optimiser on a backend; ``to_state`` and ``of_state`` convert its states for the checkpoint."""
+        options, first = self.options, self._first
+        carried: Carried[S] = _with_state(first, of_state(first.state))
         if self._callback is not None:
             for record in carried.log:
                 self._callback(record)
@@ -294,17 +289,17 @@ class _Job:
         return Estimate(
             state, 2.0 * error, result.converged, result.end, result.log, result.iterations or len(result.log),
             self.backend, solver, linear, float(structure), float(solved), weights,
-            0 if self._found is None else len(self._found.log),
+            0 if self._resumed is None else len(self._resumed.log),
         )  # fmt: skip
 
 
 def _with_state(carried: Carried[Any], state: S) -> Carried[S]:
-    """The same with its state in another form."""
+    """Copy with the state in another form."""
     return Carried(**{**vars(carried), "state": state})
 
 
 def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:
-    """Run the backend; what "auto" gave to the Schur complement in vain gets the graph and its QR."""
+    """Run the backend; under "auto" the graph with its QR follows a singular Schur backend."""
     if schur is not None:
         job.backend = "schur"
         return _run_schur(job, schur)
@@ -365,7 +360,7 @@ def _run_graph(job: _Job) -> Estimate:
 
 
 def _native(backend: GraphBackend, options: Options) -> LoopResult[Any]:
-    """Run GTSAM's own optimiser. It does not say whether it converged: one more undamped step tells."""
+    """Run GTSAM's own optimiser. It does not report convergence: one more undamped step decides."""
     from fg_orient.adjustment.graph import run_native
 
     values, iterations, error = run_native(backend, options.optimizer, options.max_iterations)

@@ -1,9 +1,9 @@
-"""Unknowns that several images have in common: one camera's interior orientation, the drift of one strip.
+"""Unknowns shared by several images: one camera's interior orientation, the drift of one strip.
 
-Each image keeps a vector of its own (the *wide* unknowns x, one image after the other), so that equations, rows and
-cofactors know nothing of ties. What is solved for are the *free* unknowns z, each image's own ones in order, then
-those of each id: ``x = T z`` with a 0-1 matrix T. Hence J becomes J T, the reduced camera system S becomes
-T^T S T, and cofactors of x are ``T Q T^T``: block-invariant self-calibration without a further equation.
+Each image keeps a complete vector (the *wide* unknowns x, one image after the other), so that equations, rows and
+cofactors do not depend on ties. The solution is for the *free* unknowns z, first the own unknowns of each image, then
+those of each id: ``x = T z`` with a 0-1 matrix T. Hence J becomes J T, the reduced camera system S becomes T^T S T, and
+cofactors of x are ``T Q T^T``: block-invariant self-calibration without a further equation.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ Index = npt.NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class Ties:
-    """T, and what stands where.
+    """Matrix T and the order of the free unknowns.
 
     Parameters
     ----------
     of : (w,) int array
         Free unknown of each wide one.
     part : (M + G + 1,) int array
-        First free unknown of each image's own ones, then of each of the G ids; their number.
+        First free unknown of each image, then of each of the G ids; their number.
     ids : tuple of str
         The G ids.
     """
@@ -64,7 +64,7 @@ class Ties:
 
     @cached_property
     def own(self) -> npt.NDArray[np.bool_]:
-        """Wide unknowns (w,) that one image has for itself."""
+        """Wide unknowns (w,) that are not shared."""
         return np.asarray(self.of < self.part[len(self.part) - 1 - len(self.ids)])
 
     def summed(self, wide: Array) -> Array:
@@ -72,17 +72,17 @@ class Ties:
         return np.bincount(self.of, weights=wide, minlength=len(self)).astype(np.float64, copy=False)
 
     def columns(self, wide: Array) -> Array:
-        """``J T`` of rows (n, w + p); the p columns behind those of the images stay."""
+        """``J T`` of rows (n, w + p); the last p columns are unchanged."""
         w = len(self.of)
         return np.hstack([np.asarray(wide[:, :w] @ self.matrix), wide[:, w:]])
 
     def widened(self, free: Array) -> Array:
-        """``T z`` of a vector or columns (z + p, ...); the p rows behind stay."""
+        """``T z`` of a vector or columns (z + p, ...); the last p rows are unchanged."""
         return np.concatenate([free[self.of], free[len(self) :]])
 
 
 def ties_of(parameters: Sequence[ImageParameters], names: Sequence[str]) -> Ties | None:
-    """Ties of images; None if each has its unknowns for itself.
+    """Ties of images; None if images share no unknowns.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def ties_of(parameters: Sequence[ImageParameters], names: Sequence[str]) -> Ties
     Raises
     ------
     InputError
-        The same shared unknown has different prior sigmas.
+        A shared unknown has different prior sigmas.
     """
     own = [p.own for p in parameters]
     if all(mask.all() for mask in own):

@@ -1,9 +1,8 @@
 """The contract of an image model, and the table that finds the model of an image by its sensor.
 
-An image model binds a sensor to one registered observation equation with the arguments (image unknowns,
-ground point). A further sensor is one file with a class of this contract and one row in :data:`MODELS`:
-backends, observability, covariance, tables and report know nothing else of it. A user's own sensor comes to
-:func:`register_model`.
+An image model binds a sensor to one registered observation equation with the arguments (image unknowns, ground point).
+A further sensor is one file with a class of this contract and one row in :data:`MODELS`: backends, observability,
+covariance, tables and report use this contract only. :func:`register_model` adds the model of a user's own sensor.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-#: Class of the sensor, by name so that no sensor is loaded in vain: module and class of its model.
+#: Module and class of the model by the name of the sensor's class, so that only sensors in use are loaded.
 MODELS: Final[dict[str, tuple[str, str]]] = {
     "PushbroomSensor": ("fg_orient.adjustment.models.pushbroom", "PushbroomModel"),
     "GeneralPushbroom": ("fg_orient.adjustment.models.pushbroom", "PushbroomModel"),
@@ -44,7 +43,7 @@ def register_model(sensor: type, model: Callable[[Any, Options], ImageModel]) ->
     Parameters
     ----------
     sensor : type
-        Class of the sensor; its name is not that of another one.
+        Class of the sensor, with a unique name.
     model : callable
         ``model(sensor, options)`` gives an :class:`ImageModel`; a class of that contract.
 
@@ -67,7 +66,7 @@ def own_model(sensor: Any, options: Options) -> ImageModel | None:
 
 
 class ImageModel(Protocol):
-    """One image as the adjustment sees it."""
+    """One image in the adjustment."""
 
     equation: Equation
     parameters: ImageParameters
@@ -81,56 +80,55 @@ class ImageModel(Protocol):
         ...
 
     def correction(self, x: Array) -> Any:
-        """What ``rays``, ``project`` and ``locate`` of the sensor take, from unknowns (k,) in prior sigmas."""
+        """Correction for ``rays``, ``project`` and ``locate`` of the sensor, from unknowns (k,) in prior sigmas."""
         ...
 
     def silent_directions(self) -> list[tuple[str, Array]]:
-        """Directions that physics hides from the image: sentence and unit vector (k,) in prior sigmas."""
+        """Directions without effect on the image: sentence and unit vector (k,) in prior sigmas."""
         ...
 
     def per_line(self) -> tuple[Array, tuple[str, ...]]:
-        """Factors (k,) from the unknowns in physical units to coefficients per line, nan where none; units."""
+        """Factors (k,) from the unknowns in physical units to coefficients per line (nan without), and units."""
         ...
 
     def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
-        """Tell where the sensor's model may be used: ground points (n, 3) ECEF m -> (n,)."""
+        """Whether the sensor's model may be used at ground points (n, 3) ECEF m: (n,)."""
         ...
 
     def facts(self) -> dict[str, Any]:
-        """Mission, instrument, format and whatever else the record of a run tells of the image's metadata."""
+        """Mission, instrument, format and further metadata for the record of a run."""
         ...
 
 
 def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel, ...]:
-    """Give the model of each image, by the kind of its sensor.
+    """Model of each image, by the class of its sensor.
 
     Raises
     ------
     InputError
-        An image has a sensor that no model is known for; ``image_unknowns`` names what no image has, or nothing
-        that one has.
+        An image has a sensor without a model; ``image_unknowns`` names unknowns of no image, or none of an image.
     """
-    found: list[ImageModel] = []
+    models: list[ImageModel] = []
     for image in images:
         kind = type(image.sensor).__name__
         own = own_model(image.sensor, options)
         if own is not None:
-            found.append(own)
+            models.append(own)
             continue
         if kind not in MODELS:
             known = ", ".join((*MODELS, *_OWN))
             raise InputError.of("adjust.no_model", place=f"image {image.id}", value=kind, known=known)
         module, name = MODELS[kind]
-        found.append(getattr(import_module(module), name)(image.sensor, options))
-    if any(not model.parameters.own.all() for model in found):
+        models.append(getattr(import_module(module), name)(image.sensor, options))
+    if any(not model.parameters.own.all() for model in models):
         from fg_orient.adjustment.models.frame import require_common_start
 
         require_common_start({i.id: i.sensor.camera for i in images if hasattr(i.sensor, "camera")})
-    every = {known for model in found for known in model.parameters.names}
+    every = {known for model in models for known in model.parameters.names}
     wrong = [unknown for unknown in options.image_unknowns if unknown not in every]
     if wrong:
         raise InputError.of("parameters.unknown", option="image_unknowns", value=", ".join(wrong))
-    return tuple(found)
+    return tuple(models)
 
 
 def groups(models: Sequence[ImageModel]) -> list[list[int]]:

@@ -38,7 +38,7 @@ _NAMES: Final = (*UNKNOWNS, *NAVIGATION)
 
 
 def camera_parameters(camera: FrameCamera, only: tuple[str, ...] = ()) -> ImageParameters:
-    """Unknowns of a frame image: what the camera gives a prior sigma, or the named ones of them, by code."""
+    """Unknowns of a frame image: those with a prior sigma of the camera, or the named ones of them, by code."""
     codes = tuple(k for k, name in enumerate(_NAMES) if name in camera.sigma and (not only or name in only))
     sigma = np.array([camera.sigma[_NAMES[k]] for k in codes])
     names = tuple(_NAMES[k] for k in codes)
@@ -74,13 +74,13 @@ class FrameImageModel:
     ----------
     sensor : FrameSensor
     options : Options
-        The unknowns and their prior sigmas are those of the camera; ``image_unknowns`` may leave some out. A camera
-        without any is held: its images are the datum.
+        The unknowns and their prior sigmas are those of the camera; ``image_unknowns`` may select some. A camera
+        without unknowns is held fixed: its images are the datum.
 
     Raises
     ------
     InputError
-        ``image_unknowns`` leaves none of the camera's unknowns.
+        ``image_unknowns`` selects none of the camera's unknowns.
     """
 
     def __init__(self, sensor: FrameSensor, options: Options) -> None:
@@ -99,7 +99,7 @@ class FrameImageModel:
         return out
 
     def correction(self, x: Array) -> Array:
-        """Corrections (15,) in physical units, ordered as the codes of ``cameras.frame``: what a pixel feels."""
+        """Corrections (15,) in physical units that change pixels, ordered as the codes of ``cameras.frame``."""
         out = np.zeros(len(_NAMES))
         out[list(self.parameters.codes)] = x * self.parameters.sigma
         return out[:N_UNKNOWNS]
@@ -113,11 +113,11 @@ class FrameImageModel:
         return np.full(len(self.parameters), np.nan), ("",) * len(self.parameters)
 
     def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
-        """In front of the camera as it was given."""
+        """Whether points lie in front of the camera at its approximate orientation."""
         return np.isfinite(self.sensor.project(ground_m)[0])
 
     def facts(self) -> dict[str, Any]:
-        """What is known of a frame image."""
+        """Metadata of a frame image."""
         return {
             "model": "frame", "mission": "frame camera", "instrument": "", "format": "camera",
             "metadata_polynomials": [],

@@ -71,8 +71,8 @@ class PushbroomModel:
     def silent_directions(self) -> list[tuple[str, Array]]:
         """Velocity acts through V x P only (docs/equations.md 3).
 
-        Along track and radial it acts on nothing; across track it turns the orbital frame like a yaw, or,
-        with Earth-fixed attitudes (DIMAP v2), nothing at all.
+        Along track and radial it has no effect. Across track it rotates the orbital frame like a yaw; with Earth-fixed
+        attitudes (DIMAP v2) it has no effect.
         """
         out: list[tuple[str, Array]] = []
         frame, speed_m_s = self._central_frame()
@@ -105,7 +105,7 @@ class PushbroomModel:
         return frame, float(state.velocity_m_s[0] @ frame[:, 1])
 
     def per_line(self) -> tuple[Array, tuple[str, ...]]:
-        """Coefficients of line minus the central line, from those of tau; none for the look polynomial."""
+        """Factors to coefficients of line minus central line; nan for the look polynomial."""
         change = per_line_from_tau(self.sensor.n_lines)
         codes, units = self.parameters.codes, self.parameters.units
         factors = np.array([change[code % 3] if code < N_EOP else np.nan for code in codes])
@@ -120,7 +120,7 @@ class PushbroomModel:
         return np.ones(len(ground_m), bool)
 
     def facts(self) -> dict[str, Any]:
-        """What the file says of itself, and degree-2 fits of its EOPs (T-Table 4.1): per line, residuals left."""
+        """Mission of the file, and degree-2 fits of its EOPs (T-Table 4.1): coefficients per line, residuals."""
         meta, fit = self.sensor.metadata, fit_eop(self.sensor)
         polynomials = [
             {"component": COMPONENTS[k], "unit": UNITS[k], "per_line": fit.per_line[k].tolist(),

@@ -5,9 +5,8 @@ Compensation, pixels, with l, s the model's own normalised line and sample in [-
     line   += line_0   + line_l1 l   + line_s1 s
     sample += sample_0 + sample_l1 l + sample_s1 s
 
-"shift" has the first column, "shift_drift" the first two, "affine" all three. A shift is what an error of position
-or of roll and pitch does to a narrow field of view; drift and affine terms take up what changes along and
-across the image.
+"shift" has the first column, "shift_drift" the first two, "affine" all three. A shift is the effect of an error of
+position, roll or pitch in a narrow field of view; drift and affine terms model changes along and across the image.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ _WORDS: Final = (
 
 
 def compensation_parameters(options: Options, file: str = "") -> ImageParameters:
-    """Unknowns of an RPC image: those named, else the compensation of the options; prior sigmas in pixels.
+    """Unknowns of an RPC image: the named ones, else the compensation of the options; prior sigmas in pixels.
 
     Raises
     ------
@@ -88,19 +87,19 @@ class RpcImageModel:
         return []
 
     def per_line(self) -> tuple[Array, tuple[str, ...]]:
-        """Drift per line; shifts as they are; none for terms of the sample."""
+        """Factors of drifts per line and of shifts; nan for terms of the sample."""
         scale = float(self.sensor.model.scales[RANGE.line])
         table = ((1.0, "px"), (1.0 / scale, "px/line"), (np.nan, ""))
         rows = [table[code // 2] for code in self.parameters.codes]
         return np.array([factor for factor, _ in rows]), tuple(unit for _, unit in rows)
 
     def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
-        """Inside the ranges of longitude, latitude and height of the file: beyond, cubics run away."""
+        """Whether points lie in the ranges of longitude, latitude and height of the file: outside, cubics diverge."""
         lon, lat, height = ellipsoid.geodetic_array(np.ascontiguousarray(ground_m)).T
         return self.sensor.model.inside(np.degrees(lon), np.degrees(lat), height)
 
     def facts(self) -> dict[str, Any]:
-        """Format of the file; an RPC names no mission and has no orientation to describe."""
+        """Format of the file; an RPC has neither mission nor orientation."""
         return {
             "model": "RPC", "mission": "RPC", "instrument": "", "format": self.sensor.model.format,
             "metadata_polynomials": [],
