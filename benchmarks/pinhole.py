@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.formats.exchange.bal import read_bal
-from fg_orient.simulate.frames import pinhole_block
+from tests.support.pinhole import pinhole_block
 
 Array = npt.NDArray[np.float64]
 

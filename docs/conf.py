@@ -65,12 +65,12 @@ _INTERNAL = """
     fg_orient/rectification/lattice.py fg_orient/rectification/ortho*.py fg_orient/report/*.py fg_orient/run
     fg_orient/result/s*.py fg_orient/result/tables.py fg_orient/result/provenance.py
     fg_orient/simulate/* fg_orient/studies/claims*.py fg_orient/studies/comparison/* fg_orient/studies/published
-    fg_orient/studies/reproduce fg_orient/studies/rfm_twin.py fg_orient/studies/study.py
+    fg_orient/studies/reproduce fg_orient/studies/claims_geometry.py fg_orient/studies/claims.py
     fg_orient/studies/switch_effects.py fg_orient/studies/tables_*.py
 """.split()
 _IMPORTED = """
     fg_orient/adjustment/models fg_orient/adjustment/problem.py fg_orient/adjustment/regression.py
-    fg_orient/studies/comparison/compare.py fg_orient/studies/comparison/model.py fg_orient/studies/study.py
+    fg_orient/studies/comparison/compare.py fg_orient/studies/comparison/model.py fg_orient/studies/claims.py
     fg_orient/adjustment/parts/solve.py fg_orient/adjustment/parts/study.py
     fg_orient/report/chart.py fg_orient/report/figures.py fg_orient/report/geofiles.py fg_orient/report/html.py
     fg_orient/report/layers.py fg_orient/report/maps.py fg_orient/report/paper.py fg_orient/report/plots.py

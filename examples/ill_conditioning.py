@@ -18,8 +18,8 @@ from factors.cameras.pushbroom import RECORD
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.model.names import EOP_SETS
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from fg_orient.studies.claims import EXACT, TWIN, Study
 from fg_orient.studies.conditions import Conditions
-from fg_orient.studies.study import EXACT, TWIN, Study
 from fg_orient.studies.two_stage import TwoStage
 
 SETS = (1, 9, 15, 5, 13, 17, 19, 20)

@@ -14,10 +14,9 @@ from fg_orient.cli.output import answer, number, say, table, tell, tell_findings
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.errors import InputError, judged
 from fg_orient.model.names import EXIT_CODE, Status
+from fg_orient.rpc.options import FitOptions
 
 if TYPE_CHECKING:
-    from fg_orient.model.names import Progress
-    from fg_orient.rpc.fitting import FitOptions
     from fg_orient.sensors.rpc import RpcModel
 
 app = typer.Typer(
@@ -137,9 +136,9 @@ def refine(
     The corrected RPC is exact for shift, else refitted with its error stated.
     Ends with 4 if the points do not fit the model.
     """
+    from fg_orient.rpc.compensate import refine as refined
     from fg_orient.rpc.files import describe, open_rpc, require_free, target_of
     from fg_orient.rpc.points import read_measured
-    from fg_orient.rpc.refine import refine as refined
 
     target = None if out is None else target_of(to, out)
     if out is not None:
@@ -156,15 +155,14 @@ def _written_corrected(model: RpcModel, values: list[float], out: Path, target: 
     """Write the compensated model; how exact it is stands with it."""
     import numpy as np
 
-    from fg_orient.rpc.corrected import corrected
-    from fg_orient.rpc.files import write_as
+    from fg_orient.rpc.files import corrected, write_as
 
     new = corrected(model, np.array(values))
     return write_as(new.model, out, target, overwrite=overwrite) | {"exact": new.exact, "errors": new.errors}
 
 
 @app.command("fit")
-@command()
+@command(FitOptions)
 def fit(
     source: Annotated[
         Path,
@@ -174,42 +172,12 @@ def fit(
             help="CSV of control points (columns as in rpc refine), or metadata of a rigorous model (DIMAP).",
         ),
     ],
+    options: Mapping[str, Any],
     heights: Heights = None,
-    degree: Annotated[int, typer.Option(metavar="1|2|3", help="Degree of the polynomials.")] = 3,
-    denominators: Annotated[
-        str, typer.Option(metavar="KIND", help="separate, common (one for both coordinates) or one (polynomials).")
-    ] = "separate",
     grid: Annotated[
         tuple[int, int, int] | None,
         typer.Option("--grid", metavar="L S H", help="IMAGE: lines, samples, heights of the grid; default 20 20 5."),
     ] = None,
-    equations: Annotated[
-        str | None, typer.Option(metavar="KIND", help="POINTS: true, linear (as published) or weighted.")
-    ] = None,
-    select: Annotated[
-        str | None,
-        typer.Option(
-            "--select",
-            metavar="NAME",
-            help="POINTS: ridge_press (default), ridge_gcv, ridge_l_curve, lasso, nested, uss, scatter or none.",
-        ),
-    ] = None,
-    kappa: Annotated[
-        float | None, typer.Option(help="POINTS: penalty on squared normalised coefficients, instead of --select.")
-    ] = None,
-    penalty: Annotated[
-        str | None, typer.Option(metavar="KIND", help="POINTS: beyond_affine or identity (what kappa holds).")
-    ] = None,
-    solver: Annotated[
-        str | None, typer.Option(metavar="NAME", help="POINTS: solver of the linear form, such as svd_scaled.")
-    ] = None,
-    normalise: Annotated[
-        bool, typer.Option("--normalise/--no-normalise", help="POINTS: coordinates to -1 .. 1.")
-    ] = True,
-    folds: Annotated[
-        int | None, typer.Option(metavar="K", help="POINTS: parts of the cross-validation; default 10.")
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the folds or of the independent points.")] = 1,
     extrapolate_attitude: Extrapolate = 0.0,
     result: Result = None,
     out: Annotated[Path | None, typer.Option("--out", help="Write the RPC.")] = None,
@@ -226,23 +194,33 @@ def fit(
     if out is not None:
         target_of(to, out)
         require_free(out, overwrite)
-    of_points = {
-        "equations": equations, "selection": select, "kappa": kappa, "penalty": penalty, "solver": solver,
-        "normalise": None if normalise else False, "folds": folds,
-    }  # fmt: skip
-    given = {name: value for name, value in of_points.items() if value is not None}
-    common = {"degree": degree, "denominators": denominators, "seed": seed}
-    if source.suffix.lower() == ".csv":
-        of_sensor = {"heights": heights, "grid": grid, "result": result}
-        _refuse(source, of_sensor, "control points")
+    of_form = {name: value for name, value in options.items() if name in ("degree", "denominators", "seed")}
+    is_points = source.suffix.lower() == ".csv"
+    chosen = FitOptions(**(options if is_points else of_form))
+    if is_points:
+        _refuse(source, {"heights": heights, "grid": grid, "result": result}, "control points")
+        if out is not None and not chosen.normalise:
+            raise InputError.of("rpc.unscaled", file=out, option="no_normalise")
+        from fg_orient.rpc.fitting import fit_points
+        from fg_orient.rpc.points import read_measured
+
         with progress_bar("fitting") as progress:
-            model, record = _fit_points(source, common | given, out, progress)
+            model, record = fit_points(read_measured(source), chosen, progress)
     else:
-        names = {"selection": "select", "normalise": "no_normalise"}
-        _refuse(source, {names.get(name, name): value for name, value in given.items()}, "a sensor")
+        names = {"normalise": "no_normalise"}
+        foreign = {names.get(name, name): value for name, value in options.items() if name not in of_form}
+        _refuse(source, foreign, "a sensor")
         sensor = read_image(source, "auto", extrapolate_attitude, result)
+        if heights is None:
+            raise InputError.of("rpc.no_heights", file=source, option="heights")
+        from fg_orient.rpc.fitting import fit_image
+        from fg_orient.rpc.virtual_grid import SHAPE
+
         with progress_bar("fitting"):
-            model, record = _fit_image(sensor, source, heights, grid, common)
+            model, record = fit_image(
+                sensor, heights, degree=chosen.degree, denominators=chosen.denominators, shape=grid or SHAPE,
+                seed=chosen.seed, file=str(source),
+            )  # fmt: skip
     record |= {"file": str(source), "out": None}
     if out is not None:
         from fg_orient.rpc.files import write_as
@@ -256,31 +234,6 @@ def _refuse(source: Path, options: Mapping[str, object], what: str) -> None:
     for name, value in options.items():
         if value is not None:
             raise InputError.of("rpc.foreign_option", file=source, option=name, source=what)
-
-
-def _fit_points(
-    source: Path, options: dict[str, Any], out: Path | None, progress: Progress | None
-) -> tuple[RpcModel, dict[str, Any]]:
-    from fg_orient.rpc.fitting import FitOptions, fit_points
-    from fg_orient.rpc.points import read_measured
-
-    chosen: FitOptions = FitOptions(**options)
-    if out is not None and not chosen.normalise:
-        raise InputError.of("rpc.unscaled", file=out, option="no_normalise")
-    return fit_points(read_measured(source), chosen, progress)
-
-
-def _fit_image(
-    sensor: Any, source: Path, heights: tuple[float, float] | None, grid: tuple[int, int, int] | None,
-    options: dict[str, Any],
-) -> tuple[RpcModel, dict[str, Any]]:  # fmt: skip
-    from fg_orient.rpc.fitting import fit_image
-    from fg_orient.rpc.virtual_grid import SHAPE
-
-    if heights is None:
-        raise InputError.of("rpc.no_heights", file=source, option="heights")
-    shape = SHAPE if grid is None else grid
-    return fit_image(sensor, heights, shape=shape, file=str(source), **options)
 
 
 # --- results -------------------------------------------------------------------------------------

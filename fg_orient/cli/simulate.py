@@ -68,7 +68,7 @@ def mixed(
     overwrite: Overwrite = False,
 ) -> None:
     """Write a mixed block, two SPOT-5, two RPC and four frame images over one window, and its truth."""
-    from fg_orient.simulate.mixed_files import simulate_mixed
+    from fg_orient.simulate.mixed import simulate_mixed
 
     chosen = MixedOptions(**options)
     with progress_bar("simulating"):

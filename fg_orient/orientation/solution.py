@@ -352,7 +352,7 @@ class Solution(AdjustmentResult):
     def result(self) -> Result:
         """Record of this solution: content of its result folder, tables."""
         from fg_orient.result.summary import result_of
-        from fg_orient.rpc.corrected import corrected_models
+        from fg_orient.rpc.files import corrected_models
 
         project = Path(self.block.sources[0].path) if self.block.sources else Path()
         return result_of(self, corrected_models(self), folder=project.parent)

@@ -13,7 +13,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import FrameSensor
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.rpc_sensor import RpcSensor
-from fg_orient.simulate.quick_projection import QuickProjection
+from fg_orient.simulate.simulation import QuickProjection
 
 if TYPE_CHECKING:
     from fg_orient.rectification.transformation import Transformation

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from fg_orient.model.errors import RankDeficientError
     from fg_orient.orientation.solution import Solution
     from fg_orient.quality.accuracy import PointDifferences
-    from fg_orient.rpc.corrected import Corrected
+    from fg_orient.rpc.files import Corrected
 
 
 SCHEMA_VERSION: Final = 1
@@ -61,7 +61,7 @@ def result_of(
     ----------
     solution : Solution
     models : mapping
-        Corrected RPC by image; see :func:`fg_orient.rpc.corrected.corrected_models`.
+        Corrected RPC by image; see :func:`fg_orient.rpc.files.corrected_models`.
     folder : Path
         Folder of the project; inputs are named relative to it.
     out : str

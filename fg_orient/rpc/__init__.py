@@ -8,13 +8,11 @@ _HOME = names_of(__name__, {
     "check": "check_rpc",
     "compensate": "Compensation",
     "estimate": "fit_linear fit_true fit_weighted",
-    "fit": "RfmFit",
+    "fit": "CrossValidation RfmFit cross_validate",
     "form": "RfmForm",
-    "gcp_file": "read_gcp",
     "points": "MeasuredPoints read_measured",
-    "rfm_points": "ControlPoints",
+    "rfm_points": "ControlPoints read_gcp",
     "select": "fit_selected",
-    "validate": "CrossValidation cross_validate",
     "virtual_grid": "SensorRfm fit_sensor",
 })  # fmt: skip
 __all__ = sorted(_HOME)

@@ -10,20 +10,18 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from factors.cameras import rfm
-from factors.cameras.rfm_project import RANGE
 from factors.geometry import ellipsoid
 from fg_orient.formats.rpc.dimap import AGREEMENT_PX
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import Finding, InputError, finding, judged
-from fg_orient.rpc.compensate import residuals
+from fg_orient.rpc.compensate import normalised, residuals
 from fg_orient.rpc.files import RpcFile, describe
 from fg_orient.rpc.points import MeasuredPoints, statistics
 from fg_orient.sensors.rpc import COORDINATES, RpcModel, span
 
-Array = npt.NDArray[np.float64]
 Range = tuple[float, float]
 
 #: Lines, samples, heights.
@@ -80,12 +78,16 @@ def _heights(model: RpcModel, given: Range | None) -> Range:
     return heights
 
 
+def _grid(line: Range, sample: Range, heights_m: Range) -> tuple[Array, Array, Array]:
+    """Pixels at heights: lines, samples, heights, (n,) each."""
+    axes = [np.linspace(low, high, n) for (low, high), n in zip((line, sample, heights_m), SHAPE, strict=True)]
+    line_, sample_, height = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
+    return line_, sample_, height
+
+
 def image_grid(model: RpcModel, heights_m: Range) -> tuple[Array, Array, Array]:
     """Pixels of the image at heights: lines, samples, heights, (n,) each."""
-    ends = (model.validity.line, model.validity.sample, heights_m)
-    axes = [np.linspace(low, high, n) for (low, high), n in zip(ends, SHAPE, strict=True)]
-    line, sample, height = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
-    return line, sample, height
+    return _grid(model.validity.line, model.validity.sample, heights_m)
 
 
 def denominators(model: RpcModel, heights_m: Range) -> dict[str, Any]:
@@ -95,9 +97,8 @@ def denominators(model: RpcModel, heights_m: Range) -> dict[str, Any]:
     seen = np.isfinite(lon)
     least = [float("nan")] * 2
     if seen.any():
-        ground = (np.column_stack([lon, lat, height])[seen] - model.offsets[RANGE.ground]) / model.scales[RANGE.ground]
-        ground[:, 0] -= np.round(ground[:, 0] * model.scales[RANGE.lon] / 360.0) * 360.0 / model.scales[RANGE.lon]
-        least = rfm.denominators(model.coefficients, np.ascontiguousarray(ground)).min(axis=0).tolist()
+        ground = normalised(model, np.column_stack([lon, lat, height])[seen])
+        least = rfm.denominators(model.coefficients, ground).min(axis=0).tolist()
     return {
         "least_line": least[0], "least_sample": least[1], "pole": pole(model, heights_m),
         "pixels_without_ground": int((~seen).sum()), "pixels": len(seen),
@@ -142,10 +143,8 @@ def point_residuals(model: RpcModel, measured: MeasuredPoints) -> dict[str, Any]
     return {
         "statistics": statistics(v),
         "outside": [name for name, good in zip(measured.ids, inside, strict=True) if not good],
-        "residuals": [
-            {"id": name, "line_px": float(a), "sample_px": float(b), "inside": bool(good)}
-            for name, (a, b), good in zip(measured.ids, v, inside, strict=True)
-        ],
+        "residuals": [{"id": name, "line_px": float(a), "sample_px": float(b), "inside": bool(good)}
+                      for name, (a, b), good in zip(measured.ids, v, inside, strict=True)],
     }  # fmt: skip
 
 
@@ -165,8 +164,7 @@ def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any
     if any(not low < high for low, high in ends):
         words = ", ".join(span(pair) for pair in zip(first, last, strict=True))
         raise InputError.of("rpc.no_overlap", file=other, value=words, mine=", ".join(map(span, mine)))
-    axes = [np.linspace(low, high, n) for (low, high), n in zip([*ends, heights_m], SHAPE, strict=True)]
-    line, sample, height = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
+    line, sample, height = _grid(ends[0], ends[1], heights_m)
     ground = ellipsoid.geodetic_array(np.ascontiguousarray(sensor.locate(line, sample, height_m=height)))
     here = np.stack(model.project(np.degrees(ground[:, 0]), np.degrees(ground[:, 1]), ground[:, 2]), axis=1)
     d = here - np.column_stack([line, sample])

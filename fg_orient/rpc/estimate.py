@@ -6,21 +6,20 @@ Sources: Tao & Hu 2001 (linear form, weights 1/f2); Terlemezoğlu 2019, section 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.adjustment.linear.registry import solve
 from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.adjustment.linear.tikhonov import regularised
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rpc.fit import RfmFit
 from fg_orient.rpc.form import RfmForm
+from fg_orient.rpc.options import Penalty
 from fg_orient.rpc.rfm_points import ControlPoints, Scaling
 
-Array = npt.NDArray[np.float64]
-Penalty = Literal["beyond_affine", "identity"]
 Estimator = Callable[[ControlPoints], RfmFit]
 
 #: QR works on A and so on the root of the condition number of N.
@@ -63,8 +62,8 @@ def linear_system(points: ControlPoints, form: RfmForm, scaling: Scaling) -> Lin
 
 
 def fit_linear(
-    points: ControlPoints, form: RfmForm, *, normalise: bool = True, solver: str = SOLVER, as_run: bool = False,
-    kappa: float = 0.0, penalty: Penalty = "beyond_affine", allow_pole: bool = False,
+    points: ControlPoints, form: RfmForm, *, normalise: bool = True, solver: str = SOLVER, kappa: float = 0.0,
+    penalty: Penalty = "beyond_affine", allow_pole: bool = False,
 ) -> RfmFit:  # fmt: skip
     """Fit the linear form m a - sample m' b = sample, as published.
 
@@ -76,8 +75,6 @@ def fit_linear(
         Coordinates to [-1, 1]; without it the system is singular within rounding (T, section 4.3).
     solver : str
         Any of the registry of :mod:`fg_orient.adjustment.linear`.
-    as_run : bool
-        As the authors' program works (complex roots).
     kappa : float
         Adds kappa times the squares of the penalised unknowns.
     penalty : "beyond_affine" or "identity"
@@ -97,17 +94,15 @@ def fit_linear(
         The solver breaks down, or a denominator changes sign.
     """
     scaling = Scaling.of(points, normalise=normalise)
-    _require_points(points, form, kappa)
+    require_points(points, form, kappa)
     held = penalised_unknowns(form, penalty)
     system = linear_system(points, form, scaling)
     if kappa > 0.0:
-        system_solver = STEP_SOLVER if solver == SOLVER else solver
-        found = regularised(system, kappa, np.diag(held), solver=system_solver)
+        found = regularised(system, kappa, np.diag(held), solver=STEP_SOLVER if solver == SOLVER else solver)
     else:
-        found = solve(solver, system, as_run=as_run)
-    method = f"linear form, {solver}"
-    fit = RfmFit(form, scaling, points, found.x, method, kappa, held, notes=found.notes)
-    return _checked(fit, allow_pole)
+        found = solve(solver, system)
+    fit = RfmFit(form, scaling, points, found.x, f"linear form, {solver}", kappa, held, notes=found.notes)
+    return fit if allow_pole else fit.without_pole()
 
 
 def fit_weighted(
@@ -141,14 +136,13 @@ def fit_weighted(
             fit = RfmFit(
                 form, start.scaling, points, x, "weighted linear form", kappa, start.penalised, True, iteration
             )
-            return _checked(fit, allow_pole)
+            return fit if allow_pole else fit.without_pole()
     raise NoSolutionError.of("rfm.no_end", place="weighted linear form", value=f"{MAX_ITERATIONS} cycles")
 
 
 def fit_true(
     points: ControlPoints, form: RfmForm, *, normalise: bool = True, kappa: float = 0.0,
-    penalty: Penalty = "beyond_affine", start: Array | None = None, scaling: Scaling | None = None,
-    allow_pole: bool = False,
+    penalty: Penalty = "beyond_affine", scaling: Scaling | None = None, allow_pole: bool = False,
 ) -> RfmFit:  # fmt: skip
     """Fit the true equations sample - f1/f2 = 0, line - f3/f4 = 0 by damped Gauss-Newton (Levenberg-Marquardt).
 
@@ -156,8 +150,6 @@ def fit_true(
     ----------
     points, form, normalise, kappa, penalty, allow_pole
         See :func:`fit_linear`.
-    start : (u,) array, optional
-        First unknowns; default, and if they have a pole at a point, the affine model, whose denominators are 1.
     scaling : Scaling, optional
         Instead of that of the points.
 
@@ -173,16 +165,13 @@ def fit_true(
         The iteration does not end, or a denominator changes sign among the points.
     """
     scale = scaling or Scaling.of(points, normalise=normalise)
-    _require_points(points, form, kappa)
+    require_points(points, form, kappa)
     held = penalised_unknowns(form, penalty)
     m = form.monomials(scale.ground(points.ground))
     image = scale.image(points.line, points.sample)
-    first = _affine(form, m, image)
-    if start is not None and (form.below(start, m) > 0.0).all():
-        first = start
-    x, iterations = _minimise(form, m, image, first, kappa * held)
+    x, iterations = _minimise(form, m, image, _affine(form, m, image), kappa * held)
     fit = RfmFit(form, scale, points, x, "true equations", kappa, held, True, iterations)
-    return _checked(fit, allow_pole)
+    return fit if allow_pole else fit.without_pole()
 
 
 def _minimise(form: RfmForm, m: Array, image: Array, x: Array, penalty: Array) -> tuple[Array, int]:
@@ -239,13 +228,8 @@ def _solution(system: LinearSystem, penalty: Array) -> Array:
     return regularised(system, 1.0, np.diag(np.sqrt(penalty)), solver=STEP_SOLVER).x
 
 
-def _require_points(points: ControlPoints, form: RfmForm, kappa: float) -> None:
-    """Refuse fewer equations than coefficients; with a penalty on them none is too few.
-
-    Raises
-    ------
-    InputError
-    """
+def require_points(points: ControlPoints, form: RfmForm, kappa: float) -> None:
+    """Refuse fewer equations than coefficients that no penalty holds."""
     if not (np.isfinite(kappa) and kappa >= 0.0):
         raise InputError.of("linear.kappa_value", place="kappa", value=kappa)
     equations = 2 * len(points)
@@ -253,27 +237,3 @@ def _require_points(points: ControlPoints, form: RfmForm, kappa: float) -> None:
         place = f"degree {form.degree}, {form.denominators} denominators"
         least = -(-len(form) // 2)
         raise InputError.of("rfm.few_points", place=place, value=len(points), unknowns=len(form), least=least)
-
-
-def _checked(fit: RfmFit, allow_pole: bool) -> RfmFit:
-    if not allow_pole:
-        fit.require_no_pole()
-    return fit
-
-
-def fit_path(
-    points: ControlPoints, form: RfmForm, kappas: npt.NDArray[np.float64], *, penalty: Penalty = "beyond_affine"
-) -> list[RfmFit]:
-    """Fits of the true equations for several kappas, from the largest down, each started at the last.
-
-    The path ends before the first fit that has no solution.
-    """
-    fits: list[RfmFit] = []
-    scaling = Scaling.of(points)
-    for kappa in np.sort(kappas)[::-1]:
-        start = fits[-1].x if fits else None
-        try:
-            fits.append(fit_true(points, form, kappa=float(kappa), penalty=penalty, start=start, scaling=scaling))
-        except NoSolutionError:
-            break
-    return fits

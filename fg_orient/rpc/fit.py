@@ -1,7 +1,12 @@
-"""A fitted rational function model: coefficients, both kinds of residuals, statistics, poles."""
+"""A fitted rational function model: coefficients, both kinds of residuals, statistics, poles; its cross-validation.
+
+Cross-validation gives the errors at points that were used neither in a fit nor in the choices made by it.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final
@@ -9,15 +14,15 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from factors.cameras.rfm_project import RANGE
 from fg_orient.adjustment.linear.conditioning import Conditioning, diagnose
 from fg_orient.adjustment.linear.system import LinearSystem
-from fg_orient.model.errors import NoSolutionError, finding
+from fg_orient.model.errors import InputError, NoSolutionError, finding
+from fg_orient.model.names import Progress
 from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.rfm_points import ControlPoints, Scaling
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
-
-Array = npt.NDArray[np.float64]
 
 #: Segments between points on which denominators are looked at; beyond it a seeded choice of them.
 MAX_SEGMENTS: Final = 20_000
@@ -203,16 +208,18 @@ class RfmFit:
         """A denominator vanishes or changes its sign at the points or between them."""
         return not bool((self.least_denominators > 0.0).all())
 
-    def require_no_pole(self) -> None:
-        """Refuse a model whose denominators change sign among its points.
+    def without_pole(self) -> RfmFit:
+        """The fit itself, unless its denominators change sign among its points.
 
         Raises
         ------
         NoSolutionError
+            They do.
         """
         if self.has_pole:
             value = f"{self.least_denominators.min():.3g}"
             raise NoSolutionError.of("rfm.pole", place=f"{self.method}, degree {self.form.degree}", value=value)
+        return self
 
 
 def rms(residuals: Array) -> Array:
@@ -265,3 +272,89 @@ def _pairs(n: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     rng = np.random.default_rng(n)
     first, second = rng.integers(0, n, (2, MAX_SEGMENTS))
     return first, second
+
+
+Estimator = Callable[[ControlPoints], RfmFit]
+
+
+@dataclass(frozen=True)
+class CrossValidation:
+    """Errors at points left out.
+
+    Parameters
+    ----------
+    residuals_px : (n, 2) array
+        True image residuals, projected minus observed, line and sample; inf where a fold has no solution.
+    fits : tuple of RfmFit or None
+        One per fold.
+    failures : dict
+        Fold to the reason why it has no solution.
+    """
+
+    residuals_px: Array
+    fits: tuple[RfmFit | None, ...]
+    failures: dict[int, str]
+
+    @property
+    def rms_px(self) -> Array:
+        """RMS per axis: (2,) line and sample."""
+        return rms(self.residuals_px)
+
+    @property
+    def choices(self) -> dict[str, int]:
+        """What the folds chose and how many did, most frequent first."""
+        words = (", ".join(f"{k} {v}" for k, v in f.choice.items()) for f in self.fits if f is not None)
+        return dict(Counter(words).most_common())
+
+
+def cross_validate(
+    points: ControlPoints, estimator: Estimator, *, folds: int | None = None, seed: int = 1,
+    progress: Progress | None = None,
+) -> CrossValidation:  # fmt: skip
+    """Leave out each point, or each of k folds, fit the others, project what was left out.
+
+    The estimator sees the points of the other folds only: a kappa or a selection that it chooses is chosen anew in each
+    fold (nested cross-validation, Varma & Simon 2006).
+
+    Parameters
+    ----------
+    points : ControlPoints
+    estimator : callable
+        ControlPoints to RfmFit, for instance ``lambda p: fit_selected(p, form, "ridge_gcv")``.
+    folds : int, optional
+        k; default leave-one-out.
+    seed : int
+        Of the assignment of points to folds.
+    progress : callable, optional
+        Called with (done, of, text) before each fold.
+
+    Returns
+    -------
+    CrossValidation
+
+    Raises
+    ------
+    InputError
+        Number of folds out of range, or points that the estimator refuses.
+    """
+    n = len(points)
+    k = n if folds is None else folds
+    if not 2 <= k <= n:
+        raise InputError.of("rfm.folds", place="folds", value=k, points=n)
+    place = np.arange(n) if folds is None else np.random.default_rng(seed).permutation(n) % k
+    residuals = np.full((n, 2), np.inf)
+    fits: list[RfmFit | None] = []
+    failures: dict[int, str] = {}
+    for fold in range(k):
+        if progress is not None:
+            progress(fold, k, "cross-validation")
+        out = place == fold
+        try:
+            fit = estimator(points.take(~out))
+        except NoSolutionError as error:
+            failures[fold] = str(error)
+            fits.append(None)
+            continue
+        residuals[out] = fit.residuals_px(points.take(out))
+        fits.append(fit)
+    return CrossValidation(residuals, tuple(fits), failures)

@@ -2,107 +2,41 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.model.errors import Finding, InputError, finding, judged
 from fg_orient.model.names import Progress
 from fg_orient.rpc.check import NEAR_ZERO
-from fg_orient.rpc.estimate import SOLVER, Penalty, fit_linear, fit_true, fit_weighted
-from fg_orient.rpc.fit import RfmFit
-from fg_orient.rpc.form import Denominators, RfmForm
+from fg_orient.rpc.estimate import SOLVER, fit_linear, fit_true, fit_weighted, require_points
+from fg_orient.rpc.fit import CrossValidation, RfmFit, cross_validate
+from fg_orient.rpc.form import RfmForm
+from fg_orient.rpc.options import Denominators, FitOptions
 from fg_orient.rpc.points import MeasuredPoints, statistics
 from fg_orient.rpc.rfm_points import ControlPoints
 from fg_orient.rpc.select import fit_selected
-from fg_orient.rpc.validate import CrossValidation, cross_validate
 from fg_orient.rpc.virtual_grid import SHAPE, Errors, LocatingSensor, fit_sensor
 from fg_orient.sensors.rpc import RpcModel
 
-Array = npt.NDArray[np.float64]
-
-EQUATIONS: Final = ("true", "linear", "weighted")
-#: Selection where nothing else is asked for: the one whose cross-validated errors are lowest on real points.
-SELECTION: Final = "ridge_press"
-NO_SELECTION: Final = "none"
 FOLDS: Final = 10
 #: Errors at points left out that exceed those of the fit by this factor: more coefficients than the points carry.
 OVERFITTED: Final = 3.0
 
 
-@dataclass(frozen=True)
-class FitOptions:
-    """How to fit to control points.
-
-    Parameters
-    ----------
-    degree : int
-    denominators : "separate", "common" or "one"
-    equations : "true", "linear" or "weighted"
-    selection : str, optional
-        Of :func:`fg_orient.rpc.select.selections`, or "none"; default ``SELECTION`` for true equations without kappa.
-    kappa : float, optional
-        Penalty; default 0.
-    penalty : "beyond_affine" or "identity"
-    solver : str, optional
-        Of the linear form.
-    normalise : bool
-    folds : int, optional
-        Of the cross-validation; default 10, or all points if they are fewer.
-    seed : int
-
-    Raises
-    ------
-    InputError
-        Options that exclude each other, or no such equations.
-    """
-
-    degree: int = 3
-    denominators: Denominators = "separate"
-    equations: str = "true"
-    selection: str | None = None
-    kappa: float | None = None
-    penalty: Penalty = "beyond_affine"
-    solver: str | None = None
-    normalise: bool = True
-    folds: int | None = None
-    seed: int = 1
-
-    def __post_init__(self) -> None:
-        if self.equations not in EQUATIONS:
-            raise InputError.of("rpc.equations", option="equations", value=self.equations, known=", ".join(EQUATIONS))
-        if self.selection not in (None, NO_SELECTION):
-            clashes = {
-                "kappa": self.kappa is not None, "equations": self.equations != "true",
-                "no_normalise": not self.normalise,
-            }  # fmt: skip
-            for name, clash in clashes.items():
-                if clash:
-                    raise InputError.of("options.two_ways", option=f"select, {name}")
-        if self.solver is not None and self.equations != "linear":
-            raise InputError.of("rpc.solver_form", option="solver", value=self.solver)
-
-    @property
-    def selector(self) -> str | None:
-        """Selection that is used; None for a plain or a penalised fit."""
-        if self.selection is not None:
-            return None if self.selection == NO_SELECTION else self.selection
-        return SELECTION if self.equations == "true" and self.kappa is None and self.normalise else None
-
-    def fit(self, points: ControlPoints) -> RfmFit:
-        """Fit to points; poles are allowed and seen by ``RfmFit.has_pole``."""
-        form, kappa = RfmForm(self.degree, self.denominators), self.kappa or 0.0
-        if self.selector is not None:
-            return fit_selected(points, form, self.selector, allow_pole=True)
-        if self.equations == "linear":
-            return fit_linear(
-                points, form, normalise=self.normalise, solver=self.solver or SOLVER, kappa=kappa, penalty=self.penalty,
-                allow_pole=True,
-            )  # fmt: skip
-        method = fit_true if self.equations == "true" else fit_weighted
-        return method(points, form, normalise=self.normalise, kappa=kappa, penalty=self.penalty, allow_pole=True)
+def fit_to(points: ControlPoints, options: FitOptions) -> RfmFit:
+    """Fit to points; poles are allowed and seen by ``RfmFit.has_pole``."""
+    form, kappa = RfmForm(options.degree, options.denominators), options.kappa or 0.0
+    if options.selector is not None:
+        return fit_selected(points, form, options.selector, allow_pole=True)
+    methods: dict[str, Callable[..., RfmFit]] = {"true": fit_true, "linear": fit_linear, "weighted": fit_weighted}
+    solver = {"solver": options.solver or SOLVER} if options.equations == "linear" else {}
+    return methods[options.equations](
+        points, form, normalise=options.normalise, kappa=kappa, penalty=options.penalty, allow_pole=True, **solver
+    )
 
 
 def fit_points(
@@ -128,8 +62,8 @@ def fit_points(
         The fit breaks down or does not end.
     """
     control, check = measured.take(~measured.check).points, measured.take(measured.check)
-    _require_enough(control, options)
-    fit = options.fit(control)
+    require_points(control, RfmForm(options.degree, options.denominators), options.kappa or 0.0)
+    fit = fit_to(control, options)
     validation = _validation(control, options, progress)
     least = fit.least_denominators
     record = {
@@ -141,25 +75,13 @@ def fit_points(
         "m0_linear_px": fit.m0_linear_px, "m0_px": fit.m0_px,
         "control": statistics(fit.residuals_px()),
         "check": None if not len(check) else statistics(fit.residuals_px(check.points)),
-        "cross_validation": _validation_record(validation),
+        "cross_validation": None if validation is None else {
+            "folds": len(validation.fits), "statistics": statistics(validation.residuals_px),
+            "choices": validation.choices, "failures": len(validation.failures),
+        },
     }  # fmt: skip
     model = fit.model()
     return model, {**judged([*_doubts(fit, validation), *model.notes]), **record}
-
-
-def _require_enough(control: ControlPoints, options: FitOptions) -> None:
-    """Refuse fewer points than coefficients where nothing holds them.
-
-    Raises
-    ------
-    InputError
-    """
-    form = RfmForm(options.degree, options.denominators)
-    held = (options.kappa or 0.0) > 0.0
-    if 2 * len(control) < len(form) and not held:
-        place = f"degree {form.degree}, {form.denominators} denominators"
-        least = -(-len(form) // 2)
-        raise InputError.of("rfm.few_points", place=place, value=len(control), unknowns=len(form), least=least)
 
 
 def _validation(control: ControlPoints, options: FitOptions, progress: Progress | None) -> CrossValidation | None:
@@ -167,20 +89,13 @@ def _validation(control: ControlPoints, options: FitOptions, progress: Progress 
     folds = options.folds or min(FOLDS, len(control))
     try:
         every = None if folds == len(control) else folds
-        return cross_validate(control, options.fit, folds=every, seed=options.seed, progress=progress)
+        return cross_validate(
+            control, partial(fit_to, options=options), folds=every, seed=options.seed, progress=progress
+        )
     except InputError:
         if options.folds is not None:
             raise
         return None
-
-
-def _validation_record(found: CrossValidation | None) -> dict[str, Any] | None:
-    if found is None:
-        return None
-    return {
-        "folds": len(found.fits), "statistics": statistics(found.residuals_px), "choices": found.choices,
-        "failures": len(found.failures),
-    }  # fmt: skip
 
 
 def _doubts(fit: RfmFit, validation: CrossValidation | None) -> list[Finding]:

@@ -11,19 +11,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Final, Literal
+from typing import Final, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from factors.cameras.rfm import EXPONENTS, permutation, terms
 from fg_orient.model.errors import InputError
-
-Array = npt.NDArray[np.float64]
-Denominators = Literal["separate", "common", "one"]
+from fg_orient.rpc.options import Denominators
 
 DEGREES: Final = (1, 2, 3)
-DENOMINATORS: Final = ("separate", "common", "one")
+DENOMINATORS: Final[tuple[str, ...]] = get_args(Denominators)
 _PUBLISHED: Final = "T2.54"
 _N_TERMS: Final = {1: 4, 2: 10, 3: 20}
 

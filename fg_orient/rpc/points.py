@@ -14,15 +14,16 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.tables import Faults, Row, number, read_table
+from factors._contract import Array
+from fg_orient.formats.tables import Faults, number, read_table
 from fg_orient.model.names import Role
 from fg_orient.rpc.rfm_points import ControlPoints
 
-Array = npt.NDArray[np.float64]
-
 COLUMNS: Final = ("id", "line", "sample", "lon_deg", "lat_deg", "height_m")
-_EXTRAS: Final = (("role",), ("sigma_line_px", "sigma_sample_px"))
+_SIGMAS: Final = ("sigma_line_px", "sigma_sample_px")
+_EXTRAS: Final = (("role",), _SIGMAS)
 _NUMBERS: Final = COLUMNS[1:]
+AXES: Final = ("line", "sample")
 
 
 @dataclass(frozen=True)
@@ -76,50 +77,26 @@ def read_measured(path: Path) -> MeasuredPoints:
     rows = () if table is None else table.rows
     values = np.array([[number(row, name, faults) for name in _NUMBERS] for row in rows]).reshape(-1, 5)
     sigma, check = np.ones((len(rows), 2)), np.zeros(len(rows), dtype=bool)
-    for k, row in enumerate(rows):
-        _require_coordinates(row, faults)
-        check[k] = "role" in row.cells and _role(row, faults) is Role.CHECK
-        if "sigma_line_px" in row.cells:
-            sigma[k] = [_sigma(row, f"sigma_{axis}_px", faults) for axis in ("line", "sample")]
-    _require_different(rows, faults)
-    faults.raise_if_any()
-    ids = tuple(row.cells["id"] for row in rows)
-    return MeasuredPoints(ids, check, values[:, :2], values[:, 2:], sigma)
-
-
-def _require_coordinates(row: Row, faults: Faults) -> None:
-    """Note longitudes and latitudes that are none."""
-    quiet = Faults(faults.file)
-    lon, lat = (number(row, name, quiet) for name in ("lon_deg", "lat_deg"))
-    if abs(lat) > 90.0:
-        code = "points.swapped_range" if abs(lon) <= 90.0 and abs(lat) <= 180.0 else "points.latitude"
-        faults.add(code, place=row.place("lat_deg"), value=f"{lat:g}")
-    if abs(lon) > 180.0:
-        faults.add("points.longitude", place=row.place("lon_deg"), value=f"{lon:g}")
-
-
-def _role(row: Row, faults: Faults) -> Role:
-    text = row.cells["role"]
-    if text not in (Role.CONTROL, Role.CHECK):
-        faults.add("rpc.role", place=row.place("role"), value=text)
-        return Role.CONTROL
-    return Role(text)
-
-
-def _sigma(row: Row, column: str, faults: Faults) -> float:
-    value = number(row, column, faults)
-    if value <= 0.0:
-        faults.add("rpc.sigma", place=row.place(column), value=f"{value:g}")
-    return value
-
-
-def _require_different(rows: tuple[Row, ...], faults: Faults) -> None:
     first: dict[str, int] = {}
-    for row in rows:
-        name = row.cells["id"]
+    for k, row in enumerate(rows):
+        name, (lon, lat), role = row.cells["id"], values[k, 2:4], row.cells.get("role", Role.CONTROL)
+        if abs(lat) > 90.0:
+            code = "points.swapped_range" if abs(lon) <= 90.0 and abs(lat) <= 180.0 else "points.latitude"
+            faults.add(code, place=row.place("lat_deg"), value=f"{lat:g}")
+        if abs(lon) > 180.0:
+            faults.add("points.longitude", place=row.place("lon_deg"), value=f"{lon:g}")
+        if role not in (Role.CONTROL, Role.CHECK):
+            faults.add("rpc.role", place=row.place("role"), value=role)
+        check[k] = role == Role.CHECK
+        for axis, column in enumerate(_SIGMAS if _SIGMAS[0] in row.cells else ()):
+            sigma[k, axis] = number(row, column, faults)
+            if sigma[k, axis] <= 0.0:
+                faults.add("rpc.sigma", place=row.place(column), value=f"{sigma[k, axis]:g}")
         if name in first:
             faults.add("points.id_twice", place=row.place("id"), value=name, first=first[name])
         first.setdefault(name, row.line)
+    faults.raise_if_any()
+    return MeasuredPoints(tuple(row.cells["id"] for row in rows), check, values[:, :2], values[:, 2:], sigma)
 
 
 def statistics(residuals_px: Array) -> dict[str, Any] | None:
@@ -132,7 +109,5 @@ def statistics(residuals_px: Array) -> dict[str, Any] | None:
             "rms": np.sqrt(np.mean(residuals_px**2, axis=0)),
             "max": np.abs(residuals_px).max(axis=0),
         }
-    out: dict[str, Any] = {"n": len(residuals_px)}
-    for name, pair in figures.items():
-        out |= {f"{name}_line_px": float(pair[0]), f"{name}_sample_px": float(pair[1])}
-    return out
+    named = {f"{name}_{axis}_px": float(v) for name, two in figures.items() for axis, v in zip(AXES, two, strict=True)}
+    return {"n": len(residuals_px), **named}

@@ -13,22 +13,23 @@ from typing import Any, Final, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from factors.geometry import ellipsoid
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.model.errors import InputError, finding
 from fg_orient.rpc.estimate import fit_true
 from fg_orient.rpc.fit import RfmFit, rms
-from fg_orient.rpc.form import Denominators, RfmForm
+from fg_orient.rpc.form import RfmForm
+from fg_orient.rpc.options import Denominators
 from fg_orient.rpc.rfm_points import ControlPoints
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
-
-Array = npt.NDArray[np.float64]
 
 #: Lines, samples, height layers.
 SHAPE: Final = (20, 20, 5)
 #: A cubic along each axis, and something to check it.
 LEAST: Final = 5
-#: The normal equations of degree 3 are singular in practice; this kappa changes no residual by 1e-4 px.
+#: Penalty of the coefficients beyond the affine ones: the normal equations of degree 3 are singular in practice. This
+#: kappa changes no residual by 1e-4 px.
 KAPPA: Final = 1e-12
 #: Independent points per grid point.
 CHECK_SHARE: Final = 1.0
@@ -105,7 +106,7 @@ class SensorRfm:
 
 def fit_sensor(
     sensor: LocatingSensor, heights_m: tuple[float, float], *, shape: tuple[int, int, int] = SHAPE, degree: int = 3,
-    denominators: Denominators = "separate", kappa: float = KAPPA, seed: int = 1,
+    denominators: Denominators = "separate", seed: int = 1,
 ) -> SensorRfm:  # fmt: skip
     """Fit a rational function model to a sensor.
 
@@ -119,8 +120,6 @@ def fit_sensor(
         Lines, samples and layers of the grid, at least 5 each, spaced like Chebyshev nodes: closer towards the borders.
     degree, denominators
         See :class:`fg_orient.rpc.form.RfmForm`.
-    kappa : float
-        Penalty of all coefficients beyond the affine ones.
     seed : int
         Of the independent points.
 
@@ -150,7 +149,7 @@ def fit_sensor(
     check = _located(sensor, *draws)
     form = RfmForm(degree, denominators)
     with one_blas_thread():  # small matrices: on a busy machine a second thread only waits
-        forward, inverse = fit_true(grid, form, kappa=kappa), fit_true(_exchanged(grid), form, kappa=kappa)
+        forward, inverse = fit_true(grid, form, kappa=KAPPA), fit_true(_exchanged(grid), form, kappa=KAPPA)
     ranges = np.stack([grid.columns.min(axis=0), grid.columns.max(axis=0)], axis=1)
     validity = RpcValidity(*((float(a), float(b)) for a, b in ranges))
     back = inverse.residuals_px(_exchanged(check))

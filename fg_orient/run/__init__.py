@@ -25,7 +25,7 @@ from fg_orient.result.plain import plain
 from fg_orient.result.provenance import how_to_repeat
 from fg_orient.result.record import Result, write_record
 from fg_orient.result.summary import deficient_result, deficient_summary, result_of
-from fg_orient.rpc.corrected import corrected_models
+from fg_orient.rpc.files import corrected_models
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.loop import Callback

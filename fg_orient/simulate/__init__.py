@@ -12,8 +12,7 @@ from fg_orient._public import names_of, on_first_use
 _HOME = names_of(__name__, {
     "block": "grid_block simulate_block",
     "options": "BlockOptions MixedOptions ZonguldakOptions",
-    "mixed": "mixed_block",
-    "mixed_files": "simulate_mixed",
+    "mixed": "mixed_block simulate_mixed",
     "zonguldak": "simulate_zonguldak zonguldak_block",
 })  # fmt: skip
 __all__ = sorted(_HOME)

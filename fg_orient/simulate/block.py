@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Block
 from fg_orient.model.names import Progress, Role
@@ -26,9 +27,9 @@ from fg_orient.simulate.files import DIMAP, images_of, simulate_to
 from fg_orient.simulate.options import LEAST_CONTROL
 from fg_orient.simulate.options import BlockOptions as BlockOptions
 from fg_orient.simulate.orbit import find_pass
-from fg_orient.simulate.quick_projection import QuickProjection
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
 from fg_orient.simulate.simulation import (
+    QuickProjection,
     Simulation,
     Truth,
     draw_errors,
@@ -37,8 +38,6 @@ from fg_orient.simulate.simulation import (
     random_streams,
 )
 from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
-
-Array = npt.NDArray[np.float64]
 
 #: First day of the images; each image has its own pass on its own day.
 FIRST_DAY = np.datetime64("2004-07-05")
@@ -58,11 +57,9 @@ def simulate_block(
 
     Parameters
     ----------
-    out : str or Path
-        Folder to make.
+    out, overwrite
+        See :func:`fg_orient.simulate.files.simulate_to`.
     options : BlockOptions, optional
-    overwrite : bool
-        Replace a folder that an earlier simulation wrote.
     progress : callable, optional
         Called with (done, of, text); each part of the work counts from 0.
 
@@ -74,7 +71,7 @@ def simulate_block(
     Raises
     ------
     InputError
-        The folder exists (without ``overwrite``) or cannot be written.
+        See :func:`fg_orient.simulate.files.simulate_to`.
     """
     chosen = options or BlockOptions()
     writer = DIMAP if progress is None else replace(DIMAP, images=partial(images_of, progress=progress))

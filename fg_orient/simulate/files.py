@@ -61,17 +61,18 @@ class ImageWriter:
     options: Options | None = None
 
 
-def write_simulation(
-    out: str | Path, simulation: Simulation, options: DataclassInstance, command: str, *, overwrite: bool = False,
+def simulate_to(
+    out: str | Path, draw: Callable[[], Simulation], options: DataclassInstance, command: str, *, overwrite: bool,
     more: More | None = None, writer: ImageWriter | None = None,
 ) -> Path:  # fmt: skip
-    """Write a simulated block.
+    """Draw a block and write it; an unusable folder is refused before anything is drawn.
 
     Parameters
     ----------
     out : str or Path
         Folder to make.
-    simulation : Simulation or MixedSimulation
+    draw : callable
+        Gives the simulation.
     options : dataclass
         Options of the simulator, for the headers and ``truth/options.json``.
     command : str
@@ -95,7 +96,8 @@ def write_simulation(
         The folder exists, or cannot be written; nothing is left behind.
     """
     target, form = Path(out), writer or DIMAP
-    values = {"command": command, **asdict(options)}
+    require_free(target, overwrite=overwrite, contents=CONTENTS)
+    simulation, values = draw(), {"command": command, **asdict(options)}
     with staged_folder(target, overwrite=overwrite, contents=CONTENTS) as folder:
         _write_block(folder, simulation, values, form)
         with writing(target):
@@ -104,15 +106,6 @@ def write_simulation(
         if more is not None:
             more(folder, simulation)
     return target / PROJECT_FILE
-
-
-def simulate_to(
-    out: str | Path, draw: Callable[[], Simulation], options: DataclassInstance, command: str, *, overwrite: bool,
-    more: More | None = None, writer: ImageWriter | None = None,
-) -> Path:  # fmt: skip
-    """Do :func:`write_simulation` of what ``draw`` gives; an unusable folder is refused before anything is drawn."""
-    require_free(Path(out), overwrite=overwrite, contents=CONTENTS)
-    return write_simulation(out, draw(), options, command, overwrite=overwrite, more=more, writer=writer)
 
 
 def _write_block(folder: Path, simulation: Simulation, values: dict[str, Any], writer: ImageWriter) -> None:

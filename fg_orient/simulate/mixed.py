@@ -1,9 +1,9 @@
 """A mixed block over one window of 5 km: rigorous SPOT-5 images, RPC images of 0.7 m, frame images of 0.2 m.
 
 Two SPOT-5 HRG passes look from both sides; two images of one pass of a Pléiades-like satellite look ahead and back
-and have RPC, fitted to their rigorous model; a large-format camera took four frames from 4 km above the ground. All of
-them measured the same tie points and a few control points. The errors of every orientation are drawn from the prior
-sigmas that the adjustment is given; truth is exact in the model of each sensor (:mod:`fg_orient.simulate.simulation`).
+and have RPC, fitted to their rigorous model; a large-format camera took four frames from 4 km above the ground. The
+same tie points and a few control points are measured in all of them. The errors of every orientation are drawn from the
+prior sigmas of the adjustment; truth is exact in the model of each sensor (:mod:`fg_orient.simulate.simulation`).
 """
 
 from __future__ import annotations
@@ -11,12 +11,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from factors.cameras import frame_camera
+from fg_orient.formats.metadata.frame import write_camera, write_frame_file
+from fg_orient.formats.rpc import write_rpc
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Block, Image, ImagePoints, Index, Options
 from fg_orient.model.names import Role
@@ -28,6 +31,7 @@ from fg_orient.sensors.metadata import AngleAttitude, Ephemeris, LineTiming, Loo
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.rpc import RpcModel
 from fg_orient.sensors.rpc_sensor import RpcSensor
+from fg_orient.simulate.files import ImageWriter, eop_rows, simulate_to, write_dimaps
 from fg_orient.simulate.options import MixedOptions as MixedOptions
 from fg_orient.simulate.orbit import find_pass
 from fg_orient.simulate.scene import Scene, as_read
@@ -41,8 +45,6 @@ from fg_orient.simulate.simulation import (
     random_streams,
 )
 from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
-
-Array = npt.NDArray[np.float64]
 
 #: Side of the window and range of heights, m.
 WINDOW_M: Final = 5000.0
@@ -250,3 +252,62 @@ def true_orientations() -> list[tuple[Array, Array]]:
         rotation = frame_camera.rotated(HALF_TURN, np.array([*tilt, 0.0]))
         out.append((rotation @ enu, _at(np.array([[east, north, FRAME_HEIGHT_M]]))[0]))
     return out
+
+
+#: Compensation of an RPC image in the order of its codes, as far as it is simulated.
+COMPENSATION: Final = ("line_0", "sample_0", "line_l1", "sample_l1")
+#: Units of a frame's unknowns by the first part of their names.
+UNITS: Final = {"rotation": "rad", "centre": "m", "focal": "px", "principal": "px"}
+
+
+def simulate_mixed(out: str | Path, options: MixedOptions | None = None, *, overwrite: bool = False) -> Path:
+    """Write a mixed block: metadata, RPC, camera and frame files, points, observations, project file and ``truth/``.
+
+    Parameters
+    ----------
+    out, overwrite
+        See :func:`fg_orient.simulate.files.simulate_to`.
+    options : MixedOptions, optional
+
+    Returns
+    -------
+    Path
+        The project file.
+
+    Raises
+    ------
+    InputError
+        See :func:`fg_orient.simulate.files.simulate_to`.
+    """
+    chosen = options or MixedOptions()
+    form = ImageWriter(_write_images, _orientation, OPTIONS)
+    return simulate_to(out, lambda: simulate(chosen), chosen, "simulate mixed", overwrite=overwrite, writer=form)
+
+
+def _write_images(folder: Path, simulation: MixedSimulation) -> list[tuple[str, str]]:
+    """Write one metadata file for each image, and the camera of the frames; give ids and file names."""
+    write_dimaps(folder, simulation.name, simulation.metadata)
+    write_camera(folder / CAMERA_FILE, simulation.interior)
+    out = []
+    for image in simulation.images:
+        sensor = image.sensor
+        if isinstance(sensor, RpcSensor):
+            write_rpc(folder / sensor.file, sensor.model)
+        elif isinstance(sensor, FrameSensor):
+            write_frame_file(folder / sensor.file, sensor, CAMERA_FILE)
+        out.append((image.id, sensor.file))
+    return out
+
+
+def _orientation(truth: Truth) -> list[list[str]]:
+    """True minus metadata of what is unknown of each image; of an RPC its compensation."""
+    rows: list[list[str]] = []
+    for image, correction in zip(truth.image_ids, truth.corrections, strict=True):
+        if isinstance(correction, Correction):
+            rows += eop_rows(replace(truth, image_ids=(image,), corrections=(correction,)))
+            continue
+        names = COMPENSATION if len(correction) == 6 else tuple(FRAME_SIGMA)
+        for name, value in zip(names, correction.tolist(), strict=False):
+            unit = "px" if len(correction) == 6 else UNITS[name.split("_")[0]]
+            rows.append([image, name, name, "", unit, repr(value)])
+    return rows

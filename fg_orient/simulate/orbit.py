@@ -21,9 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from factors.geometry import rotations
-
-Array = npt.NDArray[np.float64]
 
 GM_M3_S2 = 3.986004418e14
 EARTH_RATE_RAD_S = 7.2921151467e-5

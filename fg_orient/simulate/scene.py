@@ -19,8 +19,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from factors.geometry import polynomials
 from fg_orient.formats.dimap1 import straight_line
 from fg_orient.geodesy import ecef_to_geodetic
@@ -34,8 +34,6 @@ from fg_orient.sensors.metadata import (
 )
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.orbit import CircularPass
-
-Array = npt.NDArray[np.float64]
 
 N_LINES = 12000
 N_SAMPLES = 12000

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from factors.cameras.frame_camera import rotated
 from factors.conditions.navigation import UNKNOWN
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
@@ -23,8 +24,6 @@ from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitu
 from fg_orient.simulate.options import require
 from fg_orient.simulate.simulation import ground_points, points_of, random_streams
 from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
-
-Array = npt.NDArray[np.float64]
 
 #: Flying height, distance of exposures and of strips, range of the ground's heights, m; seconds between exposures.
 HEIGHT_M: Final = 1500.0
@@ -79,36 +78,34 @@ class StripTruth:
     ground_m: Array
 
 
-def strip_block(options: StripOptions | None = None, mounting: Mounting = MOUNTED) -> tuple[Block, StripTruth]:
+def strip_block(options: StripOptions | None = None) -> tuple[Block, StripTruth]:
     """A block of strips with its observations from on board, and its truth.
 
     Parameters
     ----------
     options : StripOptions, optional
-    mounting : Mounting
-        What is unknown; the truth of what is not is the given value.
     """
     chosen = options or StripOptions()
     streams = random_streams(chosen.seed)
     n = chosen.strips * chosen.images
-    errors = _errors(chosen, mounting, streams["orientation"])
+    errors = _errors(chosen, streams["orientation"])
     place, axes = _exposures(chosen)
     cameras, fixes = [], []
     for k in range(n):
-        true, camera = _cameras(place[k], axes[k], errors[k], mounting)
+        true, camera = _cameras(place[k], axes[k], errors[k])
         cameras.append((true, camera))
         strip, number = divmod(k, chosen.images)
         tau = 2.0 * number / (chosen.images - 1) - 1.0
         fixes.append((k, strip, number * INTERVAL_S, tau))
-    observed = _fixes(fixes, [true for true, _ in cameras], errors, mounting, streams["orientation"])
+    observed = _fixes(fixes, [true for true, _ in cameras], errors, streams["orientation"])
     block, ground = _block(chosen, cameras, streams)
-    block = with_navigation(block, observed, mounting)
+    block = with_navigation(block, observed, MOUNTED)
     return block, StripTruth(_unknowns(block, errors), ground)
 
 
-def _errors(options: StripOptions, mounting: Mounting, rng: np.random.Generator) -> Array:
+def _errors(options: StripOptions, rng: np.random.Generator) -> Array:
     """True minus given of all unknowns of each image (M, 33), physical units; equal where images share them."""
-    sigma = np.array([EXTERIOR.get(name, 0.0) for name in UNKNOWNS] + [mounting.sigmas.get(n, 0.0) for n in NAVIGATION])
+    sigma = np.array([EXTERIOR.get(name, 0.0) for name in UNKNOWNS] + [MOUNTED.sigmas.get(n, 0.0) for n in NAVIGATION])
     drawn = sigma * rng.standard_normal((options.strips * options.images, len(sigma)))
     strip_unknowns, all_unknowns = slice(UNKNOWN.shift.start, UNKNOWN.lever.start), slice(UNKNOWN.lever.start, None)
     drawn[:, all_unknowns] = drawn[0, all_unknowns]
@@ -133,10 +130,10 @@ def _exposures(options: StripOptions) -> tuple[Array, list[Array]]:
     return np.array(places), axes
 
 
-def _cameras(place_m: Array, body: Array, error: Array, mounting: Mounting) -> tuple[FrameCamera, FrameCamera]:
+def _cameras(place_m: Array, body: Array, error: Array) -> tuple[FrameCamera, FrameCamera]:
     """The true camera of an exposure, and the one given, with the errors of its start values."""
     principal = np.full(2, (SIDE_PX - 1) / 2.0)
-    rotation, start_m = mounting.camera_from_body @ body.T, place_m - error[UNKNOWN.centre]
+    rotation, start_m = MOUNTED.camera_from_body @ body.T, place_m - error[UNKNOWN.centre]
     true = FrameCamera(rotation, place_m, FOCAL_PX, principal)
     return true, FrameCamera(
         rotated(np.eye(3), -error[UNKNOWN.rotation]) @ rotation, start_m, FOCAL_PX, principal, sigma=EXTERIOR
@@ -144,7 +141,7 @@ def _cameras(place_m: Array, body: Array, error: Array, mounting: Mounting) -> t
 
 
 def _fixes(
-    when: list[tuple[int, int, float, float]], cameras: list[FrameCamera], errors: Array, mounting: Mounting,
+    when: list[tuple[int, int, float, float]], cameras: list[FrameCamera], errors: Array,
     rng: np.random.Generator,
 ) -> list[Fix]:  # fmt: skip
     """What was observed on board: truth, errors of strip and mounting, noise."""
@@ -155,11 +152,11 @@ def _fixes(
     }
     for k, strip, time_s, tau in when:
         d, camera, enu = errors[k], cameras[k], axes[strip]
-        body = camera.rotation.T @ rotated(np.eye(3), d[UNKNOWN.boresight]) @ mounting.camera_from_body
+        body = camera.rotation.T @ rotated(np.eye(3), d[UNKNOWN.boresight]) @ MOUNTED.camera_from_body
         noise = POSITION_SIGMA_M * rng.standard_normal(3), ATTITUDE_SIGMA_RAD * rng.standard_normal(3)
         wrong = d[UNKNOWN.shift] + tau * d[UNKNOWN.drift] + noise[0]
         turn = d[UNKNOWN.turn] + tau * d[UNKNOWN.turn_drift] + noise[1]
-        position = camera.centre_m - body @ (mounting.lever_m + d[UNKNOWN.lever]) + enu.T @ wrong
+        position = camera.centre_m - body @ (MOUNTED.lever_m + d[UNKNOWN.lever]) + enu.T @ wrong
         out.append(Fix(
             _name(k), str(strip + 1), time_s, position, POSITION_SIGMA_M, body @ rotated(np.eye(3), turn).T,
             ATTITUDE_SIGMA_RAD,

@@ -1,10 +1,15 @@
 """The Zonguldak twin: a synthetic SPOT-5 HRG stereo pair with 47 ground points.
 
-Two descending circular passes (832 km, 98.7 degrees) see 41.3 N 31.85 E at mirror angles
-of -18 and +20 degrees from opposite sides; points lie in the overlap at 0 to 1800 m.
-Source of the geometry: the data set of Topan & Maktav (2010) and Terlemezoğlu (2019) as
-specified in docs/file-formats.md and in its options. Truth is a model truth, see
+Two descending circular passes (832 km, 98.7 degrees) see 41.3 N 31.85 E at mirror angles of -18 and +20 degrees from
+opposite sides; points lie in the overlap at 0 to 1800 m. Source of the geometry: the data set of Topan & Maktav (2010)
+and Terlemezoğlu (2019) as specified in docs/file-formats.md and in its options. Truth is a model truth, see
 :mod:`fg_orient.simulate.simulation`.
+
+Point sets of the published experiments choose the check points. H-n ("homogeneous"): n check points drawn at random,
+nested, so that the check points of H-10 are check points of H-20, too. G-A, G-B, G-C ("grouped"): the control points
+leave a part of the image empty: of the scan line (G-A: those of one side by column), of the strip (G-B: by line), of
+the border (G-C: those nearest to the centre of the block). Sizes: Topan & Maktav 2010 and the authors' programs;
+memberships were never published.
 """
 
 from __future__ import annotations
@@ -12,17 +17,18 @@ from __future__ import annotations
 import math
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.geodesy import geodetic_to_ecef
 from fg_orient.model.block import Block
-from fg_orient.model.names import Progress
+from fg_orient.model.names import Progress, Role
 from fg_orient.simulate.files import simulate_to
+from fg_orient.simulate.options import PointSet
 from fg_orient.simulate.options import ZonguldakOptions as ZonguldakOptions
 from fg_orient.simulate.orbit import find_pass
-from fg_orient.simulate.point_sets import N_POINTS, roles_of
 from fg_orient.simulate.render import RasterOptions, write_rasters
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
 from fg_orient.simulate.simulation import (
@@ -34,7 +40,35 @@ from fg_orient.simulate.simulation import (
     random_streams,
 )
 
-Array = npt.NDArray[np.float64]
+N_POINTS: Final = 47
+#: Number of check points of each set.
+CHECK_COUNT: Final[dict[PointSet, int]] = {
+    "H-0": 0, "H-10": 10, "H-20": 20, "H-30": 30, "H-40": 40, "G-A": 24, "G-B": 23, "G-C": 30
+}  # fmt: skip
+
+
+def roles_of(point_set: PointSet, pixels: Array, rng: np.random.Generator) -> tuple[Role, ...]:
+    """Role of each point.
+
+    Parameters
+    ----------
+    point_set : str
+    pixels : (n, 2) array
+        Line and sample in the first image; only the grouped sets look at them.
+    rng : np.random.Generator
+        Draws the permutation of the H sets and the side of G-A and G-B; both are drawn
+        whatever the set.
+    """
+    order, side = rng.permutation(len(pixels)), rng.choice([-1.0, 1.0])
+    if point_set == "G-A":
+        order = np.argsort(side * pixels[:, 1], kind="stable")
+    elif point_set == "G-B":
+        order = np.argsort(side * pixels[:, 0], kind="stable")
+    elif point_set == "G-C":
+        order = np.argsort(-np.linalg.norm(pixels - pixels.mean(axis=0), axis=1), kind="stable")
+    check = set(order[: CHECK_COUNT[point_set]].tolist())
+    return tuple(Role.CHECK if k in check else Role.CONTROL for k in range(len(pixels)))
+
 
 CENTRE_LON_LAT_DEG = (31.85, 41.3)
 #: Image id, mirror angle (degrees), day, half minutes of the day.
@@ -54,11 +88,9 @@ def simulate_zonguldak(
 
     Parameters
     ----------
-    out : str or Path
-        Folder to make.
+    out, overwrite
+        See :func:`fg_orient.simulate.files.simulate_to`.
     options : ZonguldakOptions, optional
-    overwrite : bool
-        Replace a folder that an earlier simulation wrote.
     rasters : RasterOptions, optional
         Write ``dem.tif`` and the images, too.
     progress : callable, optional
@@ -72,7 +104,7 @@ def simulate_zonguldak(
     Raises
     ------
     InputError
-        The folder exists (without ``overwrite``) or cannot be written.
+        See :func:`fg_orient.simulate.files.simulate_to`.
     """
     chosen = options or ZonguldakOptions()
     more = None if rasters is None else partial(write_rasters, options=rasters, progress=progress)

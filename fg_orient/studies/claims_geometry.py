@@ -1,20 +1,29 @@
-"""Claims C1-C7: sensor geometry, step 1, check-point accuracy."""
+"""Claims about equations: C1-C7 sensor geometry, step 1, check-point accuracy; C17-C21 the sensor-independent RFM.
+
+The RFM claims use 99 control points of the twin's left image, heights 0-1000 m, 0.5 px of image noise, raw and
+normalised.
+"""
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
+from functools import lru_cache
 
+import numpy as np
+
+from factors._contract import Array
 from factors.cameras import look
-from factors.geometry import rotations
+from factors.geometry import ellipsoid, rotations
+from fg_orient.adjustment.linear.conditioning import diagnose
+from fg_orient.rpc.estimate import fit_linear
+from fg_orient.rpc.form import DEGREES, RfmForm
+from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.rpc.virtual_grid import LocatingSensor
 from fg_orient.sensors import initial
 from fg_orient.sensors.kinds import require_pushbroom
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.zonguldak import zonguldak_block
-from fg_orient.studies.claims import Claim, Outcome, outcome
-from fg_orient.studies.study import EXACT, Study
-
-Array = npt.NDArray[np.float64]
+from fg_orient.studies.claims import EXACT, Outcome, Study, claim, outcome
+from fg_orient.studies.tables_spot6 import CRAMER, METHODS, Run
 
 REFERENCE = EXACT[4]
 #: Newton on two pixels; a step of 1 px for the difference quotients.
@@ -78,8 +87,8 @@ def _round_trip_px(sensor: PushbroomSensor, rays: object) -> float:
     return float(np.abs(pixel - np.stack([line, sample])).max())
 
 
-def c1(study: Study) -> Outcome:
-    """Round trip of the pushbroom model in both orbital conventions."""
+@claim("C1", "forward and inverse pushbroom round trip below 1e-6 px in both orbital conventions")
+def _c1(study: Study) -> Outcome:
     images = study.two_stage.block.images
     sensors = [require_pushbroom(i.sensor, i.id) for i in images]
     a = max(_round_trip_px(sensor, _convention_a) for sensor in sensors)
@@ -92,8 +101,8 @@ def c1(study: Study) -> Outcome:
     return outcome({"A": a < 1e-6, "B": b < 1e-6, "sensor": ours < 1e-6}, a_px=a, b_px=b, sensor_px=ours)
 
 
-def c2(study: Study) -> Outcome:
-    """Stereo intersection of error-free observations."""
+@claim("C2", "noise-free stereo intersection below 1e-6 m")
+def _c2(study: Study) -> Outcome:
     options = study.options(image_noise_px=0.0, errors="none", distortion_rad=0.0)
     block, truth = zonguldak_block(options)
     o = block.observations
@@ -104,8 +113,8 @@ def c2(study: Study) -> Outcome:
     return outcome({"intersection": error < 1e-6}, error_m=error)
 
 
-def c3(study: Study) -> Outcome:
-    """Third look component +1: an error of 1.9e6 m along the vertical; with -1 the level of the bias."""
+@claim("C3", "third look component +1 gives about 1.9e6 m along the vertical, -1 tens of metres")
+def _c3(study: Study) -> Outcome:
     wrong, right = study.two_stage.uncorrected(+1.0), study.two_stage.uncorrected(-1.0)
     mean = wrong.gcp_m.mean(axis=0)
     known = study.two_stage.block.points.known.ecef_m
@@ -117,8 +126,8 @@ def c3(study: Study) -> Outcome:
     return outcome(checks, wrong_m=size, angle_deg=angle, correct_m=correct)
 
 
-def c4(study: Study) -> Outcome:
-    """Step 1 closes every condition of the control points and shows only what was put in."""
+@claim("C4", "step 1 makes F = 0 at control points in at most 5 cycles; their intersection errs below 1e-6 m")
+def _c4(study: Study) -> Outcome:
     step, errors = study.two_stage.look, study.two_stage.look_only()
     clean = study.procedure(image_noise_px=0.0, errors="none", distortion_rad=0.0, ground_noise_m=(0.0, 0.0, 0.0))
     gcp = float(np.abs(errors.gcp_m).max())
@@ -130,35 +139,144 @@ def c4(study: Study) -> Outcome:
                    m0_clean_rad=clean.look.m0_rad)  # fmt: skip
 
 
-def c5(study: Study) -> Outcome:
-    """Check-point RMSE per axis 3-11 m at 1 px of noise."""
+@claim("C5", "check-point RMSE per axis 3-11 m on H-10 with 1 px of image noise")
+def _c5(study: Study) -> Outcome:
     rmse = study.bundle(1, 1, REFERENCE).accuracy.icp_rmse
     return outcome({"3-11 m": bool((rmse >= 3.0).all() and (rmse <= 11.0).all())},
                    x_m=rmse[0], y_m=rmse[1], z_m=rmse[2])  # fmt: skip
 
 
-def c6(study: Study) -> Outcome:
-    """Half the image noise halves the check-point RMSE."""
+@claim("C6", "check-point RMSE is proportional to the image noise")
+def _c6(study: Study) -> Outcome:
     full = study.bundle(1, 1, REFERENCE).accuracy.icp_rmse
     half = study.variant(noise_px=0.5).bundle(1, 1, REFERENCE).accuracy.icp_rmse
     ratio = float(np.linalg.norm(half) / np.linalg.norm(full))
     return outcome({"0.4-0.6": 0.4 <= ratio <= 0.6}, ratio=ratio)
 
 
-def c7(study: Study) -> Outcome:
-    """Control in half of the columns costs; control in half of the lines does not."""
+@claim("C7", "control in half of the columns: RMSE >= 1.5 x that of H-20; half of the lines: close to it")
+def _c7(study: Study) -> Outcome:
     h20, ga, gb = (study.variant(point_set=s).bundle(None, 1, REFERENCE).accuracy.icp_max
                    for s in ("H-20", "G-A", "G-B"))  # fmt: skip
     checks = {"half of the columns >= 1.5": ga >= 1.5 * h20, "half of the lines within 2": 0.5 <= gb / h20 <= 2.0}
     return outcome(checks, h20_m=h20, ga_m=ga, gb_m=gb, ga_ratio=ga / h20, gb_ratio=gb / h20)
 
 
-CLAIMS = (
-    Claim("C1", "forward and inverse pushbroom round trip below 1e-6 px in both orbital conventions", c1),
-    Claim("C2", "noise-free stereo intersection below 1e-6 m", c2),
-    Claim("C3", "third look component +1 gives about 1.9e6 m along the vertical, -1 tens of metres", c3),
-    Claim("C4", "step 1 makes F = 0 at control points in at most 5 cycles; their intersection errs below 1e-6 m", c4),
-    Claim("C5", "check-point RMSE per axis 3-11 m on H-10 with 1 px of image noise", c5),
-    Claim("C6", "check-point RMSE is proportional to the image noise", c6),
-    Claim("C7", "control in half of the columns: RMSE >= 1.5 x that of H-20; half of the lines: close to it", c7),
+N_POINTS = 99
+HEIGHTS_M = (0.0, 1000.0)
+NOISE_PX = 0.5
+#: Points keep this distance from the border of the image.
+MARGIN_PX = 100.0
+
+
+def rfm_points(
+    sensor: LocatingSensor, seed: int, *, count: int = N_POINTS, noise_px: float = NOISE_PX, stream: int = 0
+) -> ControlPoints:
+    """Draw control points of a sensor: pixels and heights uniform, noise in line and sample.
+
+    Parameters
+    ----------
+    sensor : LocatingSensor
+    seed : int
+    count : int
+    noise_px : float
+    stream : int
+        Another one gives other points of the same seed: check points.
+    """
+    rng = np.random.default_rng([seed, stream])
+    last = np.array([sensor.n_lines, sensor.n_samples]) - 1.0 - MARGIN_PX
+    pixels, height = rng.uniform(MARGIN_PX, last, (count, 2)), rng.uniform(*HEIGHTS_M, count)
+    geodetic = ellipsoid.geodetic_array(np.ascontiguousarray(sensor.locate(*pixels.T, height_m=height)))
+    line, sample = (pixels + noise_px * rng.standard_normal((count, 2))).T
+    return ControlPoints(line, sample, np.column_stack([np.degrees(geodetic[:, :2]), height]))
+
+
+PSEUDO, PIVOT = "moore_penrose_inverse", "gauss_partial_pivot_elimination"
+RULES = ("tikhonov_hkb", "tikhonov_lw", "tikhonov_od")
+#: Ranks of the raw systems, and how far another set of points may be from them.
+RANKS, RANK_SLACK = {1: 10, 2: 18, 3: 20}, 3
+#: Condition numbers of the normalised N.
+CONDITIONS = {1: (1e1, 1e3), 2: (1e9, 1e11), 3: (1e10, 1e13)}
+N_CHECK = 400
+
+
+@lru_cache(maxsize=8)
+def _runs(study: Study) -> dict[tuple[int, bool], Run]:
+    """Systems of one seed by degree and normalisation."""
+    points = rfm_points(study.two_stage.block.images[0].sensor, study.seed)
+    return {(degree, normalised): Run(points, degree, normalised) for degree in DEGREES for normalised in (False, True)}
+
+
+def _image_rms(run: Run, method: str) -> float:
+    """RMS of the true image residuals, both axes; inf where there is no solution."""
+    value = run.true_m0_px(run.solution(method).x)
+    share = run.system.redundancy / (2.0 * len(run.points))
+    return value * share**0.5 if np.isfinite(value) else np.inf
+
+
+def _m0(run: Run, method: str) -> float:
+    """Accuracy m0 of the linear form; inf where there is no solution."""
+    value = run.m0_px(run.solution(method).x)
+    return value if np.isfinite(value) else np.inf
+
+
+@claim("C17", "raw RFM: rank deficient in every degree, about 10/18/20 of 14/38/78")
+def _c17(study: Study) -> Outcome:
+    ranks = {d: diagnose(_runs(study)[d, False].system).rank for d in DEGREES}
+    checks = {f"degree {d}": abs(rank - RANKS[d]) <= RANK_SLACK for d, rank in ranks.items()}
+    return outcome(checks, **{f"rank_{d}": rank for d, rank in ranks.items()})
+
+
+@claim(
+    "C18",
+    "raw RFM: Cramer m0 > 1e3 and > 1e10 px, pseudo-inverse 1-100 px, partial pivoting good in the linear form only",
 )
+def _c18(study: Study) -> Outcome:
+    raw = {d: _runs(study)[d, False] for d in DEGREES}
+    cramer = {d: _m0(raw[d], CRAMER) for d in (1, 2)}
+    pseudo = {d: _m0(raw[d], PSEUDO) for d in DEGREES}
+    pivot = {d: (_m0(raw[d], PIVOT), _image_rms(raw[d], PIVOT)) for d in (2, 3)}
+    checks = {
+        "Cramer, degree 1": cramer[1] > 1e3, "Cramer, degree 2": cramer[2] > 1e10,
+        "pseudo-inverse 1-100 px": all(1.0 <= value <= 100.0 for value in pseudo.values()),
+        "elimination, linear form": all(linear < 0.1 for linear, _ in pivot.values()),
+        "elimination, image": all(image > 3.0 for _, image in pivot.values()),
+    }  # fmt: skip
+    figures = {f"cramer_{d}_px": v for d, v in cramer.items()} | {f"pseudo_{d}_px": v for d, v in pseudo.items()}
+    return outcome(checks, **figures, **{f"pivot_image_{d}_px": image for d, (_, image) in pivot.items()})
+
+
+@claim("C19", "normalised RFM: full rank, all solvers but Cramer agree to 3 digits, m0 falls with the degree")
+def _c19(study: Study) -> Outcome:
+    runs = {d: _runs(study)[d, True] for d in DEGREES}
+    found = {d: diagnose(run.system) for d, run in runs.items()}
+    m0 = {d: _m0(runs[d], PIVOT) for d in DEGREES}
+    others = [method for method in METHODS if method != CRAMER]
+    spread = max(abs(_m0(runs[d], method) / m0[d] - 1.0) for d in DEGREES for method in others)
+    cramer = min(_m0(runs[d], CRAMER) / m0[d] for d in (2, 3))
+    checks = {
+        "full rank": all(f.defect == 0 for f in found.values()), "three digits": spread < 5e-3,
+        "falls with the degree": m0[1] > m0[2] > m0[3], "Cramer fails": cramer > 10.0,
+        "condition numbers": all(CONDITIONS[d][0] <= f.cond_norm <= CONDITIONS[d][1] for d, f in found.items()),
+    }  # fmt: skip
+    figures = {f"m0_{d}_px": v for d, v in m0.items()} | {f"cond_{d}": f.cond_norm for d, f in found.items()}
+    return outcome(checks, spread=spread, cramer_ratio=cramer, **figures)
+
+
+@claim("C20", "normalised RFM of degree 3: image residuals and check points exceed m0 of the linear form")
+def _c20(study: Study) -> Outcome:
+    run = _runs(study)[3, True]
+    sensor = study.two_stage.block.images[0].sensor
+    check = rfm_points(sensor, study.seed, count=N_CHECK, noise_px=0.0, stream=1)
+    m0, image = _m0(run, PIVOT), _image_rms(run, PIVOT)
+    fit = fit_linear(run.points, RfmForm(3), solver=PIVOT, allow_pole=True)
+    at_check = float(np.sqrt(np.mean(fit.residuals_px(check) ** 2)))
+    return outcome({"image": image > m0, "check points": at_check > m0}, m0_px=m0, image_px=image, check_px=at_check)
+
+
+@claim("C21", "Tikhonov cures no raw RFM of degree 2 or 3; OD harms the normalised ones")
+def _c21(study: Study) -> Outcome:
+    runs = _runs(study)
+    raw = min(_image_rms(runs[d, False], rule) for d in (2, 3) for rule in RULES)
+    od = min(_image_rms(runs[d, True], "tikhonov_od") for d in (2, 3))
+    return outcome({"raw > 10 px": raw > 10.0, "OD, normalised > 10 px": od > 10.0}, raw_px=raw, od_px=od)

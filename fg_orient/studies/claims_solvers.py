@@ -5,16 +5,24 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from factors.cameras.pushbroom import RECORD
 from fg_orient.adjustment.linear.conditioning import singular_values
 from fg_orient.adjustment.linear.registry import attempt
 from fg_orient.adjustment.linear.scaling import unit_columns
 from fg_orient.model.names import VELOCITY
 from fg_orient.model.parameters import eop_codes
-from fg_orient.studies.claims import Claim, Outcome, outcome
-from fg_orient.studies.study import EXACT, ILL_CONDITIONED, TARGET_M, WITH_VELOCITY, Study, published_solvers
-
-Array = npt.NDArray[np.float64]
+from fg_orient.studies.claims import (
+    EXACT,
+    ILL_CONDITIONED,
+    TARGET_M,
+    WITH_VELOCITY,
+    Outcome,
+    Study,
+    claim,
+    outcome,
+    published_solvers,
+)
 
 PIVOT, PLAIN, PSEUDO = "gauss_partial_pivot_elimination", "gauss_elimination", "moore_penrose_inverse"
 CRAMER = "cramer_inverse"
@@ -64,11 +72,9 @@ def _spread(values: dict[str, Array], columns: npt.NDArray[np.intp]) -> float:
     return max(float(np.abs(x[columns] / reference - 1.0).max()) for x in values.values())
 
 
-def c8(study: Study) -> Outcome:
-    """Step 2 solves for rounding noise: equal for a regular matrix, arbitrary for a singular one.
-
-    Cramer's rule is a figure, not a part: with raw units its minors lose the digits that set 15 needs.
-    """
+@claim("C8", "step 2 solves for rounding noise: sets 1, 15 alike by exact solvers but Cramer, velocities arbitrary")
+def _c8(study: Study) -> Outcome:
+    """Cramer's rule is a figure, not a part: with raw units its minors lose the digits that set 15 needs."""
     step = study.pre_adjust(0, 1, PIVOT)
     _, observed = step.system.require_design("C8")
     w_rms, dp = float(np.sqrt(np.mean(observed**2))), float(np.abs(step.dP).max())
@@ -98,8 +104,8 @@ def c8(study: Study) -> Outcome:
     )  # fmt: skip
 
 
-def c9(study: Study) -> Outcome:
-    """Raw units make every set look deficient; column scaling tells units from structure."""
+@claim("C9", "raw units: rank below u for sets 1, 5, 13, 15, 17, 19, 20; column scaling cures 1, 9, 15 only")
+def _c9(study: Study) -> Outcome:
     checks: dict[str, bool] = {}
     figures: dict[str, float] = {}
     for eop_set in (1, *ILL_CONDITIONED):
@@ -118,8 +124,8 @@ def c9(study: Study) -> Outcome:
     return outcome(checks, **figures)
 
 
-def c10(study: Study) -> Outcome:
-    """Living directions of the column-scaled Jacobian; V and P themselves are dead directions of V."""
+@claim("C10", "living directions of sets 5, 13, 17, 19, 20: 5, 14, 11, 8, 20; V along V and along P acts on nothing")
+def _c10(study: Study) -> Outcome:
     checks: dict[str, bool] = {}
     figures: dict[str, float] = {}
     for eop_set, expected in LIVING.items():
@@ -139,18 +145,16 @@ def c10(study: Study) -> Outcome:
     return outcome(checks, along=along, **figures)
 
 
-def c11(study: Study) -> Outcome:
-    """One iteration, type 1: the harmless sets leave the control points below 5 m with every solver.
-
-    Cramer's inverse is not among them: the thesis uses it for step 2 only.
-    """
+@claim("C11", "one iteration, type 1: sets 1-4, 6-12 below 5 m at control points with all solvers but Cramer")
+def _c11(study: Study) -> Outcome:
+    """Cramer's inverse is not among them: the thesis uses it for step 2 only."""
     worst = {s: max(_gcp(study, s, name) for name in published_solvers() if name != CRAMER) for s in HARMLESS}
     checks = {f"set {s}": value < TARGET_M for s, value in worst.items()}
     return outcome(checks, worst_m=max(worst.values()), cramer_m=max(_gcp(study, s, CRAMER) for s in (6, 7, 8)))
 
 
-def c12(study: Study) -> Outcome:
-    """One iteration: the velocity sets ruin the control points, not the check points."""
+@claim("C12", "one iteration: four of sets 5, 13, 17, 19, 20 above 100 m at control points, check points stay")
+def _c12(study: Study) -> Outcome:
     both = {(s, name): (_gcp(study, s, name), _icp_change(study, s, name)) for s in WITH_VELOCITY for name in
             (PLAIN, PIVOT)}  # fmt: skip
     wild = {s for (s, _), (gcp, _) in both.items() if gcp > WILD_M and np.isfinite(gcp)}
@@ -160,15 +164,19 @@ def c12(study: Study) -> Outcome:
     return outcome(checks, wild_sets=len(wild), with_good_check_points=len(silent), largest_gcp_m=max(finite))
 
 
-def c13(study: Study) -> Outcome:
-    """Cholesky cannot go on for at least one of the ill-conditioned sets."""
+@claim("C13", "Cholesky fails for at least one of the sets with velocity")
+def _c13(study: Study) -> Outcome:
     names = ("cholesky_inverse", "cholesky_elimination")
     broken = [s for s in (*WITH_VELOCITY, 18) if any(study.bundle(s, 1, name).failure for name in names)]
     return outcome({"one set fails": bool(broken)}, sets=len(broken))
 
 
-def c14(study: Study) -> Outcome:
-    """Moore-Penrose and Tikhonov OD bring the ill-conditioned sets below 5 m, check points unchanged."""
+@claim(
+    "C14",
+    "Moore-Penrose and Tikhonov OD bring sets 5, 13, 15, 17, 19, 20 below 5 m, check points unmoved from "
+    "the bundle with held EOPs or the intersection before it",
+)
+def _c14(study: Study) -> Outcome:
     checks: dict[str, bool] = {}
     figures: dict[str, float] = {}
     for name, short in ((PSEUDO, "pseudo"), (OD, "OD")):
@@ -180,8 +188,8 @@ def c14(study: Study) -> Outcome:
     return outcome(checks, **figures)
 
 
-def c15(study: Study) -> Outcome:
-    """HKB and LW come from the wild solution, so they are tiny for sets 17 and 20 and cure nothing."""
+@claim("C15", "kappa of HKB and LW below 1e-8 for sets 17 and 20, which stay above 5 m")
+def _c15(study: Study) -> Outcome:
     checks: dict[str, bool] = {}
     figures: dict[str, float] = {}
     for name, short in ((HKB, "HKB"), (LW, "LW")):
@@ -194,16 +202,16 @@ def c15(study: Study) -> Outcome:
     return outcome(checks, **figures)
 
 
-def c16(study: Study) -> Outcome:
-    """More iterations: check points can diverge with plain elimination, with Moore-Penrose they stay."""
+@claim("C16", "3 and 5 iterations: check points can diverge without regularisation, not with Moore-Penrose")
+def _c16(study: Study) -> Outcome:
     plain = {s: max(_icp_change(study, s, PIVOT, n) for n in (3, 5)) for s in WITH_VELOCITY}
     pseudo = max(_icp_change(study, s, PSEUDO, n) for s in ILL_CONDITIONED for n in (3, 5))
     checks = {"one set diverges": any(v > WILD_M for v in plain.values()), "Moore-Penrose stays": pseudo < SAME_ICP_M}
     return outcome(checks, diverging=sum(v > WILD_M for v in plain.values()), pseudo_change_m=pseudo)
 
 
-def c22(study: Study) -> Outcome:
-    """Position components of equal degree are almost fully correlated in set 1."""
+@claim("C22", "correlations of position components of equal degree in set 1 above 0.98")
+def _c22(study: Study) -> Outcome:
     system = study.pre_adjust(0, 1, PIVOT).system
     design, _ = system.require_design("C22")
     length = np.linalg.norm(design, axis=0)  # correlations do not depend on units: invert the scaled matrix
@@ -211,20 +219,3 @@ def c22(study: Study) -> Outcome:
     r = np.abs(q / np.sqrt(np.outer(np.diag(q), np.diag(q))))
     pairs = [r[3 * a + k, 3 * b + k] for k in range(3) for a, b in ((0, 1), (0, 2), (1, 2))]
     return outcome({"above 0.98": min(pairs) > 0.98}, smallest=min(pairs), largest=max(pairs))
-
-
-CLAIMS = (
-    Claim("C8", "step 2 solves for rounding noise: sets 1, 15 alike by exact solvers but Cramer, velocities arbitrary",
-          c8),
-    Claim("C9", "raw units: rank below u for sets 1, 5, 13, 15, 17, 19, 20; column scaling cures 1, 9, 15 only", c9),
-    Claim("C10", "living directions of sets 5, 13, 17, 19, 20: 5, 14, 11, 8, 20; V along V and along P acts on nothing",
-          c10),
-    Claim("C11", "one iteration, type 1: sets 1-4, 6-12 below 5 m at control points with all solvers but Cramer", c11),
-    Claim("C12", "one iteration: four of sets 5, 13, 17, 19, 20 above 100 m at control points, check points stay", c12),
-    Claim("C13", "Cholesky fails for at least one of the sets with velocity", c13),
-    Claim("C14", "Moore-Penrose and Tikhonov OD bring sets 5, 13, 15, 17, 19, 20 below 5 m, check points unmoved from "
-          "the bundle with held EOPs or the intersection before it", c14),
-    Claim("C15", "kappa of HKB and LW below 1e-8 for sets 17 and 20, which stay above 5 m", c15),
-    Claim("C16", "3 and 5 iterations: check points can diverge without regularisation, not with Moore-Penrose", c16),
-    Claim("C22", "correlations of position components of equal degree in set 1 above 0.98", c22),
-)  # fmt: skip

@@ -9,7 +9,7 @@ whitening is the identity, prior sigmas are one.
 The switches of the authors' program (:mod:`fg_orient.studies.switches`) that concern the equations: x may be
 counted from the scene-centre line; the EOPs of the records are degree-2 polynomials or those interpolated at the
 line; the across-track axis ``V/|V| x Z`` may stay short and the attitude a small-angle matrix, both inverted by
-transposing (:mod:`fg_orient.studies.program_equations`). The length of the short axis follows the corrections or
+transposing (:mod:`fg_orient.studies.switches`). The length of the short axis follows the corrections or
 stays at the metadata. Its change is cos(V, Z) = 1e-3 of the effect of a change of direction, but it is the only
 effect of a velocity along the radius, so with V among the unknowns it decides ranks and solutions.
 """
@@ -21,17 +21,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from factors.cameras import look, pushbroom
 from factors.cameras.pushbroom_record import CORRECTION, N_EOP, RECORD, corrections
 from factors.geometry import polynomials, rotations
 from fg_orient.model.block import Image, ImagePoints
 from fg_orient.sensors.eop import metadata_eop
 from fg_orient.sensors.kinds import require_pushbroom
-from fg_orient.studies import program_equations
-from fg_orient.studies.program_equations import States
-from fg_orient.studies.switches import TEXT, Switches
+from fg_orient.studies import switches as program_equations
+from fg_orient.studies.switches import TEXT, States, Switches
 
-Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 #: Codes of the constant terms of psi_x and psi_y in ``factors.cameras.pushbroom``: their Jacobian is B.

@@ -1,23 +1,38 @@
-"""What the two general adjustments share: cofactors of the observations, checks, the result.
+"""General adjustments: indirect observations (Gauss-Markov) and conditions with unknowns (Gauss-Helmert).
 
 Notation of Terlemezoğlu 2019, sections 2.6 and 2.7: ``Q_ll = W^-1``, ``Q_xx = N^-1``, ``m0`` the standard
-deviation of unit weight.
+deviation of unit weight. Both minimise v^T W v and are linearised and iterated; the stop is ours (the sources name
+none).
+
+:func:`gauss_markov`, ``L + v = f(x)`` (eqs. 2.58-2.63, 2.74, 2.75): ``dx = (A^T W A)^-1 A^T W (L - f(x))``.
+
+:func:`gauss_helmert`, ``F(L + v, P) = 0``: linearised at the current point (l_k, P_k) as ``A dP + B v + w_k = 0`` with
+the **original** observations, ``w_k = F(l_k, P_k) + B (L - l_k)`` (Pope's iteration)::
+
+    M = B Q_ll B^T,  dP = -(A^T M^-1 A)^-1 A^T M^-1 w,  v = -Q_ll B^T M^-1 (A dP + w)
+
+Source: Terlemezoğlu 2019, eqs. 2.68-2.70, 2.74-2.77, and Topan & Maktav 2010, eqs. 14-18, with the signs and
+the cofactors ``Q_lP = -Q_ll B^T M^-1 A N^-1`` that a Monte Carlo simulation confirms: eq. 2.69 lacks the minus,
+2.70 has a plus, 2.76 has ``A A^T M^-1 A`` in place of ``A N^-1``. Without unknowns it is the adjustment of
+conditions only. The sources repeat the adjustment with adjusted values as new observations instead, which
+does not minimise v^T W v of the originals.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
+from factors._contract import Array
+from fg_orient.adjustment.linear.registry import solve
+from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.model.declaration import declared
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.model.options import Options
-
-Array = npt.NDArray[np.float64]
 
 EPS = float(np.finfo(np.float64).eps)
 #: A change that no longer shrinks is rounding if it is below so many times the rounding of the misclosure.
@@ -26,7 +41,7 @@ ROUNDING = 1e3
 
 @dataclass(frozen=True)
 class Adjustment:
-    """Result of :func:`~fg_orient.studies.gauss_markov.gauss_markov` or ``gauss_helmert``.
+    """Result of :func:`~fg_orient.studies.general.gauss_markov` or ``gauss_helmert``.
 
     Parameters
     ----------
@@ -96,14 +111,11 @@ def _correlations(cofactors: Array, rows: Array, columns: Array) -> Array:
         return np.asarray(cofactors / np.outer(rows, columns))
 
 
-def cofactor_matrix(n: int, weights: Array | None, cofactors: Array | None) -> Array:
+def _cofactor_matrix(n: int, weights: Array | None, cofactors: Array | None) -> Array:
     """Q_ll (n, n) from weights or cofactors, each (n,) or (n, n); unit weights if neither is given.
 
-    Raises
-    ------
-    InputError
-        Both given, wrong shape, not finite, not symmetric; weights not positive definite, cofactors
-        with a negative eigenvalue.
+    Refused are both, wrong shapes, values that are not finite, matrices that are not symmetric, weights that are not
+    positive definite and cofactors with a negative eigenvalue.
     """
     if weights is not None and cofactors is not None:
         raise InputError.of("classical.weights_twice", place="weights, cofactors")
@@ -120,48 +132,30 @@ def cofactor_matrix(n: int, weights: Array | None, cofactors: Array | None) -> A
     if np.abs(given - given.T).max() > 1e-12 * scale:
         raise InputError.of("classical.not_definite", place=name, value="not symmetric")
     if weights is not None:
-        return np.asarray(cho_solve(_factor(given, name), np.eye(n)))
+        try:
+            return np.asarray(cho_solve(cho_factor(given, lower=True), np.eye(n)))
+        except np.linalg.LinAlgError:
+            raise InputError.of("classical.not_definite", place=name, value="no Cholesky factor") from None
     lowest = float(np.linalg.eigvalsh(given)[0])
     if lowest < -n * EPS * scale:
         raise InputError.of("classical.not_definite", place=name, value=f"eigenvalue {lowest:.3g}")
     return given
 
 
-def _factor(matrix: Array, name: str) -> tuple[Array, bool]:
-    try:
-        lower, is_lower = cho_factor(matrix, lower=True)
-    except np.linalg.LinAlgError:
-        raise InputError.of("classical.not_definite", place=name, value="no Cholesky factor") from None
-    return lower, bool(is_lower)
-
-
-def as_vector(values: Array, name: str) -> Array:
-    """A finite vector (copied), or an error that names it.
-
-    Raises
-    ------
-    InputError
-        Not one-dimensional, or not finite.
-    """
+def _as_vector(values: Array, name: str) -> Array:
+    """Copy a vector; refuse what is not one-dimensional and finite."""
     vector: Array = np.array(values, dtype=np.float64)
     if vector.ndim != 1 or not np.isfinite(vector).all():
         raise InputError.of("classical.vector", place=name, value=f"shape {vector.shape}")
     return vector
 
 
-def called(
+def _called(
     function: Callable[..., tuple[Array, ...]], arguments: tuple[Array, ...], wanted: tuple[int, ...]
 ) -> list[Array]:
-    """Value and Jacobians of the user's function, checked.
+    """Value and Jacobians of the user's function, with their number, shapes and finite values checked.
 
     ``wanted`` are the lengths (n or -1 = any for the value), then the widths of the Jacobians.
-
-    Raises
-    ------
-    InputError
-        Arrays of wrong number or shape.
-    NoSolutionError
-        A value is not finite.
     """
     found = [np.asarray(a, dtype=np.float64) for a in function(*(a.copy() for a in arguments))]
     rows = found[0].size if wanted[0] < 0 else wanted[0]
@@ -175,7 +169,7 @@ def called(
 
 
 @dataclass(frozen=True)
-class Spectrum:
+class _Spectrum:
     """Whitened design ``A' = U S V^T D`` with columns scaled by D: rank, cofactors of x, and U of the rank."""
 
     rank: int
@@ -184,7 +178,7 @@ class Spectrum:
     notes: tuple[str, ...]
 
     @classmethod
-    def of(cls, design: Array) -> Spectrum:
+    def of(cls, design: Array) -> _Spectrum:
         """Decompose a whitened design matrix (r, u); u may be 0."""
         rows, u = design.shape
         if not u:
@@ -198,19 +192,15 @@ class Spectrum:
         return cls(rank, half @ half.T, left[:, :rank], () if rank == u else (note,))
 
 
-def judge(change: float, previous: float, size: float, rounding: float, tolerance: float) -> bool:
-    """Judge convergence: the change is below ``tolerance`` of the residuals' norm, or is rounding.
-
-    All in whitened units, so that neither the unit of the observations nor that of the unknowns matters.
-    ``rounding`` is that of the misclosure.
-    """
+def _has_converged(change: float, previous: float, size: float, rounding: float, tolerance: float) -> bool:
+    """Convergence: the change is below ``tolerance`` of the residuals' norm, or is rounding; in whitened units."""
     if change <= tolerance * size + 8.0 * rounding:
         return True
     return change > 0.5 * previous and change <= 1e2 * tolerance * size + ROUNDING * rounding
 
 
 @dataclass(frozen=True)
-class End:
+class _End:
     """How an iteration ended: count, success, largest whitened change of the last step, remarks of the solver."""
 
     iterations: int
@@ -226,14 +216,213 @@ class End:
         return f"no convergence within {self.iterations} iterations: the last whitened step is {self.change:.1e}"
 
 
-def require_iterations(count: int) -> None:
-    """Refuse a number of iterations that is none.
+def _require_iterations(count: int) -> None:
+    """Refuse a number of iterations outside the range of options of adjustments."""
+    option = declared(Options)["max_iterations"]
+    if not option.allows(count):
+        raise InputError.of("options.value", place=option.name, value=count, expected=option.expected)
+
+
+def gauss_markov(
+    function: Callable[[Array], tuple[Array, Array]],
+    observed: Array,
+    start: Array,
+    *,
+    weights: Array | None = None,
+    cofactors: Array | None = None,
+    solver: str = "qr",
+    max_iterations: int = 50,
+    tolerance: float = 1e-8,
+) -> Adjustment:
+    """Adjust observations that are functions of the unknowns.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(x) -> (f (n,), A (n, u))``: computed observations and their derivatives.
+    observed : (n,) array
+        L.
+    start : (u,) array
+        Approximate unknowns, any finite ones if f is linear.
+    weights, cofactors : (n,) or (n, n) array, optional
+        W or Q_ll = W^-1 (not both; unit weights if neither); positive definite.
+    solver : str
+        Name in the registry of linear solvers; it gets the whitened design matrix.
+    max_iterations : int
+    tolerance : float
+        Stop when the largest step, each unknown times the norm of its whitened column, is below this
+        share of the norm of the whitened residuals (or is rounding).
+
+    Returns
+    -------
+    Adjustment
+        ``converged`` says whether the stop was reached.
 
     Raises
     ------
     InputError
-        It is outside the range that options of adjustments have.
+        Arrays that do not fit; fewer observations than unknowns; no such solver.
+    NoSolutionError
+        The function gives values that are not finite, or the solver breaks down.
     """
-    option = declared(Options)["max_iterations"]
-    if not option.allows(count):
-        raise InputError.of("options.value", place=option.name, value=count, expected=option.expected)
+    observed, x = _as_vector(observed, "observed"), _as_vector(start, "start")
+    n, u = len(observed), len(x)
+    if not u or n < u:
+        raise InputError.of("classical.redundancy", place="observed", value=n, unknowns=u)
+    q_ll = _cofactor_matrix(n, weights, cofactors)
+    try:
+        root: Array = np.asarray(np.linalg.cholesky(q_ll), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        raise InputError.of("classical.not_definite", place="cofactors", value="no Cholesky factor") from None
+    _require_iterations(max_iterations)
+    change, converged, notes = math.inf, False, tuple[str, ...]()
+    for iteration in range(1, max_iterations + 1):  # noqa: B007
+        value, jacobian = _called(function, (x,), (n, u))
+        design, misclosure = (solve_triangular(root, a, lower=True) for a in (jacobian, observed - value))
+        found = solve(solver, LinearSystem.from_design(design, misclosure))
+        length = np.linalg.norm(design, axis=0)
+        rounding = EPS * (np.linalg.norm(solve_triangular(root, observed, lower=True)) + np.linalg.norm(length * x))
+        x, notes = x + found.x, found.notes
+        previous, change = change, float(np.abs(found.x * length).max())
+        if converged := _has_converged(change, previous, float(np.linalg.norm(misclosure)), float(rounding), tolerance):
+            break
+    return _result(function, observed, x, q_ll, root, _End(iteration, converged, change, notes))
+
+
+def _result(
+    function: Callable[[Array], tuple[Array, Array]], observed: Array, x: Array, q_ll: Array, root: Array, end: _End
+) -> Adjustment:
+    """Residuals and cofactors at the last unknowns; ``A N^-1 A^T = S U U^T S^T`` with Q_ll = S S^T."""
+    value, jacobian = _called(function, (x,), (len(observed), len(x)))
+    design, residual = (solve_triangular(root, a, lower=True) for a in (jacobian, value - observed))
+    spectrum = _Spectrum.of(design)
+    half = root @ spectrum.left
+    q_adjusted = half @ half.T
+    return Adjustment(
+        x, value - observed, value, float(residual @ residual), len(observed) - spectrum.rank, spectrum.cofactors,
+        q_ll - q_adjusted, q_adjusted, jacobian @ spectrum.cofactors, end.iterations, end.converged, end.reason,
+        end.notes + spectrum.notes,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Linearised:
+    """Conditions whitened with the Cholesky factor of M: value F, A, B, and ``spread`` = Q_ll B^T M^-T/2."""
+
+    root: Array
+    value: Array
+    design: Array
+    d_observed: Array
+    spread: Array
+    rounding: float
+
+
+def gauss_helmert(
+    function: Callable[[Array, Array], tuple[Array, Array, Array]],
+    observed: Array,
+    start: Array,
+    *,
+    weights: Array | None = None,
+    cofactors: Array | None = None,
+    solver: str = "qr",
+    max_iterations: int = 50,
+    tolerance: float = 1e-8,
+) -> Adjustment:
+    """Adjust conditions between observations and unknowns.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(l, x) -> (F (r,), A (r, u), B (r, n))``: conditions and their derivatives with respect
+        to unknowns and observations.
+    observed : (n,) array
+        L.
+    start : (u,) array
+        Approximate unknowns; empty for conditions only.
+    weights, cofactors : (n,) or (n, n) array, optional
+        W or Q_ll (not both; unit weights if neither). Q_ll may be singular, an observation of
+        cofactor 0 stays as it is, as long as ``B Q_ll B^T`` is regular.
+    solver : str
+        Name in the registry of linear solvers; it gets ``M^-1/2 A``.
+    max_iterations : int
+    tolerance : float
+        Stop when steps of the unknowns, changes of residuals and what is left of F, all whitened, are
+        below this share of the norm of the whitened residuals (or are rounding).
+
+    Returns
+    -------
+    Adjustment
+        ``converged`` says whether the stop was reached.
+
+    Raises
+    ------
+    InputError
+        Arrays that do not fit; fewer conditions than unknowns; no such solver.
+    NoSolutionError
+        Conditions that depend on each other; values that are not finite; the solver breaks down.
+    """
+    observed, x = _as_vector(observed, "observed"), _as_vector(start, "start")
+    q_ll = _cofactor_matrix(len(observed), weights, cofactors)
+    _require_iterations(max_iterations)
+    sigma = np.sqrt(np.diag(q_ll))
+    change, converged, notes, v = math.inf, False, tuple[str, ...](), np.zeros(len(observed))
+    at = _linearise(function, observed, v, x, q_ll)
+    residual = at.value
+    for iteration in range(1, max_iterations + 1):  # noqa: B007
+        misclosure = at.value - solve_triangular(at.root, at.d_observed @ v, lower=True)
+        step, notes = _step(solver, at.design, misclosure)
+        residual = at.design @ step + misclosure
+        x, before, v = x + step, v, -at.spread @ residual
+        moved = [np.abs(step * np.linalg.norm(at.design, axis=0)), _in_sigmas(v - before, sigma)]
+        at = _linearise(function, observed, v, x, q_ll)
+        previous, change = change, float(np.concatenate([*moved, np.abs(at.value)]).max())
+        if converged := _has_converged(change, previous, float(np.linalg.norm(residual)), at.rounding, tolerance):
+            break
+    return _helmert_result(at, observed, x, v, residual, q_ll, _End(iteration, converged, change, notes))
+
+
+def _in_sigmas(values: Array, sigma: Array) -> Array:
+    """Values over sigmas; constants (sigma 0) do not move."""
+    return np.asarray(np.abs(values[sigma > 0.0]) / sigma[sigma > 0.0])
+
+
+def _linearise(
+    function: Callable[[Array, Array], tuple[Array, Array, Array]], observed: Array, v: Array, x: Array, q_ll: Array
+) -> _Linearised:
+    """Evaluate the conditions at the adjusted observations and whiten them."""
+    adjusted = observed + v
+    value, design, d_observed = _called(function, (adjusted, x), (-1, len(x), len(observed)))
+    if len(value) < max(len(x), 1):
+        raise InputError.of("classical.redundancy", place="conditions", value=len(value), unknowns=len(x))
+    spread = q_ll @ d_observed.T
+    m = d_observed @ spread
+    scale = np.sqrt(np.diag(m))
+    # a correlation of 1 - eps between conditions has no Cholesky factor worth the name
+    if not scale.all() or np.linalg.eigvalsh(m / np.outer(scale, scale))[0] <= len(m) * EPS:
+        raise NoSolutionError.of("classical.dependent_conditions", place="conditions", value=len(m))
+    root: Array = np.asarray(np.linalg.cholesky(m), dtype=np.float64)
+    size = (np.abs(d_observed) @ np.abs(adjusted) + np.abs(design) @ np.abs(x)) / scale
+    white = [solve_triangular(root, a, lower=True) for a in (value, design, spread.T)]
+    return _Linearised(root, white[0], white[1], d_observed, white[2].T, EPS * float(np.linalg.norm(size)))
+
+
+def _step(solver: str, design: Array, misclosure: Array) -> tuple[Array, tuple[str, ...]]:
+    """Step of the unknowns; nothing to solve without any."""
+    if not design.shape[1]:
+        return np.zeros(0), ()
+    found = solve(solver, LinearSystem.from_design(design, -misclosure))
+    return found.x, found.notes
+
+
+def _helmert_result(
+    at: _Linearised, observed: Array, x: Array, v: Array, residual: Array, q_ll: Array, end: _End
+) -> Adjustment:
+    """Cofactors at the last point: ``Q_vv = G (I - U U^T) G^T`` with G = Q_ll B^T M^-T/2, U of the design."""
+    spectrum = _Spectrum.of(at.design)
+    across = at.spread @ spectrum.left
+    q_v = at.spread @ at.spread.T - across @ across.T
+    return Adjustment(
+        x, v, observed + v, float(residual @ residual), len(at.value) - spectrum.rank, spectrum.cofactors,
+        q_v, q_ll - q_v, -at.spread @ at.design @ spectrum.cofactors, end.iterations, end.converged, end.reason,
+        end.notes + spectrum.notes,
+    )  # fmt: skip

@@ -16,10 +16,10 @@ from fg_orient.adjustment.linear.conditioning import diagnose
 from fg_orient.adjustment.linear.registry import attempt
 from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.adjustment.linear.threads import one_blas_thread
-from fg_orient.studies.axis_errors import AxisErrors
-from fg_orient.studies.study import AS_RUN_TWIN, Study
+from fg_orient.studies.claims import AS_RUN_TWIN, Study
 from fg_orient.studies.switches import PROGRAM, TEXT, Switches, names
 from fg_orient.studies.two_stage import TwoStage
+from fg_orient.studies.two_stage_results import AxisErrors
 
 SOLVER: Final = "gauss_inverse"
 PSEUDO_INVERSE: Final = "moore_penrose_inverse"

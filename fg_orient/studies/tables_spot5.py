@@ -1,10 +1,10 @@
-"""Tables 4.1-4.34 of Terlemezoğlu (2019) on the twin, point set H-10.
+"""Tables 4.1-4.34, equations 4.1-4.6 and numbers of the text of Terlemezoğlu (2019) on the twin, point set H-10.
 
 Where the source is silent: tables 4.3-4.16 are taken to belong to a bundle without EOP pre-adjustment (type 1),
 and its matrices to whitened conditions. As run, the RMSE of type 1 in tables 4.25-4.34 are taken to be those of the
-procedure without bundle (:mod:`fg_orient.studies.step_two_only`): its check points diverge as the printed ones do.
-Tables 4.3-4.23 are then those of a step 1 that ends at rounding (D4 off): [Delta Delta] is printed as 1e-33, which
-misclosures of 1e-10 cannot give.
+procedure without bundle (:meth:`fg_orient.studies.two_stage.TwoStage.step_two_only`): its check points diverge as the
+printed ones do. Tables 4.3-4.23 are then those of a step 1 that ends at rounding (D4 off): [Delta Delta] is printed as
+1e-33, which misclosures of 1e-10 cannot give.
 """
 
 from __future__ import annotations
@@ -13,20 +13,23 @@ import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
+from fg_orient.adjustment.linear import conditioning
 from fg_orient.adjustment.linear.conditioning import diagnose
 from fg_orient.adjustment.linear.l_curve import LCurve, l_curve_of
 from fg_orient.adjustment.linear.ls_conditions import ls_conditions
 from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.model.cells import CellKey
-from fg_orient.studies.step_two_only import step_two_only
-from fg_orient.studies.study import ILL_CONDITIONED
+from fg_orient.model.names import COMPONENTS, EOP_SETS, Role
+from fg_orient.model.parameters import N_EOP, eop_codes
+from fg_orient.simulate.zonguldak import CHECK_COUNT
+from fg_orient.studies.claims import ILL_CONDITIONED
 from fg_orient.studies.switch_effects import norm_condition
 from fg_orient.studies.switches import TEXT, Switches
-from fg_orient.studies.tables_counts import counts
 from fg_orient.studies.tables_twin import (
     LEAST_SQUARES,
+    PUBLISHED_COMPONENTS,
     Cells,
     Progress,
     collect,
@@ -36,7 +39,70 @@ from fg_orient.studies.tables_twin import (
 )
 from fg_orient.studies.two_stage import Kind, TwoStage
 
-Array = npt.NDArray[np.float64]
+#: Points of the SPOT-6 scene (T sect. 4.3.1).
+SPOT6_POINTS = 99
+#: Sets of Terlemezoğlu (2019); further ones are not in its tables.
+PUBLISHED_SETS = tuple(number for number in EOP_SETS if number <= 20)
+COUNTED_SETS = (1, *ILL_CONDITIONED)
+
+
+def counts(run: TwoStage) -> Cells:
+    """All counted cells, of a run with point set H-10."""
+    return _equations(run) | _sets() | _text(run)
+
+
+def rfm_unknowns(degree: int) -> int:
+    """Coefficients of a rational function model: two numerators, two denominators with constant 1 (T 2.53)."""
+    return 4 * math.comb(degree + 3, 3) - 2
+
+
+def _equations(run: TwoStage) -> Cells:
+    """Counts of observations and unknowns, from the systems themselves."""
+    block = run.block
+    control = block.points.where(Role.CONTROL)
+    left = int(np.sum((block.observations.image == 0) & np.isin(block.observations.point, control)))
+    out = {
+        CellKey("eq4.1", stage="pre-adjustment", quantity="n_observations"): 2 * left,
+        CellKey("eq4.2", stage="bundle", quantity="n_observations"): 2 * len(block.observations),
+        CellKey("eq4.5", stage="rfm", quantity="n_observations"): 2 * SPOT6_POINTS,
+    }
+    for number in COUNTED_SETS:
+        system = run.pre_adjust(0, number, LEAST_SQUARES).system
+        out[CellKey("eq4.3", str(number), "pre-adjustment", quantity="n_unknowns")] = len(system)
+        unknowns = len(block.images) * len(eop_codes(number)) + 3 * len(run.check_ids)
+        out[CellKey("eq4.4", str(number), "bundle", quantity="n_unknowns")] = unknowns
+    for degree in (1, 2, 3):
+        out[CellKey("eq4.6", stage=f"rfm degree {degree}", quantity="n_unknowns")] = rfm_unknowns(degree)
+    return {key: float(value) for key, value in out.items()}
+
+
+def _sets() -> Cells:
+    """Polynomial degree of each EOP, size of each EOP set, place of each member."""
+    per_component = N_EOP // len(COMPONENTS)
+    out: Cells = {
+        CellKey("4.1", quantity="degree", parameter=name): float(per_component - 1) for name in PUBLISHED_COMPONENTS
+    }
+    for number in PUBLISHED_SETS:
+        out[CellKey("4.2", str(number), quantity="n_unknowns")] = float(len(eop_codes(number)))
+        for place, name in enumerate(labels(number), start=1):
+            out[CellKey("4.2", str(number), quantity="order", parameter=name)] = float(place)
+    return out
+
+
+def _text(run: TwoStage) -> Cells:
+    """Numbers of the text that the project counts or holds itself."""
+    homogeneous = [name for name in CHECK_COUNT if name.startswith("H")]
+    n_gcp, n_icp = len(run.control_ids), len(run.check_ids)
+    values = {
+        "n_points_total_spot5": n_gcp + n_icp, "h10_n_gcp": n_gcp, "h10_n_icp": n_icp,
+        "n_point_distributions": len(CHECK_COUNT), "n_distributions_homogeneous": len(homogeneous),
+        "n_distributions_grouped": len(CHECK_COUNT) - len(homogeneous), "n_eop_sets": len(PUBLISHED_SETS),
+        "n_images_spot5": len(run.block.images), "rfm_coefficients_degree3": rfm_unknowns(3),
+        "cond_norm_limit": conditioning.NORM_LIMIT, "cond_spectral_limit": conditioning.SPECTRAL_LIMIT,
+        "cond_hadamard_limit": conditioning.HADAMARD_LIMIT,
+    }  # fmt: skip
+    return {CellKey("text", quantity=key): float(value) for key, value in values.items()}
+
 
 #: EOP set of each table of three series.
 _SETS = (1, *ILL_CONDITIONED)
@@ -198,7 +264,7 @@ def _bundles(run: TwoStage, table: str) -> Cells:
             key = CellKey(table, str(number), "bundle", str(kind), method=method)
             errors = found.accuracy
             if kind == 1 and table in WITHOUT_BUNDLE and run.switches != TEXT:
-                errors = step_two_only(run, number, SOLVER_OF[table]).accuracy
+                errors = run.step_two_only(number, SOLVER_OF[table]).accuracy
             out |= rmse_cells(key, errors.gcp_rmse, errors.icp_rmse)
             if found.solution.kappa is not None:
                 out[key._replace(quantity="kappa")] = float(found.solution.kappa)
@@ -208,19 +274,7 @@ def _bundles(run: TwoStage, table: str) -> Cells:
 def tikhonov_curves(tables: Collection[str], seed: int, *, as_run: bool | Switches = False) -> dict[int, LCurve]:
     """L-curve of the bundle that the rules of tables 4.25-4.27 look at, of each ill-conditioned set.
 
-    Parameters
-    ----------
-    tables : collection of str
-        Empty without one of these tables.
-    seed : int
-        Of the twin.
-    as_run : bool or Switches
-        See :func:`compute`.
-
-    Returns
-    -------
-    dict
-        EOP set to curve, bundle without EOP pre-adjustment (type 1).
+    The bundle is that without EOP pre-adjustment (type 1). Without one of these tables there is none.
     """
     if not set(tables) & TIKHONOV_TABLES:
         return {}

@@ -16,9 +16,9 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import eigh
 
+from factors._contract import Array
 from fg_orient.adjustment.linear.conditioning import diagnose
 from fg_orient.adjustment.linear.kappa import KappaChoice, clamped
 from fg_orient.adjustment.linear.registry import attempt
@@ -30,7 +30,6 @@ from fg_orient.rpc.fit import RfmFit
 from fg_orient.rpc.form import DEGREES, RfmForm
 from fg_orient.rpc.rfm_points import ControlPoints, Scaling
 
-Array = npt.NDArray[np.float64]
 Cells = dict[CellKey, float]
 Progress = Callable[[int, int], None]
 #: Printed kappas by method and degree, to be put into Table 4.45.
@@ -53,7 +52,6 @@ TRUE_M0: Final = "m0_true"
 #: Permutations, seeds 1 to 50.
 PERMUTATIONS: Final = 50
 AXES: Final = ("x", "y")
-PLACES: Final = {"4.42": False, "4.43": False, "4.44": False, "4.45": False, "4.53": True, "4.54": True, "4.55": True}
 _AS_IT_IS: Final = Scaling(np.zeros(5), np.ones(5))
 
 
@@ -171,9 +169,9 @@ def compute(
 def _cells(tables: Sequence[str], points: ControlPoints, degree: int, kappas: Kappas) -> Cells:
     """Cells of one degree and one order of the points."""
     runs = {normalised: Run(points, degree, normalised) for normalised in (False, True)}
-    makers: dict[str, Callable[[Run, str], Cells]] = {
-        "4.42": _conditioning, "4.43": _coefficients, "4.44": _accuracy,
-        "4.53": _conditioning, "4.54": _coefficients, "4.55": _accuracy,
+    makers: dict[str, tuple[bool, Callable[[Run, str], Cells]]] = {
+        "4.42": (False, _conditioning), "4.43": (False, _coefficients), "4.44": (False, _accuracy),
+        "4.53": (True, _conditioning), "4.54": (True, _coefficients), "4.55": (True, _accuracy),
     }  # fmt: skip
     out: Cells = {}
     for table in tables:
@@ -184,7 +182,8 @@ def _cells(tables: Sequence[str], points: ControlPoints, degree: int, kappas: Ka
             if kappas:
                 out |= _tikhonov(runs[False], WITH_PRINTED_KAPPA, kappas)
         else:
-            out |= makers[table](runs[PLACES[table]], table)
+            normalised, make = makers[table]
+            out |= make(runs[normalised], table)
     return out
 
 

@@ -1,24 +1,25 @@
-"""What the experiments on the twin share: the run of one seed, words of the tables, collecting over seeds.
+"""Experiments on the twin: the run of one seed, words of the tables, collecting over seeds; Topan & Maktav (2010).
 
 The points of the publications are unpublished, so each seed draws a twin of its own: points, roles, errors
 of the metadata, noise of image and ground (Terlemezoğlu 2019, sect. 4.2; Topan & Maktav 2010).
+:func:`compute` gives tables 1 and 2 of Topan & Maktav (2010): RMSE by point set, stage and EOP set.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.model.cells import CellKey
-from fg_orient.model.parameters import eop_codes
-from fg_orient.studies.study import Study
+from fg_orient.model.names import COMPONENTS, EOP_SETS
+from fg_orient.model.parameters import N_EOP, eop_codes
+from fg_orient.studies.claims import Study
 from fg_orient.studies.switches import Switches, switches_of
 from fg_orient.studies.two_stage import TwoStage
 
-Array = npt.NDArray[np.float64]
 # Cells of one run; several values where the source leaves open which of several computations it shows.
 # (No '#:': autodoc cannot format this alias.)
 Cells = dict[CellKey, float | list[float]]
@@ -28,7 +29,8 @@ Progress = Callable[[int, int], None]
 #: Plain least squares of both sources: an inverse is formed with pivoting, then multiplied with b.
 LEAST_SQUARES = "pivot_inverse"
 AXES = ("x", "y", "z")
-_PUBLISHED_COMPONENTS = ("X", "Y", "Z", "VX", "VY", "VZ", "ar", "ap", "ay")
+#: The nine EOPs in the words of the tables; ar, ap, ay are roll, pitch, yaw.
+PUBLISHED_COMPONENTS = ("X", "Y", "Z", "VX", "VY", "VZ", "ar", "ap", "ay")
 
 
 def twin(seed: int, point_set: str = "H-10", *, as_run: bool | Switches = False) -> TwoStage:
@@ -38,12 +40,7 @@ def twin(seed: int, point_set: str = "H-10", *, as_run: bool | Switches = False)
 
 def labels(eop_set: int) -> tuple[str, ...]:
     """Coefficients of an EOP set in the words of the tables: X0, VY1, ar2 ..."""
-    return tuple(f"{component_label(code // 3)}{code % 3}" for code in eop_codes(eop_set))
-
-
-def component_label(component: int) -> str:
-    """One of the nine EOPs in the words of the tables: X, VX, ar (roll), ap (pitch), ay (yaw)."""
-    return _PUBLISHED_COMPONENTS[component]
+    return tuple(f"{PUBLISHED_COMPONENTS[code // 3]}{code % 3}" for code in eop_codes(eop_set))
 
 
 def rmse_cells(key: CellKey, gcp_rmse: Array, icp_rmse: Array) -> Cells:
@@ -76,3 +73,66 @@ def collect(
         if progress is not None:
             progress(done, len(seeds))
     return {key: np.array(found) for key, found in values.items()}
+
+
+POINT_SETS = ("H-0", "H-20", "G-A", "G-B")
+#: Sets of the paper; set 20 was added by Terlemezoğlu 2019.
+PAPER_SETS = tuple(number for number in EOP_SETS if number <= 19)
+
+
+def compute(
+    tables: Collection[str], seeds: Sequence[int], *, as_run: bool | Switches = False,
+    progress: Progress | None = None,
+) -> dict[CellKey, Array]:  # fmt: skip
+    """Cells of the tables "text", "1", "2"; see :func:`fg_orient.studies.tables_spot5.compute`."""
+
+    def one_run(seed: int) -> Cells:
+        out: Cells = {}
+        for point_set in POINT_SETS:
+            run = twin(seed, point_set, as_run=as_run)
+            if "text" in tables:
+                out |= _counts(run, point_set)
+            if "1" in tables:
+                out |= _table_1(run, point_set)
+            if "2" in tables:
+                out |= _table_2(run, point_set)
+        return out
+
+    return collect(one_run, seeds, progress)
+
+
+def _counts(run: TwoStage, point_set: str) -> Cells:
+    """Numbers of the text that follow from the twin."""
+    name = point_set.replace("-", "").lower()
+    n_lines = run.block.images[0].sensor.n_lines
+    counts = {
+        f"{name}_n_gcp": len(run.control_ids), f"{name}_n_icp": len(run.check_ids),
+        "n_points_total": len(run.control_ids) + len(run.check_ids),
+        "hrg_n_lines": n_lines, "n_eop_types": len(COMPONENTS), "n_eop_unmodelled": n_lines * len(COMPONENTS),
+        "n_gcp_needed_unmodelled_printed": -(-n_lines * len(COMPONENTS) // 2),
+        "n_gcp_needed_unmodelled": -(-n_lines * len(COMPONENTS) // 2),
+        "n_eop_coefficients": N_EOP, "n_gcp_needed_modelled": -(-N_EOP // 2),
+        "eop_polynomial_degree": N_EOP // len(COMPONENTS) - 1,
+    }  # fmt: skip
+    return {CellKey("text", quantity=key): float(value) for key, value in counts.items()}
+
+
+def _table_1(run: TwoStage, point_set: str) -> Cells:
+    """Look angles alone: uncorrected (third look component +1, as printed), step 1, bundle with fixed EOPs."""
+    key = CellKey("1", method="look_angles_only", point_set=point_set)
+    stages = {"uncorrected": run.uncorrected(look_sign=1.0), "pre-adjusted": run.look_only(),
+              "bundle": run.bundle(None, 1, LEAST_SQUARES).accuracy}  # fmt: skip
+    out: Cells = {}
+    for stage, errors in stages.items():
+        out |= rmse_cells(key._replace(stage=stage), errors.gcp_rmse, errors.icp_rmse)
+    return out
+
+
+def _table_2(run: TwoStage, point_set: str) -> Cells:
+    """The bundle with each EOP set."""
+    out: Cells = {}
+    for number in PAPER_SETS:
+        errors = run.bundle(number, 1, LEAST_SQUARES).accuracy
+        key = CellKey("2", str(number), "bundle", method="gauss_helmert_bundle", point_set=point_set)
+        out |= rmse_cells(key, errors.gcp_rmse, errors.icp_rmse)
+    return out

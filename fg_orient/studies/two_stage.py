@@ -23,6 +23,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.adjustment.linear.registry import attempt
 from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
 from fg_orient.model.block import Block
@@ -31,12 +32,17 @@ from fg_orient.model.names import Role
 from fg_orient.model.parameters import eop_codes, eop_set_number, parameter_name
 from fg_orient.sensors import initial
 from fg_orient.studies import conditions
-from fg_orient.studies.axis_errors import AxisErrors, from_two_rays
 from fg_orient.studies.conditions import Conditions, Linearised
 from fg_orient.studies.switches import Switches, switches_of
-from fg_orient.studies.two_stage_results import Bundle, LookAngles, PreAdjustment
+from fg_orient.studies.two_stage_results import (
+    AxisErrors,
+    Bundle,
+    LookAngles,
+    PreAdjustment,
+    StepTwoOnly,
+    from_two_rays,
+)
 
-Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 LookModel = Literal["angles", "corrections"]
 Kind = Literal[1, 2]
@@ -187,20 +193,6 @@ class TwoStage:
         ground[self._control] = self.block.points.known.ecef_m[self._control]
         return at.with_ground(ground[at.point])
 
-    def intersected(self, eop_set: int, eop: Array) -> AxisErrors:
-        """Stereo intersection of all points with corrected EOPs, at the look angles of step 1.
-
-        Parameters
-        ----------
-        eop_set : int
-            Number of the set.
-        eop : (M, k) array
-            Its corrections per image, as :meth:`pre_adjust` gives them.
-        """
-        at = self._smooth(self.pre_adjusted)
-        positions = self.switches.metadata_positions
-        return self._errors(self._intersect(at, _codes(eop_set), eop, metadata_position=positions))
-
     # --- step 2 ------------------------------------------------------------------------------
 
     def pre_adjust(
@@ -250,7 +242,7 @@ class TwoStage:
         return PreAdjustment(system, solution, eop[image], delta, _names(codes), repeats)
 
     def _repeats(self, codes: tuple[int, ...], dp: Array, system: LinearSystem, repeats: int) -> bool:
-        """Tell whether the program would go on: large corrections and a matrix of full rank."""
+        """Whether the program would go on: large corrections and a matrix of full rank."""
         most = MAX_REPEATS if self.switches.one_limit else MAX_REPEATS_BY_UNKNOWN
         if not self.switches.repeated_step_2 or repeats >= most or not np.isfinite(dp).all():
             return False
@@ -260,6 +252,34 @@ class TwoStage:
         limit = np.where(attitude, REPEAT_AS_RUN_RAD, REPEAT_AS_RUN_M)
         design, _ = system.require_design("step 2")
         return bool((np.abs(dp) > limit).any() and np.linalg.matrix_rank(design) == len(codes))
+
+    def step_two_only(self, eop_set: int, solver: str) -> StepTwoOnly:
+        """Procedure without bundle: step 2 of all images, then the intersection of all points.
+
+        An inference, not a statement of the sources: the check points of type 1 in T-Tables 4.25 to 4.34 diverge as the
+        control points do. In a bundle check points are unknowns and stay at one pixel; here they are intersected with
+        the wild orientation. The right-hand side of step 2 is then what the EOP polynomials leave of the conditions
+        that step 1 has closed with EOPs interpolated at the line, 1e-8 rad; it is solved once. These misclosures differ
+        from rounding only with the switch ``line_exact``.
+
+        Parameters
+        ----------
+        eop_set : int
+            1-20.
+        solver : str
+            Name in the registry of ``fg_orient.adjustment.linear``.
+
+        Raises
+        ------
+        InputError
+            No such EOP set; no such solver.
+        """
+        images = range(len(self.block.images))
+        steps = tuple(self.pre_adjust(k, eop_set, solver, polynomial_misclosures=True, once=True) for k in images)
+        failure = next((step.solution.failure for step in steps if step.solution.failure), "")
+        at, eop = self._smooth(self.pre_adjusted), np.array([step.dP for step in steps])
+        ground = self._intersect(at, _codes(eop_set), eop, metadata_position=self.switches.metadata_positions)
+        return StepTwoOnly(steps, self._errors(ground), failure)
 
     # --- bundle ------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""What the steps of the two-stage procedure give."""
+"""Results of the two-stage procedure: steps, errors per ECEF axis as published, intersection of two rays."""
 
 from __future__ import annotations
 
@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
-from fg_orient.studies.axis_errors import AxisErrors
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -63,6 +61,25 @@ class PreAdjustment:
 
 
 @dataclass(frozen=True)
+class StepTwoOnly:
+    """Result of the procedure without bundle.
+
+    Parameters
+    ----------
+    steps : tuple of PreAdjustment
+        Step 2 of each image.
+    accuracy : AxisErrors
+        Control and check points, both intersected; nan where a solver broke down.
+    failure : str
+        Why the solver broke down; "" if it did not.
+    """
+
+    steps: tuple[PreAdjustment, ...]
+    accuracy: AxisErrors
+    failure: str = ""
+
+
+@dataclass(frozen=True)
 class Bundle:
     """Result of the bundle adjustment.
 
@@ -92,3 +109,85 @@ class Bundle:
     n_observations: int
     n_unknowns: int
     failure: str = ""
+
+
+Index = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class AxisErrors:
+    """Measured minus computed coordinates, ECEF axes, m (Terlemezoğlu 2019, eq. 2.72).
+
+    Parameters
+    ----------
+    gcp_m : (n, 3) array
+        Control points, computed again by intersection; those of one image only are left out.
+    icp_m : (k, 3) array
+        Check points.
+    """
+
+    gcp_m: Array
+    icp_m: Array
+
+    @property
+    def gcp_rmse(self) -> Array:
+        """m_X, m_Y, m_Z of the control points (3,); nan without any."""
+        return rms(self.gcp_m)
+
+    @property
+    def icp_rmse(self) -> Array:
+        """m_X, m_Y, m_Z of the check points (3,); nan without any."""
+        return rms(self.icp_m)
+
+    @property
+    def gcp_max(self) -> float:
+        """Largest of m_X, m_Y, m_Z at the control points."""
+        return float(self.gcp_rmse.max())
+
+    @property
+    def icp_max(self) -> float:
+        """Largest of m_X, m_Y, m_Z at the check points."""
+        return float(self.icp_rmse.max())
+
+
+def rms(values_m: Array) -> Array:
+    """Root mean square of each column; nan for no rows."""
+    if not len(values_m):
+        return np.full(values_m.shape[1], np.nan)
+    largest = np.abs(values_m).max(axis=0)
+    scale = np.where(np.isfinite(largest) & (largest > 0.0), largest, 1.0)  # squares of wild values would overflow
+    return np.asarray(np.sqrt(np.mean((values_m / scale) ** 2, axis=0)) * scale)
+
+
+def from_two_rays(
+    centre_m: Array, direction: Array, image: Index, point: Index, n_points: int, *, midpoint: bool = False
+) -> Array:
+    """Foot on the first image's ray of the shortest connection of two rays (T 2.49-2.52 as corrected).
+
+    Parameters
+    ----------
+    centre_m, direction : (n, 3) arrays
+        Rays, ECEF.
+    image, point : (n,) int arrays
+        Image (0 or 1) and point of each ray.
+    midpoint : bool
+        The middle of the connection, as the authors' program takes it, instead of its foot on the first ray.
+
+    Returns
+    -------
+    (n_points, 3) array
+        ECEF m; nan for points that one image alone sees, and for parallel rays.
+    """
+    row = np.full((2, n_points), -1)
+    row[image, point] = np.arange(len(image))
+    both = np.flatnonzero((row >= 0).all(axis=0))
+    (p1, u1), (p2, u2) = ((centre_m[row[k, both]], direction[row[k, both]]) for k in (0, 1))
+    base, cos = p2 - p1, np.einsum("ni,ni->n", u1, u2)
+    sin2 = np.sum(np.cross(u1, u2) ** 2, axis=1)  # 1 - cos^2 without its cancellation
+    sin2[sin2 == 0.0] = np.nan
+    b1, b2 = np.einsum("ni,ni->n", u1, base), np.einsum("ni,ni->n", u2, base)
+    out = np.full((n_points, 3), np.nan)
+    out[both] = p1 + ((b1 - cos * b2) / sin2)[:, None] * u1
+    if midpoint:
+        out[both] = 0.5 * (out[both] + p2 + ((cos * b1 - b2) / sin2)[:, None] * u2)
+    return out

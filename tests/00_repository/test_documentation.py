@@ -20,7 +20,7 @@ def blocks(path: Path, language: str) -> list[str]:
 
 def test_eop_table_of_the_concepts_page_lists_the_published_sets(repository: Path) -> None:
     from fg_orient.model.names import EOP_SETS
-    from fg_orient.studies.tables_counts import PUBLISHED_SETS
+    from fg_orient.studies.tables_spot5 import PUBLISHED_SETS
 
     text = (repository / "docs" / "concepts.md").read_text("utf-8")
     table = {int(n): name for n, name in re.findall(r"\| (\d+) \| `(\w+)`", text)}

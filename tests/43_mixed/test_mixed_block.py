@@ -19,8 +19,7 @@ from fg_orient.model.names import Status
 from fg_orient.sensors.frame import FrameSensor
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.rpc_sensor import RpcSensor
-from fg_orient.simulate.mixed import MixedOptions, mixed_block, rpc_models, simulate
-from fg_orient.simulate.mixed_files import simulate_mixed
+from fg_orient.simulate.mixed import MixedOptions, mixed_block, rpc_models, simulate, simulate_mixed
 from fg_orient.simulate.simulation import Truth
 from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
 from tests.support.command import in_process

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from fg_orient.model.errors import InputError, NoSolutionError
-from fg_orient.rpc.estimate import fit_linear, fit_path, fit_true, fit_weighted, linear_system
+from fg_orient.rpc.estimate import fit_linear, fit_true, fit_weighted, linear_system
 from fg_orient.rpc.fit import RfmFit, least_denominators, leverages
 from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.rfm_points import ControlPoints, Scaling
@@ -114,16 +114,6 @@ def test_leverages_are_those_of_the_hat_matrix(make: Make, kappa: float) -> None
     assert found.redundancy == pytest.approx(2 * n - np.trace(hat), rel=1e-9)
 
 
-@pytest.mark.consistency
-def test_path_is_fits_one_by_one(make: Make) -> None:
-    points, form = make(50, noise_px=0.5), RfmForm(2)
-    path = fit_path(points, form, np.array([1e-3, 1.0]))
-    assert [fit.kappa for fit in path] == [1.0, 1e-3]
-    for fit in path:
-        alone = fit_true(points, form, kappa=fit.kappa)
-        np.testing.assert_allclose(fit.residuals_px(), alone.residuals_px(), atol=1e-4)
-
-
 @pytest.mark.oracle
 @pytest.mark.parametrize("seeds", some_slow([4, 20]))
 def test_least_denominator_between_points_is_that_of_a_fine_search(rng: np.random.Generator, seeds: int) -> None:
@@ -145,7 +135,7 @@ def test_a_pole_between_points_is_refused(make: Make) -> None:
     bad = RfmFit(good.form, good.scaling, points, x, "made up")
     assert bad.has_pole
     with pytest.raises(NoSolutionError, match="pole"):
-        bad.require_no_pole()
+        bad.without_pole()
     assert not good.has_pole
 
 

@@ -12,9 +12,8 @@ from fg_orient.model.errors import InputError
 from fg_orient.rpc import select
 from fg_orient.rpc.estimate import fit_linear, linear_system
 from fg_orient.rpc.form import RfmForm
-from fg_orient.rpc.reduced import Reduced
 from fg_orient.rpc.rfm_points import ControlPoints, Scaling
-from fg_orient.rpc.select import Selection, eliminated, fit_selected, lasso_solution, press_of, selections
+from fg_orient.rpc.select import Reduced, Selection, eliminated, fit_selected, lasso_solution, press_of, selections
 
 Make = Callable[..., ControlPoints]
 TERMS = {"b100", "b001", "a110", "a002", "c200", "d010"}

@@ -9,11 +9,10 @@ import pytest
 
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rpc.estimate import fit_linear
-from fg_orient.rpc.fit import RfmFit
+from fg_orient.rpc.fit import RfmFit, cross_validate
 from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.rfm_points import ControlPoints
 from fg_orient.rpc.select import fit_selected
-from fg_orient.rpc.validate import cross_validate
 
 Make = Callable[..., ControlPoints]
 

@@ -21,10 +21,10 @@ from fg_orient.model.block import Block, Coordinates, GroundPoints
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role, Status
 from fg_orient.sensors.frame import UNKNOWNS, FrameSensor
-from fg_orient.simulate.frames import SIGMA, FrameTruth, pinhole_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.frame_above import with_frame_above
 from tests.support.full_statistics import step_of_numpy
+from tests.support.pinhole import SIGMA, FrameTruth, pinhole_block
 
 
 @lru_cache

@@ -14,7 +14,7 @@ from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Image, Options
 from fg_orient.model.errors import InputError, OutOfImage
 from fg_orient.sensors.frame import HALF_TURN, FrameCamera, FrameSensor
-from fg_orient.simulate.frames import pinhole_block
+from tests.support.pinhole import pinhole_block
 
 LON, LAT, HEIGHT = 31.8, 41.4, 2500.0
 SIGMA = {"rotation_x": 1e-4, "centre_z": 0.1}

@@ -20,8 +20,8 @@ from fg_orient.model.names import Role
 from fg_orient.quality.covariance import Cofactors, cofactors_of
 from fg_orient.quality.reliability import residual_cofactors
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameSensor
-from fg_orient.simulate.frames import SIGMA, pinhole_block
 from tests.support import dbat
+from tests.support.pinhole import SIGMA, pinhole_block
 
 INTERIOR = {"focal": 5.0, "principal_sample": 3.0, "principal_line": 3.0, "k1": 1e-2}
 

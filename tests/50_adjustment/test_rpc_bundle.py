@@ -20,7 +20,7 @@ from fg_orient.model.errors import InputError, RankDeficientError
 from fg_orient.model.names import Role, Status
 from fg_orient.quality.accuracy import rms_px, y_parallaxes
 from fg_orient.quality.covariance import cofactors_of
-from fg_orient.rpc.corrected import corrected
+from fg_orient.rpc.files import corrected
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from tests.support.full_statistics import Full, step_of_numpy
 from tests.support.rpc_block import RpcTwin, rpc_twin, twin_with_models, without_control

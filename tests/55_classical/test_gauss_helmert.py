@@ -10,8 +10,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 import fg_orient as fg
-from fg_orient.studies.gauss_helmert import gauss_helmert
-from fg_orient.studies.gauss_markov import gauss_markov
+from fg_orient.studies.general import gauss_helmert, gauss_markov
 
 N = 12
 

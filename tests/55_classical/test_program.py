@@ -14,12 +14,11 @@ import pytest
 from fg_orient.adjustment.linear import registry
 from fg_orient.adjustment.linear.conditioning import diagnose
 from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
-from fg_orient.studies.axis_errors import AxisErrors, from_two_rays
-from fg_orient.studies.step_two_only import step_two_only
-from fg_orient.studies.study import AS_RUN_TWIN, Study
+from fg_orient.studies.claims import AS_RUN_TWIN, Study
 from fg_orient.studies.switch_effects import MEASURES, effects, norm_condition
 from fg_orient.studies.switches import NUMBERED, PROGRAM, TEXT, Switches, label, names, source, switches_of
 from fg_orient.studies.two_stage import TwoStage
+from fg_orient.studies.two_stage_results import AxisErrors, from_two_rays
 
 SOLVER = "gauss_inverse"
 #: The procedure before D1 to D8 were known: matrices, 0.1", repeats, metadata positions, complex roots.
@@ -253,7 +252,7 @@ def test_without_bundle_check_points_diverge_with_the_control_points(
     eop_set: int, control: list[float], check: list[float]
 ) -> None:
     """Set 19 is nearly singular: another machine may move it, so a factor of 1.5 is held."""
-    found = step_two_only(run_of(), eop_set, "pivot_inverse")
+    found = run_of().step_two_only(eop_set, "pivot_inverse")
     assert not found.failure
     assert [step.repeats for step in found.steps] == [1, 1]
     share = 0.01 if eop_set == 15 else 0.5
@@ -271,7 +270,7 @@ def test_without_bundle_a_solver_that_breaks_down_leaves_nothing(monkeypatch: py
     def breaks_down(system: LinearSystem, as_run: bool) -> LinearSolution:
         raise np.linalg.LinAlgError("singular")
 
-    found = step_two_only(run_of(PROGRAM), 17, "breaks_down")
+    found = run_of(PROGRAM).step_two_only(17, "breaks_down")
     assert found.failure
     assert np.isnan(found.accuracy.gcp_m).all()
 

@@ -20,9 +20,9 @@ from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from fg_orient.studies import two_stage
-from fg_orient.studies.axis_errors import from_two_rays, rms
 from fg_orient.studies.switches import PROGRAM
 from fg_orient.studies.two_stage import TwoStage
+from fg_orient.studies.two_stage_results import from_two_rays, rms
 from tests.support import published_conditions as oracle
 
 SOLVER = "gauss_partial_pivot_elimination"

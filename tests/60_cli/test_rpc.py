@@ -21,7 +21,7 @@ from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 from fg_orient.rpc.compensate import LEVEL, compensate
-from fg_orient.rpc.corrected import corrected
+from fg_orient.rpc.files import corrected
 from fg_orient.rpc.fitting import fit_image
 from fg_orient.rpc.points import MeasuredPoints
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
@@ -601,12 +601,13 @@ def test_fewer_points_than_coefficients(run: Run, model: RpcModel, tmp_path: Pat
 @pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("words", "code"),
-    [(("fit", "--equations", "cubic"), "rpc.equations"), (("fit", "--select", "best"), "rfm.selector"),
+    [(("fit", "--equations", "cubic"), "options.value"), (("fit", "--select", "best"), "rfm.selector"),
      (("fit", "--select", "lasso", "--kappa", "1"), "options.two_ways"), (("fit", "--solver", "qr"), "rpc.solver_form"),
-     (("fit", "--degree", "4"), "rfm.degree"), (("fit", "--denominators", "two"), "rfm.denominators"),
-     (("fit", "--heights", "0", "1"), "rpc.foreign_option"), (("fit", "--folds", "1"), "rfm.folds"),
-     (("fit", "--no-normalise", "--out", "a.RPB"), "rpc.unscaled"), (("fit", "--kappa", "-1"), "linear.kappa_value"),
-     (("fit", "--penalty", "none", "--kappa", "1"), "rfm.penalty"),
+     (("fit", "--degree", "4"), "options.value"), (("fit", "--denominators", "two"), "options.value"),
+     (("fit", "--heights", "0", "1"), "rpc.foreign_option"), (("fit", "--folds", "1"), "options.value"),
+     (("fit", "--folds", "70"), "rfm.folds"),
+     (("fit", "--no-normalise", "--out", "a.RPB"), "rpc.unscaled"), (("fit", "--kappa", "-1"), "options.value"),
+     (("fit", "--penalty", "none", "--kappa", "1"), "options.value"),
      (("convert", "--out", "b.txt", "--to", "nitf"), "rpc.target_name"), (("convert", "--out", "b.img"), "rpc.target")],
 )  # fmt: skip
 def test_options_that_do_not_fit(

@@ -21,9 +21,10 @@ from fg_orient.report import chart, paper
 from fg_orient.report.page import script_hash
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from fg_orient.studies.comparison import folder as comparison_folder
-from fg_orient.studies.comparison import heat, plots
+from fg_orient.studies.comparison import plots
+from fg_orient.studies.comparison import report as heat
 from fg_orient.studies.comparison.model import COLUMNS, Comparison
-from fg_orient.studies.comparison.report import render, short
+from fg_orient.studies.comparison.report import render, three_digits
 from fg_orient.studies.comparison.words import ranges, verdict
 
 FIGURES = {
@@ -235,7 +236,8 @@ def test_verdict_in_words(comparison: Comparison) -> None:
 def test_words_for_numbers() -> None:
     assert ranges([20, 1, 5, 6, 7, 1]) == "1, 5-7, 20"
     assert ranges([]) == ""
-    assert [short(v) for v in (0.0, 1.234, 0.001, 2e6, math.nan, None)] == ["0.00", "1.23", "1e−3", "2e6", "–", "–"]
+    shown = [three_digits(v) for v in (0.0, 1.234, 0.001, 2e6, math.nan, None)]
+    assert shown == ["0.00", "1.23", "1e−3", "2e6", "–", "–"]
 
 
 @pytest.mark.behaviour

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fg_orient.model.names import Role
-from fg_orient.simulate.point_sets import CHECK_COUNT, N_POINTS, roles_of
+from fg_orient.simulate.zonguldak import CHECK_COUNT, N_POINTS, roles_of
 
 
 @pytest.fixture

@@ -9,9 +9,8 @@ from fg_orient.sensors.correction import Correction
 from fg_orient.simulate import block as block_module
 from fg_orient.simulate.block import MARGIN_PX, BlockOptions, grid_block
 from fg_orient.simulate.orbit import find_pass
-from fg_orient.simulate.quick_projection import QuickProjection
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
-from fg_orient.simulate.simulation import draw_errors
+from fg_orient.simulate.simulation import QuickProjection, draw_errors
 from tests.support.published_rays import misses_m
 
 ROUNDING_PX = 1e-8  # one digit of a time of day is 5e-9 px

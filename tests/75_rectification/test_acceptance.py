@@ -20,7 +20,7 @@ from fg_orient.rectification.study import (
     without_redundancy,
 )
 from fg_orient.rectification.transformation import find_model
-from fg_orient.studies.reproduce.ipbuker1994_islands import area_ratio, lambert_polar
+from fg_orient.studies.reproduce.ipbuker1994 import area_ratio, lambert_polar
 from fg_orient.studies.reproduce.reproduction import Row
 
 Rows = dict[tuple[str, str, str], Row]

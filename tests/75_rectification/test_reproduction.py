@@ -13,10 +13,9 @@ import pytest
 from fg_orient.rectification.study import digitised_sheets
 from fg_orient.studies.published import tables as published
 from fg_orient.studies.published.tables import PublishedCell, load
-from fg_orient.studies.reproduce.found import Found, judge
-from fg_orient.studies.reproduce.ipbuker1994 import TABLES
-from fg_orient.studies.reproduce.ipbuker1994_points import _scatter
+from fg_orient.studies.reproduce.ipbuker1994 import TABLES, _scatter
 from fg_orient.studies.reproduce.reproduction import Reproduction, Row, reproduce
+from fg_orient.studies.reproduce.verdict import Recomputed, assess_value
 from tests.support.command import in_process as run
 
 from .conftest import key
@@ -154,7 +153,7 @@ def test_absurd_numbers_in_a_copy_differ_and_break_nothing(value: str, tmp_path:
 @pytest.mark.parametrize(("printed", "kind"), [(0.0, "differs"), (2.0, "order"), (0.05, "differs")])
 def test_sizes_are_compared_with_any_printed_number(printed: float, kind: str, rows: Rows) -> None:
     cell = PublishedCell(key("7.2", "x", "area_rms"), printed, repr(printed), repr(printed))
-    assert judge(cell, Found(1.0, is_order=True), "").kind == kind
+    assert assess_value(cell, Recomputed(1.0, is_order=True), "").kind == kind
 
 
 @pytest.mark.behaviour

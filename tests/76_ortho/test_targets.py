@@ -15,8 +15,7 @@ from fg_orient.rectification.adjusted import read_correction
 from fg_orient.rectification.ortho import orthorectify
 from fg_orient.rectification.ortho_models import SensorModel
 from fg_orient.sensors.surface import RasterDem
-from fg_orient.simulate.render import Renderer
-from fg_orient.simulate.terrain import terrain_through
+from fg_orient.simulate.render import Renderer, terrain_through
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate
 from tests.support.command import in_process as run
 from tests.support.published_rays import misses_m

@@ -7,9 +7,7 @@ import pytest
 
 from fg_orient.model.cells import CellKey
 from fg_orient.studies.published.tables import PublishedTables
-from fg_orient.studies.reproduce.reproduction import SOURCES, Row, pair
-from fg_orient.studies.reproduce.shuffle import counts, shuffled
-from fg_orient.studies.step_two_only import step_two_only
+from fg_orient.studies.reproduce.reproduction import SOURCES, Row, counts, pair, shuffled
 from fg_orient.studies.tables_spot5 import STEP_1_CLOSED, WITHOUT_BUNDLE
 from fg_orient.studies.tables_twin import twin
 
@@ -63,7 +61,7 @@ def test_corrections_of_set_1_are_noise_as_printed(as_run: Cells) -> None:
 def test_type_1_is_the_procedure_without_bundle(as_run: Cells) -> None:
     assert set(TABLES) & WITHOUT_BUNDLE == {"4.30", "4.34"}
     for kind, expected in (
-        ("1", step_two_only(twin(1, as_run=True), 15, "cholesky_elimination").accuracy),
+        ("1", twin(1, as_run=True).step_two_only(15, "cholesky_elimination").accuracy),
         ("2", twin(1, as_run=True).bundle(15, 2, "cholesky_elimination").accuracy),
     ):
         key = CellKey("4.34", "15", "bundle", kind, "icp", "rmse_x", "cholesky_elimination")

@@ -130,10 +130,10 @@ def test_mean_check_point_rmse() -> None:
 
 
 def claims_geometry_c5(seed: int) -> dict[str, float]:
-    from fg_orient.studies.claims_geometry import c5
-    from fg_orient.studies.study import Study
+    from fg_orient.studies.claims import Study
+    from fg_orient.studies.claims_geometry import _c5
 
-    return c5(Study(seed)).figures
+    return _c5(Study(seed)).figures
 
 
 @pytest.mark.behaviour

@@ -14,8 +14,7 @@ from fg_orient.model.cells import CellKey
 from fg_orient.report.svg import svg
 from fg_orient.studies.published.tables import load
 from fg_orient.studies.reproduce.folder import reproduce_to
-from fg_orient.studies.reproduce.grid import grid
-from fg_orient.studies.reproduce.l_curves import l_curves
+from fg_orient.studies.reproduce.html import grid, l_curves
 from fg_orient.studies.reproduce.reproduction import Row, reproduce
 from fg_orient.studies.reproduce.scatter import scatter
 

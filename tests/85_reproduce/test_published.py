@@ -13,7 +13,7 @@ import pytest
 from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
 from fg_orient.studies.published.tables import PublishedTables, load
-from fg_orient.studies.tables_counts import PUBLISHED_SETS
+from fg_orient.studies.tables_spot5 import PUBLISHED_SETS
 
 Printed = dict[str, PublishedTables]
 CONDITIONS = "table-4-03-to-09-ls-conditions-spot5.csv"

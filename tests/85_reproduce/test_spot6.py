@@ -15,21 +15,20 @@ from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.cli import app
 from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
+from fg_orient.rpc.fit import cross_validate
 from fg_orient.rpc.form import RfmForm
-from fg_orient.rpc.gcp_file import find_spot6, read_gcp
-from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.rpc.rfm_points import ControlPoints, find_spot6, read_gcp
 from fg_orient.rpc.select import fit_selected
-from fg_orient.rpc.validate import cross_validate
 from fg_orient.simulate.zonguldak import zonguldak_block
 from fg_orient.studies import tables_spot6
+from fg_orient.studies.claims_geometry import rfm_points
 from fg_orient.studies.published.tables import PublishedCell, PublishedTables
 from fg_orient.studies.reproduce import spot6
 from fg_orient.studies.reproduce.reproduction import reproduce
-from fg_orient.studies.reproduce.verdict import Verdict
-from fg_orient.studies.rfm_twin import rfm_points
+from fg_orient.studies.reproduce.verdict import CellComparison
 from tests.support.repetitions import some_slow
 
-Verdicts = dict[CellKey, Verdict]
+Verdicts = dict[CellKey, CellComparison]
 INVERSES = ("pivot_inverse", "cholesky_inverse", "gauss_inverse")
 ELIMINATIONS = ("gauss_partial_pivot_elimination", "cholesky_elimination")
 PSEUDO, CRAMER = "moore_penrose_inverse", "cramer_inverse"
@@ -122,11 +121,11 @@ def test_printed_coefficients_give_the_printed_kappas(printed: dict[str, Publish
 
 
 def judged(value: float, text: str, runs: list[float], **key: str) -> str:
-    """Verdict kind of a made-up cell."""
+    """CellComparison kind of a made-up cell."""
     cell = PublishedCell(
         CellKey(**{"table": "4.44", "stage": "rfm degree 2", "quantity": "m0", "method": "x"} | key), value, text, text
     )
-    return spot6.judge(cell, {cell.key: np.array(runs)}).kind
+    return spot6.assess(cell, {cell.key: np.array(runs)}).kind
 
 
 @pytest.mark.behaviour
@@ -171,7 +170,7 @@ def test_a_steady_number_is_not_called_noise() -> None:
     """Within the limits, but all orders of the points agree and print does not."""
     key = CellKey("4.45", stage="rfm degree 1", quantity="kappa", method="tikhonov_od")
     for runs, words in (([7.567e-3, 7.567e-3, 7.568e-3], "steady"), ([7.567e-3, 7.5e-3, 7.9e-3], "rounding noise")):
-        verdict = spot6.judge(PublishedCell(key, 7.7e-3, "7.7e-3", "7.7e-3"), {key: np.array(runs)})
+        verdict = spot6.assess(PublishedCell(key, 7.7e-3, "7.7e-3", "7.7e-3"), {key: np.array(runs)})
         assert verdict.kind == "rounding"
         assert words in verdict.reason
 
@@ -237,7 +236,7 @@ def verdicts(points: ControlPoints, printed: dict[str, PublishedTables]) -> Verd
     """Degrees 1 and 2 with five permutations."""
     with one_blas_thread():
         values = tables_spot6.compute(tables_spot6.TABLES, points, permutations=5, degrees=(1, 2))
-    return {c.key: spot6.judge(c, values) for c in printed["terlemezoglu2019"].cells if c.key in values}
+    return {c.key: spot6.assess(c, values) for c in printed["terlemezoglu2019"].cells if c.key in values}
 
 
 def firm(found: Verdicts, degrees: tuple[int, ...]) -> None:
@@ -293,7 +292,7 @@ def test_all_degrees_with_fifty_permutations(
     real_data: Path, printed: dict[str, PublishedTables], capsys: pytest.CaptureFixture[str]
 ) -> None:
     tables = printed["terlemezoglu2019"]
-    found = spot6.verdicts(tables, tables_spot6.TABLES, real_data)
+    found = spot6.compare(tables, tables_spot6.TABLES, real_data)
     with capsys.disabled():
         print(f"\n{Counter(verdict.kind for verdict in found.values())}")
         for key, verdict in found.items():

@@ -9,8 +9,7 @@ import pytest
 
 from fg_orient.model.cells import CellKey
 from fg_orient.studies.published.tables import PublishedCell
-from fg_orient.studies.reproduce.rules import RULES, kind_of
-from fg_orient.studies.reproduce.verdict import KINDS, judge, last_digit
+from fg_orient.studies.reproduce.verdict import KINDS, RULES, assess_runs, kind_of, last_digit
 
 pytestmark = pytest.mark.behaviour
 
@@ -32,7 +31,7 @@ NAN = math.nan
 def verdict(key: CellKey, text: str, runs: list[float] | None, order: float | None = None) -> str:
     """Kind of the verdict on a printed number."""
     cell = PublishedCell(key, float(text or "nan"), text, text or "words")
-    return judge(cell, None if runs is None else np.array(runs), order).kind
+    return assess_runs(cell, None if runs is None else np.array(runs), order).kind
 
 
 @pytest.mark.parametrize(
@@ -94,19 +93,19 @@ def test_ranks_are_judged_by_the_order_of_their_matrix(text: str, runs: list[flo
 
 def test_what_cannot_be_compared_says_why() -> None:
     assert verdict(COUNT, "", None) == "not_reproducible"
-    words = judge(PublishedCell(COUNT, NAN, "", "2002-05-04"), None)
-    gap = judge(PublishedCell(COUNT, NAN, "", "-"), np.array([1.0]))
-    fact = judge(PublishedCell(COUNT, 832.0, "832", "832"), None)
+    words = assess_runs(PublishedCell(COUNT, NAN, "", "2002-05-04"), None)
+    gap = assess_runs(PublishedCell(COUNT, NAN, "", "-"), np.array([1.0]))
+    fact = assess_runs(PublishedCell(COUNT, 832.0, "832", "832"), None)
     assert (words.reason, gap.reason) == ("a statement in words", "nothing is printed")
     assert "nothing to compute" in fact.reason
     assert math.isnan(fact.reproduced)
 
 
 def test_the_reproduced_value_is_a_run_of_the_middle_and_says_how_many_broke_down() -> None:
-    found = judge(PublishedCell(DP, 2.0, "2.0", "2.0"), np.array([4.0, NAN, 1.0, -3.0, 2.0]))
+    found = assess_runs(PublishedCell(DP, 2.0, "2.0", "2.0"), np.array([4.0, NAN, 1.0, -3.0, 2.0]))
     assert (found.reproduced, found.low, found.high) == (1.0, -3.0, 4.0)
     assert "5 runs, 1 of them without a result" in found.reason
-    half = judge(PublishedCell(DP, 2.0, "2.0", "2.0"), np.array([4.0, NAN]))
+    half = assess_runs(PublishedCell(DP, 2.0, "2.0", "2.0"), np.array([4.0, NAN]))
     assert math.isnan(half.reproduced), "half of the runs is not most of them"
 
 
@@ -121,7 +120,7 @@ def test_every_reason_is_one_line_and_every_kind_of_verdict_occurs() -> None:
     seen = set()
     for key, text in ((COUNT, "1"), (GCP, "1.0"), (DP, "1.0"), (NORM, "1e17"), (GCP, "nan")):
         for runs in ([1.0], [0.01], [1e20], [1e3, 1e-3]):
-            found = judge(PublishedCell(key, float(text), text, text), np.array(runs))
+            found = assess_runs(PublishedCell(key, float(text), text, text), np.array(runs))
             assert found.reason and "\n" not in found.reason
             seen.add(found.kind)
     assert seen == set(KINDS)

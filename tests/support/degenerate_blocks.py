@@ -10,8 +10,8 @@ import numpy as np
 
 from fg_orient.model.block import Block, Coordinates, GroundPoints, ImagePoints
 from fg_orient.model.names import Role
-from fg_orient.simulate.frames import pinhole_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from tests.support.pinhole import pinhole_block
 from tests.support.rpc_block import rpc_twin
 
 #: Point ids of the pinhole block that lie on one line (made so), and one far off it.

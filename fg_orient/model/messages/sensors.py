@@ -150,8 +150,6 @@ rpc.few_control: too few control points for this compensation
     -> it needs {least}; measure more, or take a simpler one
 rpc.control_spread: the control points do not determine this compensation
     -> they lie on one line of the image: measure others beside it, or take a simpler one
-rpc.equations: no such equations
-    -> choose one of {known}
 rpc.solver_form: a solver is chosen for the linear form only
     -> add <equations> linear
 rpc.unscaled: coefficients without normalisation are not written: formats state their ranges by offset and scale

@@ -21,11 +21,11 @@ from fg_orient.adjustment.parts.study import study
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import ALL_SETS, EOP_SETS, Progress, Role
-from fg_orient.studies.comparison import selection
 from fg_orient.studies.comparison.engines import Adjustments, Published
 from fg_orient.studies.comparison.model import (
     BACKENDS,
     GRAPH_SOLVER,
+    SELECTIONS,
     TYPES,
     Comparison,
     Curve,
@@ -91,10 +91,10 @@ def compare(
         that cannot be adjusted at all. Adjustments that fail are rows with a ``failure``.
     """
     start = working_clock()
-    numbers, names = selection.eop_sets(eop_sets), selection.solver_names(solvers)
-    engines, kinds = selection.backend_names(backends), selection.types(types)
+    numbers, names = SELECTIONS["eop_sets"](eop_sets), SELECTIONS["solvers"](solvers)
+    engines, kinds = SELECTIONS["backends"](backends), SELECTIONS["types"](types)
     _require_control(block)
-    target = selection.target(ground_sampling_m(block) if target_m is None else target_m)
+    target = SELECTIONS["target_m"](ground_sampling_m(block) if target_m is None else target_m)
     plan = _Plan(engines, names, kinds, as_run, look_polynomial, target)
     if workers <= 1 and cluster is None and folder is None:
         run = _Run(len(numbers) * plan.per_set, plan, callback)
@@ -185,34 +185,29 @@ class _Run:
         self._total, self._plan, self._target, self._callback = total, plan, plan.target_m, callback
 
     def take(self, block: Block, numbers: Iterable[int]) -> None:
-        """Run some sets."""
+        """Run some sets; the graph goes before the dense adjustments, as their reference."""
         plan = self._plan
         # every row opens the check points after its own adjustment; their file is read for the first one only
         block = replace(block, withheld=replace(block.withheld, reader=functools.cache(block.withheld.reader)))
         with one_blas_thread():
             published = Published(block, plan.as_run) if "faithful" in plan.engines else None
             for number in numbers:
-                if published:
-                    self.take_published(published, number, plan.kinds, plan.names)
+                for kind in plan.kinds:
+                    if published is None:
+                        break
+                    for name in plan.names:
+                        self._add(published.run(number, kind, name))
+                    self.spectra += published.spectra.get((number, kind), ())
+                    self.curves += [published.curves[number, kind]] if (number, kind) in published.curves else []
                 if set(plan.engines) & {"dense", "graph"}:
-                    engine = Adjustments(block, number, plan.look_polynomial)
-                    self.take_adjustments(engine, plan.engines, plan.names)
+                    self._adjust(Adjustments(block, number, plan.look_polynomial))
 
-    def take_published(self, engine: Published, number: int, kinds: tuple[int, ...], names: tuple[str, ...]) -> None:
-        """Run the published procedure with one set."""
-        for kind in kinds:
-            for name in names:
-                self._add(engine.run(number, kind, name))
-            self.spectra += engine.spectra.get((number, kind), ())
-            self.curves += [engine.curves[number, kind]] if (number, kind) in engine.curves else []
-
-    def take_adjustments(self, engine: Adjustments, engines: tuple[str, ...], names: tuple[str, ...]) -> None:
-        """Run graph and dense adjustment with one set; the graph goes first, as the reference."""
-        graph = engine.graph() if "graph" in engines else None
-        for name in names if "dense" in engines else ():
-            self._add(engine.dense(name, graph.solution if graph else None))
-        if graph:
-            self._add(graph.row)
+    def _adjust(self, engine: Adjustments) -> None:
+        solution, row = engine.graph() if "graph" in self._plan.engines else (None, None)
+        for name in self._plan.names if "dense" in self._plan.engines else ():
+            self._add(engine.dense(name, solution))
+        if row:
+            self._add(row)
         self.spectra += engine.spectra
         self.directions += engine.directions
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from factors._preparation import working_clock
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.linear import registry
@@ -28,8 +28,6 @@ from fg_orient.quality.observability import affordable, analyse_block
 from fg_orient.studies.comparison.model import AXES, GRAPH_SOLVER, Curve, Direction, Row, Spectrum
 from fg_orient.studies.two_stage import Kind, TwoStage
 from fg_orient.studies.two_stage_results import Bundle
-
-Array = npt.NDArray[np.float64]
 
 #: Cramer's rule takes u^2 determinants of order u - 1: minutes per solution beyond this many unknowns.
 CRAMER_LIMIT = 120
@@ -135,14 +133,6 @@ def _axes(role: str, rmse: Array) -> dict[str, float]:
     return {f"{role}_rmse_m": float(np.max(rmse))} | named
 
 
-@dataclass(frozen=True)
-class Adjusted:
-    """A solution of the graph, for the differences; None where there is none."""
-
-    solution: Solution | None
-    row: Row
-
-
 class Adjustments:
     """:func:`fg_orient.adjust` with one EOP set: graph, and dense with any solver.
 
@@ -184,8 +174,8 @@ class Adjustments:
             found.append(Spectrum(self.eop_set, "no priors", "priors", singular_values(free)))
         self.spectra = tuple(found)
 
-    def graph(self) -> Adjusted:
-        """Adjust through the graph."""
+    def graph(self) -> tuple[Solution | None, Row]:
+        """Adjust through the graph: solution, if there is one, and row."""
         return self._run(GRAPH_SOLVER, "graph", {"backend": "graph"})
 
     def dense(self, solver: str, reference: Solution | None) -> Row:
@@ -193,35 +183,32 @@ class Adjustments:
         reason = _reason_to_leave_out(solver, self.problem.n_unknowns, iterated=True)
         if reason:
             return row(self.eop_set, solver, "dense", failure=reason, left_out=True, **self.matrix)
-        found = self._run(solver, "dense", {"backend": "dense", "solver": solver})
-        if found.solution is None or reference is None:
-            return found.row
-        ours, theirs = found.solution.state, reference.state
+        solution, row_ = self._run(solver, "dense", {"backend": "dense", "solver": solver})
+        if solution is None or reference is None:
+            return row_
+        ours, theirs = solution.state, reference.state
         apart = np.abs(ours.ground - theirs.ground)
         return replace(
-            found.row, difference_sigmas=float(np.abs(ours.image - theirs.image).max()),
+            row_, difference_sigmas=float(np.abs(ours.image - theirs.image).max()),
             difference_m=float(np.nanmax(apart)) if np.isfinite(apart).any() else np.nan,
         )  # fmt: skip
 
-    def _run(self, solver: str, backend: str, options: dict[str, Any]) -> Adjusted:
+    def _run(self, solver: str, backend: str, options: dict[str, Any]) -> tuple[Solution | None, Row]:
         try:
             with np.errstate(all="ignore"):  # a step through a singular matrix may overflow; the loop then says so
                 found = adjust(self.block, eop_set=self.eop_set, look_polynomial=self.look_polynomial, **options)
         except FgOrientError as error:
-            return Adjusted(None, row(self.eop_set, solver, backend, failure=one_line(error), **self.matrix))
+            return None, row(self.eop_set, solver, backend, failure=one_line(error), **self.matrix)
+        seconds = found.seconds.structure + found.seconds.solve
         if found.status is Status.NOT_CONVERGED:
-            failed = row(
-                self.eop_set, solver, backend, failure=found.reason, iterations=found.iterations,
-                seconds=_seconds(found), **self.matrix,
-            )  # fmt: skip
-            return Adjusted(None, failed)
-        values: dict[str, Any] = _accuracy("control", found.accuracy.control) | _accuracy("check", found.accuracy.check)
+            values: dict[str, Any] = {"failure": found.reason, "iterations": found.iterations, "seconds": seconds}
+            return None, row(self.eop_set, solver, backend, **values, **self.matrix)
+        values = {**_accuracy("control", found.accuracy.control), **_accuracy("check", found.accuracy.check)}
         notes = (found.reason,) if found.status is Status.NOT_TRUSTWORTHY else ()
-        done = row(
-            self.eop_set, solver, backend, sigma0=found.sigma0, iterations=found.iterations, seconds=_seconds(found),
+        return found, row(
+            self.eop_set, solver, backend, sigma0=found.sigma0, iterations=found.iterations, seconds=seconds,
             notes=notes, **values, **self.matrix,
         )  # fmt: skip
-        return Adjusted(found, done)
 
 
 def directions_of(compiled: Problem) -> tuple[Direction, ...]:
@@ -234,10 +221,6 @@ def directions_of(compiled: Problem) -> tuple[Direction, ...]:
     view = analyse_block(compiled) if affordable(compiled) else None
     block = () if view is None else (*view.datum, *view.on_board)
     return (*found, *(Direction(number, "", text.removeprefix("block: "), "prior") for text in block))
-
-
-def _seconds(solution: Solution) -> float:
-    return solution.seconds.structure + solution.seconds.solve
 
 
 def _accuracy(role: str, found: PointDifferences) -> dict[str, float]:

@@ -16,9 +16,9 @@ from fg_orient.model.names import Progress
 from fg_orient.report.paper import available
 from fg_orient.result.plain import dumps, plain, write_rows
 from fg_orient.result.provenance import provenance
-from fg_orient.studies.comparison import plots, selection
+from fg_orient.studies.comparison import plots
 from fg_orient.studies.comparison.compare import compare
-from fg_orient.studies.comparison.model import COLUMNS, Comparison
+from fg_orient.studies.comparison.model import COLUMNS, SELECTIONS, Comparison
 from fg_orient.studies.comparison.report import render
 from fg_orient.studies.comparison.words import summaries, verdict
 
@@ -75,10 +75,11 @@ def compare_project(
     """
     start = working_clock()
     require_free(Path(out), overwrite=overwrite, contents=COMPARISON)
-    selection.require(options or {})
+    given = dict(options or {})
+    for name in [name for name in SELECTIONS if name in given]:  # before any file is read
+        SELECTIONS[name](given[name])
     block = read_project(project)
     read_s = working_clock() - start
-    given = dict(options or {})
     shared = given.get("workers", 0) > 1 or given.get("cluster") is not None
     kept = Path(out).absolute().with_name(f".{Path(out).name}.sets") if shared else None
     found = compare(block, callback=callback, folder=kept, **given)

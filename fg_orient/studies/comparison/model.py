@@ -1,19 +1,21 @@
-"""What a comparison gives: one row per EOP set, solver and backend, and the singular values behind them."""
+"""Comparison of EOP sets, solvers and backends: its rows, the singular values behind them, and what is selected."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from importlib.util import find_spec
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
+from fg_orient.adjustment.linear import registry
 from fg_orient.adjustment.linear.l_curve import Choice, LCurve
 from fg_orient.model.block import Block
-
-Array = npt.NDArray[np.float64]
+from fg_orient.model.errors import InputError
+from fg_orient.model.parameters import eop_set_number
 
 BACKENDS: Final = ("faithful", "dense", "graph")
 TYPES: Final = (1, 2)
@@ -237,3 +239,106 @@ def groups(rows: Sequence[Row]) -> dict[tuple[str, int | None, str], list[Row]]:
     for row in rows:
         found.setdefault((row.backend, row.type, row.solver), []).append(row)
     return dict(sorted(found.items(), key=lambda item: (BACKENDS.index(item[0][0]), item[0][1] or 0)))
+
+
+T = TypeVar("T")
+
+
+def _words(given: Any) -> list[str]:
+    """Words of a selection: a number, words between commas, or a list of both."""
+    if isinstance(given, int):
+        return [str(given)]
+    return [str(word).strip() for word in (given.split(",") if isinstance(given, str) else given)]
+
+
+def _once(chosen: Iterable[T], place: str, given: object) -> tuple[T, ...]:
+    """Drop repetitions; an empty selection is refused."""
+    out = tuple(dict.fromkeys(chosen))
+    if not out:
+        raise InputError.of("compare.nothing", option=place, value=given)
+    return out
+
+
+def eop_sets(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
+    """Numbers of the EOP sets in "1-20", "5,13,PUA" or a list of numbers and names; each once.
+
+    Raises
+    ------
+    InputError
+        There is no such set, or none is given.
+    """
+    chosen: list[int] = []
+    for word in _words(given):
+        first, dash, last = word.partition("-")
+        numbers = range(eop_set_number(first), eop_set_number(last if dash else first) + 1)
+        if not numbers:
+            raise InputError.of("compare.nothing", option="eop_sets", value=word)
+        chosen += numbers
+    return _once(chosen, "eop_sets", given)
+
+
+def solver_names(given: str | Iterable[str]) -> tuple[str, ...]:
+    """Names of the solvers in "all", "published", "svd,qr" or a list of names; each once.
+
+    Raises
+    ------
+    InputError
+        There is no such solver, or none is given.
+    """
+    known = registry.solvers()
+    groups = {"all": list(known), "published": [name for name, one in known.items() if one.published]}
+    chosen: list[str] = []
+    for name in _words(given):
+        if name not in groups and name not in known:
+            raise InputError.of("linear.solver", option="solvers", value=name, known=", ".join(known))
+        chosen += groups.get(name, [name])
+    return _once(chosen, "solvers", given)
+
+
+def backend_names(given: str | Iterable[str]) -> tuple[str, ...]:
+    """Names of the backends in "faithful,graph" or a list, in our order.
+
+    Raises
+    ------
+    InputError
+        There is no such backend, or none is given.
+    """
+    words = _words(given)
+    for word in words:
+        if word not in BACKENDS:
+            raise InputError.of("adjust.backend", option="backends", value=word, known=", ".join(BACKENDS))
+    return _once((name for name in BACKENDS if name in words), "backends", given)
+
+
+def types(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
+    """Types of pre-adjustment in "1,2" or a list, in order.
+
+    Raises
+    ------
+    InputError
+        Neither 1 nor 2, or none is given.
+    """
+    words = _words(given)
+    for word in words:
+        if word not in map(str, TYPES):
+            raise InputError.of("compare.type", option="types", value=word)
+    return _once((kind for kind in TYPES if str(kind) in words), "types", given)
+
+
+def target(given: float | None) -> float | None:
+    """Length to reach, m; None as given.
+
+    Raises
+    ------
+    InputError
+        Not above zero, or not finite.
+    """
+    if given is not None and not (math.isfinite(given) and given > 0.0):
+        raise InputError.of("compare.target", option="target", value=given)
+    return given
+
+
+#: Checks of the arguments of ``compare`` that select something.
+SELECTIONS: Final[dict[str, Callable[[Any], Any]]] = {
+    "eop_sets": eop_sets, "solvers": solver_names, "backends": backend_names, "types": types, "target_m": target,
+}  # fmt: skip

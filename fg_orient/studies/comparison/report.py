@@ -1,20 +1,103 @@
-"""Renders the report of a comparison: one HTML file on the shell of all reports."""
+"""HTML report of a comparison, on the shell of all reports, with heat maps as tables of numbers."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 from fg_orient.model.errors import sentences
-from fg_orient.report.chart import INK
+from fg_orient.report.chart import INK, short
 from fg_orient.report.page import environment
 from fg_orient.report.paper import PAPER
-from fg_orient.studies.comparison import heat
-from fg_orient.studies.comparison.model import GRAPH_SOLVER, LARGEST_CONDITION, Comparison, Direction
+from fg_orient.studies.comparison.model import GRAPH_SOLVER, LARGEST_CONDITION, Comparison, Direction, Row, groups
 from fg_orient.studies.comparison.plots import row_name
 from fg_orient.studies.comparison.words import ranges, summaries, verdict
+
+#: Upper ends of the steps, as multiples of the target, and their classes: blue at the target, orange beyond.
+STEPS: Final = (
+    (0.01, "b3", "to 1 % of the target"),
+    (0.1, "b2", "to a tenth"),
+    (1.0, "b1", "to the target"),
+    (10.0, "o1", "to ten times the target"),
+    (100.0, "o2", "to a hundred times"),
+    (math.inf, "o3", "beyond"),
+)
+#: Outcomes of an adjustment: key, sign, words and meaning.
+OUTCOMES: Final = (
+    ("reached", "✓", "at the target", "RMSE of the worst ECEF axis at most the target, at control and check points"),
+    ("missed", "✗", "misses the target", "a solution, but an RMSE beyond the target"),
+    (
+        "failed",
+        "–",
+        "without solution",
+        "the solver broke down or the iteration did not converge; reasons below",
+    ),
+    ("left_out", "·", "not tried", "too costly or without meaning for this backend; reasons below"),
+)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One field of a heat map: class of its colour, text in it, words for the pointer."""
+
+    kind: str
+    text: str
+    words: str
+
+
+def outcome(row: Row) -> str:
+    """Give the key of :data:`OUTCOMES`."""
+    if row.left_out:
+        return "left_out"
+    return "failed" if row.failure else "reached" if row.reached else "missed"
+
+
+def counts(comparison: Comparison) -> dict[str, int]:
+    """Number of adjustments by outcome."""
+    found = [outcome(row) for row in comparison.rows]
+    return {key: found.count(key) for key, *_ in OUTCOMES}
+
+
+def heat_map(comparison: Comparison, role: str) -> list[tuple[str, bool, list[Cell]]]:
+    """Rows of a heat map of the RMSE at control or check points: name, whether a new backend begins, cells.
+
+    Adjustments that were not tried with any set are left out; empty without a single number.
+    """
+    out: list[tuple[str, bool, list[Cell]]] = []
+    before: tuple[str, int | None] | None = None
+    for key, rows in groups(comparison.rows).items():
+        if all(row.left_out for row in rows):
+            continue
+        found = {row.eop_set: row for row in rows}
+        cells = [_cell(found.get(n), role, comparison.target_m) for n in comparison.eop_sets]
+        out.append((row_name(comparison, *key), before not in (None, key[:2]), cells))
+        before = key[:2]
+    return out if any(cell.kind[0] in "bo" for _, _, cells in out for cell in cells) else []
+
+
+def _cell(row: Row | None, role: str, target_m: float) -> Cell:
+    if row is None or row.left_out:
+        return Cell("untried", "·", "not tried")
+    if row.failure:
+        return Cell("none", "–", f"set {row.eop_set}: {row.failure}")
+    value = float(getattr(row, f"{role}_rmse_m"))
+    if not math.isfinite(value):
+        return Cell("untried", "·", f"no {role} points")
+    kind = next(name for limit, name, _ in STEPS if value <= limit * target_m)
+    return Cell(kind, short(value), f"set {row.eop_set} {row.eop_set_name}: {value:.4g} m")
+
+
+def steps(target_m: float) -> Sequence[tuple[str, str]]:
+    """Classes and words of the steps, for a legend; in metres."""
+    limits = [0.0, *(limit * target_m for limit, _, _ in STEPS)]
+    return [
+        (name, f"> {low:.3g} m" if math.isinf(high) else f"≤ {high:.3g} m")
+        for (_, name, _), low, high in zip(STEPS, limits[:-1], limits[1:], strict=True)
+    ]
+
 
 #: Heading and explanation of each heat map; their drawings lie beside the report for papers.
 HEAT_MAPS: Final = {
@@ -48,8 +131,6 @@ CAPTIONS: Final = {
     ),
     "seconds.svg": ("Run times", "Wall clock of one adjustment, statistics left out."),
 }
-#: Parts that say why rows have no numbers: id, heading, whether they were left out.
-REASONS: Final = (("failures", "Without solution", False), ("left-out", "Not tried", True))
 
 
 def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[str, str]) -> str:
@@ -57,26 +138,28 @@ def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[s
     from markupsafe import Markup
 
     shell = environment()
-    shell.filters |= {"short": short, "ranges": ranges}
+    shell.filters |= {"short": three_digits, "ranges": ranges}
     drawn = [
         (name, *CAPTIONS[name], Markup(inline(figures[name], name.partition(".")[0]))) for name in CAPTIONS
         if name in figures
     ]  # fmt: skip
-    heats = [(f"heat-{role}", *words, heat.heat_map(comparison, role)) for role, words in HEAT_MAPS.items()]
+    heats = [(f"heat-{role}", *words, heat_map(comparison, role)) for role, words in HEAT_MAPS.items()]
     heats = [shown for shown in heats if shown[-1]]
-    sets = {number: (name, _lines(comparison, number)) for number, name in _names(comparison).items()}
+    names = {row.eop_set: row.eop_set_name for row in comparison.rows}
+    sets = {number: (name, _lines(comparison, number)) for number, name in names.items()}
     condition_heads, conditions = _conditions(comparison)
     directions = _directions(comparison)
-    reasons = [(id_, title, found) for id_, title, left_out in REASONS if (found := _reasons(comparison, left_out))]
+    parts = (("failures", "Without solution", False), ("left-out", "Not tried", True))
+    reasons = [(id_, title, found) for id_, title, left_out in parts if (found := _reasons(comparison, left_out))]
     return shell.get_template("compare.html.j2").render(
         r=record, verdict=verdict(comparison), problems=sentences(record), figures=drawn, heats=heats,
         summaries=summaries(comparison), sets=sets, conditions=conditions, reasons=reasons,
-        condition_heads=condition_heads, directions=directions, outcomes=heat.OUTCOMES, counts=heat.counts(comparison),
-        steps=heat.steps(comparison.target_m), 
+        condition_heads=condition_heads, directions=directions, outcomes=OUTCOMES, counts=counts(comparison),
+        steps=steps(comparison.target_m),
     )  # fmt: skip
 
 
-def short(value: float | None) -> str:
+def three_digits(value: float | None) -> str:
     """Write a length or a wild number in three digits; a dash for none."""
     if value is None or not math.isfinite(value):
         return "–"
@@ -95,17 +178,13 @@ def inline(svg: str, name: str) -> str:
     return text.replace(f"fill: {PAPER}", "fill: none").replace(INK, "currentColor")
 
 
-def _names(comparison: Comparison) -> dict[int, str]:
-    return {row.eop_set: row.eop_set_name for row in comparison.rows}
-
-
 def _lines(comparison: Comparison, eop_set: int) -> list[dict[str, Any]]:
     """Rows of one set with their name and outcome for people."""
-    words = {key: (sign, name) for key, sign, name, _ in heat.OUTCOMES}
+    words = {key: (sign, name) for key, sign, name, _ in OUTCOMES}
     return [
         row.as_dict()
         | {"name": row_name(comparison, row.backend, row.type, row.solver)}
-        | dict(zip(("sign", "outcome"), words[heat.outcome(row)], strict=True))
+        | dict(zip(("sign", "outcome"), words[outcome(row)], strict=True))
         for row in comparison.select(eop_set=eop_set)
     ]
 

@@ -1,4 +1,4 @@
-"""What a comparison says, in words and in one line per backend, type and solver."""
+"""Result of a comparison in sentences and in one line per backend, type and solver."""
 
 from __future__ import annotations
 
@@ -8,12 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from fg_orient.studies.comparison.model import Comparison, Row, groups
-
-_BACKEND = {
-    "faithful": "The published procedure, type",
-    "dense": "Dense matrices (scaled, iterated)",
-    "graph": "The graph",
-}
 
 
 @dataclass(frozen=True)
@@ -66,33 +60,26 @@ def _largest(values: Iterable[float]) -> float:
 
 
 def verdict(comparison: Comparison) -> dict[str, Any]:
-    """Say how it ended: ``kind`` (good, warn, bad), ``title`` and ``text``, a list of sentences."""
-    found = summaries(comparison)
-    published = (_published(comparison, found, kind) for kind in comparison.types)
-    said = (_graph(comparison, found), _dense(comparison, found), *published, _differences(comparison),
-            _without_check_points(comparison, found), _left_out(comparison))  # fmt: skip
-    sentences = [sentence for sentence in said if sentence]
-    solved = any(s.solved for s in found)
-    best = max(found, key=lambda s: (s.backend == "graph", s.reached)) if found else None
-    if best is None or not solved:
+    """How the comparison ended: ``kind`` (good, warn, bad), ``title`` and ``text``, a list of sentences."""
+    lines, total = summaries(comparison), len(comparison.eop_sets)
+    tried = [line for line in lines if line.tried]
+    sentences = [f"The graph (GTSAM): {_reached(line, total)}." for line in lines if line.backend == "graph"]
+    dense = [line for line in tried if line.backend == "dense"]
+    sentences += _of_solvers("Dense matrices (scaled, iterated)", comparison, dense)
+    for kind in comparison.types:
+        published = [line for line in tried if line.backend == "faithful" and line.type == kind]
+        sentences += _of_solvers(f"The published procedure, type {kind}", comparison, published)
+    sentences += _remarks(comparison, lines)
+    best = max(lines, key=lambda line: (line.backend == "graph", line.reached), default=None)
+    if best is None or not any(line.solved for line in lines):
         return {"kind": "bad", "title": "No adjustment has a solution", "text": sentences}
-    all_sets = len(comparison.eop_sets)
-    kind = "good" if best.reached == all_sets else "warn"
     name = {"graph": "the graph", "dense": "dense matrices", "faithful": "the published procedure"}[best.backend]
-    title = f"With {name}, {_of(best.reached, all_sets)} EOP sets are at the target of {comparison.target_m:.3g} m"
-    return {"kind": kind, "title": title, "text": sentences}
+    title = f"With {name}, {_of(best.reached, total)} EOP sets are at the target of {comparison.target_m:.3g} m"
+    return {"kind": "good" if best.reached == total else "warn", "title": title, "text": sentences}
 
 
 def _of(count: int, total: int) -> str:
     return f"all {total}" if count == total else f"{count or 'none'} of {total}"
-
-
-def _graph(comparison: Comparison, found: list[Summary]) -> str:
-    lines = [s for s in found if s.backend == "graph"]
-    if not lines:
-        return ""
-    line = lines[0]
-    return f"{_BACKEND['graph']} (GTSAM): {_reached(line, len(comparison.eop_sets))}."
 
 
 def _reached(line: Summary, total: int) -> str:
@@ -120,48 +107,33 @@ def ranges(values: Iterable[int]) -> str:
     return ", ".join(str(r[0]) if len(r) == 1 else f"{r[0]}-{r[-1]}" for r in runs)
 
 
-def _dense(comparison: Comparison, found: list[Summary]) -> str:
-    return _many(_BACKEND["dense"], comparison, [s for s in found if s.backend == "dense" and s.tried])
-
-
-def _published(comparison: Comparison, found: list[Summary], kind: int) -> str:
-    lines = [s for s in found if s.backend == "faithful" and s.type == kind and s.tried]
-    return _many(f"{_BACKEND['faithful']} {kind}", comparison, lines)
-
-
-def _many(name: str, comparison: Comparison, lines: list[Summary]) -> str:
-    """Say which sets every solver brings to the target, which some do and which none."""
+def _of_solvers(name: str, comparison: Comparison, lines: list[Summary]) -> list[str]:
+    """Sentence on the sets that every solver brings to the target, that some do and that none does."""
     if not lines:
-        return ""
-    total = len(comparison.eop_sets)
+        return []
+    sets = comparison.eop_sets
     if len({(s.reached, s.missed) for s in lines}) == 1:
-        return f"{name}: {_reached(lines[0], total)}, with each of {len(lines)} solvers."
-    always = [n for n in comparison.eop_sets if all(n not in s.missed for s in lines)]
-    never = [n for n in comparison.eop_sets if all(n in s.missed for s in lines)]
+        return [f"{name}: {_reached(lines[0], len(sets))}, with each of {len(lines)} solvers."]
+    always = sum(all(n not in s.missed for s in lines) for n in sets)
+    never = [n for n in sets if all(n in s.missed for s in lines)]
     best = max(s.reached for s in lines)
     names = "; ".join(s.label for s in lines if s.reached == best)
-    text = f"{name}: {_of(len(always), total)} sets at the target with every solver"
-    text += f"; the others depend on the solver, most with {names} ({_of(best, total)})"
-    return f"{text}; with none: {ranges(never)}." if never else f"{text}."
+    text = f"{name}: {_of(always, len(sets))} sets at the target with every solver"
+    text += f"; the others depend on the solver, most with {names} ({_of(best, len(sets))})"
+    return [f"{text}; with none: {ranges(never)}." if never else f"{text}."]
 
 
-def _differences(comparison: Comparison) -> str:
+def _remarks(comparison: Comparison, lines: list[Summary]) -> list[str]:
+    """Sentences on differences between backends, missing check points and adjustments that were not tried."""
+    out = []
     sigmas = _largest(r.difference_sigmas for r in comparison.rows)
-    if math.isnan(sigmas):
-        return ""
-    metres = _largest(r.difference_m for r in comparison.rows)
-    return f"Dense and graph differ by at most {sigmas:.1e} prior sigmas and {metres:.1e} m."
-
-
-def _without_check_points(comparison: Comparison, found: list[Summary]) -> str:
-    if any(math.isfinite(s.worst_check_m) for s in found) or not any(s.solved for s in found):
-        return ""
-    return "There are no check points: the target is judged at control points alone, which says little."
-
-
-def _left_out(comparison: Comparison) -> str:
-    rows = [r for r in comparison.rows if r.left_out]
-    if not rows:
-        return ""
-    names = dict.fromkeys(f"{r.backend} {comparison.labels.get(r.solver, r.solver)}" for r in rows)
-    return f"Not tried ({len(rows)} rows; each says why): {'; '.join(names)}."
+    if math.isfinite(sigmas):
+        metres = _largest(r.difference_m for r in comparison.rows)
+        out.append(f"Dense and graph differ by at most {sigmas:.1e} prior sigmas and {metres:.1e} m.")
+    if any(s.solved for s in lines) and not any(math.isfinite(s.worst_check_m) for s in lines):
+        out.append("There are no check points: the target is judged at control points alone, which says little.")
+    left_out = [r for r in comparison.rows if r.left_out]
+    if left_out:
+        names = dict.fromkeys(f"{r.backend} {comparison.labels.get(r.solver, r.solver)}" for r in left_out)
+        out.append(f"Not tried ({len(left_out)} rows; each says why): {'; '.join(names)}.")
+    return out

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
@@ -71,8 +71,7 @@ class PublishedTables:
     sha256: dict[str, str]
 
 
-@dataclass(frozen=True)
-class _Entry:
+class _Entry(NamedTuple):
     """A line of the index."""
 
     table: str
@@ -82,8 +81,7 @@ class _Entry:
     title: str
 
 
-@dataclass(frozen=True)
-class _Record:
+class _Record(NamedTuple):
     """A record of a file: its line number and its cells by column."""
 
     file: str
@@ -91,18 +89,12 @@ class _Record:
     of: dict[str, str]
 
     def number(self, column: str) -> float:
-        """Read a cell as a number; nan for an empty one.
-
-        Raises
-        ------
-        InputError
-            It is no number.
-        """
+        """Read a cell as a number; nan for an empty one."""
         text = self.of[column]
         if text and not _NUMBER.fullmatch(text):
             place = f"line {self.line}, column {column}"
             raise InputError.of("published.not_a_number", file=self.file, place=place, value=repr(text))
-        return float(text) if text else float("nan")
+        return float(text or "nan")
 
 
 def load(source: str, folder: Path | None = None) -> PublishedTables:
@@ -125,15 +117,16 @@ def load(source: str, folder: Path | None = None) -> PublishedTables:
     where = _HERE / source if folder is None else _folder_of(source, folder)
     entries = titles_and_files(source)
     titles: dict[str, str] = {}
+    files: dict[str, list[_Entry]] = {}
     for entry in entries:
         titles.setdefault(entry.table, entry.title)
+        files.setdefault(entry.file, []).append(entry)
     cells: list[PublishedCell] = []
     sha256: dict[str, str] = {}
     lines: dict[CellKey, str] = {}
-    for name in dict.fromkeys(entry.file for entry in entries):
-        records, digest = _records(where / name, _KINDS[_kind(entries, name)][0])
-        sha256[name] = digest
-        cells += _cells_of(records, [entry for entry in entries if entry.file == name], lines)
+    for name, of_file in files.items():
+        records, sha256[name] = _records(where / name, _KINDS[of_file[0].kind].columns)
+        cells += _cells_of(records, of_file, lines)
     if folder is not None:
         _refuse_unknown(cells, lines, source)
     order = {table: k for k, table in enumerate(titles)}
@@ -167,18 +160,8 @@ def _folder_of(source: str, folder: Path) -> Path:
     return found
 
 
-def _kind(entries: list[_Entry], file: str) -> str:
-    return next(entry.kind for entry in entries if entry.file == file)
-
-
 def _records(path: Path, columns: tuple[str, ...]) -> tuple[list[_Record], str]:
-    """Records of a file and its SHA-256.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read as a table with these columns.
-    """
+    """Records of a file with these columns, and its SHA-256."""
     try:
         data = path.read_bytes()
         lines = csv.reader(data.decode("utf-8-sig").splitlines(), strict=True)
@@ -189,10 +172,8 @@ def _records(path: Path, columns: tuple[str, ...]) -> tuple[list[_Record], str]:
         records = []
         for row in lines:
             if len(row) != len(header):
-                value = f"{len(row)} cells"
-                raise InputError.of(
-                    "published.row", file=path, place=f"line {lines.line_num}", value=value, count=len(header)
-                )
+                place, value = f"line {lines.line_num}", f"{len(row)} cells"
+                raise InputError.of("published.row", file=path, place=place, value=value, count=len(header))
             records.append(_Record(str(path), lines.line_num, dict(zip(header, map(str.strip, row), strict=True))))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else error
@@ -201,23 +182,15 @@ def _records(path: Path, columns: tuple[str, ...]) -> tuple[list[_Record], str]:
 
 
 def _cells_of(records: list[_Record], entries: list[_Entry], seen: dict[CellKey, str]) -> list[PublishedCell]:
-    """Cells of one file, each of a known table, none twice, none missing.
-
-    Raises
-    ------
-    InputError
-        One of these does not hold.
-    """
+    """Cells of one file. Each must belong to a known table; none may occur twice or be missing."""
     wanted = {entry.table: entry.cells for entry in entries}
-    read = _KINDS[entries[0].kind][1]
+    read = _KINDS[entries[0].kind].read
     out = []
     for record in records:
         cell = read(record, entries[0].table)
-        file, place = record.file, f"line {record.line}"
-        if cell.key.table not in wanted:
-            raise InputError.of(
-                "published.table", file=file, place=place, value=cell.key.table, known=", ".join(wanted)
-            )
+        file, place, table = record.file, f"line {record.line}", cell.key.table
+        if table not in wanted:
+            raise InputError.of("published.table", file=file, place=place, value=table, known=", ".join(wanted))
         if cell.key in seen:
             raise InputError.of("published.twice", file=file, place=place, value=str(cell.key), first=seen[cell.key])
         seen[cell.key] = f"{Path(file).name}, {place}"
@@ -225,21 +198,13 @@ def _cells_of(records: list[_Record], entries: list[_Entry], seen: dict[CellKey,
     counts = Counter(cell.key.table for cell in out)
     for table, count in wanted.items():
         if counts[table] != count:
-            file = records[0].file if records else entries[0].file
-            raise InputError.of(
-                "published.count", file=file, place=f"table {table}", value=f"{counts[table]} cells", count=count
-            )
+            file, value = records[0].file if records else entries[0].file, f"{counts[table]} cells"
+            raise InputError.of("published.count", file=file, place=f"table {table}", value=value, count=count)
     return out
 
 
 def _refuse_unknown(cells: list[PublishedCell], lines: dict[CellKey, str], source: str) -> None:
-    """Refuse addresses that the package's own tables do not have: only values of a copy may be altered.
-
-    Raises
-    ------
-    InputError
-        Names the first one and where it stands.
-    """
+    """Refuse addresses that the package's own tables do not have: only values of a copy may be altered."""
     own = {cell.key for cell in load(source).cells}
     for cell in cells:
         if cell.key not in own:
@@ -248,32 +213,47 @@ def _refuse_unknown(cells: list[PublishedCell], lines: dict[CellKey, str], sourc
             raise InputError.of("published.unknown_cell", file=file, place=place, value=value)
 
 
-# --- one reader per kind of file -----------------------------------------------------------------
+# --- kinds of files ------------------------------------------------------------------------------
 
 
-def _cell(record: _Record, key: CellKey, value: str, printed: str = "", unit: str = "") -> PublishedCell:
-    text = record.of[value]
-    return PublishedCell(key, record.number(value), text, printed or text, unit, record.of.get("note", ""))
+class _Kind(NamedTuple):
+    """Columns that a kind of file must have, and the reader of a record."""
+
+    columns: tuple[str, ...]
+    read: Callable[[_Record, str], PublishedCell]
 
 
-def _standard(record: _Record, table: str) -> PublishedCell:
-    of = record.of
-    key = CellKey(
-        of["table"], of["eop_set_no"], of["stage"], of["pre_adjustment_type"], of["point_role"], of["quantity"],
-        of["method"], of.get("parameter", ""), of.get("point_set", ""),
-    )  # fmt: skip
-    return _cell(record, key, "value", of["printed"], of["unit"])
+def _reader(
+    address: Callable[[dict[str, str], str], CellKey], value: str = "value", printed: str = "", unit: str = "",
+    *, words: bool = False,
+) -> Callable[[_Record, str], PublishedCell]:  # fmt: skip
+    """Reader of a record.
+
+    Parameters
+    ----------
+    address : callable
+        Gives the address of the cell from the record's cells and the table.
+    value, printed : str
+        Columns of the value and of the print; without ``printed`` the value is as printed.
+    unit : str
+        Unit of all numbers; without it that of the column "unit".
+    words : bool
+        Words, dates, lists and ranges have the value nan and no text; else they are refused.
+    """
+
+    def read(record: _Record, table: str) -> PublishedCell:
+        of = record.of
+        text = "" if words and not _NUMBER.fullmatch(of[value]) else of[value]
+        number = float(text or "nan") if words else record.number(value)
+        shown = of[printed or value] or text
+        return PublishedCell(address(of, table), number, text, shown, unit or of["unit"], of.get("note", ""))
+
+    return read
 
 
-def _rfm(record: _Record, table: str) -> PublishedCell:
-    """Cell of a rational function model: the degree is the stage, an image axis a parameter."""
-    of = record.of
-    parameter = of.get("parameter") or of.get("image_axis", "")
-    key = CellKey(
-        of["table"], stage=f"rfm degree {of['rfm_degree']}", quantity=of["quantity"], method=of["method"],
-        parameter=parameter,
-    )  # fmt: skip
-    return _cell(record, key, "value", of["printed"], of["unit"])
+def _count_key(of: dict[str, str], table: str) -> CellKey:
+    number = re.search(r"eop_set_no=(\d+)", of["inputs"])
+    return CellKey(f"eq{of['equation']}", number.group(1) if number else "", of["stage"], quantity=of["quantity"])
 
 
 def _polynomial(record: _Record, table: str) -> PublishedCell:
@@ -284,64 +264,50 @@ def _polynomial(record: _Record, table: str) -> PublishedCell:
     return PublishedCell(key, float(degree), str(degree), of["polynomial"], "1", of["note"])
 
 
-def _eop_set(record: _Record, table: str) -> PublishedCell:
-    return _cell(record, CellKey(record.of["table"], record.of["eop_set_no"], quantity="n_unknowns"), "u", unit="1")
-
-
-def _eop_member(record: _Record, table: str) -> PublishedCell:
-    """Place of a coefficient in its set, from 1."""
-    of = record.of
-    key = CellKey(of["table"], of["eop_set_no"], quantity="order", parameter=of["parameter"])
-    return _cell(record, key, "order", of["parameter"], "1")
-
-
-def _count(record: _Record, table: str) -> PublishedCell:
-    of = record.of
-    number = re.search(r"eop_set_no=(\d+)", of["inputs"])
-    key = CellKey(f"eq{of['equation']}", number.group(1) if number else "", of["stage"], quantity=of["quantity"])
-    return _cell(record, key, "value_printed", unit="1")
-
-
-def _correlation(record: _Record, table: str) -> PublishedCell:
-    of = record.of
-    pair = f"{of['parameter_1']} {of['parameter_2']}"
-    key = CellKey(f"s{of['section']}", of["eop_set_no"], of["stage"], quantity=of["quantity"], parameter=pair)
-    return _cell(record, key, "value", unit="1")
-
-
-def _fact(record: _Record, table: str) -> PublishedCell:
-    """A number of the text; words, dates and lists have the value nan and no text."""
-    of = record.of
-    is_number = bool(_NUMBER.fullmatch(of["value"]))
-    text = of["value"] if is_number else ""
-    key = CellKey(table, quantity=of["key"])
-    return PublishedCell(key, float(text or "nan"), text, of["value"], of["unit"], of["note"])
-
-
-def _entry(record: _Record, table: str) -> PublishedCell:
-    """A number of a table of rows and quantities; words, dates and ranges have the value nan and no text."""
-    of = record.of
-    text = of["value"] if _NUMBER.fullmatch(of["value"]) else ""
-    key = CellKey(of["table"], quantity=of["quantity"], parameter=of["row"])
-    return PublishedCell(key, float(text or "nan"), text, of["value"], of["unit"], of["note"])
-
-
-_KINDS: Final[dict[str, tuple[tuple[str, ...], Callable[[_Record, str], PublishedCell]]]] = {
-    "cells": (
+_KINDS: Final[dict[str, _Kind]] = {
+    "cells": _Kind(
         ("table", "eop_set_no", "stage", "pre_adjustment_type", "point_role", "quantity", "method", "value", "unit",
          "note", "printed"),
-        _standard,
+        _reader(lambda of, _: CellKey(
+            of["table"], of["eop_set_no"], of["stage"], of["pre_adjustment_type"], of["point_role"], of["quantity"],
+            of["method"], of.get("parameter", ""), of.get("point_set", ""),
+        ), printed="printed"),
     ),
-    "rfm_cells": (
-        ("table", "quantity", "unit", "method", "value", "note", "rfm_degree", "normalised", "printed"), _rfm,
+    # of a rational function model the degree is the stage, an image axis a parameter
+    "rfm_cells": _Kind(
+        ("table", "quantity", "unit", "method", "value", "note", "rfm_degree", "normalised", "printed"),
+        _reader(lambda of, _: CellKey(
+            of["table"], stage=f"rfm degree {of['rfm_degree']}", quantity=of["quantity"], method=of["method"],
+            parameter=of.get("parameter") or of.get("image_axis", ""),
+        ), printed="printed"),
     ),
-    "polynomials": (("table", "component", "c0", "c1", "c2", "polynomial", "note"), _polynomial),
-    "eop_sets": (("table", "eop_set_no", "u"), _eop_set),
-    "eop_members": (("table", "eop_set_no", "order", "parameter"), _eop_member),
-    "counts": (("equation", "stage", "quantity", "inputs", "value_printed"), _count),
-    "correlations": (
-        ("section", "eop_set_no", "stage", "quantity", "parameter_1", "parameter_2", "value"), _correlation,
+    "polynomials": _Kind(("table", "component", "c0", "c1", "c2", "polynomial", "note"), _polynomial),
+    "eop_sets": _Kind(
+        ("table", "eop_set_no", "u"),
+        _reader(lambda of, _: CellKey(of["table"], of["eop_set_no"], quantity="n_unknowns"), "u", unit="1"),
     ),
-    "entries": (("table", "row", "quantity", "value", "unit", "note"), _entry),
-    "facts": (("key", "value", "unit", "note"), _fact),
+    # place of a coefficient in its set, from 1
+    "eop_members": _Kind(
+        ("table", "eop_set_no", "order", "parameter"),
+        _reader(lambda of, _: CellKey(of["table"], of["eop_set_no"], quantity="order", parameter=of["parameter"]),
+                "order", "parameter", "1"),
+    ),
+    "counts": _Kind(
+        ("equation", "stage", "quantity", "inputs", "value_printed"), _reader(_count_key, "value_printed", unit="1"),
+    ),
+    "correlations": _Kind(
+        ("section", "eop_set_no", "stage", "quantity", "parameter_1", "parameter_2", "value"),
+        _reader(lambda of, _: CellKey(
+            f"s{of['section']}", of["eop_set_no"], of["stage"], quantity=of["quantity"],
+            parameter=f"{of['parameter_1']} {of['parameter_2']}",
+        ), unit="1"),
+    ),
+    "entries": _Kind(
+        ("table", "row", "quantity", "value", "unit", "note"),
+        _reader(lambda of, _: CellKey(of["table"], quantity=of["quantity"], parameter=of["row"]), words=True),
+    ),
+    "facts": _Kind(
+        ("key", "value", "unit", "note"),
+        _reader(lambda of, table: CellKey(table, quantity=of["key"]), words=True),
+    ),
 }  # fmt: skip

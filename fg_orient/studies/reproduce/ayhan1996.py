@@ -1,27 +1,193 @@
 """Ayhan (1996): surfaces of revolution by close-range photogrammetry, from its own printed measurements.
 
-Verdicts as in ``found``. Here raw data are printed: comparator coordinates of 15 points, refined ones of 49,
-geodetic coordinates. What follows from them is recomputed; where the thesis' program computed in single precision, or
-with other parameters, the spread that this explains is stated beside the number.
+Raw data are printed: comparator coordinates of 15 points, refined ones of 49, geodetic coordinates. What follows from
+them is recomputed. Where the thesis' program computed in single precision, or with other parameters, the spread that
+this explains is stated beside the number. Here: rings, geodetic points, fitted surfaces, mapping and sums.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
-from pathlib import Path
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 
+from factors._contract import Array
+from fg_orient.closerange.surface import Kind, Surface, map_points
+from fg_orient.closerange.surface_fit import fit_surface
 from fg_orient.model.cells import CellKey
-from fg_orient.model.errors import FgOrientError
-from fg_orient.studies.published.tables import PublishedTables
-from fg_orient.studies.reproduce import ayhan1996_bundle, ayhan1996_photos, ayhan1996_surfaces
-from fg_orient.studies.reproduce.found import Found, judged_by_tables
-from fg_orient.studies.reproduce.sources import Source
-from fg_orient.studies.reproduce.verdict import Verdict
+from fg_orient.studies.reproduce import ayhan1996_photos as photos
+from fg_orient.studies.reproduce.ayhan1996_photos import (
+    GEODETIC,
+    GON,
+    POINTS,
+    ROUNDED_CM,
+    SUMS,
+    N,
+    cells_of,
+    points_of,
+)
+from fg_orient.studies.reproduce.sources import Source, recomputed_tables
+from fg_orient.studies.reproduce.verdict import Cells, Recomputed, Values
 
-Values = Mapping[CellKey, float]
+#: First and last point of the rings.
+RINGS: Final = ((1, 16), (17, 24), (25, 32), (33, 40), (41, 44), (45, 48), (49, 49))
+#: Height of the level, m: constant to 0.06 mm in tables 3 and 4.
+LEVEL_Z_M: Final = 2.3849
+#: Step of single precision at 1000 m, m.
+SINGLE_M: Final = 6.2e-5
+RUNS: Final = 200
+XYZ: Final = ("x_m", "y_m", "z_m")
+MAPPED: Final = ("x_mapped_m", "y_mapped_m", "z_mapped_m")
+MISFITS: Final = ("fx_cm", "fy_cm", "fz_cm")
+LARGE_CM: Final = 5.0
+
+
+def _text(values: Values, row: str, quantity: str) -> float:
+    return values[CellKey("text", quantity=quantity, parameter=row)]
+
+
+def ring_cells(values: Values) -> Cells:
+    """Tables 1 and 2: distance of each ring from the centre of the surface (eqs. 174, 175), diameters of the text."""
+    out: Cells = {}
+    across, along, ball = (_text(values, "rig", name) for name in ("design_a", "design_b", "design_radius"))
+    for k in range(1, len(RINGS) + 1):
+        radius = values[CellKey("1", quantity="radius_m", parameter=f"ring {k}")]
+        for table, (a, b) in (("1", (across, along)), ("2", (ball, ball))):
+            distance = b * np.sqrt(max(1.0 - (radius / a) ** 2, 0.0))
+            key = CellKey(table, quantity="distance_m", parameter=f"ring {k}")
+            out[key] = Recomputed(float(distance), "b sqrt(1 - r^2/a^2)")
+        key = CellKey("1", quantity="diameter_in_text_m", parameter=f"ring {k}")
+        out[key] = Recomputed(2.0 * float(radius), "twice the radius", is_exact=True)
+    return out
+
+
+def geodetic_cells(values: Values) -> Cells:
+    """Tables 3 and 4: X from the direction (eq. 176), Z from the reading of the level."""
+    out: Cells = {}
+    for table in ("3", "4"):
+        alpha, reading, _, y, _ = points_of(values, table, ("alpha_gon", "level_reading_mm", *XYZ)).T
+        x = _text(values, "theodolite", "x") - (y - 1000.0) / np.tan(alpha * GON)
+        z = LEVEL_Z_M - 1e-3 * reading
+        out |= cells_of(table, ("x_m",), POINTS, x, "X of the theodolite minus (Y - 1000) cot alpha")
+        out |= cells_of(table, ("z_m",), POINTS, z, f"{LEVEL_Z_M} m minus the reading")
+    return out
+
+
+def surface_cells(values: Values) -> Cells:
+    """Appendix 3: the land spheroid from the coordinates of appendix 1, and differences of the printed surfaces."""
+    fitted = fit_surface(points_of(values, "ek1.points", GEODETIC), "spheroid", method="algebraic")
+    out: Cells = {}
+    for name, value in fitted.parameters.items():
+        key = CellKey("ek3.surfaces", quantity="land_49pt_m", parameter=name)
+        remark = "least squares of eq. 142 over 49 points of appendix 1; table 3 gives another Y0 and b"
+        out[key] = Recomputed(round(value, 4), remark, value - 0.5e-4, value + 0.5e-4)
+        photo = values[key._replace(quantity="photo_case_i_m")]
+        difference = 100.0 * (values[key] - photo)
+        remark = "the numbers beside it, the first with four decimals"
+        out[key._replace(quantity="difference_cm")] = Recomputed.around(difference, 0.005, remark)
+    return out
+
+
+def _printed_spheroid(values: Values) -> Surface:
+    """Spheroid of case I as printed."""
+    names = ("a", "b", "x0", "y0", "z0")
+    a, b, *centre = (values[CellKey("ek3.surfaces", quantity="photo_case_i_m", parameter=name)] for name in names)
+    return Surface("spheroid", np.array(centre), np.array([a, b, a]))
+
+
+def ring_radius(points: Array, centre: Array) -> Array:
+    """Half the distance between the extreme targets of a point's ring; at the apex its own |X - X0|. (49,).
+
+    Recomputed by trial: seven other definitions miss the printed points.
+    """
+    out = np.empty(N)
+    for first, last in RINGS:
+        x = points[first - 1 : last, 0]
+        out[first - 1 : last] = abs(x[0] - centre[0]) if first == last else 0.5 * (x.max() - x.min())
+    return out
+
+
+def _mapped(points: Array, surface: Surface) -> Array:
+    """Mapped land points (49, 3): the root of eq. 182 is positive whatever the sign of Y - Y0."""
+    forward = points.copy()
+    forward[:, 1] = surface.centre[1] + np.abs(points[:, 1] - surface.centre[1])
+    return map_points(forward, surface, ring_radius(points, surface.centre))
+
+
+def mapping_cells(values: Values) -> Cells:
+    """Appendix 3: land points mapped to the spheroid of case I."""
+    land, surface = points_of(values, "ek1.points", GEODETIC), _printed_spheroid(values)
+    ours, rng = _mapped(land, surface), np.random.default_rng(1)
+    runs = []
+    for _ in range(RUNS):
+        moved = Surface("spheroid", surface.centre + rng.uniform(-SINGLE_M, SINGLE_M, 3), surface.semi_axes)
+        runs.append(_mapped(land + rng.uniform(-SINGLE_M, SINGLE_M, land.shape), moved))
+    half = np.abs(np.array(runs) - ours).max(axis=0)
+    remark = f"half the width of a ring as its radius, found by trial; spread: {RUNS} runs in single precision"
+    out = cells_of("ek3.points", MAPPED, POINTS, ours, remark, half)
+    f = 100.0 * (land - points_of(values, "ek3.points", MAPPED))
+    remark = "the printed coordinates, which have four decimals"
+    out |= cells_of("ek3.points", MISFITS, POINTS, f, remark, ROUNDED_CM)
+    ms = np.linalg.norm(points_of(values, "ek3.points", MISFITS), axis=1)
+    return out | cells_of("ek3.points", ("ms_cm",), POINTS, ms, "the numbers beside it")
+
+
+def sum_cells(values: Values) -> Cells:
+    """Tables 5 to 12: [Fpp] from the three sums beside it."""
+    out: Cells = {}
+    for key in values:
+        if key.quantity == "fpp_cm2":
+            parts = float(sum(values[key._replace(quantity=q)] for q in SUMS))
+            # each of the four has two decimals
+            out[key] = Recomputed.around(parts, 0.015, "sum of the three beside it")
+    return out
+
+
+def six_point_cells(values: Values) -> Cells:
+    """Tables 13 to 20: case I of table 13 is that of appendix 3; for others what large values tell."""
+    out: Cells = {}
+    for key, value in values.items():
+        if key.quantity == "db_cm" and abs(value) > LARGE_CM:
+            ratio = -values[key._replace(quantity="dy0_cm")] / value
+            remark = (
+                f"the points of the case are not printed (a lost figure); -dY0/db = {ratio:.2f} is the direction that "
+                "two levels leave open, so the number is noise"
+            )
+            out[key] = Recomputed(float("nan"), remark, kind="not_reproducible")
+    for name in ("a", "b", "x0", "y0", "z0"):
+        key = CellKey("13", quantity=f"d{name}_cm", parameter="case 1")
+        same = values[CellKey("ek3.surfaces", quantity="difference_cm", parameter=name)]
+        out[key] = Recomputed(same, "appendix 3" + ("; there with the other sign" if name == "a" else ""))
+    return out
+
+
+def text_cells(values: Values) -> Cells:
+    """Numbers in the text: the base, the sums of appendix 1, the largest deviation from the surfaces."""
+
+    def station(photo: str) -> Array:
+        return np.array([values[CellKey("ek1.cameras", quantity=q, parameter=photo)] for q in ("x0", "y0", "z0")])
+
+    base = float(np.linalg.norm(station("photo 2") - station("photo 1")))
+    key, remark = CellKey("text", quantity="computed_base", parameter="camera"), "distance of the printed stations"
+    out = {key: Recomputed(base, remark)}
+    differences = points_of(values, "ek1.points", ("dx_cm", "dy_cm", "dz_cm"))
+    for name, total in zip(("fxfx", "fyfy", "fzfz"), np.sum(differences**2, axis=0).tolist(), strict=True):
+        half = 3.0 * 2.0 * np.sqrt(total / 12.0) * 1e-4  # of four decimals, rounded
+        remark = "squares of the printed differences; spread: their rounding"
+        out[CellKey("text", quantity=name, parameter="sums")] = Recomputed.around(total, half, remark)
+    fields: tuple[tuple[Kind, Array], ...] = (
+        ("spheroid", points_of(values, "ek1.points", GEODETIC)), ("sphere", points_of(values, "4", XYZ)),
+    )  # fmt: skip
+    for name, points in fields:
+        fitted = fit_surface(points, name, method="algebraic")
+        each = 1e3 * np.abs(fitted.deviations_m)
+        words = "/".join(f"{v:.2f}" for v in each.max(axis=0))
+        worst = int(np.argmax(each.max(axis=1))) + 1
+        key = CellKey("text", quantity=name, parameter="deviation of field points")
+        out[key] = Recomputed(float(each.max()), f"largest along X/Y/Z: {words} mm, point {worst}")
+    return out
+
 
 TABLES: Final = (
     "1", "2", "3", "4", "ek1.comparator", "ek1.cameras", "ek1.bundle", "ek1.refined", "ek1.points", "ek2.dlt",
@@ -40,50 +206,33 @@ REASONS: Final = {
     "5": "which 8, 6 or 3 points were control is not printed: many choices fit, none can be told from the others",
     **{str(k): "the points of the case are not printed (a lost figure)" for k in range(13, 21)},
 }
-_COMPUTERS: Final[tuple[Mapping[str, Callable[[Values], dict[CellKey, Found]]], ...]] = (
-    ayhan1996_surfaces.COMPUTERS, ayhan1996_photos.COMPUTERS, ayhan1996_bundle.COMPUTERS,
-)  # fmt: skip
-
-
-def verdicts(
-    printed: PublishedTables, tables: Collection[str], data: Path | None = None, *, permutations: int = 0,
-    progress: Callable[[int, int], None] | None = None,
-) -> dict[CellKey, Verdict]:  # fmt: skip
-    """Judge the cells of some tables; see ``found.judged_by_tables``. ``data``, ``permutations``: of other sources."""
-    values: Values = {cell.key: float(cell.value) for cell in printed.cells}
-    return judged_by_tables(printed, tables, lambda table: _computed(values, table), progress)
-
-
-def _computed(values: Values, table: str) -> tuple[dict[CellKey, Found], str]:
-    """Found numbers of a table; a copy may hold numbers that have no solution: then why."""
-    out: dict[CellKey, Found] = {}
-    try:
-        for computers in _COMPUTERS:
-            if table in computers:
-                out |= computers[table](values)
-    except (FgOrientError, np.linalg.LinAlgError) as error:
-        return {}, f"the numbers have no solution: {error}"
-    return out, REASONS.get(table, MEASURED)
-
+#: Functions that recompute a table from all printed values.
+_COMPUTERS: Final[dict[str, tuple[Callable[[Values], Cells], ...]]] = {
+    "1": (ring_cells,), "2": (ring_cells,), "3": (geodetic_cells,), "4": (geodetic_cells,),
+    **{str(k): (sum_cells,) for k in range(5, 13)}, "5": (sum_cells, photos.accuracy_cells),
+    **{str(k): (six_point_cells,) for k in range(13, 21)}, "ek1.bundle": (photos.bundle_cells,),
+    "ek1.cameras": (photos.camera_cells,), "ek1.comparator": (photos.comparator_cells,),
+    "ek1.points": (photos.point_cells,), "ek1.refined": (photos.refined_cells,),
+    "ek2.control": (photos.dlt_control_cells,), "ek2.dlt": (photos.dlt_parameter_cells,),
+    "ek2.points": (photos.dlt_point_cells,), "ek3.points": (mapping_cells,), "ek3.surfaces": (surface_cells,),
+    "text": (text_cells,),
+}  # fmt: skip
 
 SOURCE: Final = Source(
     "ayhan1996",
     "Ayhan (1996), surfaces of revolution by close-range photogrammetry",
-    None,
-    (),
-    lambda *_: "",
-    verdicts,
-    TABLES,
-    "Recomputed in double precision from the measurements that the thesis prints: comparator and refined image "
+    real=recomputed_tables(_COMPUTERS, REASONS, MEASURED),
+    real_tables=TABLES,
+    about="Recomputed in double precision from the measurements that the thesis prints: comparator and refined image "
     "coordinates, cameras, geodetic points. Single precision of its program, or a model with other parameters, is "
     "stated as a spread beside the number. Control points and image coordinates of most applications are not printed. "
     "The range is the stated spread, if any.",
-    {
+    meanings={
         "equal": "all printed digits",
         "rounding": "one unit of the last digit, or inside the stated spread",
         "pattern": "the bundle: inside a printed mean error, or 5 % of it, under weights inferred from the listing",
         "not_reproducible": "a measurement, or its measurements are not printed",
     },
-    "are one unit of the last digit off or inside a stated spread",
-    "agree with the bundle under weights inferred from the listing itself",
+    counted="are one unit of the last digit off or inside a stated spread",
+    patterned="agree with the bundle under weights inferred from the listing itself",
 )

@@ -30,18 +30,14 @@ def reproduce_to(
 
     Parameters
     ----------
-    name : str
-        "terlemezoglu2019", "topan2010", "ipbuker1994" or "ayhan1996".
     out : Path, optional
         Folder to make; default "reproduced-" and the name.
     overwrite : bool
         Replace a folder that an earlier reproduction wrote.
-    callback : callable, optional
-        See :func:`fg_orient.studies.reproduce.reproduction.reproduce`.
     command : sequence of str
         Words of the command line, for the record.
-    **options
-        Of :func:`fg_orient.studies.reproduce.reproduction.reproduce`.
+    name, callback, **options
+        See :func:`fg_orient.studies.reproduce.reproduction.reproduce`.
 
     Returns
     -------

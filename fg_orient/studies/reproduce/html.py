@@ -1,13 +1,16 @@
-"""Renders a reproduction: one HTML file on the shell of all reports."""
+"""HTML report of a reproduction, on the shell of all reports: verdicts of each table, L-curves with its kappas."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
+from fg_orient.model.cells import CellKey
 from fg_orient.report.page import environment
-from fg_orient.studies.reproduce.grid import grid
-from fg_orient.studies.reproduce.l_curves import l_curves
-from fg_orient.studies.reproduce.reproduction import Reproduction
+from fg_orient.report.plots import l_curve, ranked
+from fg_orient.result.plain import plain
+from fg_orient.studies.reproduce.reproduction import Reproduction, Row
 from fg_orient.studies.reproduce.scatter import scatter
 from fg_orient.studies.reproduce.verdict import KINDS
 
@@ -76,3 +79,78 @@ def verdict(found: Reproduction) -> dict[str, str]:
         "beside it."
     )
     return {"kind": "good" if met == len(found.claims) else "warn", "title": title, "text": text}
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Verdicts of one table.
+
+    Parameters
+    ----------
+    columns : tuple of str
+        Solvers or EOP sets, in the order of the table; ("",) where neither tells cells apart.
+    rows : tuple
+        Address without the column, and a Row or None per column.
+    """
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[Row | None, ...]], ...]
+
+
+def grid(rows: Sequence[Row], keys: Mapping[tuple[str, str], CellKey]) -> Grid | None:
+    """Arrange the cells of a table; None where it would be a single column.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Of one table.
+    keys : mapping
+        (table, address) to the key.
+    """
+    found = [(row, keys.get((row.table, row.cell), CellKey(row.table))) for row in rows]
+    for field in ("method", "eop_set"):
+        columns = tuple(dict.fromkeys(getattr(key, field) for _, key in found if getattr(key, field)))
+        if len(columns) > 1:
+            return _arranged(found, field, columns)
+    return None
+
+
+def _arranged(found: list[tuple[Row, CellKey]], field: str, columns: tuple[str, ...]) -> Grid:
+    """Cells without a column of their own stand in the first one, of a row of their own where that is taken."""
+    lines: dict[str, dict[str, Row]] = {}
+    for row, key in found:
+        column = getattr(key, field) or columns[0]
+        line = lines.setdefault(str(key._replace(**{field: ""})) or row.cell, {})
+        if column in line:
+            line = lines.setdefault(row.cell, {})
+        line[column] = row
+    words = [name.replace("_", " ") if field == "method" else f"set {name}" for name in columns]
+    return Grid(tuple(words), tuple((name, tuple(map(line.get, columns))) for name, line in lines.items()))
+
+
+#: Name of a printed kappa among the rules of a drawing.
+PRINTED: Final = "printed"
+#: The bundle is solved in the units of the publication, not in standard deviations.
+AXES: Final = ("norm of the residuals |Ax − l|", "norm of the solution |x|, units of the publication")
+
+
+def l_curves(found: Reproduction) -> list[dict[str, Any]]:
+    """L-curve of each EOP set with the kappas of the tables: ``eop_set``, ``drawing``, ``rules`` by their kappas."""
+    return [_drawn(found, number) for number in found.curves]
+
+
+def _drawn(found: Reproduction, number: int) -> dict[str, Any]:
+    curve = found.curves[number]
+    rules = [asdict(choice) | {"table": ""} for choice in curve.choices]
+    labels = {f"tikhonov_{choice.rule}": choice.label for choice in curve.choices}
+    for row in found.rows:
+        key = found.keys[row.table, row.cell]
+        if (key.quantity, key.eop_set, key.pre_adjustment_type) != ("kappa", str(number), "1"):
+            continue
+        residual, solution = curve.place(row.published)
+        rules.append({
+            "rule": PRINTED, "label": f"{labels.get(key.method, key.method)}, printed", "kappa": row.published,
+            "residual_norm": residual, "solution_norm": solution, "notes": (), "failure": "", "table": row.table,
+        })  # fmt: skip
+    section = plain({"rule": PRINTED, "rules": rules, "curve": asdict(curve)})
+    return {"eop_set": number, "drawing": l_curve(section, AXES), "rules": ranked(section)}

@@ -1,25 +1,413 @@
 """İpbüker (1994): arithmetic of its tables, simulations of its precisions, orbit and sensor figures.
 
-Control points, residuals, coefficients and outlines are not in the thesis. What can be recomputed: numbers that follow
-from others beside them, laws and spreads that need no data, physics. The verdicts: ``found``.
+Control points, residuals, coefficients and outlines are not in the thesis. Recomputed are numbers that follow from
+others beside them, laws and spreads that need no data, and physics.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
-from pathlib import Path
+import math
+import re
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
 
+from factors._contract import Array
 from fg_orient.model.cells import CellKey
-from fg_orient.studies.published.tables import PublishedTables
-from fg_orient.studies.reproduce import ipbuker1994_islands, ipbuker1994_orbits, ipbuker1994_points
-from fg_orient.studies.reproduce.found import Found, judged_by_tables
-from fg_orient.studies.reproduce.sources import Source
-from fg_orient.studies.reproduce.verdict import Verdict
+from fg_orient.model.errors import InputError
+from fg_orient.rectification.areas import mean_spacing_m, pixel_area_m2, planar_area_m2
+from fg_orient.rectification.projections import gauss_krueger, lambert_cylindrical, lambert_polar, project, unproject
+from fg_orient.rectification.scanner import swath_m, total_angle_rad
+from fg_orient.rectification.standards import effective_resolution_m
+from fg_orient.rectification.study import (
+    REPRODUCED_RUNS,
+    SCENE_POINTS,
+    SHEET_EXTENT_KM,
+    admissible_points,
+    digitised_sheets,
+    distance_ratios,
+    growing_degrees,
+    terms,
+)
+from fg_orient.studies.reproduce.sources import Source, recomputed_tables
+from fg_orient.studies.reproduce.verdict import Cells, Recomputed, Values, attempt
 
-Values = Mapping[CellKey, float]
+DAY_MIN: Final = 1440.0
+#: WGS84: semi-major axis (m), flattening, gravitational constant (m3/s2), J2; rotation of the Earth (rad/s).
+A_M: Final = 6_378_137.0
+FLATTENING: Final = 1.0 / 298.257223563
+GM: Final = 3.986004418e14
+J2: Final = 1.08263e-3
+#: Mean motion of the Sun, rad/s: a sun-synchronous node follows it.
+SUN_RAD_S: Final = 2.0 * math.pi / (365.2422 * 86400.0)
+#: Landsat 1 to 3: inclination in degrees, orbits per cycle.
+LANDSAT_1_INCLINATION_DEG: Final = 99.092
+LANDSAT_1_ORBITS: Final = 251
+#: Landsat 4 and 5: swath and height, m (TM).
+TM_SWATH_M: Final = 185e3
+TM_HEIGHT_M: Final = 705e3
+#: Points read on each rectified image (section 7.1).
+POINTS_7_1: Final = 30
+DEGREES: Final = (1, 2, 3)
+#: Of table 6.1: block with 20 values.
+BLOCK: Final = "1024 x 1024"
+#: Pixels that the RMS values of section 6.2 in metres and pixels refer to.
+PIXELS_M: Final = {"welch_1984a": 28.5, "welch_1985bc": 30.0, "borgeson_1985": 28.5}
+PIXEL_M: Final = 30.0
+#: Latitude and longitude, degrees, from a map; an error of 0.01 changes the area ratio by 1e-5.
+PLACES: Final = {
+    "buyukada": (40.858, 29.121), "heybeliada": (40.877, 29.094), "burgazada": (40.881, 29.066),
+    "sedef_adasi": (40.850, 29.146), "kasik_adasi": (40.884, 29.077),
+}  # fmt: skip
+CENTRAL_MERIDIAN_DEG: Final = 27.0
+#: Radius of the sphere; the thesis gives "the mean latitude" only. It was solved for: its roundness is the evidence.
+RADIUS_M: Final = 6_370_000.0
+#: Standard deviation of a vertex across the coast from latitude and longitude rounded to 0.01 seconds, m: uniform over
+#: 0.309 m and 0.234 m, mean of both directions.
+ROUNDED_M: Final = 0.079
+JOINED: Final = {"heybeliada_plus_kasik": ("heybeliada", "kasik_adasi")}
+#: Errors of table 7.6, by island and side.
+KNOWN: Final = {
+    ("heybeliada_plus_kasik", "utm"): "; the printed areas beside it give 21492, too",
+    ("sedef_adasi", "azimuthal"): "; 347700 is printed for the 347400 of its own table 7.5",
+}
+_SIDES: Final = ("utm", "azimuthal")
+
+
+def _key(table: str, row: str, quantity: str) -> CellKey:
+    return CellKey(table, quantity=quantity, parameter=row)
+
+
+def _cells(table: str, numbers: Mapping[tuple[str, str], tuple[float, str]]) -> Cells:
+    """Cells of a table from row and quantity to value and remark."""
+    return {_key(table, *place): Recomputed(*number) for place, number in numbers.items()}
+
+
+def _rows(values: Values, table: str, quantity: str) -> list[str]:
+    """Rows of a table that have this quantity."""
+    return [key.parameter for key in values if key.table == table and key.quantity == quantity]
+
+
+# --- orbits and sensors: text, tables 3.3 and 5.1; resampling; effective resolution ---------------
+
+
+def speed_m_s(height_m: float) -> float:
+    """Speed in a circular orbit."""
+    return float(np.sqrt(GM / (A_M + height_m)))
+
+
+def sun_synchronous_deg(height_m: float) -> float:
+    """Inclination of a circular sun-synchronous orbit, first order in J2."""
+    a = A_M + height_m
+    rate = 1.5 * J2 * np.sqrt(GM / a**3) * (A_M / a) ** 2
+    return math.degrees(np.arccos(-SUN_RAD_S / rate))
+
+
+def geodetic_minus_geocentric_rad(latitude_rad: float) -> float:
+    """Angle between the vertical of the ellipsoid and the direction to the Earth's centre."""
+    return latitude_rad - math.atan((1.0 - FLATTENING) ** 2 * math.tan(latitude_rad))
+
+
+def text(values: Values) -> Cells:
+    """Numbers of the text that follow from others."""
+
+    def printed(system: str, quantity: str) -> float:
+        return values[_key("text", system, quantity)]
+
+    orbits, days = printed("landsat-5", "orbits_per_repeat"), printed("landsat-5", "repeat")
+    mss_height = 1e3 * printed("landsat_mss", "altitude_used_for_scan_angle")
+    swath = 1e3 * printed("landsat_mss", "swath")
+    view, spot_height = math.radians(printed("spot_hrv", "field_of_view_each")), 1e3 * printed("spot", "altitude")
+    off = printed("spot_hrv", "mirror_step") * printed("spot_hrv", "mirror_steps")
+    latitudes = np.radians(np.linspace(0.0, 90.0, 9001)[1:-1])
+    vertical = [geodetic_minus_geocentric_rad(float(v)) for v in latitudes]
+    edge = geodetic_minus_geocentric_rad(math.radians(180.0 - LANDSAT_1_INCLINATION_DEG))
+    half_swath = math.degrees(0.5 * swath / A_M)
+    return _cells("text", {
+        ("landsat-5", "orbits_per_day"): (orbits / days, "orbits by days of the cycle"),
+        ("landsat-5", "period"): (days * DAY_MIN / orbits, "days of the cycle by orbits"),
+        ("landsat-5", "adjacent_ground_track_spacing_equator"): (
+            2e-3 * math.pi * A_M * days / orbits, "equator by orbits per day: tracks one orbit apart"),
+        ("landsat-5", "daily_track_shift"): (360.0 / orbits, "circle by tracks; printed cut off, not rounded"),
+        ("landsat_mss", "total_scan_angle_printed"): (
+            math.degrees(attempt(total_angle_rad, swath, mss_height)),
+            "2 arctan(W/2H) of the printed swath and altitude"),
+        ("landsat_mss", "scene_volume"): (
+            4e-6 * printed("landsat_mss", "scan_lines") * printed("landsat_mss", "pixels_per_line"), "four bands"),
+        ("landsat_tm", "ifov"): (1e6 * 30.0 / TM_HEIGHT_M, "30 m from 705 km"),
+        ("spot_hrv", "swath_nadir"): (1e-3 * attempt(swath_m, view, spot_height),
+            "field of view from the altitude, flat Earth"),
+        ("spot_hrv", "swath_twin"): (
+            2.0 * printed("spot_hrv", "swath_nadir") - printed("spot_hrv", "overlap_twin"), "two swaths less overlap"),
+        ("spot_hrv", "max_off_nadir"): (off, "steps of the mirror"),
+        ("spot_hrv", "swath_at_max_off_nadir"): (
+            1e-3 * attempt(swath_m, view, spot_height, math.radians(off), A_M),
+            "field of view at 27 degrees, curved Earth"),
+        ("som_landsat_1_3", "longitude_shift_per_orbit"): (
+            360.0 * printed("som_landsat_1_3", "repeat") / LANDSAT_1_ORBITS, "days of the cycle by 251 orbits"),
+        ("som_landsat_1_3", "latitude_limit"): (
+            180.0 - LANDSAT_1_INCLINATION_DEG + half_swath, "inclination of 99.092 degrees and half the swath"),
+        ("som_ellipsoid", "max_geodetic_geocentric_angle"): (math.degrees(max(vertical)) * 60.0, "WGS84"),
+        ("som_ellipsoid", "max_cross_track_angle"): (
+            math.degrees(edge) * 60.0, "geodetic minus geocentric latitude where the track turns"),
+        ("som_ellipsoid", "max_cross_track_offset"): (1e-3 * edge * mss_height, "that angle at 915 km"),
+    })  # fmt: skip
+
+
+def mss_and_tm(values: Values) -> Cells:
+    """Table 3.3: the row called IFOV is the total scan angle."""
+    return _cells("3.3", {
+        (sensor, "ifov_as_printed_actually_total_scan_angle"): (
+            math.degrees(total_angle_rad(TM_SWATH_M, height)),
+            f"2 arctan(W/2H), 185 km from {1e-3 * height:g} km; the row is called IFOV",
+        )
+        for sensor, height in {"MSS": 915e3, "TM": TM_HEIGHT_M}.items()
+    })  # fmt: skip
+
+
+def mapping_sensor(values: Values) -> Cells:
+    """Table 5.1: orbit and data rate of the sensor after Light (1990)."""
+
+    def printed(group: str, quantity: str) -> float:
+        return values[_key("5.1", group, quantity)]
+
+    height, days = 1e3 * printed("orbit", "altitude_preferred"), printed("orbit", "repeat")
+    orbits = printed("orbit", "orbits_to_cover_globe")
+    ground = speed_m_s(height) * A_M / (A_M + height)
+    detectors, pixel = printed("sensor", "detectors_per_array"), printed("sensor", "pixel_pan")
+    coarse = printed("sensor", "pixel_multispectral")
+    rate = printed("data", "quantisation") * ground * detectors * pixel * (2.0 / pixel**2 + 4.0 / coarse**2)
+    return _cells("5.1", {
+        ("orbit", "inclination"): (sun_synchronous_deg(height), "sun-synchronous at this altitude (J2)"),
+        ("orbit", "period"): (days * DAY_MIN / orbits, "days of the cycle by orbits"),
+        ("orbit", "orbits_per_day"): (orbits / days, "orbits by days of the cycle"),
+        ("orbit", "orbital_speed"): (1e-3 * speed_m_s(height), "circular orbit at this altitude"),
+        ("orbit", "ground_speed"): (1e-3 * ground, "the same on the ground"),
+        ("sensor", "swath"): (1e-3 * detectors * pixel, "detectors times pixel"),
+        ("data", "rate_after_8_to_5_compression"): (
+            1e-6 * rate * 5.0 / 8.0, "two panchromatic and four multispectral arrays, 8 bit to 5"),
+    })  # fmt: skip
+
+
+def resampling(values: Values) -> Cells:
+    """Section 4.2.2: pixels under the kernel of each method."""
+    support = {"nearest_neighbour": 1.0, "bilinear": 4.0, "cubic_convolution": 16.0}
+    return _cells("s4.2.2", {(name, "pixels"): (n, "support of the kernel") for name, n in support.items()})
+
+
+def resolutions(values: Values) -> Cells:
+    """Half a millimetre at map scale."""
+    return {
+        key: Recomputed(effective_resolution_m(float(key.parameter.partition(":")[2])), "0.5 mm at map scale")
+        for key in values if key.table == "summary"
+    }  # fmt: skip
+
+
+# --- accuracies at unpublished points: tables 6.1 and 7.1, sections 6.2 and 7.2 -------------------
+
+
+def rectifications(values: Values) -> Cells:
+    """Table 7.1: which m0 is impossible, and whether the distances are those of noise alone."""
+    out = {}
+    for row in _rows(values, "7.1", "pair_distance_sd"):
+        keys = {q: _key("7.1", row, f"m0_degree_{q}") for q in DEGREES}
+        m0 = {q: values[key] for q, key in keys.items()}
+        for q in growing_degrees(m0, POINTS_7_1) if min(m0.values()) > 0.0 else ():
+            out[keys[q]] = _impossible(m0, q)
+        key = _key("7.1", row, "pair_distance_sd")
+        out[key] = _distances(row, m0[1], values[key])
+    return out
+
+
+def _impossible(m0: Mapping[int, float], degree: int) -> Recomputed:
+    """Least squares over the same points cannot leave more with more terms."""
+    most = min(m0[q] * float(np.sqrt((POINTS_7_1 - terms(q)) / (POINTS_7_1 - terms(degree)))) for q in m0 if q < degree)
+    allowed = admissible_points(m0)
+    points = f"with {allowed[0]} to {allowed[-1]} points" if allowed else "with no number of points"
+    remark = (
+        f"impossible over {POINTS_7_1} points: m0^2 (2n - 2p) grows with the degree; at most {most:.2f} m follows from "
+        f"the lower degrees, which may be wrong instead; the row would be possible {points}"
+    )
+    return Recomputed(most, remark, kind="differs")
+
+
+def _distances(row: str, m0: float, printed: float) -> Recomputed:
+    """Distance differences expected of noise alone, from m0 of degree 1."""
+    found = distance_ratios(REPRODUCED_RUNS)
+    middle, half = _spread(found.ratio * m0)
+    remark = (
+        f"{middle / m0:.2f} m0 of degree 1 in {len(found.ratio)} simulated scenes of {SCENE_POINTS} points with noise "
+        f"alone, printed {printed / m0:.2f}"
+    )
+    if row == "spot_pan":
+        remark += "; how many points were measured in it is not printed"
+    elif printed > middle + half:
+        scale = np.sqrt(printed**2 - middle**2) / found.spread_m.mean()
+        remark += f"; a scale error of {100 * scale:.2f} % left over would explain it"
+    return Recomputed.around(middle, half, remark)
+
+
+def north_georgia(values: Values) -> Cells:
+    """Table 6.1: RMS = sigma sqrt(1 + p/n), sigma fitted to the 20 values of one block.
+
+    All values are RMSs at the same test points: what these have in common goes into sigma, so a value is held against
+    the scatter of the others about the law, not against the spread of an RMS over so many points.
+    """
+    factors, rms, keys = [], [], []
+    for key, value in values.items():
+        if key.table == "6.1" and key.parameter.startswith(BLOCK):
+            n, degree = (int(word) for word in re.findall(r"(\d+) GCPs, degree (\d+)", key.parameter)[0])
+            keys.append(key)
+            factors.append(np.sqrt(1.0 + terms(degree) / n))
+            rms.append(value)
+    g, v = np.array(factors), np.array(rms)
+    sigma, out = float(g @ v / (g @ g)), {}
+    for k, key in enumerate(keys):
+        others = np.arange(len(v)) != k
+        scatter = _scatter(g[others], v[others])
+        law, half = sigma * float(g[k]), 1.96 * scatter
+        remark = (
+            f"sigma sqrt(1 + p/n), a law found by looking at this table, sigma = {sigma:.2f} m fitted to its {len(v)} "
+            f"values of this block; 1.96 times the scatter of the {len(v) - 1} others about the law, {scatter:.2f} m"
+        )
+        if abs(v[k] - law) > half:
+            remark += f"; more than the law and the rounding to 1 m explain, {v[k] - law:+.1f} m"
+        out[key] = Recomputed.around(law, half, remark)
+    return out
+
+
+def _scatter(factors: Array, rms: Array) -> float:
+    """Standard deviation of values about sigma times factors, sigma fitted to them."""
+    sigma = float(factors @ rms / (factors @ factors))
+    return float(np.sqrt(np.sum((rms - sigma * factors) ** 2) / (len(rms) - 1)))
+
+
+def literature(values: Values) -> Cells:
+    """Section 6.2: RMS in pixels from that in metres, where both are printed."""
+    out = {}
+    for key in values:
+        metres = values.get(key._replace(quantity="rmse_m"))
+        pixel = PIXELS_M.get(key.parameter.partition(",")[0])
+        if key.table == "s6.2" and key.quantity == "rmse_px" and metres is not None and pixel is not None:
+            out[key] = Recomputed(metres / pixel, f"the metres beside it by a pixel of {pixel:g} m")
+    return out
+
+
+def calibration(values: Values) -> Cells:
+    """Section 7.2: three precisions of one digitised sheet must fit each other."""
+    found = digitised_sheets(SHEET_EXTENT_KM, REPRODUCED_RUNS)
+    extent = " x ".join(map(str, SHEET_EXTENT_KM))
+    remark = (
+        f"{REPRODUCED_RUNS} simulated calibrations with 24 nodes over {extent} km (assumed) and the noise that the "
+        "printed m0 says"
+    )
+    out = {
+        CellKey("s7.2", quantity="affine_m0"): Recomputed(
+            float("nan"), "the simulations take their noise from it", kind="not_reproducible"
+        )
+    }
+    for quantity, runs in (("pair_distance_diff_sd", found.distance_sd),
+                           ("helmert_mean_point_error", found.helmert_point_error)):  # fmt: skip
+        out[CellKey("s7.2", quantity=quantity)] = Recomputed.around(*_spread(runs), remark)
+    return out
+
+
+def _spread(runs: Array) -> tuple[float, float]:
+    """Mean of some runs, and 1.96 standard deviations."""
+    return float(runs.mean()), 1.96 * float(runs.std(ddof=1))
+
+
+# --- areas and coastlines of the Princes' Islands: tables 7.2 to 7.6 ------------------------------
+
+
+def area_ratio(island: str, area_m2: float, projection: str) -> float:
+    """Area on Gauss-Krueger (scale 1, Hayford) by that in a Lambert projection of the sphere.
+
+    A circle of the island's area stands for its outline; geodetic latitude is taken for spherical, as in the source.
+    nan for an area that no projection holds.
+    """
+    latitude, longitude = PLACES[island]
+    definition, angle = gauss_krueger(CENTRAL_MERIDIAN_DEG), np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
+    circle = np.sqrt(area_m2 / np.pi) * np.column_stack([np.cos(angle), np.sin(angle)])
+    plane = project(definition, longitude, latitude) + circle
+    try:
+        lambert = project(projection, *unproject(definition, plane).T)
+    except InputError:  # an altered area beyond the projection
+        return float("nan")
+    return float(np.divide(planar_area_m2(plane), planar_area_m2(lambert)))
+
+
+def utm_areas(values: Values) -> Cells:
+    """Table 7.2: the areas need the outlines; their RMS is compared with what one calibration of the sheet gives."""
+    share = float(digitised_sheets(SHEET_EXTENT_KM, REPRODUCED_RUNS).determinant.std(ddof=1))
+    remark = f"one calibration of the sheet leaves {share:.1e} of any area ({REPRODUCED_RUNS} simulated calibrations)"
+    return {
+        _key("7.2", island, "area_rms"): Recomputed(
+            share * values[_key("7.2", island, "area_utm")], remark, is_order=True
+        )
+        for island in PLACES
+    }
+
+
+def spacings(values: Values) -> Cells:
+    """Table 7.3: mean spacing of the vertices."""
+    out = {}
+    for island in PLACES:
+        length, n = (values[_key("7.3", island, name)] for name in ("coastline", "n_vertices"))
+        spacing = attempt(mean_spacing_m, length, n)
+        out[_key("7.3", island, "mean_spacing")] = Recomputed(spacing, "length by vertices", is_exact=True)
+    return out
+
+
+def lambert_areas(values: Values) -> Cells:
+    """Table 7.4 from table 7.2 by the ratio of areas; the spread is that of rounded latitudes and longitudes."""
+    out = {}
+    for island in PLACES:
+        utm, n = values[_key("7.2", island, "area_utm")], values[_key("7.3", island, "n_vertices")]
+        sigma = np.sqrt(n) * values[_key("7.3", island, "mean_spacing")] * ROUNDED_M
+        projections = {"azimuthal": lambert_polar(RADIUS_M), "cylindrical": lambert_cylindrical(RADIUS_M)}
+        for name, projection in projections.items():
+            ratio = area_ratio(island, utm, projection)
+            remark = (
+                f"area of table 7.2 by the ratio {ratio:.6f} (scale 1 to a sphere of 6370 km, a radius that was solved "
+                "for), 1.96 sigma of positions rounded to 0.01 seconds"
+            )
+            out[_key("7.4", island, f"area_{name}")] = Recomputed.around(utm / ratio, 1.96 * sigma, remark)
+    return out
+
+
+def _pixels_m2(values: Values, row: str, side: str) -> float:
+    return attempt(pixel_area_m2, values[_key("7.5", row, f"pixels_{side}")], PIXEL_M)
+
+
+def pixel_areas(values: Values) -> Cells:
+    """Table 7.5: pixels of 30 m."""
+    return {
+        _key("7.5", row, f"satellite_area_{side}"): Recomputed(
+            _pixels_m2(values, row, side), "pixels of 900 m2", is_exact=True
+        )
+        for row in _rows(values, "7.5", "pixels_utm") for side in _SIDES
+    }  # fmt: skip
+
+
+def differences(values: Values) -> Cells:
+    """Table 7.6 from tables 7.2, 7.4 and 7.5."""
+    out = {}
+    for row in _rows(values, "7.6", "abs_difference_utm"):
+        for side in _SIDES:
+            table, name = ("7.2", "area_utm") if side == "utm" else ("7.4", "area_azimuthal")
+            computed = sum(values[_key(table, island, name)] for island in JOINED.get(row, (row,)))
+            satellite, known = _pixels_m2(values, row, side), KNOWN.get((row, side), "")
+            for quantity, value, remark in (
+                ("computed_area", computed, f"table {table}"),
+                ("satellite_area", satellite, f"pixels of table 7.5{known}"),
+                ("abs_difference", abs(satellite - computed), f"pixels of table 7.5 and table {table}{known}"),
+            ):
+                out[_key("7.6", row, f"{quantity}_{side}")] = Recomputed(value, remark, is_exact=True)
+    return out
+
+
 TABLES: Final = ("3.1", "3.2", "3.3", "3.5", "text", "s4.2.2", "5.1", "s6.2", "6.1", "7.1", "s7.2", "7.2", "7.3", "7.4",
                  "7.5", "7.6", "summary")  # fmt: skip
 #: Why cells of a table that nothing computes cannot be reproduced.
@@ -35,41 +423,26 @@ REASONS: Final = {
     "7.5": "the image and its classes are not in the source",
 }
 FACT: Final = "a fact or a constant: nothing to compute"
-#: Tables and who computes them, from all printed values.
-_COMPUTERS: Final[dict[str, Callable[[Values], dict[CellKey, Found]]]] = {
-    **ipbuker1994_orbits.COMPUTERS, **ipbuker1994_points.COMPUTERS, **ipbuker1994_islands.COMPUTERS,
+#: Functions that recompute a table from all printed values.
+_COMPUTERS: Final[dict[str, Callable[[Values], Cells]]] = {
+    "text": text, "3.3": mss_and_tm, "5.1": mapping_sensor, "s4.2.2": resampling, "summary": resolutions,
+    "6.1": north_georgia, "7.1": rectifications, "s6.2": literature, "s7.2": calibration,
+    "7.2": utm_areas, "7.3": spacings, "7.4": lambert_areas, "7.5": pixel_areas, "7.6": differences,
 }  # fmt: skip
-
-
-def verdicts(
-    printed: PublishedTables, tables: Collection[str], data: Path | None = None, *, permutations: int = 0,
-    progress: Callable[[int, int], None] | None = None,
-) -> dict[CellKey, Verdict]:  # fmt: skip
-    """Judge the cells of some tables; see ``found.judged_by_tables``. ``data``, ``permutations``: of other sources."""
-    values: Values = {cell.key: np.float64(cell.value) for cell in printed.cells}
-
-    def computed(table: str) -> tuple[dict[CellKey, Found], str]:
-        compute = _COMPUTERS.get(table)
-        return ({} if compute is None else compute(values)), REASONS.get(table, FACT)
-
-    return judged_by_tables(printed, tables, computed, progress)
-
 
 SOURCE: Final = Source(
     "ipbuker1994",
     "İpbüker (1994), geometric accuracy of images at map scale from satellite data",
-    None,
-    (),
-    lambda *_: "",
-    verdicts,
-    TABLES,
-    "The thesis prints no control points, residuals, coefficients or outlines: its rectifications cannot be repeated. "
-    "Recomputed are numbers that follow from others beside them, figures of orbits, sensors and projections, and, by "
-    "simulation, how precisions of one kind depend on those of another. The range is the stated spread, if any.",
-    {
+    real=recomputed_tables({table: (compute,) for table, compute in _COMPUTERS.items()}, REASONS, FACT),
+    real_tables=TABLES,
+    about="The thesis prints no control points, residuals, coefficients or outlines: its rectifications cannot be "
+    "repeated. Recomputed are numbers that follow from others beside them, figures of orbits, sensors and "
+    "projections, and, by simulation, how precisions of one kind depend on those of another. The range is the stated "
+    "spread, if any.",
+    meanings={
         "equal": "all printed digits",
         "rounding": "one unit of the last digit, or inside the stated spread",
         "not_reproducible": "a fact, or its points, outlines or images are not in the source",
     },
-    "are one unit of the last digit off or inside a stated spread",
+    counted="are one unit of the last digit off or inside a stated spread",
 )

@@ -1,33 +1,36 @@
-"""Published beside reproduced, cell by cell, with the claims: the work behind ``fg-orient reproduce``."""
+"""Published and reproduced values, cell by cell, with the claims: the work behind ``fg-orient reproduce``.
+
+:func:`counts` can also compare shuffled values: the published values of a table are exchanged among its EOP sets,
+images and solvers; quantity, coefficient, axis, role and type of a value stay. A verdict that shuffled values get as
+often as the true ones shows that the quantity has this size in the table, not that the cell has this value.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.adjustment.linear.l_curve import LCurve
 from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
 from fg_orient.studies.claims import ClaimResult, all_claims, run_claims
-from fg_orient.studies.published.tables import PublishedTables, load
-from fg_orient.studies.reproduce import ayhan1996, ipbuker1994, terlemezoglu2019, topan2010
-from fg_orient.studies.reproduce.sources import Source
-from fg_orient.studies.reproduce.verdict import KINDS, Verdict, judge
+from fg_orient.studies.published.tables import PublishedCell, PublishedTables, load
+from fg_orient.studies.reproduce import ayhan1996, ipbuker1994
+from fg_orient.studies.reproduce.sources import TERLEMEZOGLU, TOPAN, Source
+from fg_orient.studies.reproduce.verdict import KINDS, CellComparison, assess_runs
 from fg_orient.studies.tables_spot6 import PERMUTATIONS
-
-Array = npt.NDArray[np.float64]
 
 #: Told after each run: runs done, runs in all, what is being done.
 Callback = Callable[[int, int, str], None]
 
-SOURCES: Final = {module.SOURCE.name: module.SOURCE for module in (terlemezoglu2019, topan2010, ipbuker1994, ayhan1996)}
+SOURCES: Final = {one.name: one for one in (TERLEMEZOGLU, TOPAN, ipbuker1994.SOURCE, ayhan1996.SOURCE)}
 #: Runs when nothing is said: about a minute.
 DEFAULT_SEEDS: Final = 10
 MAX_SEEDS: Final = 1000
@@ -192,22 +195,67 @@ def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:
 
 def pair(
     printed: PublishedTables, computed: Mapping[CellKey, Array], source: Source, tables: Sequence[str],
-    judged: Mapping[CellKey, Verdict] | None = None, *, as_run: bool = False,
+    compared: Mapping[CellKey, CellComparison] | None = None, *, as_run: bool = False,
 ) -> tuple[Row, ...]:  # fmt: skip
-    """Put each published cell of some tables beside its runs, or beside a verdict that is there already."""
+    """Compare each published cell of some tables with its runs, if it is not compared already."""
     rows = []
     for cell in printed.cells:
         key = cell.key
         if key.table not in tables:
             continue
         orders = computed.get(key._replace(quantity="matrix_order"), np.array([math.nan]))
-        found = (judged or {}).get(key) or judge(
-            cell, computed.get(key), None if np.isnan(orders[0]) else float(orders[0])
-        )
-        known = source.explain(cell, as_run) if found.kind == "differs" and key not in (judged or {}) else ""
-        reason = f"{found.reason}; {known}" if known else found.reason
-        rows.append(
-            Row(key.table, str(key), cell.value, found.reproduced, found.low, found.high, found.kind, reason,
-                cell.text or cell.printed, cell.unit, cell.note)
-        )  # fmt: skip
+        found, known = (compared or {}).get(key), ""
+        if found is None:
+            found = assess_runs(cell, computed.get(key), None if np.isnan(orders[0]) else float(orders[0]))
+            known = source.explain(cell, as_run) if found.kind == "differs" else ""
+        rows.append(Row(
+            key.table, str(key), cell.value, found.reproduced, found.low, found.high, found.kind,
+            "; ".join(filter(None, (found.reason, known))), cell.text or cell.printed, cell.unit, cell.note,
+        ))  # fmt: skip
     return tuple(rows)
+
+
+def shuffled(cells: Sequence[PublishedCell], seed: int) -> tuple[PublishedCell, ...]:
+    """Exchange the printed values of cells that differ by EOP set, image and solver alone.
+
+    Parameters
+    ----------
+    cells : sequence of PublishedCell
+    seed : int
+        Of the permutations.
+    """
+    groups: dict[CellKey, list[int]] = {}
+    for place, cell in enumerate(cells):
+        if cell.text:
+            groups.setdefault(cell.key._replace(eop_set="", stage="", method=""), []).append(place)
+    out, rng = list(cells), np.random.default_rng(seed)
+    for places in groups.values():
+        for to, origin in zip(places, rng.permutation(places), strict=True):
+            other = cells[int(origin)]
+            out[to] = replace(cells[to], value=other.value, text=other.text, printed=other.printed)
+    return tuple(out)
+
+
+def counts(
+    printed: PublishedTables, computed: Mapping[CellKey, Array], source: Source, tables: Sequence[str],
+    seeds: Iterable[int] = (),
+) -> dict[str, dict[str, float]]:  # fmt: skip
+    """Verdicts by table: those of the published values, or the mean over shuffled ones.
+
+    Parameters
+    ----------
+    printed, computed, source, tables
+        As in :func:`fg_orient.studies.reproduce.reproduction.pair`.
+    seeds : iterable of int
+        One shuffle each; none leaves the values where they are.
+
+    Returns
+    -------
+    dict
+        Table to verdict to number of cells.
+    """
+    variants = [replace(printed, cells=shuffled(printed.cells, seed)) for seed in seeds] or [printed]
+    total: Counter[tuple[str, str]] = Counter()
+    for variant in variants:
+        total.update((row.table, row.verdict) for row in pair(variant, computed, source, tables))
+    return {table: {kind: total[table, kind] / len(variants) for kind in KINDS} for table in tables}

@@ -19,17 +19,14 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.model.cells import CellKey
-from fg_orient.rpc.gcp_file import SPOT6_FILE, SPOT6_FOLDER, find_spot6, read_gcp
-from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.rpc.rfm_points import SPOT6_FILE, SPOT6_FOLDER, ControlPoints, find_spot6, read_gcp
 from fg_orient.studies import tables_spot6
 from fg_orient.studies.published.tables import PublishedCell, PublishedTables
-from fg_orient.studies.reproduce.verdict import Kind, Verdict, last_digit
-
-Array = npt.NDArray[np.float64]
+from fg_orient.studies.reproduce.verdict import CellComparison, Comparisons, Kind, last_digit
 
 #: Folder of real data if ``--data`` is not given.
 VARIABLE: Final = "FG_ORIENT_REAL_DATA"
@@ -46,6 +43,13 @@ INVERSES: Final = ("pivot_inverse", "cholesky_inverse", "gauss_inverse", "moore_
 VV_TOLERANCE_PX2: Final = 0.2
 #: What these 0.2 px^2 make of m0, beside the rounding of its print.
 M0_TOLERANCE_PX: Final = 0.0044 + 0.005
+#: Known reasons why numbers of a quantity differ.
+REASONS: Final = {
+    "cond_hadamard": "determinant and rank agree: the row norms in T(3.14) were others, as in table 4.53",
+    "kappa": "0 is printed where no eigenvalue was found in [0, 1]; here rounding leaves some there",
+    "rpc": "noise of Cramer's inverse with tails longer than the permutations show",
+    "normal_residual_abs_min": "the smallest of all elements is 0 or a few roundings, by luck",
+}
 NO_POINTS: Final = f"the 99 control points are not here: give them as data, or a folder of real data in {VARIABLE}"
 
 
@@ -69,46 +73,36 @@ def control_points(data: Path | None) -> ControlPoints | None:
     return read_gcp(path) if name and path.is_file() else None
 
 
-def verdicts(
+def compare(
     printed: PublishedTables, tables: Collection[str], data: Path | None, *,
     permutations: int = tables_spot6.PERMUTATIONS, progress: Callable[[int, int], None] | None = None,
-) -> dict[CellKey, Verdict]:  # fmt: skip
-    """Judge the cells of some tables.
+) -> Comparisons:  # fmt: skip
+    """Compare the cells of some tables; see :class:`fg_orient.studies.reproduce.sources.Compare`.
 
     Parameters
     ----------
     printed : PublishedTables
     tables : collection of str
-        Those of others are left out.
+        Those that are not of the scene are left out.
     data : Path, optional
-        File of the control points, or a folder with it; default ``$FG_ORIENT_REAL_DATA``.
+        See :func:`control_points`.
     permutations : int
         Orders of the points beside that of the file.
     progress : callable, optional
         Called with runs done and runs in all.
-
-    Returns
-    -------
-    dict
-        Verdict of each cell of tables 4.35-4.55 that is asked for.
-
-    Raises
-    ------
-    InputError
-        See :func:`control_points`.
     """
     cells = [cell for cell in printed.cells if cell.key.table in tables and cell.key.table in tables_spot6.TABLES]
     if not cells:
         return {}
     points = control_points(data)
     if points is None:
-        return {cell.key: Verdict("not_reproducible", NO_POINTS) for cell in cells}
+        return {cell.key: CellComparison("not_reproducible", NO_POINTS) for cell in cells}
     chosen = {cell.key.table for cell in cells}
     with one_blas_thread():
         computed = tables_spot6.compute(
             chosen, points, permutations=permutations, kappas=printed_kappas(printed), progress=progress
         )
-    return {cell.key: judge(cell, computed) for cell in cells}
+    return {cell.key: assess(cell, computed) for cell in cells}
 
 
 def printed_kappas(printed: PublishedTables) -> dict[tuple[str, int], float]:
@@ -117,7 +111,7 @@ def printed_kappas(printed: PublishedTables) -> dict[tuple[str, int], float]:
     return {(cell.key.method, int(cell.key.stage[-1])): cell.value for cell in found}
 
 
-def judge(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> Verdict:
+def assess(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> CellComparison:
     """Compare a printed number with the order of the file and the permutations; see the module docstring.
 
     Parameters
@@ -127,20 +121,28 @@ def judge(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> Verdict:
         Of :func:`fg_orient.studies.tables_spot6.compute`.
     """
     runs = computed[cell.key]
-    file, sizes = float(runs[0]), np.abs(runs[1:][np.isfinite(runs[1:])])
+    sizes = _sizes(runs)
     low, high = (float(sizes.min()), float(sizes.max())) if len(sizes) else (math.nan, math.nan)
     kind, reason = _tested(cell, runs, sizes)
     more = _more(cell, computed)
-    return Verdict(kind, f"{reason}; {more}" if more else reason, file, low, high)
+    return CellComparison(kind, f"{reason}; {more}" if more else reason, float(runs[0]), low, high)
+
+
+def _sizes(runs: Array) -> Array:
+    """Finite sizes of the permutations."""
+    return np.abs(runs[1:][np.isfinite(runs[1:])])
+
+
+def _quantiles(sizes: Array) -> str:
+    return ", ".join(f"{q:.2g}" for q in np.quantile(sizes, (0.05, 0.5, 0.95)))
 
 
 def _tested(cell: PublishedCell, runs: Array, sizes: Array) -> tuple[Kind, str]:
     """Kind of verdict and its reason."""
-    reason = _equal(cell, runs)
-    if reason:
+    if reason := _equal(cell, runs):
         return "equal", reason
     if hadamard := _hadamard(cell, runs):
-        return hadamard
+        return "not_reproducible", hadamard
     if math.isnan(cell.value):
         return "not_reproducible", f"printed NaN; computed {runs[0]:.2g}"
     overflows = int(np.isinf(runs[1:]).sum())
@@ -149,8 +151,7 @@ def _tested(cell: PublishedCell, runs: Array, sizes: Array) -> tuple[Kind, str]:
     if not len(sizes):
         return "not_reproducible", f"no result in any of {len(runs) - 1} permutations"
     span = f"{sizes.min():.2g} to {sizes.max():.2g} in {len(sizes)} of {len(runs) - 1} permutations"
-    points = ", ".join(f"{q:.2g}" for q in np.quantile(sizes, (0.05, 0.5, 0.95)))
-    noise = f"{span}, 5/50/95 %: {points}"
+    noise = f"{span}, 5/50/95 %: {_quantiles(sizes)}"
     half = 0.0 if cell.text == "0" else 0.5 * last_digit(cell.text)
     least, most = max(0.0, abs(cell.value) - half), abs(cell.value) + half
     if most >= sizes.min() / MARGIN and least <= sizes.max() * MARGIN:
@@ -187,34 +188,25 @@ def _tolerance(key: CellKey) -> float | None:
     return VV_TOLERANCE_PX2 if key.table in tables_spot6.NORMALISED and key.quantity == "sum_squared_residual" else None
 
 
-def _hadamard(cell: PublishedCell, runs: Array) -> tuple[Kind, str] | None:
-    """The Hadamard numbers that follow from no matrix of these points."""
+def _hadamard(cell: PublishedCell, runs: Array) -> str:
+    """Reason for Hadamard numbers that follow from no matrix of these points, or ""."""
     if cell.key.quantity != "cond_hadamard":
-        return None
+        return ""
     if math.isnan(cell.value):
-        return "not_reproducible", "printed NaN after an overflow (Inf/Inf); log-determinants give less than 1e-308"
+        return "printed NaN after an overflow (Inf/Inf); log-determinants give less than 1e-308"
     if cell.key.table != "4.53":
-        return None
-    return "not_reproducible", (
+        return ""
+    return (
         f"T(3.14) gives {runs[0]:.2g} on these points whatever their order, while determinant and rank agree: what row "
         "norms the printed number was divided by is not known"
     )
 
 
 def _why(cell: PublishedCell) -> str:
-    """Say what is known about a number that differs."""
-    key = cell.key
-    if key.quantity == "cond_hadamard":
-        return "determinant and rank agree: the row norms in T(3.14) were others, as in table 4.53"
-    if key.quantity == "sum_squared_residual" and cell.value > 1.0 and key.method in ELIMINATIONS:
+    """Known reason why a number differs."""
+    if cell.key.quantity == "sum_squared_residual" and cell.value > 1.0 and cell.key.method in ELIMINATIONS:
         return "misprint: 3.7e-4 fits the printed m0 of 0.003"
-    if key.quantity == "kappa":
-        return "0 is printed where no eigenvalue was found in [0, 1]; here rounding leaves some there"
-    if key.quantity == "rpc":
-        return "noise of Cramer's inverse with tails longer than the permutations show"
-    if key.quantity == "normal_residual_abs_min":
-        return "the smallest of all elements is 0 or a few roundings, by luck"
-    return "outside the noise of the permutations"
+    return REASONS.get(cell.key.quantity, "outside the noise of the permutations")
 
 
 def _more(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> str:
@@ -228,6 +220,6 @@ def _more(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> str:
     other = computed.get(key._replace(table=tables_spot6.WITH_PRINTED_KAPPA))
     if other is None:
         return ""
-    sizes = np.abs(other[1:][np.isfinite(other[1:])])
-    points = ", ".join(f"{q:.2g}" for q in np.quantile(sizes, (0.05, 0.5, 0.95))) if len(sizes) else "none"
+    sizes = _sizes(other)
+    points = _quantiles(sizes) if len(sizes) else "none"
     return f"with the printed kappa {other[0]:.2g}, 5/50/95 %: {points}"

@@ -15,13 +15,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy import spatial
 
+from factors._contract import Array
 from factors.cameras import frame_camera
 from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
 from fg_orient.model.names import Role
 from fg_orient.sensors.frame import FrameCamera, FrameSensor
 from fg_orient.simulate.options import require
-
-Array = npt.NDArray[np.float64]
 
 #: Distance of neighbouring cameras, their height above the mean ground and the range of relief, m.
 SPACING_M: Final = 40.0
