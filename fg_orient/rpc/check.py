@@ -1,6 +1,6 @@
-"""Judging an RPC: denominators, its two models against each other, extrapolation, points, another model.
+"""Check of an RPC: denominators, agreement of its two models, extrapolation, points, another model.
 
-Everything is looked at over the pixels of the image and a range of heights. Residuals are projected minus observed.
+All is evaluated over the pixels of the image and a range of heights. Residuals are projected minus observed.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ EXTRAPOLATED: Final = 1.05
 def check_rpc(
     file: RpcFile, *, heights_m: Range | None = None, points: MeasuredPoints | None = None, against: Path | None = None
 ) -> dict[str, Any]:
-    """Judge a file.
+    """Check a file.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def check_rpc(
     Raises
     ------
     InputError
-        Heights that are none, ``against`` is not usable or sees another part of the image.
+        Invalid heights, ``against`` is not usable or sees another part of the image.
     """
     model = file.model
     heights = _heights(model, heights_m)
@@ -177,7 +177,7 @@ def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any
 
 
 def _doubts(record: dict[str, Any]) -> list[Finding]:
-    """What makes a model unfit for use."""
+    """Findings that make a model unfit for use."""
     out, below = [], record["denominators"]
     least = min(below["least_line"], below["least_sample"])
     if below["pole"] is not None:
@@ -198,7 +198,7 @@ def _doubts(record: dict[str, Any]) -> list[Finding]:
 
 
 def _remarks(record: dict[str, Any]) -> list[Finding]:
-    """What a user should know beside."""
+    """Further findings for the user."""
     used = record["extrapolation"].items()
     out = [finding("rpc.extrapolated", coordinate=name, used=value) for name, value in used if value > EXTRAPOLATED]
     low, high = record["validity"]["height_m"]

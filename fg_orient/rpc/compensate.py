@@ -337,13 +337,13 @@ def _residuals(model: RpcModel, measured: MeasuredPoints, found: Compensation) -
 
 
 def _doubts(found: Compensation) -> list[Finding]:
-    """What makes a compensation unfit for use."""
+    """Findings that make a compensation unfit for use."""
     out = [] if found.complete else [finding("rpc.too_many_left_out", n=len(found.suspects))]
     return [*out, finding("rpc.no_fit", sigma0=found.sigma0)] if found.sigma0 > LARGEST_SIGMA0 else out
 
 
 def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] | None:
-    """Change of the misclosures with the height beside an affine compensation, px per 1000 m.
+    """Change of the misclosures with the height in addition to an affine compensation, px per 1000 m.
 
     No compensation has such a term: it is a sign of a wrong height system, or of the RPC of another image. F(2, f) of
     one more column for each coordinate, f the redundancy with it; None where it is not significant or not determined.
@@ -367,7 +367,7 @@ def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] |
 
 
 def _remarks(found: Compensation, suspicious: list[str], height: dict[str, Any] | None) -> list[Finding]:
-    """What a user should know beside."""
+    """Further findings for the user."""
     out = [suspect.finding() for suspect in found.suspects]
     if found.redundancy == 0:
         out.append(finding("rpc.no_redundancy"))

@@ -38,9 +38,9 @@ MAX_DAMPING: Final = 1e10
 
 
 def penalised_unknowns(form: RfmForm, penalty: Penalty) -> Array:
-    """Which unknowns (u,) a penalty holds near zero: all, or those that make the model more than affine.
+    """Unknowns (u,) that a penalty holds near zero: all, or those that make the model more than affine.
 
-    An image of a satellite is affine but for some pixels, so the second is the prior that fits; the first also pulls
+    A satellite image is affine within some pixels, so the second is the prior that fits; the first also pulls
     the scale of the image to zero.
 
     Raises

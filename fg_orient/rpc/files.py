@@ -144,7 +144,7 @@ def projected_differences(one: RpcModel, other: RpcModel) -> Array:
 
 
 def not_kept(model: RpcModel, back: RpcModel) -> list[str]:
-    """What a written file does not hold of the model, in words."""
+    """Parts of the model that a written file does not hold, in words."""
     out = []
     if (model.err_bias_m and not back.err_bias_m) or (model.err_rand_m and not back.err_rand_m):
         out.append("error estimates")
@@ -159,7 +159,7 @@ def not_kept(model: RpcModel, back: RpcModel) -> list[str]:
 
 
 def describe(file: RpcFile) -> dict[str, Any]:
-    """What a file is: format, pixel count, validity, offsets, scales, notes."""
+    """Description of a file: format, pixel count, validity, offsets, scales, notes."""
     m = file.model
     v = m.validity
     names = ("line_px", "sample_px", "lon_deg", "lat_deg", "height_m")

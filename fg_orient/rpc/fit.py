@@ -302,7 +302,7 @@ class CrossValidation:
 
     @property
     def choices(self) -> dict[str, int]:
-        """What the folds chose and how many did, most frequent first."""
+        """Choices of the folds and their numbers, most frequent first."""
         words = (", ".join(f"{k} {v}" for k, v in f.choice.items()) for f in self.fits if f is not None)
         return dict(Counter(words).most_common())
 

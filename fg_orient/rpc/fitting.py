@@ -42,7 +42,7 @@ def fit_to(points: ControlPoints, options: FitOptions) -> RfmFit:
 def fit_points(
     measured: MeasuredPoints, options: FitOptions, progress: Progress | None = None
 ) -> tuple[RpcModel, dict[str, Any]]:
-    """Fit to control points and judge by cross-validation and at check points.
+    """Fit to control points; assess the fit by cross-validation and at check points.
 
     ``progress`` is called with (done, of, text) for each fold of the cross-validation.
 
@@ -99,7 +99,7 @@ def _validation(control: ControlPoints, options: FitOptions, progress: Progress 
 
 
 def _doubts(fit: RfmFit, validation: CrossValidation | None) -> list[Finding]:
-    """What makes a fit unfit for use."""
+    """Findings that make a fit unfit for use."""
     out, least = [], float(fit.least_denominators.min())
     if fit.has_pole:
         out.append(finding("rpc.sign_change", least=least))

@@ -29,7 +29,7 @@ _N_TERMS: Final = {1: 4, 2: 10, 3: 20}
 
 @dataclass(frozen=True)
 class RfmForm:
-    """Which coefficients there are.
+    """Coefficients of a model.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ class RfmForm:
 
     @cached_property
     def beyond_affine(self) -> npt.NDArray[np.bool_]:
-        """Which unknowns (u,) are neither constant nor linear terms of a numerator."""
+        """Unknowns (u,) that are neither constant nor linear terms of a numerator."""
         return np.array([name[0] in "bd" or sum(map(int, name[1:])) > 1 for name in self.names])
 
     def monomials(self, ground: Array) -> Array:

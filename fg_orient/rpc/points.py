@@ -69,7 +69,7 @@ def read_measured(path: Path) -> MeasuredPoints:
     Raises
     ------
     InputError
-        All faults of the file: columns, numbers, roles, ids used twice, coordinates that are none.
+        All errors of the file: columns, numbers, roles, ids used twice, invalid coordinates.
     """
     faults = Faults(str(path))
     some = chain.from_iterable(combinations(_EXTRAS, k) for k in range(len(_EXTRAS) + 1))

@@ -120,7 +120,7 @@ LEAST_FREEDOM: Final = 10
 
 @dataclass(frozen=True)
 class Selection:
-    """What a method chose.
+    """Choice of a method.
 
     Parameters
     ----------

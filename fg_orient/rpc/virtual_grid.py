@@ -36,7 +36,7 @@ CHECK_SHARE: Final = 1.0
 
 
 class LocatingSensor(Protocol):
-    """What a sensor must do: know its size, and locate pixels at heights."""
+    """A sensor with a size that locates pixels at heights."""
 
     n_lines: int
     n_samples: int

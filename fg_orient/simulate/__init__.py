@@ -1,4 +1,4 @@
-"""Synthetic blocks in the real file formats, with the truth beside them.
+"""Synthetic blocks in the real file formats, with their truth.
 
 ``simulate_zonguldak`` writes the SPOT-5 stereo twin of the published experiments,
 ``simulate_block`` a block of any size, ``simulate_mixed`` one of three kinds of sensors; ``zonguldak_block``,

@@ -81,7 +81,7 @@ def simulate_block(
 
 
 def grid_block(options: BlockOptions | None = None) -> tuple[Block, Truth]:
-    """Give the block in memory: the one that reading its files gives, and its truth."""
+    """Block in memory as reading its files gives it, and its truth."""
     simulation = simulate(options or BlockOptions())
     return simulation.block(), simulation.truth
 
@@ -153,7 +153,7 @@ def _points(
 
 
 def _visible(cameras: list[QuickProjection], ecef_m: Array, height_m: Array) -> npt.NDArray[np.bool_]:
-    """Which of N points lies well inside which image: (m, N). Near the limit the exact projection decides."""
+    """Points (N) well inside each image: (m, N). Near the limit the exact projection decides."""
     last = np.array([N_LINES, N_SAMPLES]) - 1.0
     out = np.zeros((len(cameras), len(ecef_m)), bool)
     for k, camera in enumerate(cameras):

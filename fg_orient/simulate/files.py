@@ -1,4 +1,4 @@
-"""Writes a simulated block in the real file formats, with the truth beside it.
+"""Writer of a simulated block in the real file formats, with its truth.
 
 ``<image>.DIM`` (DIMAP 1.1), ``points.csv``, ``observations.csv``, ``project.toml``; in
 ``truth/`` the error-free ``points.csv``, ``eop.csv`` (true minus metadata) and
@@ -44,7 +44,7 @@ CONTENTS: Final = Contents(
 
 @dataclass(frozen=True)
 class ImageWriter:
-    """How the images of a kind of simulation stand in files.
+    """Files of the images of a kind of simulation.
 
     Parameters
     ----------

@@ -77,7 +77,7 @@ CAMERA: Final = "camera"
 CAMERA_FILE: Final = "camera.toml"
 #: Points are not measured closer than this to a border of a frame: noise never leaves the image.
 MARGIN_PX: Final = 50.0
-#: What the adjustment is told of the unknowns; that of the images stands in their files.
+#: Options of the adjustment for the unknowns; those of the images are in their files.
 OPTIONS: Final = Options(
     rpc_compensation="shift_drift", rpc_shift_sigma_px=RPC_SHIFT_SIGMA_PX, rpc_linear_sigma_px=RPC_LINEAR_SIGMA_PX
 )
@@ -99,14 +99,14 @@ class MixedSimulation(Simulation):
     interior: Interior
 
     def block(self) -> Block:
-        """Give the block that reading the written files gives (without sources and notes)."""
+        """Block that reading the written files gives (without sources and notes)."""
         points, withheld = points_of(self.ground)
         observations = ImagePoints(self.image, self.point, *self.observed.T, *np.transpose(self.sigma_px))
         return Block(self.name, self.images, points, observations, withheld, OPTIONS)
 
 
 def mixed_block(options: MixedOptions | None = None) -> tuple[Block, Truth]:
-    """Give the block in memory: the one that reading its files gives, and its truth."""
+    """Block in memory as reading its files gives it, and its truth."""
     simulation = simulate(options or MixedOptions())
     return simulation.block(), simulation.truth
 

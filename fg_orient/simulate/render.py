@@ -67,7 +67,7 @@ class Terrain:
 
 
 def terrain_through(lon_lat_height: Array, *, step_m: float = STEP_M) -> Terrain:
-    """Give a terrain through points (n, 3) longitude, latitude (degrees), height (m)."""
+    """Terrain through points (n, 3) longitude, latitude (degrees), height (m)."""
     targets = np.stack(from_geographic(CRS, lon_lat_height[:, 0], lon_lat_height[:, 1]), axis=1)
     height = lon_lat_height[:, 2]
     low, high = targets.min(axis=0) - BORDER_M, targets.max(axis=0) + BORDER_M
@@ -127,7 +127,7 @@ RADII_M: Final = (12.5, 30.0)
 
 @dataclass(frozen=True)
 class RasterOptions:
-    """What rasters the twin gets.
+    """Rasters of the twin.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ class Renderer:
         self._knots = np.ascontiguousarray(knots.reshape(INTERVALS + 1, INTERVALS + 1, RAY.size))
 
     def corners(self, line: int, sample: int, rows: int, columns: int) -> Array:
-        """Map coordinates (rows + 1, columns + 1, 2) where the corners of pixels lie on the terrain; nan beside it."""
+        """Map coordinates (rows + 1, columns + 1, 2) where the corners of pixels lie on the terrain; nan outside it."""
         t, cell = self._terrain, self._cells(line, sample, rows, columns)
         x, y = t.left_m + (cell[..., 1] + 0.5) * t.step_m, t.top_m - (cell[..., 0] + 0.5) * t.step_m
         return np.stack([x, y], axis=-1)

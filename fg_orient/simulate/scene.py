@@ -53,7 +53,7 @@ AFTER_HALF_MINUTE_S = 7.332158
 
 @dataclass(frozen=True)
 class Scene:
-    """What is true of one simulated scene.
+    """True values of one simulated scene.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def camera_psi_y(sample: Array, mirror_rad: float) -> Array:
 
 
 def as_read(metadata: PushbroomMetadata) -> PushbroomSensor:
-    """Give the sensor as the written file gives it: the reader fills a look-angle table of two detectors."""
+    """Sensor as read from the written file: the reader fills a look-angle table of two detectors."""
     look = metadata.look
     if isinstance(look, LookAngleTable) and len(look.sample) < metadata.n_samples:
         metadata = replace(metadata, look=straight_line(look.sample, look.psi_x_rad, look.psi_y_rad))

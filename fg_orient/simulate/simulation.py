@@ -184,7 +184,7 @@ def prior_sigmas(options: Options) -> Array:
 
 @dataclass(frozen=True)
 class Truth:
-    """What is true of a simulated block.
+    """True values of a simulated block.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ class Ground:
 
     @cached_property
     def known(self) -> npt.NDArray[np.bool_]:
-        """Which points have measured coordinates: all but the tie points, (n,)."""
+        """Points with measured coordinates: all except the tie points, (n,)."""
         return np.array([role is not Role.TIE for role in self.roles])
 
     @cached_property
@@ -267,7 +267,7 @@ class Simulation:
     truth: Truth
 
     def block(self) -> Block:
-        """Give the block that reading the written files gives (without sources and notes)."""
+        """Block that reading the written files gives (without sources and notes)."""
         sigma = np.broadcast_to(self.sigma_px, self.observed.shape)
         points, withheld = points_of(self.ground)
         return Block(
@@ -351,7 +351,7 @@ def ground_points(
     noise_enu_m: tuple[float, float, float],
     rng: np.random.Generator,
 ) -> Ground:
-    """Give ground points measured noise; sigmas are the noise's, or nominal where it is zero."""
+    """Ground points with drawn noise; sigmas are those of the noise, or nominal where it is zero."""
     noise = np.array(noise_enu_m) * rng.standard_normal(lon_lat_height.shape)
     east, north, up = (s or nominal for s, nominal in zip(noise_enu_m, NOMINAL_GROUND_SIGMA_M, strict=True))
     return Ground(ids, roles, lon_lat_height, noise, (east, north, up))

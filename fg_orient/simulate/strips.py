@@ -144,7 +144,7 @@ def _fixes(
     when: list[tuple[int, int, float, float]], cameras: list[FrameCamera], errors: Array,
     rng: np.random.Generator,
 ) -> list[Fix]:  # fmt: skip
-    """What was observed on board: truth, errors of strip and mounting, noise."""
+    """Observations on board: truth, errors of strip and mounting, noise."""
     out = []
     axes = {
         strip: _enu(np.mean([cameras[j].centre_m for j, other, _, _ in when if other == strip], axis=0))

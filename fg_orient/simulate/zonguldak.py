@@ -112,7 +112,7 @@ def simulate_zonguldak(
 
 
 def zonguldak_block(options: ZonguldakOptions | None = None) -> tuple[Block, Truth]:
-    """Give the twin in memory: the block that reading its files gives, and its truth."""
+    """Twin in memory: the block that reading its files gives, and its truth."""
     simulation = simulate(options or ZonguldakOptions())
     return simulation.block(), simulation.truth
 

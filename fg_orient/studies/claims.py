@@ -23,14 +23,14 @@ from fg_orient.adjustment.parts.study import study
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from fg_orient.studies.switches import TEXT, Switches
 from fg_orient.studies.two_stage import Kind, TwoStage
-from fg_orient.studies.two_stage_results import Bundle, PreAdjustment
+from fg_orient.studies.two_stage_results import PreAdjustment, TwoStageResult
 
 #: The twin of the published experiments: 1 px of image noise, look angles bent by 3 microrad.
 TWIN = ZonguldakOptions(point_set="H-10", image_noise_px=1.0, distortion_rad=3e-6)
 #: The same as the program is run on it, with the radial velocity and the attitude of real SPOT-5 scenes: on a circular
 #: orbit without attitude its matrices are orthonormal and its constant residual does not show.
 AS_RUN_TWIN = replace(TWIN, radial_velocity_m_s=8.0, attitude_rad=(-1.6e-4, -7.2e-4, 9e-4))
-#: Unknown in full beside what it duplicates: the sets the thesis calls ill-conditioned.
+#: Sets with redundant unknowns, which the thesis calls ill-conditioned.
 ILL_CONDITIONED = (5, 13, 15, 17, 19, 20)
 #: Those that hold the velocity: wild with plain least squares.
 WITH_VELOCITY = (5, 13, 17, 19, 20)
@@ -82,7 +82,7 @@ class Study:
         """The same seed with another point set or image noise."""
         return self.procedure(point_set=point_set, image_noise_px=noise_px)
 
-    def _bundle(self, eop_set: int | None, kind: Kind, solver: str, iterations: int = 1) -> Bundle:
+    def _bundle(self, eop_set: int | None, kind: Kind, solver: str, iterations: int = 1) -> TwoStageResult:
         return self.two_stage.bundle(eop_set, kind, solver, iterations)
 
     def _pre_adjust(self, image: int, eop_set: int, solver: str) -> PreAdjustment:
@@ -115,7 +115,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim: id ("C5"), what it says, and its judge."""
+    """A claim: id ("C5"), its text, and its test."""
 
     id: str
     text: str
@@ -201,7 +201,7 @@ def run_claims(
     cluster: Any = None,
     switches: Switches = TEXT,
 ) -> list[ClaimResult]:
-    """Judge claims over seeds.
+    """Assess claims over seeds.
 
     Parameters
     ----------

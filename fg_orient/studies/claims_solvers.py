@@ -60,7 +60,7 @@ def _gcp(study: Study, eop_set: int, solver: str) -> float:
 
 
 def _solutions(study: Study, eop_set: int) -> dict[str, Array]:
-    """Give dP of step 2, left image, by the exact solvers that give one."""
+    """Corrections dP of step 2, left image, by the exact solvers that give one."""
     system = study.pre_adjust(0, eop_set, PIVOT).system
     found = {name: attempt(name, system).x for name in EXACT}
     return {name: x for name, x in found.items() if np.isfinite(x).all()}

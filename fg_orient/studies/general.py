@@ -90,7 +90,7 @@ class Adjustment:
 
     @property
     def m0_missing(self) -> str:
-        """Why there is no m0; "" if there is one."""
+        """Reason why there is no m0; "" if there is one."""
         return "" if self.redundancy else "no redundancy: residuals are zero whatever the observations are"
 
     @property
@@ -201,7 +201,7 @@ def _has_converged(change: float, previous: float, size: float, rounding: float,
 
 @dataclass(frozen=True)
 class _End:
-    """How an iteration ended: count, success, largest whitened change of the last step, remarks of the solver."""
+    """End of an iteration: count, success, largest whitened change of the last step, remarks of the solver."""
 
     iterations: int
     converged: bool

@@ -31,7 +31,7 @@ def _switch(label: str, source: str) -> bool:
 
 @dataclass(frozen=True)
 class Switches:
-    """Departures of the program from the equations; the default is none.
+    """Departures of the program from the equations; by default there are none.
 
     Parameters
     ----------
@@ -86,11 +86,11 @@ class Switches:
     complex_roots: bool = _switch("complex", "program: square roots of its language")
 
     def without(self, *names: str) -> Switches:
-        """Give these switches with some of them off."""
+        """These switches with some of them off."""
         return replace(self, **dict.fromkeys(names, False))
 
     def with_(self, *names: str) -> Switches:
-        """Give these switches with some of them on."""
+        """These switches with some of them on."""
         return replace(self, **dict.fromkeys(names, True))
 
 

@@ -45,9 +45,9 @@ NORMALISED: Final = {f"4.{46 + k}": method for k, method in enumerate(METHODS)}
 CRAMER: Final = "cramer_inverse"
 TIKHONOV: Final = {"tikhonov_hkb": "hkb", "tikhonov_lw": "lw", "tikhonov_od": "od"}
 TABLES: Final = tuple(f"4.{k}" for k in range(35, 56))
-#: The published computation with the printed kappas put in is reported beside Table 4.45 under this table name.
+#: The published computation with the printed kappas is reported in addition to Table 4.45 under this table name.
 WITH_PRINTED_KAPPA: Final = "4.45 printed kappa"
-#: Quantity beside m0: that of the true image residuals, which the source does not give.
+#: Quantity in addition to m0: m0 of the true image residuals, which the source does not give.
 TRUE_M0: Final = "m0_true"
 #: Permutations, seeds 1 to 50.
 PERMUTATIONS: Final = 50
@@ -140,7 +140,7 @@ def compute(
     points : ControlPoints
         The 99 of the scene.
     permutations : int
-        Number of seeded orders of the points beside that of the file, seeds 1 to n.
+        Number of seeded orders of the points in addition to that of the file, seeds 1 to n.
     degrees : sequence of int
         Of 1, 2, 3. Cramer's inverse makes degree 3 slow: seconds per permutation.
     kappas : mapping, optional

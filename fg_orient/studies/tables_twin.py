@@ -23,7 +23,7 @@ from fg_orient.studies.two_stage import TwoStage
 # Cells of one run; several values where the source leaves open which of several computations it shows.
 # (No '#:': autodoc cannot format this alias.)
 Cells = dict[CellKey, float | list[float]]
-#: Told after each run: runs done, runs in all.
+#: Called after each run: runs done, runs in all.
 Progress = Callable[[int, int], None]
 
 #: Plain least squares of both sources: an inverse is formed with pivoting, then multiplied with b.

@@ -36,10 +36,10 @@ from fg_orient.studies.conditions import Conditions, Linearised
 from fg_orient.studies.switches import Switches, switches_of
 from fg_orient.studies.two_stage_results import (
     AxisErrors,
-    Bundle,
     LookAngles,
     PreAdjustment,
     StepTwoOnly,
+    TwoStageResult,
     from_two_rays,
 )
 
@@ -242,7 +242,7 @@ class TwoStage:
         return PreAdjustment(system, solution, eop[image], delta, _names(codes), repeats)
 
     def _repeats(self, codes: tuple[int, ...], dp: Array, system: LinearSystem, repeats: int) -> bool:
-        """Whether the program would go on: large corrections and a matrix of full rank."""
+        """Condition of the program to repeat: large corrections and a matrix of full rank."""
         most = MAX_REPEATS if self.switches.one_limit else MAX_REPEATS_BY_UNKNOWN
         if not self.switches.repeated_step_2 or repeats >= most or not np.isfinite(dp).all():
             return False
@@ -283,7 +283,7 @@ class TwoStage:
 
     # --- bundle ------------------------------------------------------------------------------
 
-    def bundle(self, eop_set: int | None, kind: Kind, solver: str, iterations: int = 1) -> Bundle:
+    def bundle(self, eop_set: int | None, kind: Kind, solver: str, iterations: int = 1) -> TwoStageResult:
         """Bundle adjustment of all images.
 
         Parameters
@@ -328,7 +328,7 @@ class TwoStage:
         ground[self._check] = self._by_point(at)[self._check]
         if not np.isfinite(ground[self._assessed]).all():
             return self._broken(codes, solution, system)
-        return Bundle(
+        return TwoStageResult(
             system, solution, v[:, ::-1].ravel(), eop, _names(codes), self._errors(ground), *self._counts(codes)
         )
 
@@ -380,10 +380,12 @@ class TwoStage:
     def _counts(self, codes: tuple[int, ...]) -> tuple[int, int]:
         return 2 * len(self.start.image), len(self.block.images) * len(codes) + 3 * len(self._check)
 
-    def _broken(self, codes: tuple[int, ...], solution: LinearSolution, system: LinearSystem | None = None) -> Bundle:
+    def _broken(
+        self, codes: tuple[int, ...], solution: LinearSolution, system: LinearSystem | None = None
+    ) -> TwoStageResult:
         """A bundle without result."""
         nothing = np.full((len(self.block.points.ids), 3), np.nan)
-        return Bundle(
+        return TwoStageResult(
             system, solution, np.full(2 * len(self.start.image), np.nan),
             np.full((len(self.block.images), len(codes)), np.nan), _names(codes), self._errors(nothing),
             *self._counts(codes), solution.failure or "the result is not finite",

@@ -80,7 +80,7 @@ class StepTwoOnly:
 
 
 @dataclass(frozen=True)
-class Bundle:
+class TwoStageResult:
     """Result of the bundle adjustment.
 
     Parameters

@@ -113,7 +113,7 @@ def compare(
 
 @dataclass(frozen=True)
 class _Plan:
-    """What is done with each set."""
+    """Adjustments of each set."""
 
     engines: tuple[str, ...]
     names: tuple[str, ...]
@@ -153,7 +153,7 @@ def _shared(
 
 
 def _key(block: Block, plan: _Plan) -> str:
-    """What the rows of a set depend on."""
+    """Digest of everything that the rows of a set depend on."""
     o, known = block.observations, block.points.known
     points = block.points.ids, block.points.roles
     digest = hashlib.sha256(repr((plan, block.options, block.sources, points)).encode())
@@ -175,7 +175,7 @@ def _one_set(block: Block, plan: _Plan, number: int) -> dict[str, Any]:
 
 
 class _Run:
-    """Collects rows and what explains them, judges them against the target, and tells how far it is."""
+    """Collects rows and their explanations, compares them with the target and reports progress."""
 
     def __init__(self, total: int, plan: _Plan, callback: Progress | None) -> None:
         self.rows: list[Row] = []
@@ -220,7 +220,7 @@ class _Run:
 
 
 def reached(row: Row, target_m: float) -> bool:
-    """Tell whether control and check points are at the target; a role without points does not count."""
+    """Whether control and check points are at the target; a role without points does not count."""
     values = [v for v in (row.control_rmse_m, row.check_rmse_m) if not math.isnan(v)]
     return not row.failure and bool(values) and all(v <= target_m for v in values)
 

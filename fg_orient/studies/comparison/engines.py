@@ -27,7 +27,7 @@ from fg_orient.quality.deficiency import judge_observability
 from fg_orient.quality.observability import affordable, analyse_block
 from fg_orient.studies.comparison.model import AXES, GRAPH_SOLVER, Curve, Direction, Row, Spectrum
 from fg_orient.studies.two_stage import Kind, TwoStage
-from fg_orient.studies.two_stage_results import Bundle
+from fg_orient.studies.two_stage_results import TwoStageResult
 
 #: Cramer's rule takes u^2 determinants of order u - 1: minutes per solution beyond this many unknowns.
 CRAMER_LIMIT = 120
@@ -39,7 +39,7 @@ def row(eop_set: int, solver: str, backend: str, kind: int | None = None, **valu
 
 
 def one_line(error: FgOrientError) -> str:
-    """Give the problems of an error in one line."""
+    """Problems of an error in one line."""
     return " | ".join(str(found) for found in error.problems)
 
 
@@ -61,7 +61,7 @@ def _conditioning(raw: Spectrum, columns: Spectrum, n_rows: int) -> dict[str, An
 
 
 def _reason_to_leave_out(solver: str, order: int, *, iterated: bool) -> str:
-    """Say why an adjustment is not tried; "" if it is."""
+    """Reason why an adjustment is not tried; "" if it is."""
     if order > MAX_UNKNOWNS:
         return str(finding("linear.too_large", place=solver, value=order, limit=MAX_UNKNOWNS))
     if solver == "cramer_inverse" and order > CRAMER_LIMIT:
@@ -108,7 +108,7 @@ class Published:
             return row(**make, failure=one_line(error))
         return row(**make, seconds=working_clock() - start, **self._values(bundle, eop_set, kind))
 
-    def _values(self, bundle: Bundle, eop_set: int, kind: int) -> dict[str, Any]:
+    def _values(self, bundle: TwoStageResult, eop_set: int, kind: int) -> dict[str, Any]:
         values: dict[str, Any] = {
             "failure": bundle.failure, "iterations": 1, "order": bundle.n_unknowns, "notes": bundle.solution.notes,
             "kappa": np.nan if bundle.solution.kappa is None else bundle.solution.kappa,

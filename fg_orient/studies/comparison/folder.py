@@ -23,7 +23,7 @@ from fg_orient.studies.comparison.report import render
 from fg_orient.studies.comparison.words import summaries, verdict
 
 SCHEMA_VERSION: Final = 1
-#: What a comparison folder holds.
+#: Contents of a comparison folder.
 COMPARISON: Final = Contents(
     "compare.csv",
     ("compare.csv", "spectra.csv", "directions.csv", "l_curves.csv", "result.json", "*.svg", "report.html"),

@@ -100,7 +100,7 @@ class Row:
     notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """Give the columns by name."""
+        """Columns by name."""
         return asdict(self) | {"notes": "; ".join(self.notes)}
 
 

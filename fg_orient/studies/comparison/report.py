@@ -49,7 +49,7 @@ class Cell:
 
 
 def outcome(row: Row) -> str:
-    """Give the key of :data:`OUTCOMES`."""
+    """Key of :data:`OUTCOMES`."""
     if row.left_out:
         return "left_out"
     return "failed" if row.failure else "reached" if row.reached else "missed"
@@ -99,7 +99,7 @@ def steps(target_m: float) -> Sequence[tuple[str, str]]:
     ]
 
 
-#: Heading and explanation of each heat map; their drawings lie beside the report for papers.
+#: Heading and explanation of each heat map; the folder also holds their drawings, for papers.
 HEAT_MAPS: Final = {
     "control": (
         "Control points",
@@ -134,7 +134,7 @@ CAPTIONS: Final = {
 
 
 def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[str, str]) -> str:
-    """Give the HTML text of a comparison."""
+    """HTML text of a comparison."""
     from markupsafe import Markup
 
     shell = environment()
@@ -217,7 +217,7 @@ def _condition(value: float | None) -> tuple[str, str]:
 
 
 def _reasons(comparison: Comparison, left_out: bool) -> list[tuple[str, int, list[int]]]:
-    """Why rows were not tried or have no solution, how often, with which sets; numbers do not tell reasons apart."""
+    """Reasons why rows were not tried or have no solution, with their number and their sets; digits are ignored."""
     found: dict[str, tuple[str, list[int]]] = {}
     for row in comparison.rows:
         if row.failure and row.left_out == left_out:

@@ -12,7 +12,7 @@ from fg_orient.studies.comparison.model import Comparison, Row, groups
 
 @dataclass(frozen=True)
 class Summary:
-    """How one solver of one backend and type did over the EOP sets.
+    """Results of one solver of one backend and type over the EOP sets.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def _largest(values: Iterable[float]) -> float:
 
 
 def verdict(comparison: Comparison) -> dict[str, Any]:
-    """How the comparison ended: ``kind`` (good, warn, bad), ``title`` and ``text``, a list of sentences."""
+    """Outcome of the comparison: ``kind`` (good, warn, bad), ``title`` and ``text``, a list of sentences."""
     lines, total = summaries(comparison), len(comparison.eop_sets)
     tried = [line for line in lines if line.tried]
     sentences = [f"The graph (GTSAM): {_reached(line, total)}." for line in lines if line.backend == "graph"]

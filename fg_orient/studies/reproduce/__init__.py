@@ -1,1 +1,1 @@
-"""Published beside reproduced: the only package that sees both."""
+"""Comparison of published and reproduced values: the only package that reads both."""

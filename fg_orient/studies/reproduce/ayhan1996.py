@@ -134,7 +134,7 @@ def mapping_cells(values: Values) -> Cells:
 
 
 def sum_cells(values: Values) -> Cells:
-    """Tables 5 to 12: [Fpp] from the three sums beside it."""
+    """Tables 5 to 12: [Fpp] from the three sums of its row."""
     out: Cells = {}
     for key in values:
         if key.quantity == "fpp_cm2":

@@ -108,7 +108,7 @@ def comparator(values: Values) -> Array:
 
 
 def comparator_cells(values: Values) -> Cells:
-    """Appendix 1: printed comparator coordinates beside those that the refined ones go back to."""
+    """Appendix 1: comparator coordinates that follow from the printed refined ones."""
     back = comparator(values)[np.array(CONTROL) - 1]
     remark = "the refined coordinates taken back to the grid of 1 um"
     return cells_of("ek1.comparator", COMPARATOR, CONTROL, back, remark)

@@ -17,7 +17,7 @@ from fg_orient.studies.published.tables import require_source
 from fg_orient.studies.reproduce.html import render
 from fg_orient.studies.reproduce.reproduction import Callback, Reproduction, reproduce
 
-#: What the folder holds; result.json is its mark.
+#: Contents of the folder; result.json is its mark.
 CONTENTS: Final = Contents("result.json", ("result.json", "cells.csv", "claims.csv", "report.html"))
 SCHEMA_VERSION: Final = 1
 

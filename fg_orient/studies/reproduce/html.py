@@ -26,7 +26,7 @@ LEGEND: Final = {
 
 
 def render(found: Reproduction, record: dict[str, Any]) -> str:
-    """Give the HTML text.
+    """HTML text.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def table_name(table: str) -> str:
 
 
 def verdict(found: Reproduction) -> dict[str, str]:
-    """Say in words what came out: ``kind`` (good, warn), ``title`` and ``text``."""
+    """Outcome in sentences: ``kind`` (good, warn), ``title`` and ``text``."""
     counts, n = found.counts(), len(found.rows)
     met = sum(claim.met for claim in found.claims)
     agree = n - counts["differs"] - counts["not_reproducible"]

@@ -27,7 +27,7 @@ from fg_orient.studies.reproduce.sources import TERLEMEZOGLU, TOPAN, Source
 from fg_orient.studies.reproduce.verdict import KINDS, CellComparison, assess_runs
 from fg_orient.studies.tables_spot6 import PERMUTATIONS
 
-#: Told after each run: runs done, runs in all, what is being done.
+#: Called after each run: runs done, runs in all, name of the work.
 Callback = Callable[[int, int, str], None]
 
 SOURCES: Final = {one.name: one for one in (TERLEMEZOGLU, TOPAN, ipbuker1994.SOURCE, ayhan1996.SOURCE)}
@@ -127,7 +127,7 @@ def reproduce(
     data : Path, optional
         Control points of the SPOT-6 scene, for tables 4.35-4.55; default ``$FG_ORIENT_REAL_DATA``.
     permutations : int
-        Orders of these points beside that of their file.
+        Orders of these points in addition to that of their file.
     callback : callable, optional
         Called after each run of the tables and each run of the claims.
 

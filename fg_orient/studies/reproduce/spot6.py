@@ -41,7 +41,7 @@ STEADY: Final = 0.01
 #: above its minimum 2.94, whichever the method and the order of the points (printed 2.9 to 3.1).
 INVERSES: Final = ("pivot_inverse", "cholesky_inverse", "gauss_inverse", "moore_penrose_inverse")
 VV_TOLERANCE_PX2: Final = 0.2
-#: What these 0.2 px^2 make of m0, beside the rounding of its print.
+#: Effect of these 0.2 px^2 on m0, plus the rounding of its print.
 M0_TOLERANCE_PX: Final = 0.0044 + 0.005
 #: Known reasons why numbers of a quantity differ.
 REASONS: Final = {
@@ -87,7 +87,7 @@ def compare(
     data : Path, optional
         See :func:`control_points`.
     permutations : int
-        Orders of the points beside that of the file.
+        Orders of the points in addition to that of the file.
     progress : callable, optional
         Called with runs done and runs in all.
     """
@@ -163,7 +163,7 @@ def _tested(cell: PublishedCell, runs: Array, sizes: Array) -> tuple[Kind, str]:
 
 
 def _equal(cell: PublishedCell, runs: Array) -> str:
-    """Why a number counts as equal, or ""."""
+    """Reason why a number counts as equal, or ""."""
     if math.isinf(cell.value):
         return "overflows like the printed one" if np.isinf(runs).all() and runs[0] == cell.value else ""
     if not math.isfinite(cell.value) or not math.isfinite(runs[0]):
@@ -210,7 +210,7 @@ def _why(cell: PublishedCell) -> str:
 
 
 def _more(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> str:
-    """What the source does not say: true image residuals beside m0; m0 with the printed kappa."""
+    """Numbers that the source does not give: m0 of the true image residuals; m0 with the printed kappa."""
     key = cell.key
     if key.quantity != "m0":
         return ""
