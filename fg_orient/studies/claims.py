@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -61,9 +61,8 @@ class Study:
     def __init__(self, seed: int, switches: Switches = TEXT, twin: ZonguldakOptions | None = None) -> None:
         self.seed, self.switches = seed, switches
         self.twin = twin or (TWIN if switches == TEXT else AS_RUN_TWIN)
-        self.bundle = lru_cache(maxsize=None)(self._bundle)
-        self.pre_adjust = lru_cache(maxsize=None)(self._pre_adjust)
-        self.variant = lru_cache(maxsize=None)(self._variant)
+        self.bundle, self.pre_adjust = cache(self._bundle), cache(self._pre_adjust)
+        self.variant = cache(self._variant)  # the same seed with another point set or image noise
 
     def options(self, **changes: object) -> ZonguldakOptions:
         """Options of the twin of this seed, changed where named."""
@@ -79,7 +78,6 @@ class Study:
         return self.procedure()
 
     def _variant(self, point_set: str = "H-10", noise_px: float = 1.0) -> TwoStage:
-        """The same seed with another point set or image noise."""
         return self.procedure(point_set=point_set, image_noise_px=noise_px)
 
     def _bundle(self, eop_set: int | None, kind: Kind, solver: str, iterations: int = 1) -> TwoStageResult:

@@ -9,7 +9,7 @@ whitening is the identity, prior sigmas are one.
 The switches of the authors' program (:mod:`fg_orient.studies.switches`) that concern the equations: x may be
 counted from the scene-centre line; the EOPs of the records are degree-2 polynomials or those interpolated at the
 line; the across-track axis ``V/|V| x Z`` may stay short and the attitude a small-angle matrix, both inverted by
-transposing (:mod:`fg_orient.studies.switches`). The length of the short axis follows the corrections or
+transposing. The length of the short axis follows the corrections or
 stays at the metadata. Its change is cos(V, Z) = 1e-3 of the effect of a change of direction, but it is the only
 effect of a velocity along the radius, so with V among the unknowns it decides ranks and solutions.
 """
@@ -28,8 +28,7 @@ from factors.geometry import polynomials, rotations
 from fg_orient.model.block import Image, ImagePoints
 from fg_orient.sensors.eop import metadata_eop
 from fg_orient.sensors.kinds import require_pushbroom
-from fg_orient.studies import switches as program_equations
-from fg_orient.studies.switches import TEXT, States, Switches
+from fg_orient.studies.switches import TEXT, States, Switches, derivatives, mounting
 
 Index = npt.NDArray[np.intp]
 
@@ -163,7 +162,7 @@ class Conditions:
         frame_v = np.ascontiguousarray(np.where(follows[:, None], speed + d[:, CORRECTION.velocity], speed))
         held, small = self.records[:, RECORD.mounting], bool(self.records[0, RECORD.small_angle] > 0.5)
         if self._axis_follows:
-            held = program_equations.mounting(frame_p, frame_v, angles, held, small)
+            held = mounting(frame_p, frame_v, angles, held, small)
         return States(given, p, frame_p, frame_v, angles, held, small, follows)
 
     def _program_derivatives(self, codes: tuple[int, ...], at: States) -> Array:
@@ -171,7 +170,7 @@ class Conditions:
         used, place = np.unique(np.array(codes) // 3, return_inverse=True)
         look = np.tan(self.look_rad[:, ::-1]) * np.array([1.0, -1.0])
         # a short axis that stays at the metadata is in the mounting of the records already
-        by_eop = program_equations.derivatives(
+        by_eop = derivatives(
             at, self.records[:, RECORD.mounting], self.approximate_m - at.position_m, [int(k) for k in used],
             short=self._axis_follows, tangents=look if self.switches.look_quotients else None,
         )  # fmt: skip
@@ -233,7 +232,7 @@ def build(
     records[:, RECORD.from_position] = reference - records[:, RECORD.position]
     records[:, RECORD.reference] = 0.0
     if switches.short_axis and not switches.length_follows:
-        records[:, RECORD.mounting] = program_equations.mounting(
+        records[:, RECORD.mounting] = mounting(
             records[:, RECORD.position], records[:, RECORD.velocity], records[:, RECORD.angles],
             records[:, RECORD.mounting], switches.small_angles,
         )  # fmt: skip
