@@ -172,7 +172,7 @@ def reduce(
         typer.Option(metavar="loo|K", help="Predict control points left out: one at a time, or in K parts."),
     ] = None,
 ) -> None:
-    """Reduce the unknowns of the images one at a time by F tests; AIC, AICc, BIC and prediction errors beside it."""
+    """Reduce the unknowns of the images one at a time by F tests; with AIC, AICc, BIC and prediction errors."""
     folds = _folds(cross_validation)
     require_project(project)
     from fg_orient.formats.project import read_project

@@ -33,8 +33,8 @@ Sigma = Annotated[
     typer.Option(
         metavar="S",
         show_default=False,
-        help="Of image coordinates without a sigma of their own, in their unit; without it weights are relative, and "
-        "m0 is that sigma.",
+        help="Default standard deviation of image coordinates, in their unit; without it weights are relative, and "
+        "m0 is that standard deviation.",
     ),
 ]
 Out = Annotated[
@@ -141,7 +141,7 @@ def bundle(
     shared: Annotated[str, typer.Option(metavar="NAMES", help="Unknown ones that all photos share.")] = "",
     sigma: Sigma = None,
     sigma_control: Annotated[
-        float, typer.Option(metavar="M", help="Of control points without a sigma of their own, m; 0: exact.")
+        float, typer.Option(metavar="M", help="Default standard deviation of control points, m; 0: exact.")
     ] = 0.0,
     backend: Annotated[Literal["dense", "graph"], typer.Option(help="Correlates, or a GTSAM graph.")] = "dense",
     out: Out = None,
@@ -181,7 +181,7 @@ def import_(
         Path | None, typer.Option(metavar="FILE", help="Observed projection centres: photo, X, Y, Z, sigma.")
     ] = None,
     sigma_image: Annotated[
-        float | None, typer.Option(metavar="PX", show_default=False, help="Of image coordinates, pixels.")
+        float | None, typer.Option(metavar="PX", show_default=False, help="Sigma of image coordinates, pixels.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -222,8 +222,8 @@ def surface(
         typer.Option(
             metavar="M",
             show_default=False,
-            help="Of coordinates without a sigma of their own, m; without it weights are relative, and m0 is "
-            "that sigma.",
+            help="Default standard deviation of coordinates, m; without it weights are relative, and m0 is that "
+            "standard deviation.",
         ),
     ] = None,
     prior: Annotated[

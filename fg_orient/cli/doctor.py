@@ -157,7 +157,7 @@ def _open_places(folder: Path) -> Iterator[tuple[Path, str]]:
 
 
 def open_to(status: os.stat_result, sticky: bool) -> str:
-    """Who else may change what lies there, in words; "" if nobody."""
+    """Description of the users who can change the file; "" if only its owner, root or the program's owner."""
     import factors
 
     if status.st_uid not in (os.getuid(), 0, Path(factors.__file__).stat().st_uid):
@@ -170,7 +170,7 @@ def open_to(status: os.stat_result, sticky: bool) -> str:
 
 
 def _own_group(number: int) -> bool:
-    """Whether a group has no member but the user: many systems give each user one, and rights to it."""
+    """Tell if the user is the only member of a group: many systems give each user a group with rights."""
     try:
         group = grp.getgrgid(number)
     except KeyError:

@@ -202,7 +202,7 @@ def intersect(
 
 
 def _plausible(record: dict[str, Any]) -> bool:
-    """Whether an intersection can be the same point in every image."""
+    """Tell if an intersection can be the same point in every image."""
     return bool(record["miss_m"] <= MAX_MISS_M and -1e3 <= record["height_m"] <= 10e3)
 
 

@@ -1,9 +1,8 @@
 """Progress on the terminal and in the log: of an adjustment, and of any other work in steps.
 
 An adjustment shows stages, iterations, image points per second and the time left; other work its steps, their rate
-and the time left at that rate, or the time elapsed where it has no steps. How many iterations are to come nobody
-knows; the time left is what they would take if the steps went on shrinking as the last one did, or if graduated
-non-convexity took all its stages. Where neither can be said, none is shown.
+and the time left at that rate, or the elapsed time if it has no steps. The number of further iterations is estimated
+from the last reduction of the step, or from the stages of graduated non-convexity; else no time is shown.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 from factors._preparation import told_of_compilation
 from fg_orient.cli.log import COMPILING, Session, session
@@ -27,34 +26,12 @@ if TYPE_CHECKING:
 #: Time between two lines of the log about steps that follow fast, s.
 LOG_EVERY_S: Final = 1.0
 
-#: A step that is not below this part of the one before says nothing about the end.
+#: Largest ratio of successive steps from which the end is estimated.
 SHRINKING = 0.9
 
 
-class Watch(Protocol):
-    """Who is told of the progress."""
-
-    def stage(self, name: str, image_points: int) -> None:
-        """A stage of the work begins."""
-        ...
-
-    def iteration(self, record: IterationRecord) -> None:
-        """An iteration is done."""
-        ...
-
-
-class Silence:
-    """Tells nobody."""
-
-    def stage(self, name: str, image_points: int) -> None:
-        """See :class:`Watch`."""
-
-    def iteration(self, record: IterationRecord) -> None:
-        """See :class:`Watch`."""
-
-
 def iterations_left(log: Sequence[IterationRecord]) -> int | None:
-    """Iterations to come at the present rate of convergence; None where that cannot be said."""
+    """Further iterations at the present rate of convergence; None without an estimate."""
     from fg_orient.adjustment.loop import STEP_TOLERANCE
     from fg_orient.adjustment.stages import stages_left
 
@@ -86,7 +63,7 @@ def describe(log: Sequence[IterationRecord], image_points: int) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Write a time for people, to the second, minute or quarter of an hour that it is good for."""
+    """Write a time for people, rounded to seconds, minutes or tenths of an hour."""
     if seconds < 99.5:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60.0)
@@ -94,7 +71,7 @@ def duration(seconds: float) -> str:
 
 
 def describe_steps(text: str, done: int, total: int, seconds: float) -> str:
-    """What is done, steps so far, their rate and, from it, the time left."""
+    """Name of the work, steps done, their rate and the time left at this rate."""
     words = [f"{text} {done} of {total}".strip()]
     if done > 0 and seconds > 0.0:
         rate = done / seconds
@@ -108,7 +85,7 @@ def progress() -> Iterator[Watch]:
     """Show an adjustment on the terminal, if standard error is one, and tell the log of it."""
     current = session()
     with _bar("starting") as bar:
-        yield Silence() if bar is None and current.log is None else _Adjustment(bar, current)
+        yield Watch(bar, current)
 
 
 @contextlib.contextmanager
@@ -122,7 +99,7 @@ def progress_bar(first: str) -> Iterator[Callable[[int, int, str], None] | None]
 
 @contextlib.contextmanager
 def _bar(first: str) -> Iterator[_Bar | None]:
-    """Give a bar, where there are people to see it."""
+    """Bar on a terminal; None without one."""
     current = session()
     if current.as_json or current.quiet or not sys.stderr.isatty():
         yield None
@@ -148,25 +125,25 @@ class _Bar:
         self.bar.update(self.task, description=text, completed=done, total=total)
 
 
-class _Adjustment:
-    """Watch on the bar and in the log."""
+class Watch:
+    """Progress of an adjustment, on the bar and in the log if there are any."""
 
-    def __init__(self, bar: _Bar | None, told: Session) -> None:
-        self.bar, self._told = bar, told
+    def __init__(self, bar: _Bar | None, current: Session) -> None:
+        self.bar, self._session = bar, current
         self._log: list[IterationRecord] = []
         self._image_points = 0
 
     def stage(self, name: str, image_points: int) -> None:
-        """See :class:`Watch`."""
+        """Begin a stage of the work."""
         self._image_points = image_points
-        self._told.tell("stage", stage=name, image_points=image_points)
+        self._session.tell("stage", stage=name, image_points=image_points)
         if self.bar is not None:
             self.bar.show(name)
 
     def iteration(self, record: IterationRecord) -> None:
-        """See :class:`Watch`."""
+        """Show an iteration."""
         self._log.append(record)
-        self._told.tell("iteration", **asdict(record))
+        self._session.tell("iteration", **asdict(record))
         if self.bar is not None:
             left, done = iterations_left(self._log), len(self._log)
             total = None if left is None else done + left
@@ -176,8 +153,8 @@ class _Adjustment:
 class _Steps:
     """Callback of work in steps, on the bar and in the log."""
 
-    def __init__(self, bar: _Bar | None, told: Session) -> None:
-        self._bar, self._told = bar, told
+    def __init__(self, bar: _Bar | None, current: Session) -> None:
+        self._bar, self._session = bar, current
         self._begin, self._logged = time.perf_counter(), -math.inf
         self._done, self._text = 0, ""
 
@@ -188,6 +165,6 @@ class _Steps:
         seconds = time.perf_counter() - self._begin
         if done >= total or seconds - self._logged >= LOG_EVERY_S:
             self._logged = seconds
-            self._told.tell("progress", done=done, total=total, text=text, seconds=round(seconds, 3))
+            self._session.tell("progress", done=done, total=total, text=text, seconds=round(seconds, 3))
         if self._bar is not None:
             self._bar.show(describe_steps(text, done, total, seconds), done, total)

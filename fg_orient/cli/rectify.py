@@ -41,7 +41,7 @@ def fit(
         str | None,
         typer.Option(help="polynomial, affine, helmert, projective; affine-3d, parallel, dlt (ground to image)."),
     ] = None,
-    degree: Annotated[int | None, typer.Option(metavar="Q", help="Of the polynomial, 1 to 5.")] = None,
+    degree: Annotated[int | None, typer.Option(metavar="Q", help="Degree of the polynomial, 1 to 5.")] = None,
     direction: Annotated[
         str | None, typer.Option(help="image-to-map (usual for plane models) or map-to-image.")
     ] = None,
@@ -99,7 +99,7 @@ def study(
     counts: Annotated[str, typer.Option(metavar="N,N", help="Numbers of control points.", show_default=False)],
     degrees: Annotated[str, typer.Option(metavar="Q,Q", help="Degrees of the polynomial.")] = "1,2,3",
     layouts: Annotated[int, typer.Option(metavar="N", help="Random choices of the points.")] = 30,
-    seed: Annotated[int, typer.Option(help="Of these choices.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of these choices.")] = 1,
     crs: Crs = "",
 ) -> None:
     """Plan a rectification: RMSE at the check points by number of control points and degree."""
@@ -203,9 +203,9 @@ def ortho(
     height: Annotated[float | None, typer.Option(metavar="M", help="One height instead of a DEM.")] = None,
     result: Result = None,
     image_id: Annotated[str, typer.Option("--image-id", metavar="ID", help="Image in it; usual: by file name.")] = "",
-    crs: Annotated[str, typer.Option("--crs", metavar="EPSG", help="Of the map; usual: that of the DEM or fit.")] = "",
+    crs: Annotated[str, typer.Option("--crs", metavar="EPSG", help="CRS of the map; default: from DEM or fit.")] = "",
     resolution: Annotated[
-        float | None, typer.Option(metavar="SIZE", help="Of a map pixel; usual: about a pixel of the image.")
+        float | None, typer.Option(metavar="SIZE", help="Size of a map pixel; default: about an image pixel.")
     ] = None,
     bounds: Annotated[
         str, typer.Option(metavar="L,B,R,T", help="Left,bottom,right,top; usual: all that is covered.")

@@ -23,12 +23,12 @@ LINE_PERIOD_S = 0.01
 RADIUS_M = 7.2e6
 EQUATOR_M = 6378137.0
 SPEED_M_S = 7500.0
-#: Check points must be met within this: rounding of ECEF coordinates is 1e-9 m, one step leaves 1e-7 m.
+#: Largest error of the check points: rounding of ECEF coordinates is 1e-9 m, one step leaves 1e-7 m.
 TOLERANCE_M = 1e-6
 
 
 def synthetic_sensor(name: str, longitude_offset_deg: float) -> PushbroomSensor:
-    """Sensor of a northward pass beside the prime meridian that looks back to it."""
+    """Sensor of a northward pass near the prime meridian, tilted towards it."""
     t = np.linspace(-40.0, 50.0, 19)
     angle = SPEED_M_S / RADIUS_M * (t - 5.0)
     lon = np.radians(longitude_offset_deg)
@@ -78,7 +78,7 @@ def self_test() -> tuple[bool, str]:
     good : bool
         Check points are met within a micrometre.
     detail : str
-        What was found.
+        Iterations and largest error, in words.
     """
     from fg_orient.orientation.orient import adjust
 

@@ -14,7 +14,7 @@ from fg_orient.cli.output import answer, say
 from fg_orient.cli.progress import progress_bar
 from fg_orient.simulate.options import BlockOptions, MixedOptions, ZonguldakOptions
 
-app = typer.Typer(help="Write synthetic projects in the real file formats, with the truth beside them.")
+app = typer.Typer(help="Write synthetic projects in the real file formats, with the truth in a folder.")
 
 
 @app.command("zonguldak")

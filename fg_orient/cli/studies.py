@@ -53,7 +53,7 @@ def compare(
 ) -> None:
     """Compare EOP sets, solvers and backends on a block: tables, figures and an HTML report.
 
-    With workers, sets that are done are kept beside the folder until it is written: the same command goes on with them.
+    With workers, finished sets are kept until the folder is written: the same command continues with them.
     Without matplotlib (extra "report") the tables come without figures.
     """
     options = {

@@ -1,1 +1,1 @@
-"""What all floors know: blocks, options, unknowns, names, errors and their words."""
+"""Data model of all floors: blocks, options, unknowns, names, errors and messages."""

@@ -36,9 +36,9 @@ def _read_only(record: object, **kinds: type) -> None:
 
 
 class Sensor(Protocol):
-    """What every sensor can do: pixels (line, sample) with (0, 0) = centre of the first pixel, ECEF metres.
+    """Interface of every sensor: pixels (line, sample) with (0, 0) = centre of the first pixel, ECEF metres.
 
-    ``correction`` is what the image's adjustment gives (``Solution.correction``); None is the metadata.
+    ``correction`` is the result of the image's adjustment (``Solution.correction``); None: the metadata orientation.
     """
 
     n_lines: int
@@ -47,7 +47,7 @@ class Sensor(Protocol):
 
     @property
     def georeferenced(self) -> bool:
-        """Whether ground points are Earth-fixed; else metres of a local Cartesian system."""
+        """True for Earth-fixed ground points, False for metres of a local Cartesian system."""
         ...
 
     @property
@@ -142,7 +142,7 @@ class GroundPoints:
         return np.flatnonzero([r is role for r in self.roles])
 
     def without_coordinates(self, gone: npt.NDArray[np.bool_], role: Role) -> GroundPoints:
-        """Give up the coordinates of the points ``gone`` (n,), which get this role."""
+        """Remove the coordinates of the points ``gone`` (n,), which get this role."""
         known, roles = self.known, tuple(role if away else r for away, r in zip(gone, self.roles, strict=True))
         ecef_m, sigma_m = (np.where(gone[:, None], np.nan, values) for values in (known.ecef_m, known.sigma_enu_m))
         return GroundPoints(self.ids, roles, Coordinates(ecef_m, sigma_m, known.fixed & ~gone))
@@ -239,7 +239,7 @@ class Source:
 
 @dataclass(frozen=True, repr=False)
 class Block:
-    """Everything an adjustment starts from.
+    """Input of an adjustment.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ class Block:
         values and nothing else; those without are intersected.
     observations : ImagePoints
     withheld : WithheldCoordinates
-        Coordinates of the check points, not to be opened before the solution stands.
+        Coordinates of the check points, sealed until the adjustment has converged.
     options : Options
     sources : tuple of Source
         Files it was read from; empty for a block made in memory.
@@ -277,7 +277,7 @@ class Block:
 
     @property
     def georeferenced(self) -> bool:
-        """Whether coordinates are Earth-fixed; else metres of a local Cartesian system."""
+        """True for Earth-fixed coordinates, False for metres of a local Cartesian system."""
         return all(image.sensor.georeferenced for image in self.images)
 
     def image_index(self, image_id: str) -> int:

@@ -92,7 +92,7 @@ class Option:
 
     @property
     def named(self) -> bool:
-        """Whether a name may stand for the number."""
+        """True if a name can be given instead of the number."""
         return self.kind is int and bool(self.such)
 
     @property
@@ -140,7 +140,7 @@ class Option:
         return text + (f"; leave it out for {self.left_out}" if self.left_out else "")
 
     def allows(self, value: Any) -> bool:
-        """Whether the option can have this value."""
+        """Tell if the option can have this value."""
         if value is None:
             return self.optional
         if self.words:

@@ -134,7 +134,7 @@ def _agreeing(counted: re.Match[str]) -> str:
 
 
 def _filled(part: str, data: Mapping[str, Any]) -> bool:
-    """Whether no field of a part of a message is empty; other parts are not shown."""
+    """Tell if no field of a part of a message is empty; other parts are not shown."""
     return not any(data[name] in ("", None, []) for name in _fields(part))
 
 

@@ -50,14 +50,14 @@ def versions(distributions: Sequence[str] = COMPUTING) -> dict[str, str | None]:
 
 
 def is_ours(found: str) -> bool:
-    """Whether a file named otherwise than expected is fg_orient's own after all, through links."""
+    """Tell if a file of another name is fg_orient's own, through links."""
     return os.path.realpath(os.path.dirname(found)) == os.path.realpath(_OURS)
 
 
 def clash(found: str | None, version: str, other: object = None) -> ImportError | SystemExit:
     """Error that names the file in the way, the distribution that owns it, and a remedy.
 
-    The command ``fg-orient`` has no place where it could catch it: it ends with that line and exit code 1.
+    The command ``fg-orient`` cannot catch an error of this import: it ends with that line and exit code 1.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def clash(found: str | None, version: str, other: object = None) -> ImportError 
 
 
 def shared_file() -> Finding | None:
-    """A distribution that has the same file as ours and does no harm yet."""
+    """Warning of a distribution that lists our file too."""
     file = _OURS / "__init__.py"
     owner = _owner(file)
     if owner is None:
@@ -91,7 +91,7 @@ def shared_file() -> Finding | None:
 
 
 def _own(file: Path, version: str, other: object) -> Finding:
-    """File that lies where ours should lie."""
+    """Error of a wrong file in the place of ours."""
     source = _source()
     owner = _owner(file)
     if owner is not None:
@@ -105,7 +105,7 @@ def _own(file: Path, version: str, other: object) -> Finding:
 
 
 def _hidden(file: Path) -> Finding:
-    """File that is found before ours."""
+    """Error of a file that Python finds before ours."""
     package = file.stem == "__init__"
     thing, root = (file.parent, file.parent.parent) if package else (file, file.parent)
     listed = [Path(entry).resolve() for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]

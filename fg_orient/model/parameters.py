@@ -88,7 +88,7 @@ def eop_codes(number: int) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class Term:
-    """What a short name says of an unknown that belongs together with others: coefficient or coordinate.
+    """Parsed short name of a coefficient or coordinate.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def orientation_parameters(options: Options, file: str = "", camera: str = "") -
 
 
 def _component(code: int) -> int:
-    """Which of the nine EOP a coefficient or a curve belongs to."""
+    """Position of the EOP of a coefficient or curve in ``COMPONENTS``."""
     return code // 3 if code < N_EOP else (code - CURVE) // CURVES
 
 

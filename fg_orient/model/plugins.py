@@ -63,12 +63,12 @@ def _imported(path: Path) -> ModuleType:
 
 
 def fault_of(error: BaseException) -> Finding | None:
-    """What to say of an exception that came through a plugin; None if no plugin took part.
+    """Finding of an exception that came through a plugin; None if no plugin took part.
 
     Parameters
     ----------
     error : exception
-        Any but an ``FgOrientError``, which says by itself what is wrong.
+        Any but an ``FgOrientError``, which is its own message.
     """
     file = next((name for name in reversed(_files(error)) if name in _LOADED), None)
     if file is None:

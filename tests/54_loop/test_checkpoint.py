@@ -190,13 +190,13 @@ def test_files_of_others_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
         with pytest.raises(InputError, match="belongs to other input files or options"):
             resumed.read(other)
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(InputError, match="no checkpoint of this version"):
+    with pytest.raises(InputError, match="not a checkpoint of this version"):
         resumed.read(problem)
     keeper.keep(problem, "schur", carried)
     monkeypatch.setattr(module, "FORMAT", 0)
     keeper.write()
     monkeypatch.undo()
-    with pytest.raises(InputError, match="no checkpoint of this version"):
+    with pytest.raises(InputError, match="not a checkpoint of this version"):
         resumed.read(problem)
     resumed.remove()
     assert not path.exists()
@@ -218,7 +218,7 @@ def test_a_file_with_something_missing_is_no_checkpoint(tmp_path: Path, left_out
         arrays = {name: array for name, array in content.items() if name != left_out}
     with path.open("wb") as stream:
         np.save(stream, np.arange(3.0)) if left_out == "all" else np.savez(stream, **arrays)
-    with pytest.raises(InputError, match="no checkpoint of this version"):
+    with pytest.raises(InputError, match="not a checkpoint of this version"):
         Checkpoint(path, resume=True).read(problem)
 
 

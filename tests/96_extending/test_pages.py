@@ -385,7 +385,7 @@ def test_a_reader_that_stumbles_is_named_with_its_line(
     assert ended.stderr.startswith(
         f"error: {image}, reader parallel: the plugin that reads it, {files['sensor']}, line {line},"
     )
-    assert "(found KeyError: 'place'); mend it there" in ended.stderr
+    assert "(found KeyError: 'place'); correct it there" in ended.stderr
     assert "Traceback" in in_process(*words, "--debug").stderr
     told = in_process(*words, "--json")
     assert (told.code, [e["code"] for e in told.json["errors"]]) == (2, ["sensor.own_reader"])

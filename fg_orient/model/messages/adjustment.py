@@ -9,7 +9,7 @@ from fg_orient.model.messages.entry import words
 WORDS: Final = words("""
 parameters.eop_set: no such EOP set
     -> give a number or a name: {names}
-parameters.unknowns: none of these unknowns is one of this image, which would have nothing to adjust
+parameters.unknowns: the image has none of these unknowns, so nothing can be adjusted
     -> choose one of {known}
 parameters.unknown: no image of the block has such an unknown
     -> names are those of eop.csv, such as x_0, roll_1, psi_y_s1 or line_l1
@@ -25,21 +25,21 @@ initial.correction_count: there must be one correction for each of the {sensors}
     -> give one per sensor, None where the metadata orientation is meant
 initial.behind: its rays meet behind a sensor
     -> check the point's identity in every image
-adjust.memory: the adjustment needs more memory than it may take, which is {allowed}
+adjust.memory: the adjustment exceeds the memory limit of {allowed}
     -> choose backend schur if it is another one, adjust in parts on several machines (docs/parallel.md), take a
        machine with more memory, or raise <memory_limit_gb>
 adjust.backend: this backend does not exist in this version
     -> choose one of {known}
 adjust.no_model: images of this sensor cannot be adjusted
     -> known sensors: {known}; a further one is registered by a file of its own (docs/extending)
-adjust.relative_priors: without control points and without priors nothing holds the block in the world
+adjust.relative_priors: without control points and priors the datum of the block is not defined
     -> keep the priors, or leave out datum = "priors" and measure control points; datum = "free" lets the block
        float
 adjust.native_dense: GTSAM's own optimisers work on the graph only
     -> choose one of {known}, or the graph backend
 adjust.solver_dense: a linear solver can be chosen for the dense backend only; the backend is {backend}
     -> add <backend> dense, or leave the solver out
-checkpoint.unreadable: this is no checkpoint of this version
+checkpoint.unreadable: this is not a checkpoint of this version
     -> remove the file, or leave <resume> out to start from the beginning
 checkpoint.other: the checkpoint belongs to other input files or options
     -> give the options of the run that was stopped, or leave <resume> out to start from the beginning
@@ -53,7 +53,7 @@ adjust.gnc_start: graduated non-convexity begins with least squares and takes th
     -> leave gnc out, or robust_start and robust_scale
 adjust.few_control: too few control points, or points that two oriented images see, for a robust start by resection
     -> measure {least} or more in the image, or choose robust_start huber
-adjust.cycles: this weighting has no cost: it is an iteration of its own
+adjust.cycles: this loss has no cost function
     -> leave gnc, robust_start, robust_scale and parts out, or choose a loss among {known}
 adjust.native_loss: GTSAM's own optimisers are offered for least squares only
     -> use <optimizer> gauss-newton, levenberg-marquardt or dogleg
@@ -104,7 +104,7 @@ remark.grid_missing (note): a more accurate coordinate operation exists; the one
 remark.few_control (note): only {count} control point(s) measured
     -> use six or more, well spread: errors of control are found only if there is a surplus
 remark.control_line (note): the control points lie close to a line: {across_m:.0f} m wide, {along_m:.0f} m long
-    -> add control beside the line: roll and pitch lean on the priors
+    -> add control off the line: priors dominate roll and pitch
 remark.control_clustered (note): the control points of image {image} cover only {lines:.0%} of its lines and
     {samples:.0%} of its samples
     -> add control in the rest of the image
@@ -213,7 +213,7 @@ solution.no_check (warning): no check points: the accuracy is not verified indep
 solution.few_check (warning): {n} check point(s): ASPRS (2023) asks for at least {least}
 solution.check_not_located (warning): {n} excluded check point(s) whose rays hardly meet have no coordinates:
     {points:10}
-solution.mix_up (warning): image {image}: its control points lie {best_px:.3g} px beside their places in the image
+solution.mix_up (warning): image {image}: its control points lie {best_px:.3g} px from their places in the image
     with {reading}, and {given_px:.3g} px as they stand (medians)
     -> look at the columns of the table
 solution.no_inner_datum (warning): the control points hold the datum, so inner constraints have nothing to do

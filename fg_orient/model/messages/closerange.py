@@ -80,13 +80,13 @@ closerange.parallax: the parallax is not above 0
     -> check that left and right are not exchanged
 closerange.no_pair: no orientation of the pair has all points in front of both cameras
     -> look for mixed-up points, and check focal lengths and y_axis
-closerange.no_base: the photos were taken from one place, but for noise: a turn alone explains all points
+closerange.no_base: the photos were taken from one place, within noise: a rotation alone fits all points
     -> take the second photo from elsewhere; photos of one place give no points in space
 closerange.pair: the points do not determine the relative orientation (too close together, or on a plane through the
     base)
     -> measure points that fill the common part of both photos, at several depths
 closerange.line: the points lie on a line or at one place, which leaves the turn about it open
-    -> add points beside it
+    -> add points off the line
 closerange.no_camera: the photo has no camera
     -> give its focal, principal and y_axis
 closerange.not_oriented: the photo is not oriented

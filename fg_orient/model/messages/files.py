@@ -17,7 +17,7 @@ xml.too_large: the file is larger than the limit of {limit} bytes
     -> read it from Python with a larger max_bytes if you trust it
 xml.empty_file: the file is empty
     -> copy or download it again
-xml.not_xml: the file is no XML
+xml.not_xml: the file is not XML
     -> give the metadata file (METADATA.DIM or DIM_*.XML)
 xml.html: the file is an HTML page, probably an error page of a download
     -> download the metadata file again
@@ -62,7 +62,7 @@ dimap.other_level: the image is resampled: its viewing model is no longer in the
     -> needed: level 1A (SPOT 1-5) or the sensor product (profile PHR_SENSOR, S6_SENSOR, S7_SENSOR; PHR_DIMAP of
        level SENSOR)
 dimap.rpc_file: the file holds RPC, not the rigorous model
-    -> give the DIM_*.XML that lies beside it, or use the RPC commands
+    -> give the DIM_*.XML of the same folder, or use the RPC commands
 dimap.pixel_origin: pixels must be counted from 1 in this format
     -> use the original file
 dimap.time_order: times must increase
@@ -104,7 +104,7 @@ sensor.extrapolation: attitudes are extrapolated for 0 to {most:g} s only
 sensor.missing: the file does not exist
     -> check the path
 sensor.own_reader: the plugin that reads it, {where}, raised an exception
-    -> mend it there; what is wrong with a file it should say by an InputError; <debug> shows the traceback
+    -> correct it there; report file errors with InputError; <debug> shows the traceback
 sensor.model: no such kind of model
     -> choose one of {known}
 sensor.only_rpc: the file holds an RPC, no rigorous model
@@ -123,7 +123,7 @@ dem.missing: the DEM file does not exist
 dem.no_crs: the DEM has no coordinate reference system
     -> assign one, for instance with gdal_edit -a_srs
 dem.vertical_crs: the DEM states another vertical CRS than the one given
-    -> leave the option out, or mend the file
+    -> leave the option out, or correct the file
 dem.geoid: the DEM's heights cannot be brought to the ellipsoid: {reason}
     -> put the grid into PROJ's folder (projsync, PROJ_DATA), or convert the DEM to ellipsoidal heights
 dem_control.sigma: the sigma of heights from a DEM is no positive number
@@ -194,7 +194,7 @@ table.not_a_number: this is not a finite number
 table.number_too_large: the number is too large for double precision
     -> write a number below 1.7e308
 table.more_faults: further faults are not listed
-    -> mend the faults above first
+    -> correct the errors above first
 points.crs_columns: the CRS is {kind}, the coordinate columns are not
     -> name them {columns}, or change the project file's crs
 points.sigma_axes: sigmas along the axes of the CRS are not supported
@@ -251,7 +251,7 @@ project.unreadable: the file cannot be read
 project.encoding: the project file is not UTF-8
     -> save it as UTF-8 text
 project.syntax: the project file is not valid TOML
-    -> mend the line; strings stand in double quotes
+    -> correct the line; strings stand in double quotes
 project.schema: unknown schema of the project file
     -> this version reads schema = 1
 project.format: files of this format hold no {what} that could be read

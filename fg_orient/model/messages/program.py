@@ -28,7 +28,7 @@ installation.user_folder: this folder hides the package 'factors' of fg_orient i
     -> rename or remove the folder, or start Python where it is not on the search path
 output.exists: the output exists already
     -> give another {option} or add <overwrite>
-output.not_a_folder: this is no folder, or a link to one
+output.not_a_folder: this is not a folder, or it is a link to one
     -> give another <out>
 output.foreign: the folder holds other files, so it is not replaced
     -> give another <out>, or move them; <overwrite> replaces only a folder with {mark} and nothing of others
@@ -55,9 +55,9 @@ plugin.file: there is no such Python file
 plugin.name: another module has this name already
     -> rename the file
 plugin.raised: the plugin raised an exception
-    -> mend it there; what is wrong with a file it should say by an InputError; <debug> shows the traceback
+    -> correct it there; report file errors with InputError; <debug> shows the traceback
 plugin.failed: the plugin cannot be loaded
-    -> mend the file; from Python, import it to see more
+    -> correct the file; from Python, import it to see more
 cli.no_pixel: no pixel is given
     -> give <line> L <sample> S, or <points> FILE, or <frame>
 cli.no_height: no height to locate at

@@ -21,7 +21,7 @@ rectify.few_points: {points} control points give {equations} equations for {unkn
     -> at least {least} points are needed; take a transformation with fewer unknowns
 rectify.collinear: the control points lie on a straight line (or at one place) and do not determine the
     transformation
-    -> measure points beside this line
+    -> measure points off this line
 rectify.degenerate: the control points do not determine {model}: they lie {figure}
     -> measure points elsewhere, or take a transformation with fewer unknowns
 rectify.pole: a denominator vanishes or changes its sign among the control points
@@ -58,14 +58,14 @@ rectify.sigma_absurd: the sigma is too small: coordinates of this size are store
     -> give sigmas of the size of the coordinates' errors, or none
 rectify.narrow: within their noise the control points lie on a straight line: along {direction} they spread over
     only {times:.1f} times their noise
-    -> measure points beside this line
+    -> measure points off this line
 rectify.standard: no such accuracy standard
     -> choose one of {known}
 rectify.differences: differences must be finite numbers (n, 2)
     -> give one row per tested point: measured minus true, east and north
 rectify.outline: an outline needs three or more vertices (n, 2), finite, not on one line
     -> check the vertices
-rectify.projection: PROJ knows no such projection
+rectify.projection: PROJ has no such projection
     -> write it as PROJ does: +proj=tmerc +lon_0=27 ...
 rectify.outside: this point lies outside the domain of the projection
     -> check longitude and latitude
@@ -76,7 +76,7 @@ rectify.result: this is not a result of rectify fit, or it was altered
 rectify.pruned: the fit left out points until its RMSE was small enough, and it has no check points. The residuals of
     the other control points therefore do not measure the accuracy
     -> give some points the role check, and fit again
-rectify.ellipsoid: PROJ knows no such ellipsoid
+rectify.ellipsoid: PROJ has no such ellipsoid
     -> give PROJ's name, for instance WGS84, intl, clrk66
 ortho.no_rasterio: rasters need rasterio
     -> install the extra: pip install 'fg-orient[geo]'
@@ -129,7 +129,7 @@ rectify.little_reach (warning): the control points reach little along {direction
 rectify.hardly_determined (warning): the points hardly determine the transformation: condition {condition:.2g},
     usual is {typical:g}: they lie near {what} of its form
 rectify.sigma_size (warning): the residuals are {m0:.2g} times what the sigmas say: sigmas of another unit or size?
-rectify.sigma_span (warning): one sigma is {span:.1g} times another: points with large ones have no say
+rectify.sigma_span (warning): one sigma is {span:.1g} times another: points with large ones carry negligible weight
 rectify.far_from_zone (warning): {n} control point(s) lie far outside the area of {crs} ({west:g} to {east:g}
     degrees east, {south:g} to {north:g} north), such as {point} ({where}): another zone, or swapped coordinates?
 rectify.check_worse (warning): check points are {ratio:.1f} times worse than control points predict: too high a

@@ -34,7 +34,7 @@ earth.directions: directions must cover samples 0 to {last}
     -> add the missing ones
 earth.wide: the camera looks farther than a tangent of {most} from its axis
     -> check units and signs, or turn the axis by [mounting]
-earth.matrix: the matrix is no rotation, or stands beside angles
+earth.matrix: the matrix is not a rotation, or angles are given too
     -> give either angles_deg or an orthonormal right-handed matrix
 earth.order: the values must increase, and two at least are needed
     -> sort the table, remove repeated records
@@ -125,7 +125,7 @@ rpc.origin: a plain list of numbers does not say which pixel coordinate the firs
 rpc.unknown_format: this is no RPC file that can be read
     -> choose one of {known}
 rpc.no_tags: the image holds no RPC
-    -> give the RPC file that lies beside it
+    -> give the RPC file of the image
 rpc.no_rasterio: RPC in images need rasterio
     -> install the extra: pip install 'fg-orient[geo]'
 rpc.unreadable: the file cannot be read
@@ -134,7 +134,7 @@ rpc.tags_target: RPC tags are written into an existing GeoTIFF
     -> give the image itself, or a name that ends with _RPC.TXT, .RPB or .XML
 rpc.target_name: no such format to write
     -> choose one of {known}
-rpc.sidecar: an RPC file beside the image would hide its tags: GDAL prefers the file
+rpc.sidecar: an RPC file next to the image would hide its tags: GDAL prefers the file
     -> move it away, or write it instead of the tags
 rpc.role: unknown role
     -> write control or check
@@ -149,7 +149,7 @@ rpc.compensation_kind: no such compensation
 rpc.few_control: too few control points for this compensation
     -> it needs {least}; measure more, or take a simpler one
 rpc.control_spread: the control points do not determine this compensation
-    -> they lie on one line of the image: measure others beside it, or take a simpler one
+    -> they lie on one line of the image: measure others off the line, or take a simpler one
 rpc.solver_form: a solver is chosen for the linear form only
     -> add <equations> linear
 rpc.unscaled: coefficients without normalisation are not written: formats state their ranges by offset and scale

@@ -20,7 +20,7 @@ statistics.components_loss: variance components under a robust loss: its weights
     -> leave the loss out; the method "median" withstands gross errors, or search them first
 statistics.component_negative: the variance component runs to zero or below: with a redundancy of {value} the
     residuals of this group are smaller than any error of it would leave
-    -> its sigmas cannot be told from those of another group: leave it out of the groups, or join the two
+    -> its sigmas cannot be separated from those of another group: leave it out of the groups, or join the two
 statistics.component_explodes: the variance component runs away: the sigmas would have to be {value} times as large
     -> check the units of the sigmas, and search for gross errors or a wrong model first
 statistics.component_unsettled: the variance component does not stand after {value} adjustments
@@ -67,7 +67,7 @@ statistics.datum: these unknowns do not fix the {count} motions of the free netw
     -> name three points or more, not on one line
 statistics.no_free_network: this is no free network, or its covariance could not be computed
     -> adjust a block without control points with datum = "inner"
-statistics.datum_near: the models feel these motions a little, so they are no exact datum defect
+statistics.datum_near: the observations depend weakly on these motions, so they are not an exact datum defect
     -> keep the priors: datum = "priors"; or measure control points
 curve.numbers: these must be finite numbers
     -> give {wanted}
@@ -76,7 +76,7 @@ curve.unknowns: {count} observations do not determine {unknowns} unknowns
 curve.model: the model must give one finite number per observation at the start values
     -> model(x, *parameters) gives a ({count},) array; look at the start values
 curve.derivatives: the derivatives differ from what the model does
-    -> use numpy functions that take complex numbers (no abs, no conversion to real), or mend jacobian
+    -> use numpy functions that take complex numbers (no abs, no conversion to real), or correct jacobian
 curve.optimizer: there is no such optimiser of curves
     -> choose one of {known}
 curve.lost: the iteration has come to where the model is not finite or does not depend on every parameter
@@ -148,7 +148,7 @@ linear.reference: the reference solver has no solution to compare with
 linear.library: the linear algebra library cannot go on
     -> the system is singular for this solver
 linear.result_shape: the solver must give {unknowns} real numbers
-    -> mend the solver's function
+    -> correct the solver's function
 linear.result_not_finite: the solver gives values that are not finite
     -> the system is singular for it
 classical.weights_twice: weights and cofactors exclude each other
