@@ -16,7 +16,7 @@ from factors.cameras.image_corrections import ideal_points
 from fg_orient.adjustment.loop import LoopResult
 from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, Observation, Variable, bordered_inverse
 from fg_orient.closerange import bundle
-from fg_orient.closerange.bundle import Bundle, BundlePhoto, adjust_bundle
+from fg_orient.closerange.bundle import BundlePhoto, BundleResult, adjust_bundle
 from fg_orient.closerange.bundle_checks import motions
 from fg_orient.closerange.bundle_network import build
 from fg_orient.closerange.constraints import Constraint, observed_element
@@ -32,7 +32,7 @@ from .conftest import SIGMA, Array, Scene, make
 Values = dict[CellKey, float]
 
 
-def adjusted(scene: Scene, photos: list[BundlePhoto], **more: object) -> Bundle:
+def adjusted(scene: Scene, photos: list[BundlePhoto], **more: object) -> BundleResult:
     """All points new but the first five, which are held."""
     control = {name: (scene.points[k], 0.0) for k, name in enumerate(scene.ids[:5])}
     start = scene.points + np.random.default_rng(1).normal(scale=0.01, size=scene.points.shape)
@@ -41,12 +41,12 @@ def adjusted(scene: Scene, photos: list[BundlePhoto], **more: object) -> Bundle:
 
 
 @pytest.fixture(scope="module")
-def held(values: Values) -> Bundle:
+def held(values: Values) -> BundleResult:
     return thesis.bundle(values)
 
 
 @pytest.mark.consistency
-def test_graph_equals_correlates_on_the_77_unknowns_of_the_thesis(values: Values, held: Bundle) -> None:
+def test_graph_equals_correlates_on_the_77_unknowns_of_the_thesis(values: Values, held: BundleResult) -> None:
     graph = thesis.bundle(values, backend="graph")
     assert len(held.state) == 77 and held.redundancy == 43
     assert np.abs((graph.state - held.state) / np.sqrt(held.cofactors)).max() <= 1e-9
@@ -56,7 +56,7 @@ def test_graph_equals_correlates_on_the_77_unknowns_of_the_thesis(values: Values
 
 
 @pytest.mark.truth
-def test_mean_errors_of_the_thesis(values: Values, held: Bundle) -> None:
+def test_mean_errors_of_the_thesis(values: Values, held: BundleResult) -> None:
     """Within 1 % rms of the print; theirs leave the held base out, with it X0 would be 24 % smaller."""
     free, ratios = thesis.bundle(values, with_base=False), []
     for k, photo in enumerate(PHOTOS):
@@ -71,7 +71,7 @@ def test_mean_errors_of_the_thesis(values: Values, held: Bundle) -> None:
 
 
 @pytest.mark.truth
-def test_parameters_of_the_thesis(values: Values, held: Bundle) -> None:
+def test_parameters_of_the_thesis(values: Values, held: BundleResult) -> None:
     off = []
     for k, photo in enumerate(PHOTOS):
         for name, (value, _) in thesis.parameters(held, k).items():
@@ -87,7 +87,7 @@ def test_parameters_of_the_thesis(values: Values, held: Bundle) -> None:
 
 
 @pytest.mark.truth
-def test_sums_of_the_thesis_from_the_comparator(values: Values, held: Bundle) -> None:
+def test_sums_of_the_thesis_from_the_comparator(values: Values, held: BundleResult) -> None:
     """0.375/2.070/0.587 for 0.392/2.009/0.486 printed: a pattern, as the weights are inferred."""
     land = points_of(values, "ek1.points", ("x_geodetic_m", "y_geodetic_m", "z_geodetic_m"))
     raw, n = comparator(values), len(land)
@@ -316,7 +316,7 @@ def test_points_without_two_rays_are_named() -> None:
     keep = ~(((scene.of == 7) & (scene.which == 1)) | (scene.of == 9))
     start, control = scene.points.copy(), {name: (scene.points[k], 0.0) for k, name in enumerate(scene.ids[:5])}
 
-    def given(**more: object) -> Bundle:
+    def given(**more: object) -> BundleResult:
         return adjust_bundle(scene.photos(), scene.ids, start, scene.which[keep], scene.of[keep], scene.image[keep],
                              sigma=SIGMA, control=control, **more)  # type: ignore[arg-type]  # fmt: skip
 
