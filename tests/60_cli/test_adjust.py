@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -123,9 +124,10 @@ def test_rank_deficient_is_exit_3_with_a_report_and_no_coordinates(run: Any, twi
     assert [sum(s <= 1e-5 for s in o["singular_values"]) for o in kept["observability"]] == [9, 9]
     points = read_table(out / "start_points.csv", "id", "role", "lon_deg", "lat_deg")
     page = (out / "report.html").read_text("utf-8")
-    assert page.count('<circle class="check"') - 1 == points.words["role"].count("check") > 0
+    assert page.count('<path class="check"') - 1 == points.words["role"].count("check") > 0
     assert page.count('<path class="control"') - 1 == points.words["role"].count("control") > 0
-    assert page.count('<polygon class="foot"') == 2 and page.count('<circle class="sv"') == 2 * 27
+    values = re.findall(r'class="series-\d" d="([^"]*)"', page)
+    assert page.count('<path class="foot"') == 2 and sum(path.count("M") for path in values) == 2 * 27
     for words in ("Nothing was adjusted: 18 unknowns", "What to do: keep the priors or choose a smaller EOP set.",
                   *(f"<li>{sentence}</li>" for sentence in record["unobservable"])):  # fmt: skip
         assert words in page
