@@ -18,11 +18,10 @@ from fg_orient.adjustment.linear.kappa import (
     register_kappa_rule,
     unit_variance,
 )
-from fg_orient.adjustment.linear.ls_conditions import ls_conditions
+from fg_orient.adjustment.linear.ls_conditions import ls_conditions, well_posedness
 from fg_orient.adjustment.linear.registry import attempt, register_solver, solve, solver, solvers
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, Breakdown, LinearSolution, LinearSystem
 from fg_orient.adjustment.linear.tikhonov import generalised, penalty_matrix, regularised, tikhonov
-from fg_orient.adjustment.linear.well_posedness import well_posedness
 from fg_orient.model.errors import InputError
 
 EYE = LinearSystem(np.eye(2), np.ones(2))

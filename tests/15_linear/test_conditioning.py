@@ -10,11 +10,9 @@ import pytest
 from scipy.linalg import hilbert
 
 from fg_orient.adjustment.linear.conditioning import condition_text, cross_solver_spread, diagnose, numerical_rank
-from fg_orient.adjustment.linear.ls_conditions import ls_conditions
+from fg_orient.adjustment.linear.ls_conditions import ls_conditions, well_posedness
 from fg_orient.adjustment.linear.registry import attempt, solve, solvers
-from fg_orient.adjustment.linear.scaling import column_lengths, scaled, unit_columns
-from fg_orient.adjustment.linear.system import Array, LinearSolution, LinearSystem
-from fg_orient.adjustment.linear.well_posedness import well_posedness
+from fg_orient.adjustment.linear.system import Array, LinearSolution, LinearSystem, column_lengths, scaled, unit_columns
 from tests.support.systems import design_system, positive_definite
 
 

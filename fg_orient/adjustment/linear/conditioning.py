@@ -12,8 +12,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from fg_orient.adjustment.linear.scaling import scaled
-from fg_orient.adjustment.linear.system import Array, LinearSolution, LinearSystem
+from fg_orient.adjustment.linear.system import Array, LinearSolution, LinearSystem, scaled
 from fg_orient.model.errors import InputError
 
 Verdict = Literal["stable", "unstable"]

@@ -13,8 +13,7 @@ from scipy.linalg import lapack, qr
 
 from fg_orient.adjustment.linear.inverses import moore_penrose_inverse
 from fg_orient.adjustment.linear.registry import Function, register_solver
-from fg_orient.adjustment.linear.scaling import scaled
-from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSolution, LinearSystem
+from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSolution, LinearSystem, scaled
 from fg_orient.adjustment.linear.triangular import back_substitution
 
 #: Singular values of A below this share of the largest are truncated: 1e-9 separates the directions of the
