@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 import fg_orient as fg
-from fg_orient.adjustment.problem import enu_from_ecef
+from fg_orient.geodesy import enu_from_ecef
 from fg_orient.model.block import Coordinates, WithheldCoordinates
 from fg_orient.sensors.initial import all_rays, nearest_points
 

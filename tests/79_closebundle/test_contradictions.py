@@ -8,7 +8,7 @@ import pytest
 from factors._contract import NotFiniteError
 from factors.conditions.constraints import DISTANCE
 from fg_orient.adjustment.network import GraphNetwork, Network, Observation, Variable
-from fg_orient.closerange.bundle import Bundle, adjust_bundle
+from fg_orient.closerange.bundle import BundleResult, adjust_bundle
 from fg_orient.closerange.constraints import Constraint
 from fg_orient.model.errors import InputError
 
@@ -17,7 +17,7 @@ from .conftest import SIGMA, Array, make
 MIDDLE = np.array([1001.0, 2005.0, 50.0])
 
 
-def adjusted(points: Array, *stated: Constraint, seed: int = 1, backend: str = "dense", off_m: float = 0.005) -> Bundle:
+def adjusted(points: Array, *stated: Constraint, seed: int = 1, backend: str = "dense", off_m: float = 0.005) -> BundleResult:
     """Three photos; the last four points are control points."""
     scene = make(seed, points=points)
     start = points + np.random.default_rng(seed).normal(scale=off_m, size=points.shape)
