@@ -17,7 +17,9 @@ from .conftest import SIGMA, Array, make
 MIDDLE = np.array([1001.0, 2005.0, 50.0])
 
 
-def adjusted(points: Array, *stated: Constraint, seed: int = 1, backend: str = "dense", off_m: float = 0.005) -> BundleResult:
+def adjusted(
+    points: Array, *stated: Constraint, seed: int = 1, backend: str = "dense", off_m: float = 0.005
+) -> BundleResult:
     """Three photos; the last four points are control points."""
     scene = make(seed, points=points)
     start = points + np.random.default_rng(seed).normal(scale=off_m, size=points.shape)
