@@ -158,7 +158,7 @@ print(sorted((f.py_func.__module__, f.py_func.__name__, stamp(f.py_func).hex()) 
                        capture_output=True, text=True, check=True).stdout
         for seed in ("1", "2")
     ]  # fmt: skip
-    assert runs[0].count("fg_orient.kernels.batch") > 30 and runs[0] == runs[1]
+    assert runs[0].count("fg_orient.kernels.batch") > 20 and runs[0] == runs[1]
 
 
 def test_damaged_files_are_compiled_anew(chain: Chain) -> None:
