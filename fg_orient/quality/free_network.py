@@ -308,24 +308,6 @@ def _all_cofactors(problem: Problem, state: State, minimal: Cofactors) -> Array:
 FIXES: Final = 1e8
 
 
-def s_matrix(null_space: Array, select: Mask) -> Array:
-    """Matrix S (n, n) of the transformation to the datum that some unknowns carry.
-
-    Parameters
-    ----------
-    null_space : (n, d) array
-        The free motions, any basis.
-    select : (n,) bool array
-        Unknowns that carry the datum.
-
-    Raises
-    ------
-    InputError
-        These unknowns do not fix all motions.
-    """
-    return np.eye(len(null_space)) - null_space @ _coordinates(null_space, select)
-
-
 def s_transform(cofactors: Array, null_space: Array, select: Mask) -> Array:
     """Cofactors ``S Q S^T`` (n, n) in the datum that some unknowns carry.
 
@@ -334,7 +316,9 @@ def s_transform(cofactors: Array, null_space: Array, select: Mask) -> Array:
     cofactors : (n, n) array
         In any datum: of a minimally constrained adjustment, or of another choice of inner constraints.
     null_space : (n, d) array
+        Free motions, any basis.
     select : (n,) bool array
+        Unknowns that carry the datum.
 
     Raises
     ------
@@ -350,25 +334,12 @@ def s_transform(cofactors: Array, null_space: Array, select: Mask) -> Array:
 
 
 def datum_step(difference: Array, null_space: Array, select: Mask) -> Array:
-    """Step ``(S - I) (x - x_0)`` (n,) along the motions that leads to the datum.
-
-    Parameters
-    ----------
-    difference : (n,) array
-        ``x - x_0``.
-    null_space : (n, d) array
-    select : (n,) bool array
-
-    Raises
-    ------
-    InputError
-        These unknowns do not fix all motions.
-    """
+    """Step ``(S - I) (x - x_0)`` along the motions that leads to the datum; parameters as of :func:`s_transform`."""
     return np.asarray(-null_space @ (_coordinates(null_space, select) @ difference))
 
 
 def _coordinates(null_space: Array, select: Mask) -> Array:
-    """``(E^T D E)^-1 E^T D`` (d, n): how far each motion went, judged by the unknowns of the datum."""
+    """``(E^T D E)^-1 E^T D`` (d, n): amount of each motion, from the unknowns of the datum."""
     part = null_space[select]
     out = np.zeros(null_space.T.shape)
     if not null_space.shape[1]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,8 @@ from fg_orient.model.names import Status
 from fg_orient.model.options import Options
 from fg_orient.model.parameters import CURVE, CURVES, N_EOP, parameter_name
 from fg_orient.rectification.ortho_models import Sensor
+from fg_orient.result.plain import read_table
+from fg_orient.result.record import RESULT_FILE, read_record
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.frame import UNKNOWNS, FrameSensor
 from fg_orient.sensors.pushbroom import PushbroomSensor
@@ -50,17 +50,17 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Correction
         unknowns of another kind of sensor.
     """
     try:
-        record = json.loads((folder / "result.json").read_text("utf-8"))
+        record = read_record(folder) if (folder / RESULT_FILE).is_file() else {}
         if record["status"] == Status.RANK_DEFICIENT:
-            raise InputError.of("report.nothing_adjusted", file=folder, place="result.json", value=record["status"])
+            raise InputError.of("report.nothing_adjusted", file=folder, place=RESULT_FILE, value=record["status"])
         options = record["provenance"]["options"]
         small_angle, n_curves = bool(options["small_angle"]), int(options.get("curve_intervals", 0))
         files = _files(record)
-        with (folder / "eop.csv").open(encoding="utf-8", newline="") as stream:
-            rows = list(csv.DictReader(stream))
+        eop = read_table(folder / "eop.csv")
         values: dict[str, dict[str, float]] = {name: {} for name in files}
-        for row in rows:
-            values[row["image"]][row["parameter"]] = float(row["value_per_tau"])
+        columns = (eop.words["image"], eop.words["parameter"], eop.figures["value_per_tau"].tolist())
+        for image_id, parameter, value in zip(*columns, strict=True):
+            values[image_id][parameter] = value
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError.of("ortho.result", file=folder, known="-") from None
     name = _chosen(files, folder, Path(sensor.file), image)

@@ -16,6 +16,7 @@ from fg_orient.formats.exchange.geopackage import GPKG_OPTIONS
 from fg_orient.formats.gdal import plain_case
 from fg_orient.model.errors import InputError
 from fg_orient.report.layers import Layer, read_layers
+from fg_orient.result.record import read_record
 
 __all__ = ["export"]
 
@@ -66,7 +67,7 @@ def export(
         raise InputError.of("output.exists", file=out, option="export")
     layers = read_layers(Path(folder), vector_scale)
     if package:
-        made = json.loads((Path(folder) / "result.json").read_text("utf-8"))["provenance"]["date_time_utc"]
+        made = read_record(Path(folder))["provenance"]["date_time_utc"]
         write_geopackage(target, layers, str(made))
     else:
         write_text(target, geojson(layers))

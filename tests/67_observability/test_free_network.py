@@ -15,7 +15,7 @@ from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.model.names import Role
 from fg_orient.orientation.solution import Solution
-from fg_orient.quality.free_network import null_space, s_matrix, s_transform, with_minimal_datum
+from fg_orient.quality.free_network import datum_step, null_space, s_transform, with_minimal_datum
 from fg_orient.quality.reliability import residual_cofactors
 from tests.support.degenerate_blocks import options, pinhole, pushbroom, rpc, two_pinhole_blocks, with_control
 from tests.support.full_statistics import Full
@@ -144,7 +144,8 @@ def test_s_transformation_equals_adjusting_with_that_datum() -> None:
     # and back, from the one that was adjusted so
     again = s_transform(expected, network.null_space, network.datum)
     assert scaled(again - network.cofactors, network.cofactors) < 1e-7
-    s = s_matrix(network.null_space, select)
+    unit = np.eye(len(network.cofactors))
+    s = unit + datum_step(unit, network.null_space, select)
     assert s @ s == pytest.approx(s, abs=1e-8), "a projection"
     assert np.abs(s @ network.null_space).max() < 1e-9
 
@@ -295,7 +296,8 @@ def test_simulated_errors_have_these_cofactors() -> None:
     network, runs = solution.in_datum(), 2000
     _, design = jacobian(solution)
     noise = np.random.default_rng(1).standard_normal((runs, len(design)))
-    to_datum = s_matrix(network.null_space, network.datum)
+    unit = np.eye(len(network.cofactors))
+    to_datum = unit + datum_step(unit, network.null_space, network.datum)
     errors = -(to_datum @ np.linalg.pinv(design) @ noise.T).T
     inverse = np.linalg.pinv(network.cofactors, rcond=1e-10, hermitian=True)
     rank = len(network.cofactors) - network.datum_defect
