@@ -15,11 +15,17 @@ from dataclasses import replace
 import numpy as np
 
 import fg_orient as fg
-from factors._contract import Argument, Array, Equation, Example, compiled, register
-from factors.records import Record
-from fg_orient.model.block import ExtraObservation
-from fg_orient.model.names import Role
-from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from fg_orient import (
+    Argument,
+    Equation,
+    Example,
+    ExtraObservation,
+    Record,
+    Role,
+    compiled,
+    register_equation,
+)
+from fg_orient.simulate import ZonguldakOptions, zonguldak_block
 
 #: Constants of an observation, m.
 TAPE = Record(distance=1, sigma=1)
@@ -49,7 +55,7 @@ def example(rng: np.random.Generator) -> Example:
     return Example(rng.uniform(1.0, 9.0, 2), np.zeros((2, 0)), (rng.normal(size=3), rng.normal(size=3)))
 
 
-DISTANCE = register(Equation(
+DISTANCE = register_equation(Equation(
     "my_distance", kernel, residual,
     (Argument("from", "m", is_point=True), Argument("to", "m", is_point=True)), example, "this example",
 ))  # fmt: skip
@@ -65,7 +71,7 @@ def worst_jacobian_error(equation: Equation, draws: int = 20) -> float:
             for c in range(jacobian.shape[1]):
                 z = [u.astype(complex) for u in e.unknowns]
                 z[k][c] += 1e-30j
-                numeric: Array = equation.residual(e.record, e.setup, *z).imag / 1e-30
+                numeric = np.asarray(equation.residual(e.record, e.setup, *z).imag / 1e-30)
                 worst = max(worst, float(np.abs(jacobian[:, c] - numeric).max() / np.abs(jacobian).max()))
     return worst
 
