@@ -1,16 +1,16 @@
 """Least squares of any function with full statistics, on the loop of the bundle adjustment.
 
-Unknowns have no priors here, so nothing but the columns of the Jacobian says what a unit of each is worth: they are
-scaled by their lengths (Marquardt 1963), by the larger of the present length and half the scale before it. A column
-that collapses (an exponent that runs away) thus keeps its unknown in for some steps, one that has shrunk for good sets
-it free; the largest length so far (Moré 1978) would hold such an unknown for ever.
+Unknowns have no priors here, so only the columns of the Jacobian define their scales: the larger of the present length
+of the column (Marquardt 1963) and half the scale before it. If a column collapses (an exponent that diverges), its
+unknown stays damped for some steps; if the column stays short, the unknown becomes free. With the largest length so far
+(Moré 1978) such an unknown would stay damped for ever.
 
 A step is measured in the space of the observations, ``|J dx| / (sqrt(u) sigma0)``: the relative offset of Bates and
-Watts (1981), free of units and parametrisation. Observations that fit exactly leave no sigma0; it is therefore at
-least sqrt(eps) times the root mean square of the observations.
+Watts (1981), independent of units and parametrisation. Observations that fit exactly have no sigma0; it is therefore
+at least sqrt(eps) times the root mean square of the observations.
 
-Damped steps carry the second-order correction along the step, and are refused where it is no correction (geodesic
-acceleration: Transtrum, Sethna 2012, eqs. 3-6).
+Damped steps include the second-order correction along the step (geodesic acceleration: Transtrum, Sethna 2012,
+eqs. 3-6). They are rejected if this correction is large.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ Array = npt.NDArray[np.float64]
 Model = Callable[..., Any]
 
 EPS: Final = float(np.finfo(np.float64).eps)
-#: A scale forgets: half of it is left after each step taken.
+#: Share of a scale that remains after each accepted step.
 FORGET: Final = 0.5
 #: Share of the step at which the second difference is taken, and the largest correction relative to the step.
 PROBE: Final = 0.1
 MAX_ACCELERATION: Final = 0.75
 #: Complex steps, as shares of the parameter: far below rounding, far above underflow.
 TINY: Final = 1e-30
-#: Residuals whose squares overflow are no place to step to.
+#: Residuals above this are rejected, because their squares overflow.
 LARGEST: Final = 1e150
 #: Derivatives and differences of the model may differ by this share of the column.
 DERIVATIVE_TOLERANCE: Final = 1e-3
@@ -68,12 +68,12 @@ class CurveFit:
     redundancy : int
         n - u.
     cofactors : (u, u) array or None
-        Inverse of ``J^T W J``; None where the unknowns are not determined: ``withheld`` says which.
+        Inverse of ``J^T W J``; None if unknowns are not determined, which ``withheld`` names.
     redundancy_numbers : (n,) array or None
-        Share of each observation's error that its residual shows; they add up to the redundancy.
+        Share of each observation's error that its residual shows; their sum is the redundancy.
     converged : bool
     reason : str
-        Why the iteration ended.
+        Reason for the end of the iteration.
     log : tuple of IterationRecord
         ``chi2`` there is in units of the loop.
     withheld : str
@@ -141,7 +141,7 @@ def fit_curve(
         ``model(x, b1, ..., bu)`` gives (n,) values. Without ``jacobian`` it must also take complex parameters
         (arithmetic and the analytic functions of numpy do).
     x : array
-        Handed to the model as it is.
+        First argument of the model.
     y : (n,) array
         Observations.
     start : (u,) array
@@ -163,10 +163,9 @@ def fit_curve(
     Raises
     ------
     InputError
-        Numbers that are not finite, too few observations, a model that does not fit them, derivatives that are not
-        the model's.
+        Numbers that are not finite, too few observations, a model of the wrong shape, wrong derivatives.
     NoSolutionError
-        The iteration has come to where the model has no finite derivatives, or Gauss-Newton's equations no solution.
+        The model has no finite derivatives at an iterate, or Gauss-Newton's equations are singular.
     """
     loops: dict[str, Callable[[_Backend, _Point], LoopResult[_Point]]] = {
         "levenberg-marquardt": lambda backend, point: delayed_levenberg_marquardt(
@@ -220,7 +219,7 @@ class _Point:
 class _Backend:
     """A function and its observations, as ``loop.Backend``; residuals in units of ``unit`` weighted observations.
 
-    ``unit`` is sqrt(eps) times their root mean square: what fits better fits to rounding.
+    ``unit`` is sqrt(eps) times their root mean square: a better fit is rounding.
     """
 
     def __init__(self, model: Model, jacobian: Model | None, x: Any, y: Array, weight: Array) -> None:
@@ -247,7 +246,7 @@ class _Backend:
             return out * self.weight[:, None]
 
     def require_sound(self, b: Array) -> None:
-        """Refuse a model that does not fit the observations, or derivatives that are not the model's."""
+        """Refuse a model of the wrong shape or wrong derivatives."""
         with np.errstate(all="ignore"):
             value = np.asarray(self._model(self._x, *b))
         n = len(self.y)
@@ -269,7 +268,7 @@ class _Backend:
                 raise InputError.of("curve.derivatives", place=f"parameter {k + 1}", value=f"{off / limit:.2g} of both")
 
     def _difference(self, b: Array, k: int) -> tuple[Array, float]:
-        """Central difference of the residuals (n,), and the rounding it may hold."""
+        """Central difference of the residuals (n,), and its possible rounding error."""
         h = EPS ** (1 / 3) * (abs(b[k]) or 1.0)
         ends = [self.residuals(np.where(np.arange(len(b)) == k, b[k] + s * h, b)) for s in (-1.0, 1.0)]
         values = np.abs(ends[1]) + np.abs(self.y * self.weight)
@@ -286,7 +285,7 @@ class _Backend:
             return 0.5 * float(residual @ residual)
 
     def retract(self, state: _Point, step: Any) -> _Point:
-        """Parameters after a step, and the scales it was made with."""
+        """Parameters after a step, and the scales of that step."""
         return _Point(state.parameters + step.data.parameters, step.data.scale)
 
 
@@ -355,7 +354,7 @@ class _System:
         return lambda right: np.asarray(-solve_triangular(upper, onto @ right, check_finite=False))
 
     def _acceleration(self, first: Array, against: Callable[[Array], Array]) -> Array:
-        """Second derivative of the path (u,); nan where it is not small beside the step."""
+        """Second derivative of the path (u,); nan if it is not small relative to the step."""
         beyond = self._backend.residuals(self._b + PROBE * first / self.scale)
         if np.isfinite(beyond).all() and np.abs(beyond).max() < LARGEST:
             second = against(2.0 / PROBE * ((beyond - self.residual) / PROBE - self.design @ first))

@@ -297,7 +297,7 @@ class SchurSystem:
 
 
 class SchurBackend:
-    """The problem as arrays, driven by ``fg_orient.adjustment.loop``.
+    """The problem compiled to arrays, driven by ``fg_orient.adjustment.loop``.
 
     Parameters
     ----------
