@@ -68,13 +68,15 @@ def adjust(
     """
     execution = {"parts": parts, "workers": workers, "cluster": scheduler, "work_dir": work_dir}
     require_project(project)
+    from fg_orient.formats.atomic import require_free
     from fg_orient.formats.project import require_files
 
+    target = out or project.parent / "result"
+    require_free(target, overwrite=overwrite)
     require_files(project, **options)
     load(options.get("backend"))
     from fg_orient.run import checkpoint_path, run_project
 
-    target = out or project.parent / "result"
     if resume and not checkpoint_path(target).exists():
         note(f"no checkpoint {checkpoint_path(target).name} to resume: starting from the beginning")
     with progress() as watch:

@@ -64,6 +64,7 @@ def given_on_the_command_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *
         raise InputError.of("options.value", place="stopped", expected="nothing")
 
     monkeypatch.setattr(fg_orient.run, "run_project", run_project)
+    monkeypatch.setattr("fg_orient.formats.project.require_files", lambda *arguments, **more: None)
     project = tmp_path / "project.toml"
     project.touch()
     ended = in_process("adjust", project, *words)

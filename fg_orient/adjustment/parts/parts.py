@@ -65,7 +65,7 @@ def divide(problem: Problem, parts: int) -> list[Index]:
     o = problem.observations
     seen, rays = np.unique(o.point, return_counts=True)
     if not 1 <= parts <= len(seen):
-        raise InputError.of("parallel.parts", place="parts", value=parts, points=len(seen))
+        raise InputError.of("parallel.parts", option="parts", value=parts, points=len(seen))
     order = np.lexsort((o.image, o.point))
     ends = np.cumsum(rays)
     image = o.image[order]
