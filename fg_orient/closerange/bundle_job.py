@@ -117,18 +117,18 @@ def run_bundle(
         given = [_photo(n, start, seen.get(n), own, common) for n, start in zip(names, starts, strict=True)]
         begin = _points(starts, names, table, which, of, ids, places)
         report_progress("iterations", len(table.ids))
-        found = adjust_bundle(
+        result = adjust_bundle(
             given, ids, begin, which, of, table.image, sigma=weights_of(table, sigma),
             control={i: known[i] for i in ids if i in known}, constraints=stated, backend=backend, callback=callback,
         )  # fmt: skip
-    photos_of = [] if found.beyond else found.oriented()
+    photos_of = [] if result.beyond else result.oriented()
     texts = [
-        photo_text(p, i, r) for p, i, r in zip(photos_of, found.interiors, found.rotations, strict=bool(photos_of))
+        photo_text(p, i, r) for p, i, r in zip(photos_of, result.interiors, result.rotations, strict=bool(photos_of))
     ]
     unit, weights = unit_of_weights(table, sigma), weights_of(table, sigma)
     judges = {name: at for name, (at, _) in withheld.items()}
     record = unit | bundle_record(
-        found, table, known, which, of, weights, unit["weights"] == "absolute", seen, judges, doubts
+        result, table, known, which, of, weights, unit["weights"] == "absolute", seen, judges, doubts
     )
     beside = (photos, control, check, start, constraints, stations)
     return finished(record, path, table, output, texts, beside)
@@ -194,9 +194,9 @@ def _starts(
         if len(rows) < 4:
             raise InputError.of("closerange.not_oriented", file=path, place=name)
         ground = np.array([known[ids[of[a]]][0] for a in rows])
-        found = resect(interior, ground, table.image[rows], sigma=sigma[rows], name=name)
-        out.append((interior, found.rotation, found.photo.origin_m))
-        doubts += found.second_pose(f"the bundle begins with a resection of photo {name}")
+        pose = resect(interior, ground, table.image[rows], sigma=sigma[rows], name=name)
+        out.append((interior, pose.rotation, pose.photo.origin_m))
+        doubts += pose.second_pose(f"the bundle begins with a resection of photo {name}")
     return out, doubts
 
 
@@ -224,7 +224,7 @@ def _points(
     if len(rows):
         number = np.cumsum(free) - 1
         photos = [Photo.of(n, *start) for n, start in zip(names, starts, strict=True)]
-        found = intersect_photos(photos, which[rows], number[of[rows]], table.image[rows],
-                                 ids=[i for i, f in zip(ids, free, strict=True) if f])  # fmt: skip
-        out[free] = found.points_m
+        result = intersect_photos(photos, which[rows], number[of[rows]], table.image[rows],
+                                  ids=[i for i, f in zip(ids, free, strict=True) if f])  # fmt: skip
+        out[free] = result.points_m
     return out

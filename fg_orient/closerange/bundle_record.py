@@ -30,14 +30,14 @@ _WEAK: Final = 5
 
 
 def bundle_record(
-    found: BundleResult, table: Observed, known: Known, which: Index, of: Index, sigma: Array, absolute: bool,
+    result: BundleResult, table: Observed, known: Known, which: Index, of: Index, sigma: Array, absolute: bool,
     seen: Mapping[str, Station], check: Mapping[str, Array], started: Sequence[Finding] = (),
 ) -> Record:  # fmt: skip
     """Record of a bundle.
 
     Parameters
     ----------
-    found : BundleResult
+    result : BundleResult
     table : Observed
         Image points.
     known : mapping
@@ -55,18 +55,18 @@ def bundle_record(
     started : sequence of Finding
         On the start values.
     """
-    quality = found.quality
-    unit = 1.0 if absolute else (found.m0 or 1.0)
+    quality = result.quality
+    unit = 1.0 if absolute else (result.m0 or 1.0)
     return {
-        "kind": "bundle", "backend": found.backend, "m0": found.m0, "redundancy": found.redundancy,
-        "iterations": found.iterations, "unknowns": len(found.labels), "photos": _photos(found, which, seen),
-        "cameras": [{"camera": c.name, "parameters": _numbers(c)} for c in found.cameras],
-        "figures": [{"figure": f.name, "numbers": _numbers(f)} for f in found.figures],
-        "points": _points(found, known, of, check), "residuals": _residuals(found, table, sigma, unit),
-        "distortion": _distortion(found, table, which), "observations": _others(quality, unit),
-        "check": _check(found, check), "reliability": _reliability(quality),
+        "kind": "bundle", "backend": result.backend, "m0": result.m0, "redundancy": result.redundancy,
+        "iterations": result.iterations, "unknowns": len(result.labels), "photos": _photos(result, which, seen),
+        "cameras": [{"camera": c.name, "parameters": _numbers(c)} for c in result.cameras],
+        "figures": [{"figure": f.name, "numbers": _numbers(f)} for f in result.figures],
+        "points": _points(result, known, of, check), "residuals": _residuals(result, table, sigma, unit),
+        "distortion": _distortion(result, table, which), "observations": _others(quality, unit),
+        "check": _check(result, check), "reliability": _reliability(quality),
         "correlations": _correlations(quality), "directions": _directions(quality), "history": _history(quality),
-        **as_record([*_findings(found, known, seen, check), *started]),
+        **as_record([*_findings(result, known, seen, check), *started]),
     }  # fmt: skip
 
 
@@ -75,75 +75,75 @@ def _numbers(one: Adjustment, names: Sequence[str] | None = None) -> list[Record
     return [{"name": n, "value": one[n][0], "sigma": one[n][1]} for n in (names or one.names)]
 
 
-def _photos(found: BundleResult, which: Index, seen: Mapping[str, Station]) -> list[Record]:
+def _photos(result: BundleResult, which: Index, seen: Mapping[str, Station]) -> list[Record]:
     photos = []
-    for k, (one, rotation, centre) in enumerate(zip(found.photos, found.rotations, found.centres_m, strict=True)):
+    for k, (one, rotation, centre) in enumerate(zip(result.photos, result.rotations, result.centres_m, strict=True)):
         sigma = [one[n][1] for n in ("X0", "Y0", "Z0")]
         turns = [one[n][1] for n in ("turn_x", "turn_y", "turn_z")]
         own = [n for n in one.names if n in NAMES]
-        roots = np.sqrt(found.quality.angles_deg[k].diagonal())
-        angles = [None] * 3 if found.m0 is None else (found.m0 * roots).tolist()
-        inner = found.interiors[k]
+        roots = np.sqrt(result.quality.angles_deg[k].diagonal())
+        angles = [None] * 3 if result.m0 is None else (result.m0 * roots).tolist()
+        inner = result.interiors[k]
         photos.append({
             "photo": one.name, "parameters": _numbers(one, own) if own else [], "interior": None, "points": [],
             "exterior": exterior_record(rotation, centre, turns, sigma) | {"sigma_angles_deg": angles},
             "camera": {"focal": inner.focal, "principal": inner.principal.tolist(),
                        "corrections": inner.corrections.tolist(), "y_axis": inner.y_axis},
             "observed": observed_record(seen.get(one.name), centre),
-            "rms": np.sqrt(np.mean(found.residuals[which == k] ** 2, axis=0)).tolist(),
+            "rms": np.sqrt(np.mean(result.residuals[which == k] ** 2, axis=0)).tolist(),
         })  # fmt: skip
     return photos
 
 
-def _distortion(found: BundleResult, table: Observed, which: Index) -> list[Record]:
+def _distortion(result: BundleResult, table: Observed, which: Index) -> list[Record]:
     """Corrections along the radius of each camera: common ones, of each photo, or fixed ones that are not 0."""
-    labels, out = found.quality.labels, list[Record]()
-    m0 = found.m0 or 0.0
+    labels, out = result.quality.labels, list[Record]()
+    m0 = result.m0 or 0.0
     groups: dict[tuple[object, ...], list[int]] = {}
-    for k, photo in enumerate(found.photos):
+    for k, photo in enumerate(result.photos):
         own = [n for n in photo.names if n in NAMES]
-        inner = found.interiors[k]
+        inner = result.interiors[k]
         same = ("photo", photo.name) if own else (inner.focal, *inner.principal, *inner.corrections)
         groups.setdefault(same, []).append(k)
     for members in groups.values():
-        photo, inner = found.photos[members[0]], found.interiors[members[0]]
+        photo, inner = result.photos[members[0]], result.interiors[members[0]]
         camera = camera_of(inner)
-        parts = [*((f"camera {c.name}", c) for c in found.cameras), (f"photo {photo.name}", photo)]
+        parts = [*((f"camera {c.name}", c) for c in result.cameras), (f"photo {photo.name}", photo)]
         where = {n: (f"{of} {n}", p[n][0]) for of, p in parts for n in p.names if n in NAMES}
         for name, (_, value) in where.items():
             camera[NAMES.index(name)] = value
         rows = [labels.index(label) for label, _ in where.values()]
-        covariance = m0**2 * found.quality.orientation[np.ix_(rows, rows)]
+        covariance = m0**2 * result.quality.orientation[np.ix_(rows, rows)]
         reach = np.linalg.norm(table.image[np.isin(which, members)] - inner.principal, axis=1)
         curve = profile(camera, float(reach.max(initial=1e-9)), list(where), covariance)
         if any(curve["radial"]) or any(curve["across"]) or any(curve["sigma"]):
-            out.append({"photos": [found.photos[k].name for k in members], "determined": list(where), **curve})
+            out.append({"photos": [result.photos[k].name for k in members], "determined": list(where), **curve})
     return out
 
 
-def _points(found: BundleResult, known: Known, of: Index, check: Mapping[str, Array]) -> list[Record]:
-    n = len(found.ids)
+def _points(result: BundleResult, known: Known, of: Index, check: Mapping[str, Array]) -> list[Record]:
+    n = len(result.ids)
     rays = np.bincount(of, minlength=n)
-    misfit = np.sqrt(np.bincount(of, np.sum(found.residuals**2, axis=1), n) / np.maximum(rays, 1))
+    misfit = np.sqrt(np.bincount(of, np.sum(result.residuals**2, axis=1), n) / np.maximum(rays, 1))
     out = []
-    for k, name in enumerate(found.ids):
+    for k, name in enumerate(result.ids):
         given = known[name][0] if name in known else check.get(name)
         role = "control" if name in known else "new" if given is None else "check"
         out.append({
-            "id": name, "role": role, **xyz(found.points_m[k]),
-            **xyz(None if found.sigma_m is None else found.sigma_m[k], "sigma_"),
-            **covariances(found.quality.points[k], found.m0),
-            **xyz(None if given is None else found.points_m[k] - given, "difference_"), "rays": int(rays[k]),
+            "id": name, "role": role, **xyz(result.points_m[k]),
+            **xyz(None if result.sigma_m is None else result.sigma_m[k], "sigma_"),
+            **covariances(result.quality.points[k], result.m0),
+            **xyz(None if given is None else result.points_m[k] - given, "difference_"), "rays": int(rays[k]),
             "misfit": float(misfit[k]) if rays[k] else None,
         })  # fmt: skip
     return out
 
 
-def _residuals(found: BundleResult, table: Observed, sigma: Array, unit: float) -> list[Record]:
+def _residuals(result: BundleResult, table: Observed, sigma: Array, unit: float) -> list[Record]:
     """Image points: residuals (computed minus measured, corrected), redundancy numbers, w and detectable errors."""
-    own, detectable = _tested(found.residuals, sigma * unit, found.quality.redundancy)
-    columns = {"": table.image, "residual_": found.residuals, "sigma_": sigma,
-               "redundancy_": found.quality.redundancy, "w_": own, "mdb_": detectable}  # fmt: skip
+    own, detectable = _tested(result.residuals, sigma * unit, result.quality.redundancy)
+    columns = {"": table.image, "residual_": result.residuals, "sigma_": sigma,
+               "redundancy_": result.quality.redundancy, "w_": own, "mdb_": detectable}  # fmt: skip
     return [
         {"photo": p, "id": i} | {f"{name}{axis}": _finite(values[k, j]) for name, values in columns.items()
                                  for j, axis in enumerate("xy")}
@@ -168,14 +168,14 @@ def _others(quality: Quality, unit: float) -> list[Record]:
             for name, r, w in zip(quality.others, quality.others_redundancy, own, strict=True)]  # fmt: skip
 
 
-def _check(found: BundleResult, check: Mapping[str, Array]) -> Record | None:
+def _check(result: BundleResult, check: Mapping[str, Array]) -> Record | None:
     """Statistics of adjusted minus given coordinates of the check points; None without check points."""
-    place = {name: k for k, name in enumerate(found.ids)}
+    place = {name: k for k, name in enumerate(result.ids)}
     rows = [name for name in check if name in place]
     if not rows:
         return None
     at = np.array([place[name] for name in rows])
-    given, ours = np.array([check[name] for name in rows]), found.points_m[at]
+    given, ours = np.array([check[name] for name in rows]), result.points_m[at]
     measures = compare_points(given, ours, np.zeros(len(rows), bool)).other
     return {"n": len(rows), "rms_mm": measures.rms_mm[:3], "worst_mm": measures.worst_mm,
             "mean_mm": (1e3 * (ours - given).mean(axis=0)).tolist()}  # fmt: skip
@@ -227,18 +227,18 @@ def _history(quality: Quality) -> list[Record]:
 
 
 def _findings(
-    found: BundleResult, known: Known, seen: Mapping[str, Station], check: Mapping[str, Array]
+    result: BundleResult, known: Known, seen: Mapping[str, Station], check: Mapping[str, Array]
 ) -> list[Finding]:  # fmt: skip
     """Warnings on the result."""
-    out = no_redundancy(found.m0)
+    out = no_redundancy(result.m0)
     for code, names, measured in (
-        ("closerange.unseen_control", known, found.ids),
-        ("closerange.unseen_check", check, found.ids),
-        ("closerange.unseen_station", seen, [p.name for p in found.photos]),
+        ("closerange.unseen_control", known, result.ids),
+        ("closerange.unseen_check", check, result.ids),
+        ("closerange.unseen_station", seen, [p.name for p in result.photos]),
     ):
         unseen = [name for name in names if name not in set(measured)]
         if unseen:
             out.append(finding(code, names=unseen))
-    if found.beyond:
-        out.append(finding("closerange.no_photo_file", parameters=found.beyond))
+    if result.beyond:
+        out.append(finding("closerange.no_photo_file", parameters=result.beyond))
     return out

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -37,6 +36,7 @@ from fg_orient.formats.atomic import Contents, require_free, staged_folder, writ
 from fg_orient.formats.closerange import read_photos
 from fg_orient.model.errors import Finding, InputError, as_record, finding
 from fg_orient.model.installation import versions
+from fg_orient.rectification.folder import write_rows
 from fg_orient.result.plain import dumps
 from fg_orient.result.provenance import sha256_of
 
@@ -191,24 +191,24 @@ def run_intersect(path: Path, photos: Path, *, sigma: float | None = None, outpu
     which, of = [names.index(name) for name in table.photos], [ids.index(name) for name in table.ids]
     weights = weights_of(table, sigma)
     with one_blas_thread():
-        found = intersect_photos([of_name(known, n, photos) for n in names], which, of, table.image, sigma=weights,
+        result = intersect_photos([of_name(known, n, photos) for n in names], which, of, table.image, sigma=weights,
                                  ids=ids)  # fmt: skip
-    rms, sd = [np.linalg.norm(found.residuals[np.array(of) == k]) for k in range(len(ids))], found.sigma_m
+    rms, sd = [np.linalg.norm(result.residuals[np.array(of) == k]) for k in range(len(ids))], result.sigma_m
     points = [
-        {"id": name, **xyz(found.points_m[k]), **xyz(None if sd is None else sd[k], "sigma_"),
-         **covariances(found.cofactors[k], found.m0), "rays": of.count(k),
+        {"id": name, **xyz(result.points_m[k]), **xyz(None if sd is None else sd[k], "sigma_"),
+         **covariances(result.cofactors[k], result.m0), "rays": of.count(k),
          "misfit": float(rms[k] / np.sqrt(of.count(k)))}
         for k, name in enumerate(ids)
     ]  # fmt: skip
-    seen = zip(table.photos, table.ids, table.image.tolist(), found.residuals.tolist(), strict=True)
+    seen = zip(table.photos, table.ids, table.image.tolist(), result.residuals.tolist(), strict=True)
     given = _given_sigmas(table, sigma) or [{}] * len(table)
     residuals = [{"photo": p, "id": i, "x": x, "y": y, "residual_x": vx, "residual_y": vy, **s}
                  for (p, i, (x, y), (vx, vy)), s in zip(seen, given, strict=True)]  # fmt: skip
     centres = [{"photo": n, "exterior": {"centre_m": known[n].origin_m.tolist()}} for n in names if n in known]
     record = {
-        "kind": "intersection", **unit_of_weights(table, sigma), "m0": found.m0, "redundancy": found.redundancy,
-        "iterations": found.iterations, "points": points, "residuals": residuals, "stations": centres,
-        **as_record(no_redundancy(found.m0)),
+        "kind": "intersection", **unit_of_weights(table, sigma), "m0": result.m0, "redundancy": result.redundancy,
+        "iterations": result.iterations, "points": points, "residuals": residuals, "stations": centres,
+        **as_record(no_redundancy(result.m0)),
     }  # fmt: skip
     return finished(record, path, table, output, beside=[photos])
 
@@ -231,21 +231,21 @@ def run_surface(
     )
     weights = sigma_m if table.sigma is None else table.sigma
     with one_blas_thread():
-        found = fit_surface(table.ground, kind, axis=axis, sigma_m=weights, method=method, priors=priors)
-    ratio = None if weights is None or method != "geometric" else np.linalg.norm(found.deviations_m / weights, axis=1)
+        fit = fit_surface(table.ground, kind, axis=axis, sigma_m=weights, method=method, priors=priors)
+    ratio = None if weights is None or method != "geometric" else np.linalg.norm(fit.deviations_m / weights, axis=1)
     record: Record = {
-        "kind": "surface", **unit_of_weights(table, sigma_m), "surface": found.surface.as_dict(), "method": method,
-        "axis": axis if kind == "spheroid" else None, "m0": found.m0, "redundancy": found.redundancy,
-        "condition": found.condition, "iterations": found.iterations, "rms_m": found.rms_m,
-        "rms_deviation_m": plain_rms(found.deviations_m),
-        "parameters": _parameters(found.names, found.values, found.sigma),
+        "kind": "surface", **unit_of_weights(table, sigma_m), "surface": fit.surface.as_dict(), "method": method,
+        "axis": axis if kind == "spheroid" else None, "m0": fit.m0, "redundancy": fit.redundancy,
+        "condition": fit.condition, "iterations": fit.iterations, "rms_m": fit.rms_m,
+        "rms_deviation_m": plain_rms(fit.deviations_m),
+        "parameters": _parameters(fit.names, fit.values, fit.sigma),
         "points": [
-            {"id": name, **xyz(table.ground[k]), **xyz(found.deviations_m[k], "deviation_"),
-             "distance_m": float(found.distances_m[k]),
+            {"id": name, **xyz(table.ground[k]), **xyz(fit.deviations_m[k], "deviation_"),
+             "distance_m": float(fit.distances_m[k]),
              **({} if ratio is None else {"distance_over_sigma": float(ratio[k])})}
             for k, name in enumerate(table.ids)
         ],
-        **as_record(no_redundancy(found.m0)),
+        **as_record(no_redundancy(fit.m0)),
     }  # fmt: skip
     return finished(record, path, table, output)
 
@@ -392,18 +392,12 @@ def finished(
         with staged_folder(out, overwrite=output.overwrite, contents=CONTENTS) as folder, writing(out):
             (folder / RECORD_FILE).write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
             (folder / REPORT_FILE).write_text(page, encoding="utf-8")
-            _write_points(folder / "points.csv", record)
+            rows = record.get("points") or [
+                {"photo": p["photo"]} | row for p in record["photos"] for row in p["points"]
+            ]
+            write_rows(folder / "points.csv", rows)
             if photos:
                 (folder / "photos.toml").write_text("schema = 1\n\n" + "\n".join(photos), encoding="utf-8")
     if report is not None:
         write_text(report, page)
     return record | {"out": None if out is None else str(out), "page": None if report is None else str(report)}
-
-
-def _write_points(path: Path, record: Record) -> None:
-    """Write all points as one table; None and nan are empty cells."""
-    rows = record.get("points") or [{"photo": p["photo"]} | row for p in record["photos"] for row in p["points"]]
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(rows[0])
-        writer.writerows(["" if v is None or v != v else v for v in row.values()] for row in rows)

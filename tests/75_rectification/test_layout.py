@@ -212,7 +212,7 @@ def test_absurd_sigmas_are_refused(sigma: object, code: str) -> None:
 
 @pytest.mark.behaviour
 @pytest.mark.parametrize(
-    ("sigmas", "text"), [(("1e-4", "1e-4"), "times what the sigmas say"), (("1e6", "1e6"), "times what the sigmas say"),
+    ("sigmas", "text"), [(("1e-4", "1e-4"), "as large as the sigmas"), (("1e6", "1e6"), "as large as the sigmas"),
                          (("15", "15"), ""), (("15", "1e6"), "negligible weight")],
 )  # fmt: skip
 def test_sigmas_that_the_residuals_contradict_are_remarked(

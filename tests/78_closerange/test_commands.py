@@ -115,7 +115,7 @@ def test_statistics_that_do_not_exist_are_null_with_a_reason(tmp_path: Path) -> 
     table = surface_table(tmp_path / "four.csv", np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]]))
     record = run("closerange", "surface", table, "--kind", "sphere", "--json").json
     assert record["m0"] is None and record["parameters"][0]["sigma"] is None
-    assert record["warnings"] == ["no redundancy: standard deviations follow from nothing"]
+    assert record["warnings"] == ["there is no redundancy, so there are no standard deviations"]
 
 
 @pytest.mark.behaviour

@@ -9,8 +9,8 @@ from fg_orient.model.messages.entry import words
 WORDS: Final = words("""
 closerange.points: points are finite numbers, {width} a row
     -> check the values
-closerange.range: the number is too large: no digit of a coordinate would be left
-    -> give at most {limit:g} in size; look for a slip or another unit
+closerange.range: the number is too large to be a coordinate
+    -> give at most {limit:g} in size; look for a wrong digit or another unit
 closerange.sigma_range: no standard deviation has this size
     -> give {least:g} to {limit:g}, in the unit of the points
 closerange.sigma: standard deviations are finite numbers above 0
@@ -85,7 +85,7 @@ closerange.no_base: the photos were taken from one place, within noise: a rotati
 closerange.pair: the points do not determine the relative orientation (too close together, or on a plane through the
     base)
     -> measure points that fill the common part of both photos, at several depths
-closerange.line: the points lie on a line or at one place, which leaves the turn about it open
+closerange.line: the points lie on a line or at one place, and do not determine the rotation about it
     -> add points off the line
 closerange.no_camera: the photo has no camera
     -> give its focal, principal and y_axis
@@ -121,7 +121,7 @@ closerange.merged: these hard constraints hold together only with the points {po
     -> look for a point that is not on a figure; give the constraints sigmas, or leave one out
 closerange.member: the constraint names a point or photo that is not there
     -> choose one of {known}
-closerange.backend: not a backend of close range: hard constraints and correlates have no form in others
+closerange.backend: not a backend of close range; other backends do not support hard constraints
     -> choose one of {known}
 closerange.parameter: this is no name of a camera parameter, nor of a set of them
     -> choose one of {known}
@@ -131,7 +131,7 @@ closerange.no_place: the point is seen in one photo only and has no coordinates
     -> measure it in a second photo, give its coordinates, or leave it out
 closerange.prior_text: not an observed parameter
     -> write it as name=value:sigma, for instance b=0.845:0.001
-closerange.no_redundancy (warning): no redundancy: standard deviations follow from nothing
+closerange.no_redundancy (warning): there is no redundancy, so there are no standard deviations
 closerange.little_redundancy (warning): redundancy 1: m0, and standard deviations with it, are ten times too small
     in 8 of 100 sets, and 1 of 15 sets that are flat within the noise passes
     -> give <sigma>
@@ -139,7 +139,7 @@ closerange.nearly_parallel (warning): the projection is {sigmas:.2g} sigmas from
     of the centre and of the principal distances are too small (honest from {honest:.3g} on)
 closerange.second_pose (warning): a second pose fits nearly as well, centre at {centre_m[0]:.4g}, {centre_m[1]:.4g},
     {centre_m[2]:.4g} m: weighted squares {ratio:.3g} times as large, an F test at 5 % tells poses apart from
-    {limit:.3g}
+    {limit:.3g} on
     -> add control points off the plane
 closerange.second_orientation (warning): a second orientation fits nearly as well, base along {base[0]:.4g},
     {base[1]:.4g}, {base[2]:.4g}: weighted squares {ratio:.3g} times as large, a test at 5 % distinguishes orientations

@@ -69,7 +69,7 @@ rectify.projection: PROJ has no such projection
     -> write it as PROJ does: +proj=tmerc +lon_0=27 ...
 rectify.outside: this point lies outside the domain of the projection
     -> check longitude and latitude
-rectify.saved: this is no transformation that rectify fit wrote
+rectify.saved: this is not a transformation written by rectify fit
     -> give transformation.json of a result folder
 rectify.result: this is not a result of rectify fit, or it was altered
     -> give the folder that rectify fit wrote, unchanged
@@ -92,9 +92,9 @@ ortho.other_crs: the transformation was fitted in {fitted}
     -> leave out <crs>, or fit in this system
 ortho.over_input: the map would replace a file that it is made of
     -> give another <out>
-ortho.foreign: this file is no raster that <overwrite> may replace
+ortho.foreign: this file is not a raster, so <overwrite> may not replace it
     -> give another <out>, or move it
-rectify.seed: no seed of random numbers
+rectify.seed: not a seed of random numbers
     -> give a whole number from 0
 ortho.points_and_result: a transformation by points takes no orientation of an image
     -> give only one of {option} and the transformation
@@ -110,7 +110,7 @@ ortho.outline: the model finds no place on the map for this pixel, so the extent
     -> give <bounds> and <resolution>, or another transformation
 ortho.hole: the DEM has no height inside the image (map pixel row {row}, column {column})
     -> fill the holes of the DEM, or add <allow_holes> to leave them empty
-ortho.result: this is no result folder of adjust with this image
+ortho.result: this is not a result folder of adjust with this image
     -> give the folder that adjust wrote; images in it: {known}
 ortho.other_image: image {image} of the result was computed from another metadata file ({known})
     -> give the metadata file of that image, or another <image_id>
@@ -128,7 +128,7 @@ rectify.little_reach (warning): the control points reach little along {direction
     {ratio:.0f} times worse than along them, to {percent:.2g} %
 rectify.hardly_determined (warning): the points hardly determine the transformation: condition {condition:.2g},
     usual is {typical:g}: they lie near {what} of its form
-rectify.sigma_size (warning): the residuals are {m0:.2g} times what the sigmas say: sigmas of another unit or size?
+rectify.sigma_size (warning): the residuals are {m0:.2g} times as large as the sigmas: sigmas of another unit or size?
 rectify.sigma_span (warning): one sigma is {span:.1g} times another: points with large ones carry negligible weight
 rectify.far_from_zone (warning): {n} control point(s) lie far outside the area of {crs} ({west:g} to {east:g}
     degrees east, {south:g} to {north:g} north), such as {point} ({where}): another zone, or swapped coordinates?
