@@ -6,14 +6,12 @@ from fg_orient._public import names_of, on_first_use
 
 _HOME = names_of(__name__, {
     "accuracy": "Comparison compare_points",
-    "axes": "aerial_from_rotation ayhan_from_rotation rotation_from_aerial rotation_from_ayhan",
-    "bundle": "Adjustment Bundle BundlePhoto adjust_bundle",
+    "bundle": "Adjustment BundlePhoto BundleResult adjust_bundle",
     "constraints": "Constraint",
     "dlt": "DltFit fit_dlt",
-    "intersection": "Intersection intersect_photos",
+    "intersection": "Intersection intersect_photos normal_case",
     "orientation": "RelativeOrientation Similarity absolute_orientation relative_orientation",
-    "parallax": "normal_case",
-    "photo": "Interior Photo",
+    "photo": "Photo PhotoInterior aerial_from_rotation ayhan_from_rotation rotation_from_aerial rotation_from_ayhan",
     "resection": "Resection resect",
     "surface": "Surface map_points",
     "surface_fit": "SurfaceFit fit_surface",

@@ -9,13 +9,12 @@ from __future__ import annotations
 from fg_orient._public import names_of, on_first_use
 
 _HOME = names_of(__name__, {
-    "fit": "Fit Observations",
-    "models": "find_model",
+    "fit": "Observations TransformationFit",
     "ortho": "OrthoOptions orthorectify",
     "outliers": "PointTests point_tests",
     "points": "MapPoints PointFit fit_points read_map_points",
     "standards": "check_accuracy nmas_limit_m nssda_m",
-    "transformation": "Transformation read_transformation",
+    "transformation": "Transformation find_model read_transformation",
     "grid": "MapGrid",
     "areas": "planar_area_m2 perimeter_m",
 })  # fmt: skip
