@@ -172,7 +172,7 @@ def test_a_result_that_misses_a_hard_constraint_is_refused(monkeypatch: pytest.M
     scene = make(7, 20, 3)
     stated = [Constraint("plane", ("p6", "p7", "p8", "p9"))]
     monkeypatch.setitem(bundle.OPTIMIZERS, "levenberg-marquardt", still)
-    with pytest.raises(NoSolutionError, match="hard constraints are not met where the steps end"):
+    with pytest.raises(NoSolutionError, match="hard constraints are not satisfied where the steps end"):
         adjusted(scene, scene.photos(), constraints=stated)
 
 
