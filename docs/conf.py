@@ -55,7 +55,7 @@ nitpicky = False
 _ROOT = Path(__file__).resolve().parents[1]
 _INTERNAL = """
     fg_orient/__main__.py fg_orient/_public.py
-    fg_orient/adjustment/*.py fg_orient/adjustment/models fg_orient/adjustment/parts/*
+    fg_orient/adjustment/*.py fg_orient/adjustment/parts/*
     fg_orient/cli fg_orient/closerange/*job.py fg_orient/closerange/bundle_record.py fg_orient/closerange/importing.py
     fg_orient/closerange/report*.py fg_orient/formats/assemble.py fg_orient/formats/atomic.py
     fg_orient/formats/*_checks.py fg_orient/formats/gdal.py fg_orient/formats/toml.py
@@ -68,7 +68,7 @@ _INTERNAL = """
     fg_orient/studies/reproduce fg_orient/studies/switch_effects.py fg_orient/studies/tables_*.py
 """.split()
 _IMPORTED = """
-    fg_orient/adjustment/models fg_orient/adjustment/problem.py fg_orient/adjustment/regression.py
+    fg_orient/adjustment/image_models.py fg_orient/adjustment/problem.py fg_orient/adjustment/regression.py
     fg_orient/studies/comparison/compare.py fg_orient/studies/comparison/model.py fg_orient/studies/claims.py
     fg_orient/adjustment/parts/solve.py fg_orient/adjustment/parts/study.py
     fg_orient/report/chart.py fg_orient/report/figures.py fg_orient/report/geofiles.py fg_orient/report/html.py

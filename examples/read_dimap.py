@@ -16,7 +16,7 @@ import numpy as np
 import fg_orient as fg
 from fg_orient.model.names import COMPONENTS
 from fg_orient.model.parameters import UNITS
-from fg_orient.sensors.eop import fit_eop
+from fg_orient.sensors.correction import fit_eop
 from fg_orient.sensors.ground import frame_records, ground_records
 
 

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.linear.kappa import KappaChoice, register_kappa_rule
     from fg_orient.adjustment.linear.registry import register_solver
     from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
-    from fg_orient.adjustment.models.contract import register_model
     from fg_orient.adjustment.regression import fit_curve
     from fg_orient.formats.project import read_project
     from fg_orient.formats.registry import Format, register_format
@@ -40,6 +39,7 @@ if TYPE_CHECKING:
     from fg_orient.orientation.solution import Solution
     from fg_orient.result.record import Result, read_result
     from fg_orient.rpc.select import register_selection
+    from fg_orient.sensors.base import Sensor
     from fg_orient.sensors.initial import intersect
     from fg_orient.studies.comparison.compare import compare
 
@@ -93,6 +93,7 @@ _HOME: Final = {
     "Record": "factors.records",
     "Result": "fg_orient.result.record",
     "Role": "fg_orient.model.names",
+    "Sensor": "fg_orient.sensors.base",
     "Solution": "fg_orient.orientation.solution",
     "Status": "fg_orient.model.names",
     "adjust": "fg_orient.orientation.orient",
@@ -108,7 +109,6 @@ _HOME: Final = {
     "register_format": "fg_orient.formats.registry",
     "register_kappa_rule": "fg_orient.adjustment.linear.kappa",
     "register_loss": "factors.losses:register",
-    "register_model": "fg_orient.adjustment.models.contract",
     "register_selection": "fg_orient.rpc.select",
     "register_solver": "fg_orient.adjustment.linear.registry",
 }
@@ -136,6 +136,7 @@ __all__ = [
     "Record",
     "Result",
     "Role",
+    "Sensor",
     "Solution",
     "Status",
     "__version__",
@@ -152,7 +153,6 @@ __all__ = [
     "register_format",
     "register_kappa_rule",
     "register_loss",
-    "register_model",
     "register_selection",
     "register_solver",
 ]

@@ -62,7 +62,7 @@ def look_angles_read_once() -> Iterator[None]:
     from fg_orient.formats import dimap1, dimap_write
 
     read, write = dimap1._look_angles, dimap_write._look_rows
-    known, written = dict[Any, Any](), dict[Any, list[str]]()
+    known, written = dict[Any, Any](), dict[Any, Any]()
     sections = dict[Any, bytes]()
 
     def section(root: Any) -> bytes:
@@ -80,10 +80,10 @@ def look_angles_read_once() -> Iterator[None]:
             known[key] = read(root, n_samples)
         return copy.deepcopy(known[key])
 
-    def write_once(look: Any) -> list[str]:
+    def write_once(look: Any) -> Any:
         key = tuple(column.tobytes() for column in (look.sample, look.psi_x_rad, look.psi_y_rad))
         if key not in written:
-            written[key] = list(write(look))
+            written[key] = write(look)
         return written[key]
 
     with pytest.MonkeyPatch.context() as patch:

@@ -20,8 +20,8 @@ import numpy.typing as npt
 from factors.conditions.control import POINT
 from factors.graph import factor, image_point_factors
 from factors.split import Split
+from fg_orient.adjustment.image_models import groups
 from fg_orient.adjustment.loop import share_at_radius
-from fg_orient.adjustment.models.contract import groups
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust, ScaledLoss, squares
 from fg_orient.model.block import ExtraObservation

@@ -1,7 +1,7 @@
 """The adjustment problem: block, parameters and start values compiled to arrays, once.
 
 The unit of every residual is one sigma: image points in pixel sigmas (whitened by the image's model:
-``fg_orient.adjustment.models``), control points ``W (G - G_0)``, priors ``x`` (unknowns in prior sigmas). All backends
+``fg_orient.sensors.base``), control points ``W (G - G_0)``, priors ``x`` (unknowns in prior sigmas). All backends
 start from this object, so that they differ in the solver only. Images of different kinds can be combined.
 """
 
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from factors.conditions.control import POINT
 from factors.geometry import ellipsoid
 from fg_orient import geodesy
-from fg_orient.adjustment.models.contract import ImageModel, image_models
+from fg_orient.adjustment.image_models import image_models
 from fg_orient.adjustment.rows import residuals
 from fg_orient.adjustment.ties import Ties, ties_of
 from fg_orient.model.block import Block, ExtraObservation, ImagePoints
@@ -26,6 +26,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 from fg_orient.model.parameters import ImageParameters
 from fg_orient.sensors import initial
+from fg_orient.sensors.base import ImageModel
 
 Array = npt.NDArray[np.float64]
 #: One ground point by its number, or several by numbers or by True.

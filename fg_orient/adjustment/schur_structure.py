@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.models.contract import groups
+from fg_orient.adjustment.image_models import groups
 from fg_orient.adjustment.problem import Problem
 from fg_orient.kernels import batch_sort
 from fg_orient.kernels.batch import Columns, batch

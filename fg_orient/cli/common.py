@@ -78,7 +78,7 @@ def oriented(images: tuple[Image, ...], result: Path | None) -> tuple[Image, ...
 
 def _with_result(sensor: Any, result: Path, image_id: str = "") -> Any:
     from fg_orient.rectification.adjusted import read_correction
-    from fg_orient.sensors.oriented import OrientedSensor
+    from fg_orient.sensors.base import OrientedSensor
 
     return OrientedSensor(sensor, read_correction(result, sensor, image_id))
 

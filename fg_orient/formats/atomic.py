@@ -21,7 +21,7 @@ from fg_orient.model.errors import InputError
 
 @contextlib.contextmanager
 def staged_file(path: str | os.PathLike[str], *, place: str = "", suffix: str = "") -> Iterator[Path]:
-    """Give a hidden name beside a file that is renamed to it if the block ends well, else removed.
+    """Give a hidden sibling of a file that is renamed to it if the block ends well, else removed.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def write_bytes(path: str | os.PathLike[str], data: bytes, *, durable: bool = Tr
         it is left behind.
     """
     with staged_file(path) as temporary:
-        # O_EXCL: never through a link that somebody else laid; 0o666 is cut by the umask
+        # O_EXCL: never through a foreign link; 0o666 is cut by the umask
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
         with os.fdopen(descriptor, "wb") as stream:
             stream.write(data)
@@ -95,7 +95,7 @@ def write_lines(path: str | os.PathLike[str], lines: Iterable[str]) -> None:
 
 @dataclass(frozen=True)
 class Contents:
-    """What a kind of output folder holds.
+    """Contents of a kind of output folder.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def staged_folder(out: str | Path, *, overwrite: bool = False, contents: Content
     Yields
     ------
     Path
-        An empty folder beside ``out``.
+        An empty sibling of ``out``.
 
     Raises
     ------
@@ -200,7 +200,7 @@ def staged_folder(out: str | Path, *, overwrite: bool = False, contents: Content
         with writing(out):
             staging.mkdir(parents=True)
         yield staging
-        require_free(target, overwrite=overwrite, contents=contents)  # somebody else may have been faster
+        require_free(target, overwrite=overwrite, contents=contents)  # another process may have been faster
         with writing(out):
             _replace(target, staging)
         done = True

@@ -69,7 +69,7 @@ class PhotoFile(Table):
 
 @dataclass(frozen=True)
 class Photos:
-    """What a photo file says.
+    """Contents of a photo file.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def read_photos(path: Path) -> Photos:
     Raises
     ------
     InputError
-        All faults of the file; a name that occurs twice, a rotation that is none.
+        All faults of the file; a name that occurs twice, a matrix that is not a rotation.
     """
     entries: dict[str, PhotoEntry] = {}
     for k, entry in enumerate(read_toml(path, PhotoFile).photos):

@@ -1,17 +1,20 @@
 """Writer of DIMAP metadata for simulated images: SPOT-5 (DIMAP 1.1) and Pléiades-like (DIMAP 2.0).
 
-Only elements that a reader of the rigorous model needs are written, under a head that
-names the software as producer, so that no simulated file passes for a real one. Every
-number is printed with the digits that identify the float (17 where needed), times
-likewise: reading a written file gives the same records bit by bit.
+Only elements that a reader of the rigorous model needs are written, under a head that names the software as producer,
+so that no simulated file passes for a real one. Every number is printed with the digits that identify the float (17
+where needed), times likewise: reading a written file gives the same records bit by bit.
+
+The writers make trees of dictionaries: the value of an element name is its text, its children, or a list of these for
+an element that repeats; a list of pairs is children in order.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from decimal import Decimal
-from xml.sax.saxutils import escape, quoteattr
+from typing import Any, Final
+from xml.sax.saxutils import escape
 
 import numpy as np
 import numpy.typing as npt
@@ -31,9 +34,11 @@ from fg_orient.sensors.metadata import (
 )
 
 Array = npt.NDArray[np.float64]
+Pairs = list[tuple[str, Any]]
 
-_HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n'
-PRODUCER = "fg_orient simulator"
+_HEAD: Final = '<?xml version="1.0" encoding="UTF-8"?>\n'
+PRODUCER: Final = "fg_orient simulator"
+_PROFILES: Final = {"SPOT 6": "S6_SENSOR", "SPOT 7": "S7_SENSOR"}
 
 
 def write_dimap1(path: str | os.PathLike[str], metadata: PushbroomMetadata, *, dataset_name: str = "SIMULATED") -> None:
@@ -60,27 +65,76 @@ def write_dimap1(path: str | os.PathLike[str], metadata: PushbroomMetadata, *, d
     look = metadata.look
     if not isinstance(look, LookAngleTable) or not np.array_equal(look.sample, np.round(look.sample)):
         raise _misfit(path, metadata, "DIMAP 1.1", "needed: look angles as a table of whole detector numbers")
-    centre = metadata.timing.reference_line + DIMAP_FIRST_PIXEL
-    strip = _tag("Data_Strip", [
-        _tag("Ephemeris", _tag("Points", map(_point1, *_states(metadata)))),
-        _tag("Satellite_Attitudes", _tag("Corrected_Attitudes", [
-            _leaf("STAR_TRACKER_USED", "Y"),
-            _tag("Corrected_Attitude", _angles(metadata.epoch, metadata.attitude)),
-        ])),
-        _tag("Sensor_Configuration", [
-            _tag("Time_Stamp", [
-                _leaf("LINE_PERIOD", _number(metadata.timing.line_period_s)),
-                _leaf("SCENE_CENTER_TIME", _time(metadata.epoch, metadata.timing.reference_time_s)),
-                _leaf("SCENE_CENTER_LINE", _number(centre)),
-                _leaf("SCENE_CENTER_COL", metadata.n_samples // 2 + DIMAP_FIRST_PIXEL),
-            ]),
-            _tag("Instrument_Look_Angles_List", _tag("Instrument_Look_Angles", [
-                _leaf("BAND_INDEX", 1), _tag("Look_Angles_List", _look_rows(look)),
-            ])),
-        ]),
-    ])  # fmt: skip
-    body = [*_head1(metadata, dataset_name), *_frame1(metadata.frame_points), *_scene1(metadata), strip]
-    write_text(path, _HEAD + _tag("Dimap_Document", body) + "\n")
+    timing, day = metadata.timing, metadata.epoch
+    points = [
+        {"Location": dict(zip("XYZ", p, strict=True)), "Velocity": dict(zip("XYZ", v, strict=True)), "TIME": time}
+        for time, p, v in _states(metadata)
+    ]
+    angles = [
+        {"TIME": _time(day, t), "YAW": yaw, "PITCH": pitch, "ROLL": roll, "OUT_OF_RANGE": "N"}
+        for t, (roll, pitch, yaw) in zip(
+            metadata.attitude.time_s, ATTITUDE_SIGN * metadata.attitude.angles_rad, strict=True
+        )
+    ]
+    stamp = {
+        "LINE_PERIOD": float(timing.line_period_s), "SCENE_CENTER_TIME": _time(day, timing.reference_time_s),
+        "SCENE_CENTER_LINE": _from_1(timing.reference_line),
+        "SCENE_CENTER_COL": metadata.n_samples // 2 + DIMAP_FIRST_PIXEL,
+    }  # fmt: skip
+    looks = {"Instrument_Look_Angles": {"BAND_INDEX": 1, "Look_Angles_List": {"Look_Angles": _look_rows(look)}}}
+    date, clock = _time(day, timing.reference_time_s).split("T")
+    instrument, _, index = metadata.instrument.partition(" ")
+    scene = {
+        "IMAGING_DATE": date, "IMAGING_TIME": clock[:8], "MISSION": "SPOT", "MISSION_INDEX": 5,
+        "INSTRUMENT": instrument or "HRG", "INSTRUMENT_INDEX": index or 1,
+    }  # fmt: skip
+    _write(path, {
+        "Metadata_Id": {'METADATA_FORMAT version="1.1"': "DIMAP", "METADATA_PROFILE": "SPOTSCENE_1A"},
+        "Dataset_Id": {"DATASET_NAME": dataset_name, "COPYRIGHT": "simulated, no real image"},
+        "Production": {"PRODUCT_INFO": "Simulated scene level 1A", "DATASET_PRODUCER_NAME": PRODUCER},
+        **_frame1(metadata.frame_points),
+        "Raster_CS": {"RASTER_CS_TYPE": "POINT", "PIXEL_ORIGIN": DIMAP_FIRST_PIXEL},
+        "Dataset_Sources": {"Source_Information": {"SOURCE_TYPE": "SCENE", "Scene_Source": scene}},
+        "Raster_Dimensions": _size(metadata),
+        "Data_Processing": {"PROCESSING_LEVEL": "1A", "GEOMETRIC_PROCESSING": "RAW"},
+        "Data_Strip": {
+            "Ephemeris": {"Points": {"Point": points}},
+            "Satellite_Attitudes": {
+                "Corrected_Attitudes": {"STAR_TRACKER_USED": "Y", "Corrected_Attitude": {"Angles": angles}}
+            },
+            "Sensor_Configuration": {"Time_Stamp": stamp, "Instrument_Look_Angles_List": looks},
+        },
+    })  # fmt: skip
+
+
+def _look_rows(look: LookAngleTable) -> list[dict[str, Any]]:
+    return [
+        {"DETECTOR_ID": int(sample) + DIMAP_FIRST_PIXEL, "PSI_X": psi_x, "PSI_Y": psi_y}
+        for sample, psi_x, psi_y in zip(look.sample, look.psi_x_rad, look.psi_y_rad, strict=True)
+    ]
+
+
+def _frame1(points: tuple[FramePoint, ...]) -> dict[str, Any]:
+    """Frame points as corners and as tie points; nothing if there are none."""
+    if not points:
+        return {}
+    vertices: Pairs = [
+        ("Scene_Center" if p.id == "centre" else "Vertex", {
+            "FRAME_LON": float(p.lon_deg), "FRAME_LAT": float(p.lat_deg), "FRAME_ROW": _from_1(p.line),
+            "FRAME_COL": _from_1(p.sample),
+        })
+        for p in points
+    ]  # fmt: skip
+    ties = [
+        {"TIE_POINT_CRS_X": float(p.lon_deg), "TIE_POINT_CRS_Y": float(p.lat_deg), "TIE_POINT_CRS_Z": FRAME_HEIGHT_M,
+         "TIE_POINT_DATA_X": _from_1(p.sample), "TIE_POINT_DATA_Y": _from_1(p.line)}
+        for p in points if p.id != "centre"
+    ]  # fmt: skip
+    return {
+        "Dataset_Frame": vertices,
+        "Coordinate_Reference_System": {"Horizontal_CS": {"HORIZONTAL_CS_CODE": "epsg:4326"}},
+        "Geoposition": {"Geoposition_Points": {"Tie_Point": ties}},
+    }
 
 
 def write_dimap2(path: str | os.PathLike[str], metadata: PushbroomMetadata, *, dataset_name: str = "SIMULATED") -> None:
@@ -110,46 +164,99 @@ def write_dimap2(path: str | os.PathLike[str], metadata: PushbroomMetadata, *, d
     if timing.reference_line != 0.0 or not look.origin_sample.is_integer():
         raise _misfit(path, metadata, "DIMAP 2.0", "needed: times counted from line 0, columns from a whole number")
     end = timing.reference_time_s + timing.line_period_s * (metadata.n_lines - 1)
-    limits = [
-        _leaf("START", _time(metadata.epoch, timing.reference_time_s) + "Z"),
-        _leaf("END", _time(metadata.epoch, end) + "Z"),
+    limits = {name: _time(metadata.epoch, t) + "Z" for name, t in (("START", timing.reference_time_s), ("END", end))}
+    points = [
+        {'LOCATION_XYZ unit="m"': _numbers(p), 'VELOCITY_XYZ unit="m/s"': _numbers(v), "TIME": time + "Z"}
+        for time, p, v in _states(metadata)
     ]
-    model = _tag("Refined_Model", [
-        _leaf("MODEL_USED", "SENSOR"),
-        _tag("Time", [
-            _tag("Time_Range", limits),
-            _tag("Time_Stamp", _leaf("LINE_PERIOD", _number(timing.line_period_s), unit="s")),
-        ]),
-        _tag("Ephemeris", _tag("Point_List", map(_point2, *_states(metadata)))),
-        _tag("Attitudes", _quaternions(metadata.epoch, metadata.attitude)),
-        _tag("Geometric_Calibration", _tag("Instrument_Calibration", _look_polynomial(look, metadata.n_samples))),
-    ])  # fmt: skip
-    body = [*_head2(metadata, dataset_name), _tag("Geometric_Data", model), *_sources2(metadata.mission)]
-    write_text(path, _HEAD + _tag("Dimap_Document", body) + "\n")
+    angles = {
+        f"{name}_{k}": value
+        for name, row in (("XLOS", look.tan_psi_y), ("YLOS", look.tan_psi_x))
+        for k, value in enumerate(row)
+    }
+    band = {
+        "BAND_ID": "P",
+        "Swath_Range": {"FIRST_COL": int(look.origin_sample) + DIMAP_FIRST_PIXEL, "LAST_COL": metadata.n_samples},
+        "Polynomial_Look_Angles": angles,
+    }  # fmt: skip
+    model = {
+        "MODEL_USED": "SENSOR",
+        "Time": {"Time_Range": limits, "Time_Stamp": {'LINE_PERIOD unit="s"': float(timing.line_period_s)}},
+        "Ephemeris": {"Point_List": {"Point": points}},
+        "Attitudes": _quaternions(metadata.epoch, metadata.attitude),
+        "Geometric_Calibration": {"Instrument_Calibration": {"Band_Calibration_List": {"Band_Calibration": band}}},
+    }
+    extent: Pairs = [
+        ("Center" if p.id == "centre" else "Vertex", {
+            "LON": float(p.lon_deg), "LAT": float(p.lat_deg), "COL": _from_1(p.sample), "ROW": _from_1(p.line),
+        })
+        for p in metadata.frame_points
+    ]  # fmt: skip
+    profile = _PROFILES.get(metadata.mission, "PHR_SENSOR")
+    name, _, index = metadata.mission.partition(" ")
+    strip = {"MISSION": name, "MISSION_INDEX": index, "INSTRUMENT": name, "INSTRUMENT_INDEX": index}
+    _write(path, {
+        "Metadata_Identification": {
+            'METADATA_FORMAT version="2.0"': "DIMAP", "METADATA_PROFILE": profile, "METADATA_SUBPROFILE": "PRODUCT",
+        },
+        "Dataset_Identification": {"DATASET_NAME": dataset_name},
+        **({"Dataset_Content": {"Dataset_Extent": extent}} if extent else {}),
+        "Product_Information": {"Producer_Information": {"PRODUCER_NAME": PRODUCER}},
+        "Geoposition": {"Raster_CS": {"PIXEL_ORIGIN": DIMAP_FIRST_PIXEL}},
+        "Raster_Data": {"Raster_Dimensions": _size(metadata)},
+        "Geometric_Data": {"Refined_Model": model},
+        **({"Dataset_Sources": {"Source_Identification": {"Strip_Source": strip}}} if index else {}),
+    })  # fmt: skip
 
 
-# --- elements --------------------------------------------------------------------------------
+def _quaternions(epoch: np.datetime64, attitude: QuaternionList | QuaternionPolynomial) -> dict[str, Any]:
+    if isinstance(attitude, QuaternionList):
+        return {"Quaternion_List": {"Quaternion": [
+            {"Q_STATUS": "NOMINAL", **{f"Q{j}": value for j, value in enumerate(q)}, "TIME": _time(epoch, t) + "Z"}
+            for t, q in zip(attitude.time_s, attitude.quaternion, strict=True)
+        ]}}  # fmt: skip
+    rows = {
+        f"Q{j}": {"DEGREE": len(row) - 1, "COEFFICIENTS": _numbers(row)} for j, row in enumerate(attitude.coefficients)
+    }
+    return {"Polynomial_Quaternions": {"OFFSET": float(attitude.offset_s), "SCALE": float(attitude.scale_s), **rows}}
 
 
-def _leaf(name: str, value: object, **attributes: str) -> str:
-    return f"<{name}{_attributes(attributes)}>{escape(str(value))}</{name}>"
+# --- text ----------------------------------------------------------------------------------------
 
 
-def _tag(name: str, children: str | Iterable[str], **attributes: str) -> str:
-    inner = children if isinstance(children, str) else "\n".join(children)
-    return f"<{name}{_attributes(attributes)}>\n{inner}\n</{name}>"
+def _write(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
+    write_text(path, _HEAD + "\n".join(_elements([("Dimap_Document", content)])) + "\n")
 
 
-def _attributes(attributes: dict[str, str]) -> str:
-    return "".join(f" {name}={quoteattr(value)}" for name, value in attributes.items())
+def _elements(pairs: Iterable[tuple[str, Any]]) -> Iterator[str]:
+    """Lines of elements, given by name with attributes and content."""
+    for tag, value in pairs:
+        for content in value if _repeats(value) else [value]:
+            if isinstance(content, Mapping | list):
+                yield f"<{tag}>"
+                yield from _elements(content.items() if isinstance(content, Mapping) else content)
+                yield f"</{tag.partition(' ')[0]}>"
+            else:
+                text = repr(float(content)) if isinstance(content, float) else escape(str(content))
+                yield f"<{tag}>{text}</{tag.partition(' ')[0]}>"
 
 
-def _number(value: float) -> str:
-    return repr(float(value))
+def _repeats(value: object) -> bool:
+    """Tell a list of contents of one element from a list of pairs."""
+    return isinstance(value, list) and not (value and isinstance(value[0], tuple))
+
+
+def _from_1(pixel: float) -> float:
+    """Line or sample in the count of the file."""
+    return float(pixel + DIMAP_FIRST_PIXEL)
+
+
+def _size(metadata: PushbroomMetadata) -> dict[str, int]:
+    return {"NCOLS": metadata.n_samples, "NROWS": metadata.n_lines, "NBANDS": 1}
 
 
 def _numbers(values: Iterable[float]) -> str:
-    return " ".join(_number(value) for value in values)
+    return " ".join(repr(float(value)) for value in values)
 
 
 def _time(epoch: np.datetime64, seconds: float) -> str:
@@ -169,170 +276,8 @@ def _misfit(path: str | os.PathLike[str], metadata: PushbroomMetadata, target: s
     return InputError(finding("dimap.not_writable", file=os.fspath(path), value=kinds, target=target, needed=needed))
 
 
-def _states(metadata: PushbroomMetadata) -> tuple[list[str], Array, Array]:
+def _states(metadata: PushbroomMetadata) -> Iterator[tuple[str, Array, Array]]:
+    """Time, position and velocity of each state vector."""
     orbit = metadata.ephemeris
-    return [_time(metadata.epoch, t) for t in orbit.time_s], orbit.position_m, orbit.velocity_m_s
-
-
-# --- DIMAP 1.1 -------------------------------------------------------------------------------
-
-
-def _head1(metadata: PushbroomMetadata, dataset_name: str) -> list[str]:
-    return [
-        _tag("Metadata_Id", [
-            _leaf("METADATA_FORMAT", "DIMAP", version="1.1"), _leaf("METADATA_PROFILE", "SPOTSCENE_1A"),
-        ]),
-        _tag("Dataset_Id", [
-            _leaf("DATASET_NAME", dataset_name), _leaf("COPYRIGHT", "simulated, no real image"),
-        ]),
-        _tag("Production", [
-            _leaf("PRODUCT_INFO", "Simulated scene level 1A"), _leaf("DATASET_PRODUCER_NAME", PRODUCER),
-        ]),
-    ]  # fmt: skip
-
-
-def _frame1(points: tuple[FramePoint, ...]) -> list[str]:
-    if not points:
-        return []
-
-    def vertex(point: FramePoint) -> str:
-        return _tag("Scene_Center" if point.id == "centre" else "Vertex", [
-            _leaf("FRAME_LON", _number(point.lon_deg)), _leaf("FRAME_LAT", _number(point.lat_deg)),
-            _leaf("FRAME_ROW", _number(point.line + DIMAP_FIRST_PIXEL)),
-            _leaf("FRAME_COL", _number(point.sample + DIMAP_FIRST_PIXEL)),
-        ])  # fmt: skip
-
-    def tie(point: FramePoint) -> str:
-        return _tag("Tie_Point", [
-            _leaf("TIE_POINT_CRS_X", _number(point.lon_deg)), _leaf("TIE_POINT_CRS_Y", _number(point.lat_deg)),
-            _leaf("TIE_POINT_CRS_Z", _number(FRAME_HEIGHT_M)),
-            _leaf("TIE_POINT_DATA_X", _number(point.sample + DIMAP_FIRST_PIXEL)),
-            _leaf("TIE_POINT_DATA_Y", _number(point.line + DIMAP_FIRST_PIXEL)),
-        ])  # fmt: skip
-
-    return [
-        _tag("Dataset_Frame", map(vertex, points)),
-        _tag("Coordinate_Reference_System", _tag("Horizontal_CS", _leaf("HORIZONTAL_CS_CODE", "epsg:4326"))),
-        _tag("Geoposition", _tag("Geoposition_Points", [tie(p) for p in points if p.id != "centre"])),
-    ]
-
-
-def _scene1(metadata: PushbroomMetadata) -> list[str]:
-    date, clock = _time(metadata.epoch, metadata.timing.reference_time_s).split("T")
-    instrument, _, index = metadata.instrument.partition(" ")
-    source = [
-        _leaf("IMAGING_DATE", date), _leaf("IMAGING_TIME", clock[:8]),
-        _leaf("MISSION", "SPOT"), _leaf("MISSION_INDEX", 5),
-        _leaf("INSTRUMENT", instrument or "HRG"), _leaf("INSTRUMENT_INDEX", index or 1),
-    ]  # fmt: skip
-    return [
-        _tag("Raster_CS", [_leaf("RASTER_CS_TYPE", "POINT"), _leaf("PIXEL_ORIGIN", DIMAP_FIRST_PIXEL)]),
-        _tag("Dataset_Sources", _tag("Source_Information", [
-            _leaf("SOURCE_TYPE", "SCENE"), _tag("Scene_Source", source),
-        ])),
-        _raster_dimensions(metadata),
-        _tag("Data_Processing", [_leaf("PROCESSING_LEVEL", "1A"), _leaf("GEOMETRIC_PROCESSING", "RAW")]),
-    ]  # fmt: skip
-
-
-def _raster_dimensions(metadata: PushbroomMetadata) -> str:
-    sizes = (("NCOLS", metadata.n_samples), ("NROWS", metadata.n_lines), ("NBANDS", 1))
-    return _tag("Raster_Dimensions", [_leaf(name, value) for name, value in sizes])
-
-
-def _point1(time: str, position: Array, velocity: Array) -> str:
-    groups = (("Location", position), ("Velocity", velocity))
-    parts = [
-        _tag(name, [_leaf(axis, _number(v)) for axis, v in zip("XYZ", vector, strict=True)]) for name, vector in groups
-    ]
-    return _tag("Point", [*parts, _leaf("TIME", time)])
-
-
-def _angles(epoch: np.datetime64, attitude: AngleAttitude) -> Iterable[str]:
-    for t, (roll, pitch, yaw) in zip(attitude.time_s, ATTITUDE_SIGN * attitude.angles_rad, strict=True):
-        yield _tag("Angles", [
-            _leaf("TIME", _time(epoch, t)), _leaf("YAW", _number(yaw)), _leaf("PITCH", _number(pitch)),
-            _leaf("ROLL", _number(roll)), _leaf("OUT_OF_RANGE", "N"),
-        ])  # fmt: skip
-
-
-def _look_rows(look: LookAngleTable) -> Iterable[str]:
-    for sample, psi_x, psi_y in zip(look.sample, look.psi_x_rad, look.psi_y_rad, strict=True):
-        yield _tag("Look_Angles", [
-            _leaf("DETECTOR_ID", int(sample) + DIMAP_FIRST_PIXEL),
-            _leaf("PSI_X", _number(psi_x)), _leaf("PSI_Y", _number(psi_y)),
-        ])  # fmt: skip
-
-
-# --- DIMAP 2.0 -------------------------------------------------------------------------------
-
-_PROFILES = {"SPOT 6": "S6_SENSOR", "SPOT 7": "S7_SENSOR"}
-
-
-def _head2(metadata: PushbroomMetadata, dataset_name: str) -> list[str]:
-    corners = [
-        _tag("Center" if p.id == "centre" else "Vertex", [
-            _leaf("LON", _number(p.lon_deg)), _leaf("LAT", _number(p.lat_deg)),
-            _leaf("COL", _number(p.sample + DIMAP_FIRST_PIXEL)), _leaf("ROW", _number(p.line + DIMAP_FIRST_PIXEL)),
-        ])
-        for p in metadata.frame_points
-    ]  # fmt: skip
-    extent = [_tag("Dataset_Content", _tag("Dataset_Extent", corners))] if corners else []
-    return [
-        _tag("Metadata_Identification", [
-            _leaf("METADATA_FORMAT", "DIMAP", version="2.0"),
-            _leaf("METADATA_PROFILE", _PROFILES.get(metadata.mission, "PHR_SENSOR")),
-            _leaf("METADATA_SUBPROFILE", "PRODUCT"),
-        ]),
-        _tag("Dataset_Identification", _leaf("DATASET_NAME", dataset_name)),
-        *extent,
-        _tag("Product_Information", _tag("Producer_Information", _leaf("PRODUCER_NAME", PRODUCER))),
-        _tag("Geoposition", _tag("Raster_CS", _leaf("PIXEL_ORIGIN", DIMAP_FIRST_PIXEL))),
-        _tag("Raster_Data", _raster_dimensions(metadata)),
-    ]  # fmt: skip
-
-
-def _sources2(mission: str) -> list[str]:
-    """Strip_Source of a mission with an index ("PHR 1A", "SPOT 6")."""
-    name, _, index = mission.partition(" ")
-    if not index:
-        return []
-    strip = [_leaf("MISSION", name), _leaf("MISSION_INDEX", index), _leaf("INSTRUMENT", name)]
-    source = _tag("Strip_Source", [*strip, _leaf("INSTRUMENT_INDEX", index)])
-    return [_tag("Dataset_Sources", _tag("Source_Identification", source))]
-
-
-def _point2(time: str, position: Array, velocity: Array) -> str:
-    return _tag("Point", [
-        _leaf("LOCATION_XYZ", _numbers(position), unit="m"), _leaf("VELOCITY_XYZ", _numbers(velocity), unit="m/s"),
-        _leaf("TIME", time + "Z"),
-    ])  # fmt: skip
-
-
-def _quaternions(epoch: np.datetime64, attitude: QuaternionList | QuaternionPolynomial) -> str:
-    if isinstance(attitude, QuaternionList):
-        return _tag("Quaternion_List", [
-            _tag("Quaternion", [
-                _leaf("Q_STATUS", "NOMINAL"),
-                *(_leaf(f"Q{j}", _number(value)) for j, value in enumerate(q)),
-                _leaf("TIME", _time(epoch, t) + "Z"),
-            ])
-            for t, q in zip(attitude.time_s, attitude.quaternion, strict=True)
-        ])  # fmt: skip
-    rows = [
-        _tag(f"Q{j}", [_leaf("DEGREE", len(row) - 1), _leaf("COEFFICIENTS", _numbers(row))])
-        for j, row in enumerate(attitude.coefficients)
-    ]
-    scaling = [_leaf("OFFSET", _number(attitude.offset_s)), _leaf("SCALE", _number(attitude.scale_s))]
-    return _tag("Polynomial_Quaternions", [*scaling, *rows])
-
-
-def _look_polynomial(look: LookAnglePolynomial, n_samples: int) -> str:
-    swath = [_leaf("FIRST_COL", int(look.origin_sample) + DIMAP_FIRST_PIXEL), _leaf("LAST_COL", n_samples)]
-    rows = [
-        _leaf(f"{name}_{k}", _number(value))
-        for name, row in (("XLOS", look.tan_psi_y), ("YLOS", look.tan_psi_x))
-        for k, value in enumerate(row)
-    ]
-    band = [_leaf("BAND_ID", "P"), _tag("Swath_Range", swath), _tag("Polynomial_Look_Angles", rows)]
-    return _tag("Band_Calibration_List", _tag("Band_Calibration", band))
+    for t, position, velocity in zip(orbit.time_s, orbit.position_m, orbit.velocity_m_s, strict=True):
+        yield _time(metadata.epoch, t), position, velocity

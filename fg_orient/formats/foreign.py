@@ -182,10 +182,10 @@ def _images(
     survey: Survey, known: list[str], entry: PointsEntry | ObservationsEntry, faults: Faults
 ) -> npt.NDArray[np.intp]:
     """Position of each image of the file in the project: by ``images``, by its name, or by that without its end."""
-    told = getattr(entry, "images", {})
+    renamed = getattr(entry, "images", {})
     out = np.zeros(len(survey.images), np.intp)
     for k, name in enumerate(survey.images):
-        own = next((n for n in (told.get(name, ""), name, Path(name).stem) if n in known), None)
+        own = next((n for n in (renamed.get(name, ""), name, Path(name).stem) if n in known), None)
         if own is None:
             hint = did_you_mean(name, known)
             faults.add("observations.image_unknown", place=f"image {name}", value=repr(name), hint=hint)

@@ -35,7 +35,7 @@ from fg_orient.sensors.interior import Interior
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: What an adjustment of such a model changes of an image, unless told otherwise.
+#: Unknowns of an image in the adjustment of such a model, by default.
 EXTERIOR: Final = UNKNOWNS[:6]
 
 
@@ -137,8 +137,8 @@ def frame_block(
     seen = ImagePoints(
         model.image[usable], model.point[usable], model.line[usable], model.sample[usable], sigma, sigma
     )  # fmt: skip
-    told = (finding("points.alone", n=alone.sum()),) if alone.any() else ()
-    return free_block(name, tuple(images), model.point_ids, model.points_m, seen, sources, (*model.notes, *told))
+    alone_note = (finding("points.alone", n=alone.sum()),) if alone.any() else ()
+    return free_block(name, tuple(images), model.point_ids, model.points_m, seen, sources, (*model.notes, *alone_note))
 
 
 def adjusted_model(model: FrameModel, corrections: Sequence[Array], ground_m: Array) -> FrameModel:

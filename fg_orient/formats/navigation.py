@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.tables import Faults, number, read_table
+from fg_orient.formats.tables import Faults, read_numbers
 from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind, to_ecef
 from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitude
 
@@ -42,18 +42,15 @@ def read_navigation(path: Path, crs: str) -> tuple[tuple[Fix, ...], str]:
     InputError
         All faults of the table.
     """
-    faults = Faults(str(path))
     place = COORDINATE_COLUMNS[crs_kind(crs)]
     position = ("image", "strip", "time_s", *place, *POSITION_SIGMAS)
-    table = read_table(path, [position, (*position, *ANGLES, *ANGLE_SIGMAS)], faults)
-    faults.raise_if_any()
-    assert table is not None  # else there is a fault
-    columns = [name for name in (*position[2:], *ANGLES, *ANGLE_SIGMAS) if name in table.columns]
-    values = np.array([[number(row, name, faults) for name in columns] for row in table.rows])
-    for k, row in enumerate(table.rows):
-        for j, name in enumerate(columns):
-            if name.startswith("sigma_") and not values[k, j] > 0.0:
-                faults.add("navigation.sigma", place=row.place(name), value=row.cells[name])
+    layouts = [position, (*position, *ANGLES, *ANGLE_SIGMAS)]
+    values, table = read_numbers(path, layouts, ("image", "strip"))
+    faults, columns = Faults(str(path)), layouts[-1][2:]
+    for k, j in np.argwhere(~(values > 0.0)).tolist():
+        if columns[j].startswith("sigma_"):
+            row = table.row(k)
+            faults.add("navigation.sigma", place=row.place(columns[j]), value=row.cells[columns[j]])
     faults.raise_if_any()
     ecef = to_ecef(crs, *values[:, 1:4].T)
     ids = zip(table.cells["image"], table.cells["strip"], strict=True)

@@ -81,7 +81,7 @@ class PointFile:
     operation : Operation or None
         How the coordinates became ECEF; None if no point has coordinates.
     remarks : tuple of Finding
-        What a user should know, but need not mend.
+        Warnings that require no correction.
     parse : callable
         Reads the file again, for the coordinates of check points.
     """
@@ -136,7 +136,7 @@ def read_points(path: Path, crs: str, faults: Faults, scenes: Sequence[Scene] = 
         The CRS is unusable.
     """
     where = path.absolute()  # the working directory may change before check points are opened
-    return point_file(path, lambda noted: _parse(where, crs, noted), faults, scenes)
+    return point_file(path, lambda noted: parse_points(where, crs, noted), faults, scenes)
 
 
 def point_file(path: Path, parse: Parse, faults: Faults, scenes: Sequence[Scene] = ()) -> PointFile | None:
@@ -167,42 +167,6 @@ def located(found: Record, faults: Faults) -> Record:
     return replace(found, coordinates=replace(found.coordinates, ecef_m=ecef), operation=operation)
 
 
-@dataclass(frozen=True, eq=False)
-class PointTable:
-    """A table of ground points as it stands in the file, check points included: for conversions only.
-
-    Parameters
-    ----------
-    ids, roles : tuples of length n
-        Ids and roles.
-    given, sigma_enu_m : (n, 3) array
-        Coordinates in the CRS of the file and sigmas East, North, Up (m); nan where there are none.
-    fixed : (n,) array of bool
-        Points without uncertainty.
-    lines : (n,) int array
-        Line of each point in the file.
-    """
-
-    ids: tuple[str, ...]
-    roles: tuple[Role, ...]
-    given: Array
-    sigma_enu_m: Array
-    fixed: npt.NDArray[np.bool_]
-    lines: npt.NDArray[np.int64]
-
-
-def read_point_table(path: Path, crs: str, faults: Faults) -> PointTable | None:
-    """Read a table of ground points as it stands, to write it in another format.
-
-    None, with the reasons in ``faults``, if anything is wrong with it; parameters and errors as :func:`read_points`.
-    """
-    found = _parse(path, crs, faults)
-    if found is None or faults:
-        return None
-    coordinates = found.coordinates
-    return PointTable(found.ids, found.roles, found.given, coordinates.sigma_enu_m, coordinates.fixed, found.lines)
-
-
 # --- parsing -------------------------------------------------------------------------------------
 
 
@@ -212,7 +176,8 @@ def _layouts(first: Kind) -> list[tuple[str, ...]]:
     return [*usual, ("id", "role", *COORDINATE_COLUMNS["geocentric"], *_SIGMA_XYZ)]
 
 
-def _parse(path: Path, crs: str, faults: Faults) -> Record | None:
+def parse_points(path: Path, crs: str, faults: Faults) -> Record | None:
+    """Read a table of ground points as it stands, check points included; see :func:`read_points`."""
     kind = crs_kind(crs)
     table = read_table(path, _layouts(kind), faults)
     if table is None or not _columns_fit(table, kind, faults):

@@ -290,7 +290,7 @@ def _tables(project: ProjectFile, folder: Path, file: str, images: Mapping[str, 
 
 
 def _scenes(images: Mapping[str, Image | None], tables: Sequence[Path]) -> list[Scene]:
-    """Where the images lie; nothing if a file is missing, which is then told before any kernel is compiled."""
+    """Footprints of the images; none if a file is missing: this is reported before kernels are compiled."""
     if None in images.values() or not all(path.exists() for path in tables):
         return []
     return [Scene.from_footprint(image.id, image.sensor.footprint()) for image in images.values() if image is not None]

@@ -1,16 +1,17 @@
 """Registry of file formats: one record per format, made by the module that reads and writes it.
 
-A module of ``formats.exchange`` (points, frame models), ``formats.rpc`` or ``formats.metadata`` (images) calls
-:func:`register_format`, and so does a user's own file. The modules of these packages are found without a list.
+A :class:`Format` in a module of ``formats.exchange`` (points, frame models), ``formats.rpc`` or ``formats.metadata``
+(images) is found without a list. A user's own file calls :func:`register_format`.
 """
 
 from __future__ import annotations
 
 import os
 import re
+import sys
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
@@ -109,7 +110,7 @@ class Format:
     title : str
         In words, with the program it belongs to.
     help : str
-        Description of the files; usually the docstring of the module.
+        Description of the files; default: the docstring of the module of its functions.
     suffixes : tuple of str
         Lower-case ends of its file names. They identify the format if no other format has them.
     sniff : callable, optional
@@ -195,6 +196,7 @@ def register_format(format_: Format) -> Format:
     ValueError
         Another format has its name.
     """
+    format_ = replace(format_, help=format_.help or sys.modules[_sources(format_)[0][0]].__doc__ or "")
     present = _REGISTRY.get(format_.name, format_)
     if present != format_ and (present.title, _sources(present)) != (format_.title, _sources(format_)):
         raise ValueError(f"a format named {format_.name!r} is registered already")
@@ -218,8 +220,9 @@ def _each(contents: Contents) -> Iterator[Format]:
     seen: set[str] = set()
     package = import_module(_PACKAGES[contents])
     for module in ("", *sorted(info.name for info in iter_modules(package.__path__))):
-        if module:
-            import_module(f"{package.__name__}.{module}")
+        for value in vars(import_module(f"{package.__name__}.{module}")).values() if module else ():
+            if isinstance(value, Format):
+                register_format(value)
         for name, one in list(_REGISTRY.items()):
             own = not _sources(one)[0][0].startswith("fg_orient.")
             if contents in one.contents and name not in seen and (module or own):

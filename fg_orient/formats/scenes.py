@@ -1,4 +1,4 @@
-"""Where the images look: finds ground points that cannot lie in any of them.
+"""Footprints of the images, and ground points that cannot lie in any of them.
 
 The usual causes are exchanged columns and a wrong CRS. Both put a point far outside every
 footprint, so the test may be coarse: a point is refused if it is farther from an image's

@@ -44,7 +44,7 @@ class ImageEntry(Table):
 
 
 class _Foreign(Table):
-    """What a table says of a file of another program."""
+    """Entries of a table about another program's file."""
 
     format: Text = Field(default="csv", description='the name of a format, such as "metashape-xml" (docs/formats)')
     image: str = Field(default="", description="the image of a format that holds one image and not its name")
@@ -187,7 +187,7 @@ def problems_of(error: ValidationError, file: str, root: type[BaseModel]) -> tup
 
 
 def _inside(loc: tuple[int | str, ...], outer: tuple[int | str, ...]) -> bool:
-    """Whether a place lies inside another one."""
+    """Tell whether a place lies inside another place."""
     return len(loc) > len(outer) and loc[: len(outer)] == outer
 
 
@@ -207,7 +207,7 @@ def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str, ro
 
 
 def _walk(loc: tuple[int | str, ...], root: type[BaseModel]) -> tuple[str, FieldInfo | None, list[str]]:
-    """Path such as ``images[1].metadata``, the field's definition and the names beside it."""
+    """Path such as ``images[1].metadata``, the field's definition and the names of its table."""
     path, field, siblings = "", None, list[str]()
     table: type[BaseModel] | None = root
     for step in loc:

@@ -1,4 +1,4 @@
-"""CSV tables, read strictly: every cell is text until somebody asks for a number.
+"""CSV tables, read strictly: every cell is text until a number is read from it.
 
 A table is UTF-8 (a byte order mark is fine) with commas, one header line that names the
 columns, and one record per line. Lines starting with ``#`` and blank lines are skipped.
@@ -31,7 +31,7 @@ MAX_LINE: Final = 100_000
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 #: Of text made of these, ``float`` takes what :data:`_NUMBER` describes and nothing else.
 _OF_NUMBERS: Final = b"0123456789eE+.-"
-#: What ``strip`` takes from the ends of ASCII text, but for the ends of lines.
+#: Characters that ``strip`` removes from ASCII text, except line ends.
 _SPACES: Final = "\t\v\f\x1c\x1d\x1e\x1f "
 #: Lines that start otherwise are neither blank nor a comment.
 _ODD_STARTS: Final = frozenset(("", "#", " ", "\t", ","))
@@ -63,7 +63,7 @@ class Faults:
         self.take(finding(code, file=self.file, place=place, value=value, **fields))
 
     def take(self, *found: Finding) -> None:
-        """Note faults that somebody else built."""
+        """Note faults built elsewhere."""
         self.codes.update(p.code for p in found)
         room = MAX_FAULTS - len(self._problems)
         self._problems.extend(found[:room])
@@ -192,6 +192,27 @@ def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> 
     return Table(faults.file, names, found, np.array(kept, np.int64), digest)
 
 
+def read_numbers(path: Path, layouts: Sequence[Sequence[str]], words: Sequence[str] = ()) -> tuple[Array, Table]:
+    """Numbers (n, k) of a CSV file in the order of its layout, columns of ``words`` left out; and the table.
+
+    Raises
+    ------
+    InputError
+        All faults of the file.
+    """
+    faults = Faults(str(path))
+    table = read_table(path, layouts, faults)
+    faults.raise_if_any()
+    assert table is not None  # else there is a fault
+    layout = next(one for one in layouts if set(one) == set(table.columns))
+    columns = [name for name in layout if name not in words]
+    values = table.numbers(*columns)
+    if values is None:
+        values = np.array([[number(row, name, faults) for name in columns] for row in table.rows])
+        faults.raise_if_any()
+    return values, table
+
+
 def read_text(path: Path, faults: Faults) -> str | None:
     """Text of a UTF-8 file without byte order mark, its lines ended by LF; None, with the reason noted, if unusable."""
     data = _read_bytes(path, faults)
@@ -200,7 +221,7 @@ def read_text(path: Path, faults: Faults) -> str | None:
 
 
 def number(row: Row, column: str, faults: Faults) -> float:
-    """Read a cell as a finite number; nan, with the fault noted, if it is none."""
+    """Read a cell as a finite number; nan, with the fault noted, if it is not a number."""
     text = row.cells[column]
     code = ""
     if not text:
@@ -216,7 +237,7 @@ def number(row: Row, column: str, faults: Faults) -> float:
 
 
 def finite(cells: Sequence[str]) -> Array | None:
-    """Texts as finite numbers (n,), at once; None if one is none."""
+    """Texts as finite numbers (n,), at once; None if one is not a number."""
     if "".join(cells).encode().translate(None, _OF_NUMBERS):
         return None
     try:

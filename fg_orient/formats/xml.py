@@ -74,7 +74,11 @@ PURE = Quantity("pure number", "1", {"1": 1.0, "none": 1.0, "tan": 1.0, "pixel":
 
 @dataclass(frozen=True, slots=True)
 class XmlNode:
-    """An element together with the file it came from; paths are child names joined by "/"."""
+    """An element with its file; paths are child names joined by "/".
+
+    Every method that reads raises InputError for the first fault, with file, line, element, value and remedy: elements
+    that are missing or doubled, texts that are empty, of another type, in an unknown unit, out of range or not finite.
+    """
 
     element: etree._Element
     file: str
@@ -97,13 +101,7 @@ class XmlNode:
     # --- finding -----------------------------------------------------------------------------
 
     def maybe(self, path: str) -> XmlNode | None:
-        """Give the one element at ``path``, or None.
-
-        Raises
-        ------
-        InputError
-            A step of the path is doubled.
-        """
+        """Give the one element at ``path``, or None."""
         node = self
         for name in path.split("/"):
             found = list(node.element.iterchildren(name))
@@ -115,26 +113,14 @@ class XmlNode:
         return node
 
     def one(self, path: str) -> XmlNode:
-        """Give the one element at ``path``.
-
-        Raises
-        ------
-        InputError
-            The element is missing or doubled.
-        """
+        """Give the one element at ``path``."""
         node = self.maybe(path)
         if node is None:
             raise self.fault("xml.missing_element", element=path)
         return node
 
     def every(self, path: str, at_least: int = 1) -> list[XmlNode]:
-        """Give all elements at ``path``; only its last step may repeat.
-
-        Raises
-        ------
-        InputError
-            Fewer than ``at_least`` of them, or an earlier step is missing or doubled.
-        """
+        """Give all elements at ``path``; only its last step may repeat."""
         *steps, last = path.split("/")
         parent = self.one("/".join(steps)) if steps else self
         found = [XmlNode(e, self.file) for e in parent.element.iterchildren(last)]
@@ -170,13 +156,7 @@ class XmlNode:
     # --- values ------------------------------------------------------------------------------
 
     def text(self) -> str:
-        """Text of an element without children, stripped.
-
-        Raises
-        ------
-        InputError
-            The element is empty or holds other elements.
-        """
+        """Text of an element without children, stripped."""
         if len(self.element):
             raise self.fault("xml.not_plain", self.element[0].tag)
         text = (self.element.text or "").strip()
@@ -185,36 +165,18 @@ class XmlNode:
         return text
 
     def number(self, quantity: Quantity = PURE, low: float = -math.inf, high: float = math.inf) -> float:
-        """Finite number in the SI unit of ``quantity``, inside [low, high].
-
-        Raises
-        ------
-        InputError
-            Not a plain finite number, in an unknown unit, or out of range.
-        """
+        """Finite number in the SI unit of ``quantity``, inside [low, high]."""
         return self._checked(self._parse(self.text()) * self._factor(quantity), quantity, low, high)
 
     def integer(self, low: int, high: int) -> int:
-        """Whole number inside [low, high].
-
-        Raises
-        ------
-        InputError
-            Not a whole number, or out of range.
-        """
+        """Whole number inside [low, high]."""
         value = self.number(PURE, low, high)
         if not value.is_integer():
             raise self.fault("xml.not_whole", self.text())
         return int(value)
 
     def vector(self, size: int, quantity: Quantity = PURE) -> Array:
-        """Numbers separated by blanks: (size,), SI unit of ``quantity``.
-
-        Raises
-        ------
-        InputError
-            As :meth:`number`, or another count.
-        """
+        """Numbers separated by blanks: (size,), SI unit of ``quantity``."""
         words = self.text().split()
         if len(words) != size:
             raise self.fault("xml.wrong_count", f"{len(words)} numbers", expected=size)
@@ -224,13 +186,7 @@ class XmlNode:
         return values
 
     def time(self) -> tuple[np.datetime64, Decimal]:
-        """UTC day and exact seconds of the day of an ISO 8601 time.
-
-        Raises
-        ------
-        InputError
-            Not a time ``YYYY-MM-DDThh:mm:ss[.ffffff][Z]``.
-        """
+        """UTC day and exact seconds of the day of an ISO 8601 time."""
         text = self.text()
         match = _TIME.fullmatch(text)
         if match is None:
@@ -245,13 +201,7 @@ class XmlNode:
         return date, 3600 * int(hour) + 60 * int(minute) + Decimal(second)
 
     def seconds_since(self, epoch: np.datetime64) -> float:
-        """Seconds from 0 h UTC of the day ``epoch`` to the time of this element.
-
-        Raises
-        ------
-        InputError
-            As :meth:`time`.
-        """
+        """Seconds from 0 h UTC of the day ``epoch`` to the time of this element."""
         date, seconds = self.time()
         days = int((date - epoch) / np.timedelta64(1, "D"))
         return float(days * 86400 + seconds)

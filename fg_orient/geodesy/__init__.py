@@ -215,7 +215,7 @@ def from_geographic(crs: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) ->
 def to_geographic(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[Array, Array]:
     """Transform horizontal coordinates of N points of a raster's CRS to WGS84 longitude, latitude (degrees).
 
-    The way back of :func:`from_geographic`, with its parameters and errors; nan outside the domain of the CRS.
+    Inverse of :func:`from_geographic`, with its parameters and errors; nan outside the domain of the CRS.
     """
     first, second = np.atleast_1d(np.asarray(x, float)), np.atleast_1d(np.asarray(y, float))
     lon, lat = (np.asarray(a) for a in _transformer(crs, "EPSG:4326", horizontal=True).transform(first, second))

@@ -1,4 +1,4 @@
-"""Coordinate reference systems by name: what a file calls its CRS, the order of its axes, the way back from ECEF.
+"""Names of coordinate reference systems in files, the order of their axes, the inverse transformation from ECEF.
 
 Files of other programs name their CRS by WKT, by a PROJ string or by words; inside it is an EPSG code.
 """
@@ -127,7 +127,7 @@ def wkt(crs: str) -> str:
 
 
 def from_ecef(crs: str, xyz_m: npt.ArrayLike, labels: Sequence[str] | None = None) -> tuple[Array, Operation]:
-    """Transform (n, 3) ECEF m to a CRS; the way back of :func:`fg_orient.geodesy.to_ecef_with_operation`.
+    """Transform (n, 3) ECEF m to a CRS; inverse of :func:`fg_orient.geodesy.to_ecef_with_operation`.
 
     Returns
     -------

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,7 @@ from fg_orient.model.options import Options as Options
 
 if TYPE_CHECKING:
     from factors._contract import Equation
-    from fg_orient.sensors.correction import HeightSurface
+    from fg_orient.sensors.base import Sensor
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -33,59 +33,6 @@ def _read_only(record: object, **kinds: type) -> None:
         array: npt.NDArray[Any] = np.array(given, dtype=kind)
         array.setflags(write=False)
         object.__setattr__(record, name, array)
-
-
-class Sensor(Protocol):
-    """Interface of every sensor: pixels (line, sample) with (0, 0) = centre of the first pixel, ECEF metres.
-
-    ``correction`` is the result of the image's adjustment (``Solution.correction``); None: the metadata orientation.
-    """
-
-    n_lines: int
-    n_samples: int
-    notes: tuple[Finding, ...]
-
-    @property
-    def georeferenced(self) -> bool:
-        """True for Earth-fixed ground points, False for metres of a local Cartesian system."""
-        ...
-
-    @property
-    def file(self) -> str:
-        """Name of the metadata file."""
-        ...
-
-    @property
-    def centre_m(self) -> Array:
-        """Ground point of the image centre, ECEF m (3,)."""
-        ...
-
-    def rays(self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: Any = None, /) -> tuple[Array, Array]:
-        """Points on the lines of sight (N, 3) m, above the ground, and unit directions (N, 3), ECEF."""
-        ...
-
-    def project(self, ground_m: npt.ArrayLike, correction: Any = None, /) -> tuple[Array, Array]:
-        """Line and sample (N,) of ECEF points (N, 3)."""
-        ...
-
-    def locate(
-        self, line: npt.ArrayLike, sample: npt.ArrayLike, /, *, height_m: npt.ArrayLike | None = None,
-        dem: HeightSurface | None = None,
-    ) -> Array:  # fmt: skip
-        """Ground points (N, 3) ECEF m at ellipsoidal heights or on a DEM."""
-        ...
-
-    def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:
-        """Tell which pixels lie in the image."""
-        ...
-
-    def require_inside(self, line: Array, sample: Array) -> None:
-        """Refuse pixels outside the image."""
-        ...
-
-    def footprint(self) -> Array:
-        """Corners in image order: (4, 2) longitude, latitude in degrees."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,6 @@ from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.sensors import initial
 from fg_orient.sensors.correction import HeightSurface
-from fg_orient.sensors.rpc_sensor import RpcSensor
 
 Array = npt.NDArray[np.float64]
 Pixel = tuple[float, float]
@@ -160,9 +159,8 @@ def locate(
         raise InputError.of("statistics.height_sigma", place="height_sigma_m", value=height_sigma_m)
     p, k = orientation.problem, orientation.index(image)
     sensor = p.block.images[k].sensor
-    word = "compensation" if isinstance(sensor, RpcSensor) else "correction"
-    how: dict[str, Any] = {"height_m": height_m, "dem": dem, word: p.corrections(orientation.state)[k]}
-    ground = np.asarray(sensor.locate(np.array([pixel[0]]), np.array([pixel[1]]), **how))[0]
+    correction = p.corrections(orientation.state)[k]
+    ground = sensor.locate([pixel[0]], [pixel[1]], height_m=height_m, dem=dem, correction=correction)[0]
     _, g, c = orientation.rows(orientation.measured({image: pixel}, sigma_px), ground)
     axes = p.axes(ground[None])[0]
     slope = np.zeros(2) if dem is None else _slope(dem, ground, axes)

@@ -23,7 +23,6 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
-from fg_orient.adjustment.models.contract import ImageModel
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
 from fg_orient.model.errors import Finding, finding
@@ -31,6 +30,7 @@ from fg_orient.model.parameters import ImageParameters
 from fg_orient.quality.elimination import eliminated, eliminated_with_own
 from fg_orient.quality.motions import SHIFT_M, UNOBSERVABLE, FreeMotions, free_motions, held_on_board
 from fg_orient.quality.structure import Structure, analyse_structure, named
+from fg_orient.sensors.base import ImageModel
 
 Array = npt.NDArray[np.float64]
 

@@ -3,41 +3,30 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.models.contract import own_model
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Status
 from fg_orient.model.options import Options
-from fg_orient.model.parameters import CURVE, CURVES, N_EOP, parameter_name
-from fg_orient.rectification.ortho_models import Sensor
 from fg_orient.result.plain import read_table
 from fg_orient.result.record import RESULT_FILE, read_record
-from fg_orient.sensors.correction import Correction
-from fg_orient.sensors.frame import UNKNOWNS, FrameSensor
-from fg_orient.sensors.pushbroom import PushbroomSensor
+from fg_orient.sensors.base import Sensor
 
 Array = npt.NDArray[np.float64]
 
-#: Names of the compensation of an RPC image, in the order of ``factors.cameras.rfm_project``.
-COMPENSATION = ("line_0", "sample_0", "line_l1", "sample_l1", "line_s1", "sample_s1")
-#: Highest power of the sample in a look-angle polynomial.
-LOOK_DEGREES = 10
 
-
-def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Correction | Array:
+def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:
     """Read the adjusted correction of one image.
 
     Parameters
     ----------
     folder : Path
         Result folder: ``eop.csv`` and ``result.json``.
-    sensor : PushbroomSensor, RpcSensor or FrameSensor
+    sensor : Sensor
         Of this image.
     image : str
         Image id; default the image with the sensor's metadata file, compared by content if the result recorded it,
@@ -65,7 +54,7 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Correction
         raise InputError.of("ortho.result", file=folder, known="-") from None
     name = _chosen(files, folder, Path(sensor.file), image)
     try:
-        return _correction(values[name], sensor, small_angle, n_curves)
+        return sensor.correction_of(values[name], Options(small_angle=small_angle, curve_intervals=n_curves))
     except KeyError:
         raise InputError.of("ortho.other_sensor", file=folder, place=f"image {name}", value=sensor.file) from None
 
@@ -100,28 +89,3 @@ def _chosen(files: dict[str, tuple[str, str]], folder: Path, metadata: Path, ima
     if len(same) > 1:
         raise InputError.of("ortho.which_image", file=metadata, option="image_id", known=" or ".join(same))
     return same[0]
-
-
-def _correction(values: dict[str, float], sensor: Sensor, small_angle: bool, n_curves: int) -> Correction | Array:
-    """Correction for ``sensor.project``; KeyError for names of another kind of sensor."""
-    own = own_model(sensor, Options())
-    if own is not None:
-        return np.asarray(own.correction(_placed(values, own.parameters.names) / own.parameters.sigma))
-    if not isinstance(sensor, PushbroomSensor):
-        return _placed(values, UNKNOWNS if isinstance(sensor, FrameSensor) else COMPENSATION)
-    names = [parameter_name(CURVE + k) for k in range(9 * CURVES)]
-    curve = _placed({name: value for name, value in values.items() if name in names}, names)
-    values = {name: value for name, value in values.items() if name not in names}
-    codes = [parameter_name(code) for code in range(N_EOP + 2 * (LOOK_DEGREES + 1))]
-    every = _placed(values, codes)
-    used = max((codes.index(name) for name in values), default=0) + 1
-    look = every[N_EOP : max(used + (used - N_EOP) % 2, N_EOP)]
-    look = np.ascontiguousarray(look.reshape(-1, 2).T)
-    return Correction(every[:N_EOP].reshape(9, 3), look, small_angle, curve.reshape(9, CURVES)[:, :n_curves])
-
-
-def _placed(values: dict[str, float], names: Sequence[str]) -> Array:
-    """Values in the order of names; 0 for missing ones, KeyError for others."""
-    if unknown := set(values).difference(names):
-        raise KeyError(unknown)
-    return np.array([values.get(name, 0.0) for name in names])

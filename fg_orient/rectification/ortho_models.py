@@ -10,16 +10,14 @@ import numpy.typing as npt
 
 from fg_orient.geodesy import ecef_to_geodetic, from_geographic, geodetic_to_ecef, same_crs, to_geographic
 from fg_orient.model.errors import InputError
-from fg_orient.sensors.frame import FrameSensor
+from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.pushbroom import PushbroomSensor
-from fg_orient.sensors.rpc_sensor import RpcSensor
 from fg_orient.simulate.simulation import QuickProjection
 
 if TYPE_CHECKING:
     from fg_orient.rectification.transformation import Transformation
 
 Array = npt.NDArray[np.float64]
-Sensor = PushbroomSensor | RpcSensor | FrameSensor
 
 #: Number of pixels along each side of an image that give its outline on the map.
 BORDER: Final = 9
@@ -56,7 +54,7 @@ class SensorModel:
 
     Parameters
     ----------
-    sensor : PushbroomSensor, RpcSensor or FrameSensor
+    sensor : Sensor
     correction : Correction, (6,) or (15,) array, optional
         As ``sensor.project`` takes it.
     crs : str
@@ -93,11 +91,10 @@ class SensorModel:
     def outline(self, size: tuple[int, int], heights_m: tuple[float, float]) -> tuple[Array, Array]:
         """See ``MapModel``."""
         line, sample = border_pixels(size)
-        word = "compensation" if isinstance(self.sensor, RpcSensor) else "correction"
-        correction: dict[str, Any] = {word: self.correction}
         borders = []
         for height in heights_m:
-            lon, lat, _ = ecef_to_geodetic(self.sensor.locate(line, sample, height_m=height, **correction))
+            ground = self.sensor.locate(line, sample, height_m=height, correction=self.correction)
+            lon, lat, _ = ecef_to_geodetic(ground)
             borders.append(np.stack(from_geographic(self.crs, lon, lat)))
         x, y = np.concatenate(borders, axis=1)
         return x, y

@@ -26,7 +26,7 @@ _MJD: Final = 2_400_000.5
 _UNIX_MJD: Final = 40_587
 #: Mean angular rate by the definition of UT1 (IERS Conventions 2010, eq. 5.15), revolutions per day.
 _TURNS_PER_DAY: Final = 1.00273781191135448
-#: What is neglected at most without a C04 file: UT1 - UTC by its definition, polar motion as seen since 1962.
+#: Largest neglected values without a C04 file: UT1 - UTC by its definition, polar motion as seen since 1962.
 MOST_UT1_S: Final = 0.9
 MOST_POLE_RAD: Final = np.radians(0.6 / 3600.0)
 _EARTH_RADIUS_M: Final = 6_378_137.0

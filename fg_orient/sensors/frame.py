@@ -10,21 +10,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from factors.cameras import frame, frame_camera, frame_measured
-from factors.cameras.frame import RECORD
+from factors.cameras.frame import FRAME_BROWN_IDEAL_TO_MEASURED, N_UNKNOWNS, RECORD
 from factors.cameras.frame_camera import CAMERA
+from factors.cameras.frame_measured import FRAME_BROWN_MEASURED_TO_IDEAL
 from factors.geometry import ellipsoid
 from factors.records import Record
-from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.model.errors import Finding, InputError
+from fg_orient.model.parameters import ImageParameters, require_unknowns
 from fg_orient.sensors.correction import HeightSurface
-from fg_orient.sensors.pixels import PixelRange, same_length
-from fg_orient.sensors.surface import landed
+
+if TYPE_CHECKING:
+    from factors._contract import Equation
+    from fg_orient.model.block import ImagePoints, Options
+from fg_orient.sensors.base import ImageModel, Sensor, placed, same_length
 
 Array = npt.NDArray[np.float64]
 
@@ -40,6 +44,22 @@ NAVIGATION: Final = (
     "gnss_shift_east", "gnss_shift_north", "gnss_shift_up", "gnss_drift_east", "gnss_drift_north", "gnss_drift_up",
     "ins_shift_roll", "ins_shift_pitch", "ins_shift_heading", "ins_drift_roll", "ins_drift_pitch", "ins_drift_heading",
     "lever_x", "lever_y", "lever_z", "boresight_x", "boresight_y", "boresight_z",
+)  # fmt: skip
+#: Names by code, their units and words.
+_NAMES: Final = (*UNKNOWNS, *NAVIGATION)
+_UNITS: Final = (
+    ("rad",) * 3 + ("m",) * 3 + ("px",) * 3 + ("",) * 6 + ("m",) * 6 + ("rad",) * 6 + ("m",) * 3 + ("rad",) * 3
+)  # fmt: skip
+_WORDS: Final = (
+    "rotation about the camera's X (rad)", "rotation about the camera's Y (rad)",
+    "rotation about the camera's Z (rad)", "projection centre X (m)", "projection centre Y (m)",
+    "projection centre Z (m)", "focal length (px)", "sample of the principal point (px)",
+    "line of the principal point (px)", "radial distortion k1", "radial distortion k2", "radial distortion k3",
+    "decentring distortion p1", "decentring distortion p2", "aspect",
+    *(f"{kind} of the receiver {axis} (m)" for kind in ("shift", "drift") for axis in ("East", "North", "Up")),
+    *(f"{kind} of the attitude, {axis} (rad)" for kind in ("shift", "drift") for axis in ("roll", "pitch", "heading")),
+    *(f"lever arm {axis} (m)" for axis in "XYZ"),
+    *(f"boresight about the camera's {axis} (rad)" for axis in "XYZ"),
 )  # fmt: skip
 #: Of the first, the interior orientation: what images of one camera may have in common.
 INTERIOR: Final = UNKNOWNS[6:]
@@ -164,8 +184,8 @@ class FrameCamera:
 
         ``correction`` (15,): in physical units, in the order of the codes of ``factors.cameras.frame``.
         """
-        codes = np.stack([np.arange(frame.N_UNKNOWNS, dtype=float), np.ones(frame.N_UNKNOWNS)])
-        x = np.zeros(frame.N_UNKNOWNS) if correction is None else np.array(correction, dtype=float)
+        codes = np.stack([np.arange(N_UNKNOWNS, dtype=float), np.ones(N_UNKNOWNS)])
+        x = np.zeros(N_UNKNOWNS) if correction is None else np.array(correction, dtype=float)
         make = frame_measured.camera if self.corrects_measured else frame.camera
         out: Array = make(self.record, codes, x)
         return out
@@ -218,7 +238,7 @@ def opk_of_rotation(rotation: Array) -> tuple[Array, Array]:
     return angles, derivatives
 
 
-class FrameSensor(PixelRange):
+class FrameSensor(Sensor):
     """A frame image.
 
     Parameters
@@ -285,29 +305,13 @@ class FrameSensor(PixelRange):
         return np.tile(camera[CAMERA.centre], (len(line), 1)), direction
 
     def locate(
-        self,
-        line: npt.ArrayLike,
-        sample: npt.ArrayLike,
-        *,
-        height_m: npt.ArrayLike | None = None,
-        dem: HeightSurface | None = None,
-        correction: npt.ArrayLike | None = None,
-    ) -> Array:
-        """Ground points (N, 3) ECEF m of N pixels at ellipsoidal heights (default 0), or on a DEM.
-
-        Raises
-        ------
-        OutOfImage
-            A pixel lies outside the image.
-        InputError
-            The camera is not georeferenced, a ray misses the surface, or the DEM does not cover it.
-        """
+        self, line: npt.ArrayLike, sample: npt.ArrayLike, *, height_m: npt.ArrayLike | None = None,
+        dem: HeightSurface | None = None, correction: npt.ArrayLike | None = None,
+    ) -> Array:  # fmt: skip
+        """See :meth:`Sensor.locate`; a camera that is not georeferenced is refused."""
         if not self.georeferenced:
             raise InputError.of("frame.local", file=self.file, place="locate")
-        line, sample = same_length(line, sample)
-        self.require_inside(line, sample)
-        p, u = self.rays(line, sample, correction)
-        return landed(p, u, height_m, dem, (line, sample), self.file)
+        return super().locate(line, sample, height_m=height_m, dem=dem, correction=correction)
 
     # --- ground to image ---------------------------------------------------------------------
 
@@ -329,7 +333,97 @@ class FrameSensor(PixelRange):
 
     def footprint(self) -> Array:
         """Corners at height 0 in image order: (4, 2) longitude, latitude in degrees; (0, 2) if not georeferenced."""
-        if not self.georeferenced:
-            return np.zeros((0, 2))
-        lon, lat, _ = ecef_to_geodetic(self.locate(*self.corners()))
-        return np.stack([lon, lat], axis=1)
+        return super().footprint() if self.georeferenced else np.zeros((0, 2))
+
+    # --- adjustment --------------------------------------------------------------------------
+
+    def image_model(self, options: Options) -> ImageModel:
+        """See :class:`FrameImageModel`."""
+        return FrameImageModel(self, options)
+
+    def correction_of(self, values: Mapping[str, float], options: Options) -> Array:
+        """Corrections (15,) from the values of the unknowns by name; see :meth:`Sensor.correction_of`."""
+        return placed(values, UNKNOWNS)
+
+    def shared_starts(self) -> dict[tuple[str, str], float]:
+        """Values of shared unknowns, and unit and direction of the polynomial; see :meth:`Sensor.shared_starts`."""
+        camera, at = self.camera, self.camera.corrected()
+        interior = at[CAMERA.focal], *at[CAMERA.principal], *at[CAMERA.distortion]
+        values = dict(zip(INTERIOR, [*interior, camera.aspect], strict=True))
+        unit = float(camera.unit_px or 0.0) if camera.corrects_measured else 0.0
+        return {
+            (with_whom, part): float(value)
+            for name, with_whom in camera.shared.items()
+            for part, value in ((name, values.get(name, 0.0)), ("unit", unit), ("model", camera.corrects_measured))
+        }
+
+
+# --- image model ---------------------------------------------------------------------------------
+
+
+def camera_parameters(camera: FrameCamera, only: tuple[str, ...] = ()) -> ImageParameters:
+    """Unknowns of a frame image: those with a prior sigma of the camera, or the named ones of them, by code."""
+    codes = tuple(k for k, name in enumerate(_NAMES) if name in camera.sigma and (not only or name in only))
+    sigma = np.array([camera.sigma[_NAMES[k]] for k in codes])
+    names = tuple(_NAMES[k] for k in codes)
+    shared = tuple(camera.shared.get(name, "") for name in names) if camera.shared else ()
+    return ImageParameters(
+        codes, sigma, names, tuple(_UNITS[k] for k in codes), tuple(_WORDS[k] for k in codes), shared
+    )
+
+
+class FrameImageModel:
+    """See ``fg_orient.sensors.base.ImageModel``.
+
+    Parameters
+    ----------
+    sensor : FrameSensor
+    options : Options
+        The unknowns and their prior sigmas are those of the camera; ``image_unknowns`` may select some. A camera
+        without unknowns is held fixed: its images are the datum.
+
+    Raises
+    ------
+    InputError
+        ``image_unknowns`` selects none of the camera's unknowns.
+    """
+
+    def __init__(self, sensor: FrameSensor, options: Options) -> None:
+        self.sensor = sensor
+        self.equation: Equation = (
+            FRAME_BROWN_MEASURED_TO_IDEAL if sensor.camera.corrects_measured else FRAME_BROWN_IDEAL_TO_MEASURED
+        )
+        self.parameters = camera_parameters(sensor.camera, options.image_unknowns)
+        if sensor.camera.sigma:
+            require_unknowns(options, self.parameters.codes, sensor.file, sensor.camera.sigma)
+
+    def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
+        """Whiten with the pixel sigmas."""
+        out = self.sensor.records(points.line, points.sample, origin_m)
+        out[:, RECORD.a_line], out[:, RECORD.a_sample] = 1.0 / points.sigma_line_px, 1.0 / points.sigma_sample_px
+        return out
+
+    def correction(self, x: Array) -> Array:
+        """Corrections (15,) in physical units that change pixels, ordered as the codes of ``cameras.frame``."""
+        out = np.zeros(len(_NAMES))
+        out[list(self.parameters.codes)] = x * self.parameters.sigma
+        return out[:N_UNKNOWNS]
+
+    def silent_directions(self) -> list[tuple[str, Array]]:
+        """None: every unknown moves the image."""
+        return []
+
+    def per_line(self) -> tuple[Array, tuple[str, ...]]:
+        """None: all lines are exposed at once."""
+        return np.full(len(self.parameters), np.nan), ("",) * len(self.parameters)
+
+    def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
+        """Whether points lie in front of the camera at its approximate orientation."""
+        return np.isfinite(self.sensor.project(ground_m)[0])
+
+    def facts(self) -> dict[str, Any]:
+        """Metadata of a frame image."""
+        return {
+            "model": "frame", "mission": "frame camera", "instrument": "", "format": "camera",
+            "metadata_polynomials": [],
+        }  # fmt: skip

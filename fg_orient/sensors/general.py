@@ -18,10 +18,10 @@ from factors.cameras import look
 from factors.cameras.pushbroom import RECORD
 from factors.geometry import ellipsoid, interpolation, kepler, light, polynomials, rotations
 from fg_orient.model.errors import InputError, OutOfTimeRange, finding
+from fg_orient.sensors.base import same_length
 from fg_orient.sensors.correction import Correction, HeightSurface
-from fg_orient.sensors.general_metadata import GeneralMetadata
-from fg_orient.sensors.pixels import same_length
-from fg_orient.sensors.pushbroom import MIN_FIELD_RAD, TIME_PRINT_S, LineStates, PushbroomSensor
+from fg_orient.sensors.metadata import GeneralMetadata
+from fg_orient.sensors.pushbroom import TIME_PRINT_S, LineStates, PushbroomSensor
 from fg_orient.sensors.surface import landed
 
 Array = npt.NDArray[np.float64]
@@ -52,29 +52,14 @@ class GeneralPushbroom(PushbroomSensor):
         self.first_sample, self.last_sample = 0.0, self.n_samples - 1.0
         self.follows_orbit = metadata.attitude.frame == "orbital"
         self.notes = metadata.notes
-        self._check_field_of_view()
+        self._check_field_of_view("camera")
         self.states([0.0, self.n_lines - 1.0])
 
     @property
     def _general(self) -> GeneralMetadata:
         return self.metadata  # type: ignore[return-value]
 
-    @property
-    def file(self) -> str:
-        """Name of the description."""
-        return self._general.file
-
     # --- the chain ---------------------------------------------------------------------------
-
-    def _line_time(self, line: Array) -> Array:
-        timing = self._general.timing
-        return np.asarray(timing.reference_time_s + timing.line_period_s * (line - timing.reference_line))
-
-    def _check_field_of_view(self) -> None:
-        _, across = self.look_angles([self.first_sample, self.last_sample])
-        if abs(across[1] - across[0]) < MIN_FIELD_RAD:
-            value = f"{abs(across[1] - across[0]):.3g} rad"
-            raise InputError.of("sensor.no_field", file=self.file, place="camera", value=value, least=MIN_FIELD_RAD)
 
     def _require_attitude(self, line: Array) -> None:
         self._require_times("attitude", line, self._general.attitude.time_s)
@@ -178,7 +163,7 @@ class GeneralPushbroom(PushbroomSensor):
         if distance_m is None:
             ground = ellipsoid.intersect(p, np.ascontiguousarray(direction), np.zeros(len(p)))
             distance_m = np.linalg.norm(ground - p, axis=1)
-            if not np.isfinite(distance_m).all():  # beside the Earth: as far as the point nearest to it
+            if not np.isfinite(distance_m).all():  # the ray misses the Earth: as far as the point nearest to it
                 distance_m = np.where(np.isfinite(distance_m), distance_m, -np.einsum("ni,ni->n", p, direction))
         ground = p + distance_m[:, None] * direction
         shift = np.zeros_like(ground)

@@ -76,10 +76,9 @@ def frame_records(sensor: Any, height_m: float | None = None, dem: HeightSurface
     InputError
         The file has no frame points.
     """
-    metadata = getattr(sensor, "metadata", None)
-    if metadata is None or not metadata.frame_points:
+    points = sensor.frame_points
+    if not points:
         raise InputError.of("cli.no_frame", file=sensor.file, option="frame")
-    points = metadata.frame_points
     line, sample = (np.array([getattr(p, axis) for p in points]) for axis in ("line", "sample"))
     lon, lat = (np.array([getattr(p, axis) for p in points]) for axis in ("lon_deg", "lat_deg"))
     heights, sources = _frame_heights(sensor, points, (line, sample), (lon, lat), height_m)
@@ -88,7 +87,7 @@ def frame_records(sensor: Any, height_m: float | None = None, dem: HeightSurface
     ecef = sensor.locate(line, sample, dem=dem) if dem else sensor.locate(line, sample, height_m=heights)
     records = ground_records([p.id for p in points], line, sample, ecef)
     east, north = _horizontal(ecef, lon, lat, np.array([r["height_m"] for r in records])).T
-    note = None if metadata.frame_note is None else str(metadata.frame_note)
+    note = None if sensor.frame_note is None else str(sensor.frame_note)
     for k, record in enumerate(records):
         record |= {
             "file_lon_deg": float(lon[k]), "file_lat_deg": float(lat[k]),
@@ -109,7 +108,7 @@ def _frame_heights(
     sensor: Any, points: Sequence[FramePoint], pixel: tuple[Array, Array], place: tuple[Array, Array],
     height_m: float | None,
 ) -> tuple[Array, list[str]]:  # fmt: skip
-    """Heights (n,) of the frame points, and where each is from; those that nobody gives are solved."""
+    """Heights (n,) of the frame points, and the source of each; missing heights are solved for."""
     stated = [p.height_m for p in points]
     if height_m is not None:
         return np.full(len(stated), height_m), ["given"] * len(stated)

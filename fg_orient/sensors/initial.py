@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.model.block import Image, ImagePoints, Sensor
+from fg_orient.model.block import Image, ImagePoints
 from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.sensors.base import Sensor
 
 Array = npt.NDArray[np.float64]
 

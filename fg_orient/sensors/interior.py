@@ -24,7 +24,7 @@ GRID: Final = 41
 
 @dataclass(frozen=True, eq=False)
 class Interior:
-    """What all images of a camera have in common.
+    """Interior orientation that all images of a camera have in common.
 
     Parameters
     ----------

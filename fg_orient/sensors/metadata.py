@@ -1,21 +1,25 @@
-"""What a pushbroom sensor needs from a metadata file, free of any file format.
+"""Metadata of pushbroom sensors, independent of file formats.
 
-Readers (``fg_orient.formats.dimap1``, ``dimap2``) produce these immutable records; the sensor
-(``fg_orient.sensors.pushbroom``) consumes them. Conventions: times are seconds since
-``epoch`` (0 h UTC of the day of the image), positions and velocities are Earth-fixed
-(ECEF, WGS84) in m and m/s, angles rad, pixels (line, sample) with (0, 0) = centre of the
-first pixel. Attitudes are body to orbital frame of convention B (X = V x Z right of
-flight, Y = Z x X forward, Z = radial outward) or body to ECEF quaternions.
+Readers (``fg_orient.formats.dimap1``, ``dimap2``, ``metadata.pushbroom``) make these immutable records; the sensors
+(``fg_orient.sensors.pushbroom``, ``general``) use them. Conventions:
+times are seconds since ``epoch`` (0 h UTC of the day of the image), positions and velocities are Earth-fixed (ECEF,
+WGS84) in m and m/s, angles rad, pixels (line, sample) with (0, 0) = centre of the first pixel. Attitudes are body to
+orbital frame of convention B (X = V x Z right of flight, Y = Z x X forward, Z = radial outward) or body to ECEF
+quaternions. Camera and payload axes of the general pushbroom are those of convention A: X forward, Y left of flight, Z
+away from the Earth.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from factors.geometry import polynomials
 from fg_orient.model.errors import Finding
+from fg_orient.sensors.earth_rotation import EarthTurn
 
 Array = npt.NDArray[np.float64]
 
@@ -124,3 +128,148 @@ class PushbroomMetadata:
     frame_points: tuple[FramePoint, ...] = ()
     notes: tuple[Finding, ...] = field(default=())
     frame_note: Finding | None = None  # why the frame points need not agree with the model; among the notes, too
+
+
+# --- the general pushbroom -----------------------------------------------------------------------
+
+Frame = Literal["ITRF", "GCRS", "EME2000"]
+#: Target frame of attitudes: an orbital frame of convention A, or a frame of the Earth or of the stars.
+AttitudeFrame = Literal["orbital", "ITRF", "GCRS", "EME2000"]
+#: Definition of the orbital frame: from position and Earth-fixed or inertial velocity, or from Kepler angles.
+OrbitalFrame = Literal["earth-fixed velocity", "inertial velocity", "kepler"]
+
+
+class Camera(Protocol):
+    """Interior orientation: viewing directions of the detectors."""
+
+    def tangents(self, sample: Array) -> tuple[Array, Array]:
+        """Forward and left components of N samples per unit of depth."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class LineCamera:
+    """A line of detectors behind a lens: ``p_k = (0, y, 0) - (x_s, y_s, c) + delta`` (Terlemezoğlu 2019, eq. 2.5).
+
+    Parameters
+    ----------
+    focal_length_m : float
+    pitch_m : float
+        Step along camera Y (left of flight) from one sample to the next; below zero where samples run to the right.
+    principal_sample : float
+        Sample of y_s; it may lie outside the image.
+    forward_m : float
+        Place -x_s of the line along camera X.
+    n_samples : int
+    delta_forward_m, delta_left_m : (k,) arrays
+        Systematic image corrections: coefficients of s^0, s^1, ..., s = -1 at the first and 1 at the last sample.
+    """
+
+    focal_length_m: float
+    pitch_m: float
+    principal_sample: float
+    forward_m: float
+    n_samples: int
+    delta_forward_m: Array = field(default_factory=lambda: np.zeros(1))
+    delta_left_m: Array = field(default_factory=lambda: np.zeros(1))
+
+    def tangents(self, sample: Array) -> tuple[Array, Array]:
+        """See :class:`Camera`."""
+        s = polynomials.normalised(sample, self.n_samples)
+        delta = [polynomials.evaluate(c[None], s)[:, 0] for c in (self.delta_forward_m, self.delta_left_m)]
+        forward = self.forward_m + delta[0]
+        left = self.pitch_m * (sample - self.principal_sample) + delta[1]
+        return forward / self.focal_length_m, left / self.focal_length_m
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionTable:
+    """Viewing directions by sample: ``tan_forward`` and ``tan_left`` (n,) at ``sample`` (n,), linear between."""
+
+    sample: Array
+    tan_forward: Array
+    tan_left: Array
+
+    def tangents(self, sample: Array) -> tuple[Array, Array]:
+        """See :class:`Camera`; beyond the table the last interval goes on, for half a pixel."""
+        k = np.clip(np.searchsorted(self.sample, sample) - 1, 0, len(self.sample) - 2)
+        f = (sample - self.sample[k]) / (self.sample[k + 1] - self.sample[k])
+        forward, left = ((1.0 - f) * t[k] + f * t[k + 1] for t in (self.tan_forward, self.tan_left))
+        return np.asarray(forward), np.asarray(left)
+
+
+@dataclass(frozen=True, eq=False)
+class Orbit:
+    """State vectors (n,), (n, 3) m, (n, 3) m/s in ``frame``; velocities Earth-fixed or inertial as the frame is."""
+
+    frame: Frame
+    time_s: Array
+    position_m: Array
+    velocity_m_s: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Attitude:
+    """Rotation from the payload to ``frame``.
+
+    Parameters
+    ----------
+    frame : str
+        "orbital" takes ``angles_rad`` (n, 3): roll, pitch, yaw of ``factors.geometry.kepler``, linear in time. The
+        others take ``quaternion`` (n, 4), scalar first, signs aligned, linear in time and normalised.
+    time_s : (n,) array
+    """
+
+    frame: AttitudeFrame
+    time_s: Array
+    angles_rad: Array | None = None
+    quaternion: Array | None = None
+
+
+@dataclass(frozen=True)
+class LightEffects:
+    """Effects on light that the description asks for; vendor attitudes often contain the aberration."""
+
+    light_time: bool = False
+    aberration: bool = False
+    refraction: bool = False
+
+    def __bool__(self) -> bool:
+        return self.light_time or self.aberration or self.refraction
+
+
+@dataclass(frozen=True, eq=False)
+class GeneralMetadata:
+    """Everything the general model of one pushbroom image needs.
+
+    Parameters
+    ----------
+    offset_m : (3,) array
+        Projection centre in the payload frame, from the point that the orbit describes (C_M).
+    mounting : (3, 3) array
+        Rotation from camera to payload (R_KU).
+    orbital_frame : str
+        Used by attitudes of frame "orbital" only.
+    earth : EarthTurn or None
+        Needed where orbit or attitudes are inertial, or ``orbital_frame`` is "kepler" of an inertial orbit.
+    """
+
+    file: str
+    mission: str
+    instrument: str
+    epoch: np.datetime64
+    n_lines: int
+    n_samples: int
+    timing: LineTiming
+    camera: Camera
+    offset_m: Array
+    mounting: Array
+    orbit: Orbit
+    attitude: Attitude
+    orbital_frame: OrbitalFrame = "earth-fixed velocity"
+    earth: EarthTurn | None = None
+    effects: LightEffects = LightEffects()
+    notes: tuple[Finding, ...] = ()
+    format: str = "sensor description"
+    frame_points: tuple[FramePoint, ...] = ()
+    frame_note: Finding | None = None

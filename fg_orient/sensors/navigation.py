@@ -31,7 +31,7 @@ MOUNTING: Final = "mounting"
 
 @dataclass(frozen=True, eq=False)
 class Fix:
-    """What was observed on board at the exposure of one image.
+    """Observations on board at the exposure of one image.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class Fix:
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """How receiver, inertial unit and camera are mounted, and what is unknown of them; None: held, or zero.
+    """Mounting of receiver, inertial unit and camera, with prior sigmas of its unknowns; None: held fixed, or zero.
 
     Parameters
     ----------

@@ -9,19 +9,31 @@ and aberration are off: the vendor attitudes contain the aberration
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from factors.cameras import look
-from factors.cameras.pushbroom import RECORD
-from factors.geometry import ellipsoid, interpolation, polynomials, rotations
+from factors.cameras.pushbroom import LOOK_ANGLE_COLLINEARITY, RECORD
+from factors.geometry import interpolation, polynomials, rotations
 from fg_orient.model.errors import Finding, InputError, OutOfTimeRange, finding
+from fg_orient.model.names import COMPONENTS, VELOCITY
 from fg_orient.model.options import MAX_EXTRAPOLATION_S
+from fg_orient.model.parameters import (
+    CURVE,
+    CURVES,
+    DEGREES,
+    N_EOP,
+    UNITS,
+    orientation_parameters,
+    parameter_name,
+)
 from fg_orient.sensors import projection
-from fg_orient.sensors.correction import Correction, HeightSurface
+from fg_orient.sensors.base import ImageModel, Sensor, placed, same_length
+from fg_orient.sensors.correction import Correction, fit_eop
 from fg_orient.sensors.metadata import (
     AngleAttitude,
     LookAngleTable,
@@ -29,8 +41,10 @@ from fg_orient.sensors.metadata import (
     QuaternionList,
     QuaternionPolynomial,
 )
-from fg_orient.sensors.pixels import PixelRange, same_length
-from fg_orient.sensors.surface import landed
+
+if TYPE_CHECKING:
+    from factors._contract import Equation
+    from fg_orient.model.block import ImagePoints, Options
 
 Array = npt.NDArray[np.float64]
 
@@ -38,6 +52,9 @@ Array = npt.NDArray[np.float64]
 MIN_FIELD_RAD = 1e-4
 #: Rounding of printed times: lists of SPOT 6 start and end with the image.
 TIME_PRINT_S = 2e-6
+#: Highest power of the sample in a look-angle polynomial.
+MAX_LOOK_DEGREE = 10
+_YAW = 8
 #: Vendor v2 body axes (x along, y across, z to the Earth) from our body axes.
 V2_BODY_FROM_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -62,7 +79,7 @@ def _extended(source: AngleAttitude | QuaternionList, seconds: Array) -> AngleAt
     return QuaternionList(*interpolation.extended(source.time_s, source.quaternion, *seconds))
 
 
-class PushbroomSensor(PixelRange):
+class PushbroomSensor(Sensor):
     """Rigorous model of one pushbroom image.
 
     Parameters
@@ -81,8 +98,6 @@ class PushbroomSensor(PixelRange):
         The ephemeris does not cover the image, or the attitudes do not cover any line.
     """
 
-    georeferenced = True
-
     def __init__(self, metadata: PushbroomMetadata, *, extrapolate_attitude_s: float = 0.0) -> None:
         self.metadata = metadata
         self.n_lines, self.n_samples = metadata.n_lines, metadata.n_samples
@@ -91,7 +106,8 @@ class PushbroomSensor(PixelRange):
         if isinstance(metadata.look, LookAngleTable):
             self.first_sample, self.last_sample = float(metadata.look.sample[0]), float(metadata.look.sample[-1])
         self.follows_orbit = isinstance(metadata.attitude, AngleAttitude)
-        self._check_field_of_view()
+        self.frame_points, self.frame_note = metadata.frame_points, metadata.frame_note
+        self._check_field_of_view("look angles")
         self._check_ephemeris()
         self.notes: tuple[Finding, ...] = metadata.notes + self._bind_attitude(extrapolate_attitude_s)
 
@@ -104,13 +120,11 @@ class PushbroomSensor(PixelRange):
         timing = self.metadata.timing
         return np.asarray(timing.reference_time_s + timing.line_period_s * (line - timing.reference_line))
 
-    def _check_field_of_view(self) -> None:
+    def _check_field_of_view(self, place: str) -> None:
         _, across = self.look_angles([self.first_sample, self.last_sample])
         if abs(across[1] - across[0]) < MIN_FIELD_RAD:
-            raise InputError(finding(
-                "sensor.no_field", file=self.file, place="look angles", value=f"{abs(across[1] - across[0]):.3g} rad",
-                least=MIN_FIELD_RAD,
-            ))  # fmt: skip
+            value = f"{abs(across[1] - across[0]):.3g} rad"
+            raise InputError.of("sensor.no_field", file=self.file, place=place, value=value, least=MIN_FIELD_RAD)
 
     def _check_ephemeris(self) -> None:
         times = self._line_time(np.array([0.0, self.n_lines - 1.0]))
@@ -162,15 +176,7 @@ class PushbroomSensor(PixelRange):
                                       first=listed[0], last=listed[-1], gap=gap, lines=lines))  # fmt: skip
 
     def require_inside(self, line: Array, sample: Array) -> None:
-        """Refuse pixels outside the image, and lines that the attitudes do not cover.
-
-        Raises
-        ------
-        OutOfImage
-            Names the first pixel and the image's range.
-        OutOfTimeRange
-            Names the first line and the span of the attitudes.
-        """
+        """Refuse pixels outside the image (OutOfImage), and lines that the attitudes do not cover (OutOfTimeRange)."""
         in_image = (line >= -0.5) & (line <= self.n_lines - 0.5)
         super().require_inside(np.where(in_image, np.clip(line, self.first_line, self.last_line), line), sample)
         self._require_attitude(line)
@@ -241,14 +247,9 @@ class PushbroomSensor(PixelRange):
         return look.from_polynomial(source.tan_psi_x, source.tan_psi_y, source.origin_sample, s)
 
     def records(
-        self,
-        line: npt.ArrayLike,
-        sample: npt.ArrayLike,
-        reference_m: Array,
-        origin_m: Array | None = None,
-        *,
+        self, line: npt.ArrayLike, sample: npt.ArrayLike, reference_m: Array, origin_m: Array | None = None, *,
         small_angle: bool = False,
-    ) -> Array:
+    ) -> Array:  # fmt: skip
         """Constants of the look-angle collinearity for N image points, unwhitened: (N, 34).
 
         ``reference_m`` (N, 3) or (3,): ECEF points near the observed ones; differences are formed
@@ -269,15 +270,10 @@ class PushbroomSensor(PixelRange):
     def rays(
         self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: Correction | None = None
     ) -> tuple[Array, Array]:
-        """Projection centres (N, 3) m and unit viewing directions (N, 3) in ECEF.
+        """Projection centres (N, 3) m and unit viewing directions (N, 3) in ECEF; errors as of :meth:`states`.
 
-        The inverse of the observation equation (``factors.cameras.pushbroom``) and written apart from it, as a
+        The inverse of the observation equation (``factors.cameras.pushbroom``), written separately because a
         direction has no ground point; tests/40_sensors hold the two together to 1e-6 px.
-
-        Raises
-        ------
-        OutOfTimeRange
-            See :meth:`states`.
         """
         c = correction or Correction()
         lines, s = same_length(line, sample)
@@ -297,48 +293,154 @@ class PushbroomSensor(PixelRange):
         direction = np.einsum("nij,nj->ni", ecef, look.direction(psi_x, psi_y))
         return p, direction / np.linalg.norm(direction, axis=1, keepdims=True)
 
-    def locate(
-        self,
-        line: npt.ArrayLike,
-        sample: npt.ArrayLike,
-        *,
-        height_m: npt.ArrayLike | None = None,
-        dem: HeightSurface | None = None,
-        correction: Correction | None = None,
-    ) -> Array:
-        """Ground points (N, 3) ECEF m of N pixels at ellipsoidal heights, or on a DEM.
-
-        Raises
-        ------
-        OutOfImage
-            A pixel lies outside the image.
-        OutOfTimeRange
-            The attitudes do not cover a line.
-        InputError
-            A ray misses the surface, or the DEM does not cover it.
-        """
-        line, sample = same_length(line, sample)
-        self.require_inside(line, sample)
-        p, u = self.rays(line, sample, correction)
-        return landed(p, u, height_m, dem, (line, sample), self.file)
-
     # --- ground to image ---------------------------------------------------------------------
 
     def project(self, ground_m: npt.ArrayLike, correction: Correction | None = None) -> tuple[Array, Array]:
-        """Line and sample of N ECEF points (N, 3) m, by Newton on both at once (docs/equations.md 6).
+        """Line and sample of N ECEF points (N, 3) m, by Newton on both at once (``fg_orient.sensors.projection``).
 
-        Points outside the image get the linear continuation from its border (:meth:`is_inside` tells
-        them); nan only where the satellite cannot see the point or the iteration does not converge.
-        See ``fg_orient.sensors.projection``.
+        Points outside the image get the linear continuation from its border; nan only for points that are invisible
+        from the satellite, or if the iteration does not converge.
         """
         return projection.project(self, np.atleast_2d(np.asarray(ground_m, float)), correction or Correction())
 
-    @cached_property
-    def centre_m(self) -> Array:
-        """Ground point of the image centre at height 0, ECEF m (3,)."""
-        middle = 0.5 * (self.first_sample + self.last_sample)
-        return np.asarray(self.locate((self.first_line + self.last_line) / 2, middle, height_m=0.0)[0])
+    # --- adjustment --------------------------------------------------------------------------
 
-    def footprint(self) -> Array:
-        """Corners at height 0 in image order (clockwise): (4, 2) longitude, latitude in degrees."""
-        return np.degrees(ellipsoid.geodetic_array(self.locate(*self.corners(), height_m=0.0))[:, :2])
+    def image_model(self, options: Options) -> ImageModel:
+        """See :class:`PushbroomModel`."""
+        return PushbroomModel(self, options)
+
+    def correction_of(self, values: Mapping[str, float], options: Options) -> Correction:
+        """Correction from the values of the EOP coefficients by name; see :meth:`Sensor.correction_of`."""
+        curves = tuple(parameter_name(CURVE + k) for k in range(9 * CURVES))
+        curve = placed({name: value for name, value in values.items() if name in curves}, curves)
+        names = tuple(parameter_name(code) for code in range(N_EOP + 2 * (MAX_LOOK_DEGREE + 1)))
+        rest = {name: value for name, value in values.items() if name not in curves}
+        every = placed(rest, names)
+        used = max((names.index(name) for name in rest), default=0) + 1
+        look = every[N_EOP : max(used + (used - N_EOP) % 2, N_EOP)]
+        look = np.ascontiguousarray(look.reshape(-1, 2).T)
+        curve = curve.reshape(9, CURVES)[:, : options.curve_intervals]
+        return Correction(every[:N_EOP].reshape(9, 3), look, options.small_angle, curve)
+
+
+def require_pushbroom(sensor: Any, image: str) -> PushbroomSensor:
+    """Give the sensor of an image as the rigorous pushbroom sensor that it is.
+
+    Raises
+    ------
+    InputError
+        It is of another kind: an RPC has neither orbit nor look angles.
+    """
+    if not isinstance(sensor, PushbroomSensor):
+        kind = type(sensor).__name__
+        raise InputError.of("sensor.not_rigorous", file=sensor.file, place=f"image {image}", value=kind)
+    return sensor
+
+
+# --- image model ---------------------------------------------------------------------------------
+
+
+class PushbroomModel:
+    """See ``fg_orient.sensors.base.ImageModel``.
+
+    Parameters
+    ----------
+    sensor : PushbroomSensor
+    options : Options
+        EOP set, look polynomial, their prior sigmas, small-angle form.
+    """
+
+    equation: Equation = LOOK_ANGLE_COLLINEARITY
+
+    def __init__(self, sensor: PushbroomSensor, options: Options) -> None:
+        self.sensor, self.small_angle = sensor, options.small_angle
+        camera = f"{sensor.metadata.mission} {sensor.metadata.instrument}".strip()
+        self.parameters = orientation_parameters(options, sensor.file, camera)
+        self.n_curves = options.curve_intervals if max(self.parameters.codes) >= CURVE else 0
+
+    def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
+        """Whiten with ``S^-1 J^-1``, J = dF/d(line, sample) of the metadata orientation."""
+        line, sample, small = points.line, points.sample, self.small_angle
+        out = self.sensor.records(line, sample, ground_m, origin_m, small_angle=small)
+        j = projection.pixel_derivative(self.sensor, line, sample, ground_m, Correction(small_angle=small))
+        sigma = np.stack([points.sigma_line_px, points.sigma_sample_px], axis=1)
+        out[:, RECORD.whitening] = (np.linalg.inv(j) / sigma[:, :, None]).reshape(-1, 4)
+        return np.hstack([out, polynomials.curves(out[:, RECORD.tau], self.n_curves)]) if self.n_curves else out
+
+    def correction(self, x: Array) -> Correction:
+        """EOP corrections (9, 3), look corrections (2, degree + 1) and curves (9, k) in physical units."""
+        eop, codes, curve = np.zeros(N_EOP), self.parameters.codes, np.zeros((9, self.n_curves))
+        # psi_x and psi_y in turn: a polynomial of both has an even number
+        highest = max((code for code in codes if code < CURVE), default=0) - N_EOP
+        look = np.zeros(2 * (highest // 2 + 1) if highest >= 0 else 0)
+        for code, value in zip(codes, x * self.parameters.sigma, strict=True):
+            if code < N_EOP:
+                eop[code] = value
+            elif code < CURVE:
+                look[code - N_EOP] = value
+            else:
+                curve[divmod(code - CURVE, CURVES)] = value
+        look = np.ascontiguousarray(look.reshape(-1, 2).T)
+        return Correction(eop.reshape(9, 3), look, self.small_angle, curve)
+
+    def silent_directions(self) -> list[tuple[str, Array]]:
+        """Velocity acts through V x P only (docs/equations.md 3).
+
+        Along track and radial it has no effect. Across track it rotates the orbital frame like a yaw; with Earth-fixed
+        attitudes (DIMAP v2) it has no effect.
+        """
+        out: list[tuple[str, Array]] = []
+        frame, speed_m_s = self._central_frame()
+        index = {code: j for j, code in enumerate(self.parameters.codes)}
+        sigma = self.parameters.sigma
+        for degree in range(3):
+            rows = [index[3 * c + degree] for c in VELOCITY if 3 * c + degree in index]
+            if len(rows) < len(VELOCITY):
+                continue
+            for axis, text in ((1, "velocity along track ({}) acts on nothing"),
+                               (2, "radial velocity ({}) acts on nothing")):  # fmt: skip
+                direction = np.zeros(len(sigma))
+                direction[rows] = frame[:, axis]
+                out.append((text.format(DEGREES[degree]), direction))
+            direction = np.zeros(len(sigma))
+            direction[rows] = frame[:, 0] / sigma[rows]
+            yaw = index.get(3 * _YAW + degree)
+            if yaw is not None and self.sensor.follows_orbit:
+                direction[yaw] = 1.0 / speed_m_s / sigma[yaw]
+                text = "velocity across track acts as yaw ({}): only their sum is observable"
+            else:
+                text = "velocity across track ({}) acts on nothing"
+            out.append((text.format(DEGREES[degree]), direction / np.linalg.norm(direction)))
+        return out
+
+    def _central_frame(self) -> tuple[Array, float]:
+        """Orbital frame at the image centre (columns across, along, radial) and the speed along it, m/s."""
+        state = self.sensor.states((self.sensor.first_line + self.sensor.last_line) / 2.0)
+        frame = rotations.orbital_frames(state.position_m, state.velocity_m_s)[0]
+        return frame, float(state.velocity_m_s[0] @ frame[:, 1])
+
+    def per_line(self) -> tuple[Array, tuple[str, ...]]:
+        """Factors to coefficients of line minus central line; nan for the look polynomial."""
+        change = polynomials.per_line_from_tau(self.sensor.n_lines)
+        codes, units = self.parameters.codes, self.parameters.units
+        factors = np.array([change[code % 3] if code < N_EOP else np.nan for code in codes])
+        powers = ("", "/line", "/line^2")
+        named = zip(codes, units, strict=True)
+        return factors, tuple(unit + powers[code % 3] if code < N_EOP else "" for code, unit in named)
+
+    def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
+        """Everywhere."""
+        return np.ones(len(ground_m), bool)
+
+    def facts(self) -> dict[str, Any]:
+        """Entries of the file, and degree-2 fits of its EOPs (T-Table 4.1): per line, with residuals."""
+        meta, fit = self.sensor.metadata, fit_eop(self.sensor)
+        polynomials = [
+            {"component": COMPONENTS[k], "unit": UNITS[k], "per_line": fit.per_line[k].tolist(),
+             "rms": float(fit.rms[k]), "largest": float(fit.largest[k])}
+            for k in range(len(COMPONENTS))
+        ]  # fmt: skip
+        return {
+            "model": "pushbroom", "mission": meta.mission, "instrument": meta.instrument, "format": meta.format,
+            "metadata_polynomials": polynomials,
+        }  # fmt: skip

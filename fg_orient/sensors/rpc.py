@@ -17,7 +17,7 @@ import numpy.typing as npt
 from factors.cameras import rfm, rfm_project
 from factors.cameras.rfm_project import COMPENSATION, RANGE
 from fg_orient.model.errors import Finding, InputError
-from fg_orient.sensors.pixels import same_length
+from fg_orient.sensors.base import same_length
 
 Array = npt.NDArray[np.float64]
 Range = tuple[float, float]

@@ -1,26 +1,39 @@
 """The sensor of an image with a rational function model, with the methods of ``PushbroomSensor``.
 
 Ground points are ECEF metres; pixels (line, sample), (0, 0) = centre of the first pixel. Image-space
-compensation is (6,) pixels, see ``factors.cameras.rfm_project``.
+compensation is (6,) pixels, see ``factors.cameras.rfm_project``; its terms are the unknowns (Grodecki & Dial 2003).
+Compensation, pixels, with l, s the model's own normalised line and sample in [-1, 1]::
+
+    line   += line_0   + line_l1 l   + line_s1 s
+    sample += sample_0 + sample_l1 l + sample_s1 s
+
+"shift" has the first column, "shift_drift" the first two, "affine" all three. A shift is the effect of an error of
+position, roll or pitch in a narrow field of view; drift and affine terms model changes along and across the image.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cached_property
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from factors.cameras.rfm_equation import RECORD
+from factors.cameras.rfm_equation import COMPENSATION, COMPENSATIONS, RATIONAL_FUNCTION, RECORD
 from factors.cameras.rfm_project import RANGE
 from factors.geometry import ellipsoid
 from fg_orient.geodesy import geodetic_to_ecef
 from fg_orient.model.errors import InputError
+from fg_orient.model.parameters import ImageParameters, require_unknowns
+from fg_orient.sensors.base import ImageModel, Sensor, placed, same_length
 from fg_orient.sensors.correction import HeightSurface
-from fg_orient.sensors.pixels import PixelRange, same_length
 from fg_orient.sensors.rpc import RpcModel, span
 from fg_orient.sensors.surface import on_surface
+
+if TYPE_CHECKING:
+    from factors._contract import Equation
+    from fg_orient.model.block import ImagePoints, Options
 
 Array = npt.NDArray[np.float64]
 
@@ -28,9 +41,17 @@ Array = npt.NDArray[np.float64]
 RAY_START_M = 5e5
 #: Rays to a DEM join points this far above and below: of all its heights first, then of the height found.
 DEM_MARGINS_M = (50.0, 5.0)
+#: Names of option ``rpc_compensation`` in the terms of the equation.
+_TERMS: Final = {"shift": "shift", "shift_drift": "drift", "affine": "affine"}
+#: Name and words of each code of the equation.
+_NAMES: Final = ("line_0", "sample_0", "line_l1", "sample_l1", "line_s1", "sample_s1")
+_WORDS: Final = (
+    "line shift (px)", "sample shift (px)", "line drift along the lines (px)", "sample drift along the lines (px)",
+    "line change across the samples (px)", "sample change across the samples (px)",
+)  # fmt: skip
 
 
-class RpcSensor(PixelRange):
+class RpcSensor(Sensor):
     """An image with a rational function model.
 
     Parameters
@@ -46,8 +67,6 @@ class RpcSensor(PixelRange):
     InputError
         A denominator is not positive somewhere inside the image, and ``poles`` is False.
     """
-
-    georeferenced = True
 
     def __init__(self, model: RpcModel, *, poles: bool = False) -> None:
         if not poles:
@@ -93,7 +112,7 @@ class RpcSensor(PixelRange):
     # --- image to ground ---------------------------------------------------------------------
 
     def rays(
-        self, line: npt.ArrayLike, sample: npt.ArrayLike, compensation: npt.ArrayLike | None = None
+        self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: npt.ArrayLike | None = None
     ) -> tuple[Array, Array]:
         """Points 500 km up the lines of sight (N, 3) m and unit viewing directions (N, 3) in ECEF.
 
@@ -104,24 +123,24 @@ class RpcSensor(PixelRange):
         InputError
             A pixel has no ground point at these heights.
         """
-        return self._rays(line, sample, self.model.validity.height_m, compensation)
+        return self._rays(line, sample, self.model.validity.height_m, correction)
 
     def _rays(
         self, line: npt.ArrayLike, sample: npt.ArrayLike, heights: tuple[npt.ArrayLike, npt.ArrayLike],
-        compensation: npt.ArrayLike | None,
+        correction: npt.ArrayLike | None,
     ) -> tuple[Array, Array]:  # fmt: skip
         ends = []
         for height in heights:
             lines, samples, h = same_length(line, sample, height)
-            ends.append(self._at_height(lines, samples, h, compensation))
+            ends.append(self._at_height(lines, samples, h, correction))
         low, high = ends
         direction = low - high
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         return high - RAY_START_M * direction, direction
 
-    def _at_height(self, line: Array, sample: Array, h: Array, compensation: npt.ArrayLike | None) -> Array:
+    def _at_height(self, line: Array, sample: Array, h: Array, correction: npt.ArrayLike | None) -> Array:
         """Ground points (N, 3) ECEF m at ellipsoidal heights."""
-        lon, lat = self.model.locate(line, sample, h, compensation)
+        lon, lat = self.model.locate(line, sample, h, correction)
         if np.isnan(lon).any():
             bad = int(np.flatnonzero(np.isnan(lon))[0])
             place, value = f"line {line[bad]:g}, sample {sample[bad]:g}", f"height {h[bad]:g} m"
@@ -137,7 +156,7 @@ class RpcSensor(PixelRange):
         *,
         height_m: npt.ArrayLike | None = None,
         dem: HeightSurface | None = None,
-        compensation: npt.ArrayLike | None = None,
+        correction: npt.ArrayLike | None = None,
     ) -> Array:
         """Ground points (N, 3) ECEF m of N pixels at ellipsoidal heights (default 0), or on a DEM.
 
@@ -157,28 +176,110 @@ class RpcSensor(PixelRange):
         if dem is not None:
             low, high = (np.full(len(line), end) for end in dem.range_m)
             for margin in DEM_MARGINS_M:
-                p, u = self._rays(line, sample, (low - margin, high + margin), compensation)
+                p, u = self._rays(line, sample, (low - margin, high + margin), correction)
                 h = np.ascontiguousarray(ellipsoid.geodetic_array(on_surface(p, u, dem, self.file))[:, 2])
                 low = high = h
-        return self._at_height(line, sample, h, compensation)
+        return self._at_height(line, sample, h, correction)
 
     # --- ground to image ---------------------------------------------------------------------
 
-    def project(self, ground_m: npt.ArrayLike, compensation: npt.ArrayLike | None = None) -> tuple[Array, Array]:
+    def project(self, ground_m: npt.ArrayLike, correction: npt.ArrayLike | None = None) -> tuple[Array, Array]:
         """Line and sample of N ECEF points (N, 3) m; nan at a pole of the model.
 
         Points outside the image or the validity range get what the rational function gives
         (:meth:`is_inside`, ``model.inside`` tell them).
         """
         lon, lat, h = ellipsoid.geodetic_array(np.atleast_2d(np.ascontiguousarray(ground_m, dtype=float))).T
-        return self.model.project(np.degrees(lon), np.degrees(lat), h, compensation)
+        return self.model.project(np.degrees(lon), np.degrees(lat), h, correction)
 
-    @cached_property
-    def centre_m(self) -> Array:
-        """Ground point of the image centre at the model's mean height, ECEF m (3,)."""
-        line, sample = 0.5 * (self.first_line + self.last_line), 0.5 * (self.first_sample + self.last_sample)
-        return np.asarray(self.locate(line, sample, height_m=self.model.offsets[RANGE.height])[0])
+    @property
+    def mean_height_m(self) -> float:  # type: ignore[override]  # of the model
+        """Height of the model's centre, m."""
+        return float(self.model.offsets[RANGE.height])
 
     def footprint(self) -> Array:
         """Corners at the model's mean height in image order (clockwise): (4, 2) longitude, latitude in degrees."""
-        return np.stack(self.model.locate(*self.corners(), self.model.offsets[RANGE.height]), axis=1)
+        return np.stack(self.model.locate(*self.corners(), self.mean_height_m), axis=1)
+
+    # --- adjustment --------------------------------------------------------------------------
+
+    def image_model(self, options: Options) -> ImageModel:
+        """See :class:`RpcImageModel`."""
+        return RpcImageModel(self, options)
+
+    def correction_of(self, values: Mapping[str, float], options: Options) -> Array:
+        """Compensation (6,) from its terms by name; see :meth:`Sensor.correction_of`."""
+        return placed(values, _NAMES)
+
+
+# --- image model ---------------------------------------------------------------------------------
+
+
+def compensation_parameters(options: Options, file: str = "") -> ImageParameters:
+    """Unknowns of an RPC image: the named ones, else the compensation of the options; prior sigmas in pixels.
+
+    Raises
+    ------
+    InputError
+        ``image_unknowns`` names none of them.
+    """
+    codes = COMPENSATIONS[_TERMS[options.rpc_compensation]]
+    if options.image_unknowns:
+        codes = tuple(code for code, name in enumerate(_NAMES) if name in options.image_unknowns)
+        require_unknowns(options, codes, file, _NAMES)
+    sigma = np.array([options.rpc_shift_sigma_px if code < 2 else options.rpc_linear_sigma_px for code in codes])
+    return ImageParameters(
+        codes, sigma, tuple(_NAMES[c] for c in codes), ("px",) * len(codes), tuple(_WORDS[c] for c in codes)
+    )
+
+
+class RpcImageModel:
+    """See ``fg_orient.sensors.base.ImageModel``.
+
+    Parameters
+    ----------
+    sensor : RpcSensor
+    options : Options
+        Kind of the compensation and its prior sigmas.
+    """
+
+    equation: Equation = RATIONAL_FUNCTION
+
+    def __init__(self, sensor: RpcSensor, options: Options) -> None:
+        self.sensor = sensor
+        self.parameters = compensation_parameters(options, sensor.file)
+
+    def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
+        """Whiten with the pixel sigmas; minus, because the equation gives adjusted minus observed."""
+        out = self.sensor.records(points.line, points.sample, ground_m, origin_m)
+        out[:, RECORD.a11], out[:, RECORD.a22] = -1.0 / points.sigma_line_px, -1.0 / points.sigma_sample_px
+        return out
+
+    def correction(self, x: Array) -> Array:
+        """Compensation (6,) in pixels, codes of ``factors.cameras.rfm``."""
+        out = np.zeros(COMPENSATION.size)
+        out[list(self.parameters.codes)] = x * self.parameters.sigma
+        return out
+
+    def silent_directions(self) -> list[tuple[str, Array]]:
+        """None: every term moves the image."""
+        return []
+
+    def per_line(self) -> tuple[Array, tuple[str, ...]]:
+        """Factors of drifts per line and of shifts; nan for terms of the sample."""
+        scale = float(self.sensor.model.scales[RANGE.line])
+        table = ((1.0, "px"), (1.0 / scale, "px/line"), (np.nan, ""))
+        rows = [table[code // 2] for code in self.parameters.codes]
+        return np.array([factor for factor, _ in rows]), tuple(unit for _, unit in rows)
+
+    def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
+        """Whether points lie in the ranges of longitude, latitude and height of the file: outside, cubics diverge."""
+        lon, lat, height = ellipsoid.geodetic_array(np.ascontiguousarray(ground_m)).T
+        return self.sensor.model.inside(np.degrees(lon), np.degrees(lat), height)
+
+    def facts(self) -> dict[str, Any]:
+        """Format of the file; an RPC has neither mission nor orientation."""
+        return {
+            "model": "RPC", "mission": "RPC", "instrument": "", "format": self.sensor.model.format,
+            "metadata_polynomials": [],
+        }  # fmt: skip

@@ -190,7 +190,7 @@ def on_surface(position_m: Array, direction: Array, dem: HeightSurface, file: st
 
     A ray that meets nodata, or comes from outside the DEM, before its first hit and below the highest
     DEM value is refused: unseen ground there could hide what lies behind. Two crossings within half
-    a cell, between edges of the surface, are not told apart.
+    a cell, between edges of the surface, are not separated.
 
     Parameters
     ----------

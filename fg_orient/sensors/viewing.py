@@ -1,4 +1,4 @@
-"""How images look at the ground: footprints, ground sampling distance, incidence, convergence, base to height.
+"""Viewing geometry of images: footprints, ground sampling distance, incidence, convergence, base to height.
 
 All from rays of the sensor, so it is the same for rigorous models, RPC and frame images, with or without a
 correction. At a ground point a ray has the *lean* (East, North metres per metre of height) with which a

@@ -19,8 +19,7 @@ from fg_orient.rpc.form import DEGREES, RfmForm
 from fg_orient.rpc.rfm_points import ControlPoints
 from fg_orient.rpc.virtual_grid import LocatingSensor
 from fg_orient.sensors import initial
-from fg_orient.sensors.kinds import require_pushbroom
-from fg_orient.sensors.pushbroom import PushbroomSensor
+from fg_orient.sensors.pushbroom import PushbroomSensor, require_pushbroom
 from fg_orient.simulate.zonguldak import zonguldak_block
 from fg_orient.studies.claims import EXACT, Outcome, Study, claim, outcome
 from fg_orient.studies.tables_spot6 import CRAMER, METHODS, Run

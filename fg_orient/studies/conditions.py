@@ -26,8 +26,8 @@ from factors.cameras import look, pushbroom
 from factors.cameras.pushbroom_record import CORRECTION, N_EOP, RECORD, corrections
 from factors.geometry import polynomials, rotations
 from fg_orient.model.block import Image, ImagePoints
-from fg_orient.sensors.eop import metadata_eop
-from fg_orient.sensors.kinds import require_pushbroom
+from fg_orient.sensors.correction import metadata_eop
+from fg_orient.sensors.pushbroom import require_pushbroom
 from fg_orient.studies.switches import TEXT, States, Switches, derivatives, mounting
 
 Index = npt.NDArray[np.intp]

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from factors.geometry import ellipsoid
 from fg_orient.formats.metadata.dimap import read_dimap
-from fg_orient.sensors.correction import Correction
-from fg_orient.sensors.eop import fit_eop, metadata_eop
+from fg_orient.sensors.correction import Correction, fit_eop, metadata_eop
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from tests.support.published_rays import misses_m
 

@@ -70,7 +70,7 @@ def test_locate_and_project_return_the_pixel(
     line, sample = grid(sensor)
     lon, lat = sensor.model.locate(line, sample, height_m, compensation)
     assert np.abs(seen(sensor, lon, lat, height_m, compensation) - [line, sample]).max() < 1e-9
-    ground = sensor.locate(line, sample, height_m=height_m, compensation=compensation)
+    ground = sensor.locate(line, sample, height_m=height_m, correction=compensation)
     lon, lat, height = GEODETIC.transform(*ground.T)
     assert np.abs(seen(sensor, lon, lat, height, compensation) - [line, sample]).max() < 1e-7
     assert np.abs(height - height_m).max() < 1e-8

@@ -12,8 +12,8 @@ from lxml import etree
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Image
+from fg_orient.sensors.base import OrientedSensor
 from fg_orient.sensors.frame import FrameCamera, FrameSensor
-from fg_orient.sensors.oriented import OrientedSensor
 from fg_orient.sensors.viewing import (
     SIDE,
     View,

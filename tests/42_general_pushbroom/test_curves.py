@@ -14,7 +14,6 @@ from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.options import Options
 from fg_orient.model.parameters import orientation_parameters, term_of
-from fg_orient.rectification.adjusted import _correction
 from fg_orient.result.tables import eop_rows
 from fg_orient.sensors.correction import Correction
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
@@ -115,7 +114,7 @@ def written(solution: fg.Solution) -> None:
     """What the result folder holds gives the curves back."""
     for image in solution.block.images:
         values = {str(row[1]): float(str(row[5])) for row in eop_rows(solution) if row[0] == image.id}
-        back, expected = _correction(values, image.sensor, False, INTERVALS), solution.correction(image.id)
+        back, expected = image.sensor.correction_of(values, solution.block.options), solution.correction(image.id)
         assert isinstance(back, Correction)
         assert np.array_equal(back.curve, expected.curve) and np.array_equal(back.eop, expected.eop)
 

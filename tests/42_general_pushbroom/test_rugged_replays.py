@@ -13,7 +13,7 @@ from fg_orient.geodesy import geodetic_to_ecef
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.earth_rotation import EarthRotation
 from fg_orient.sensors.general import GeneralPushbroom
-from fg_orient.sensors.general_metadata import LightEffects
+from fg_orient.sensors.metadata import LightEffects
 from tests.support.rugged_replay import Location, Replay, Transform, read_replay, sensor_metadata
 
 pytestmark = pytest.mark.real_data

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pyproj
@@ -13,7 +14,7 @@ from scipy.stats import chi2
 
 import fg_orient as fg
 from factors.conditions.control import POINT
-from fg_orient.adjustment.models.contract import MODELS, groups
+from fg_orient.adjustment.image_models import groups
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.model.block import Block, Image, ImagePoints
 from fg_orient.model.errors import InputError, RankDeficientError
@@ -306,12 +307,8 @@ def test_without_priors_weak_directions_are_pointed_out() -> None:
 @pytest.mark.behaviour
 def test_sensor_without_model_is_refused() -> None:
     block = rpc_twin("shift").block
-
-    class Unknown(RpcSensor):
-        pass
-
-    assert set(MODELS) == {"FrameSensor", "GeneralPushbroom", "PushbroomSensor", "RpcSensor"}
-    other = replace(block, images=(block.images[0], Image("right", Unknown(block.images[1].sensor.model))))
+    stranger = SimpleNamespace(georeferenced=True, n_lines=100, n_samples=100, notes=(), file="a")
+    other = replace(block, images=(block.images[0], Image("right", stranger)))  # type: ignore[arg-type]
     with pytest.raises(InputError) as caught:
         fg.adjust(other)
     assert caught.value.problems[0].code == "adjust.no_model"

@@ -134,7 +134,7 @@ def test_images_with_rpc() -> None:
         """Of line, sample, and the two shifts."""
         place = adjusted + np.append(x[2:], np.zeros(4))
         return sensor.locate(np.array([3100.0 + x[0]]), np.array([4200.0 + x[1]]), height_m=500.0,
-                             compensation=place)[0]  # fmt: skip
+                             correction=place)[0]  # fmt: skip
 
     step = 0.5
     slope = np.stack([(ground(step * e) - ground(-step * e)) / (2.0 * step) for e in np.eye(4)], axis=1)

@@ -23,7 +23,6 @@ from fg_orient.adjustment.linear import kappa, registry
 from fg_orient.adjustment.linear.kappa import Given, choose_kappa
 from fg_orient.adjustment.linear.registry import solve
 from fg_orient.adjustment.linear.system import LinearSystem
-from fg_orient.adjustment.models import contract
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.formats import registry as format_registry
@@ -54,7 +53,6 @@ def registries() -> Iterator[pytest.MonkeyPatch]:
     with pytest.MonkeyPatch.context() as patch:
         for module in (_contract, registry, kappa, losses, format_registry):
             patch.setattr(module, "_REGISTRY", dict(module._REGISTRY))
-        patch.setattr(contract, "_OWN", {})
         patch.setattr(sys, "path", list(sys.path))
         yield patch
         for name in PAGES.values():
@@ -236,7 +234,6 @@ def test_a_wrong_kernel_of_a_new_equation_is_named(
     parallel: tuple[Path, dict[str, Any]], files: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One column too few, found by the Schur backend as by the others."""
-    monkeypatch.setattr(contract, "_OWN", {})
     text = files["sensor"].read_text().replace("docs_parallel", "docs_narrow").replace('"parallel"', '"narrow"')
     own = tmp_path / "docs_narrow.py"
     own.write_text(text.replace("-np.diag(record[RECORD.weight] * setup[1])", "np.zeros((2, 1))"))

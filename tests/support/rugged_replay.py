@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from factors.geometry.rotations import quaternion_matrices
-from fg_orient.sensors.general_metadata import Attitude, DirectionTable, GeneralMetadata, LightEffects, Orbit
-from fg_orient.sensors.metadata import LineTiming
+from fg_orient.sensors.metadata import Attitude, DirectionTable, GeneralMetadata, LightEffects, LineTiming, Orbit
 
 Array = np.ndarray
 #: States are sampled this far around a transform, s: eight of them, as the interpolation takes.

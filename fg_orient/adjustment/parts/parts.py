@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from factors._contract import Equation, registered
 from fg_orient import __version__
-from fg_orient.adjustment.models.contract import ImageModel
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.model.block import (
@@ -29,11 +28,11 @@ from fg_orient.model.block import (
     Image,
     ImagePoints,
     Options,
-    Sensor,
     WithheldCoordinates,
 )
 from fg_orient.model.errors import InputError
 from fg_orient.model.parameters import ImageParameters
+from fg_orient.sensors.base import ImageModel, Sensor
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

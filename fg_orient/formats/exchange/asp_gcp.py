@@ -3,7 +3,7 @@
 ``id latitude longitude height sx sy sz`` and, for each image, ``name column row sigma_column sigma_row``; blanks or
 commas. Latitude stands before longitude. The datum stands in a comment, ``# WKT: GEOGCS[...]``, or nowhere.
 The three standard deviations refer to
-geocentric x, y, z unless the program is told otherwise (``bundle_adjust --use-lon-lat-height-gcp-error``: then to
+geocentric x, y, z unless an option changes this (``bundle_adjust --use-lon-lat-height-gcp-error``: then to
 longitude, latitude, height in metres). Columns and rows count from 0, taken as the centre of the first pixel.
 """
 
@@ -20,7 +20,7 @@ from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.ground import decided_crs
 from fg_orient.formats.exchange.survey import Gathering, Survey
 from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, require_plain, sigma
-from fg_orient.formats.registry import Format, Holds, Settings, register_format
+from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import Faults, read_text
 from fg_orient.geodesy import crs_kind, enu_from_ecef
 from fg_orient.geodesy.crs import WGS84, wkt
@@ -111,22 +111,19 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[
     return (finding("lost.sigma_axes", file=path, value=f"{turned} point(s)"),) if turned else ()
 
 
-FORMAT = register_format(
-    Format(
-        name="asp-gcp",
-        title="Ames Stereo Pipeline .gcp",
-        help=__doc__,
-        suffixes=(".gcp",),
-        first_pixel=(0.0, 0.0),
-        pixel_axes="column, row (pixels)",
-        ground_axes="latitude, longitude (degrees), height (m)",
-        holds=frozenset(
-            {Holds.GROUND, Holds.IMAGE, Holds.IDS, Holds.IMAGES, Holds.UNMEASURED, Holds.HEIGHTS, Holds.SIGMA_GROUND,
-             Holds.SIGMA_UP, Holds.SIGMA_EAST_NORTH, Holds.SIGMA_IMAGE, Holds.CRS}
-        ),
-        needs=frozenset({Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_IMAGE}),
-        read=read,
-        write=write,
-        crs="EPSG:4979",
-    )
+FORMAT = Format(
+    name="asp-gcp",
+    title="Ames Stereo Pipeline .gcp",
+    suffixes=(".gcp",),
+    first_pixel=(0.0, 0.0),
+    pixel_axes="column, row (pixels)",
+    ground_axes="latitude, longitude (degrees), height (m)",
+    holds=frozenset(
+        {Holds.GROUND, Holds.IMAGE, Holds.IDS, Holds.IMAGES, Holds.UNMEASURED, Holds.HEIGHTS, Holds.SIGMA_GROUND,
+         Holds.SIGMA_UP, Holds.SIGMA_EAST_NORTH, Holds.SIGMA_IMAGE, Holds.CRS}
+    ),
+    needs=frozenset({Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_IMAGE}),
+    read=read,
+    write=write,
+    crs="EPSG:4979",
 )  # fmt: skip

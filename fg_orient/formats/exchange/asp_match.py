@@ -23,7 +23,7 @@ from fg_orient.formats.atomic import write_bytes
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import make_folder
 from fg_orient.formats.exchange.ties import matched_survey, pairs_of
-from fg_orient.formats.registry import TIES_ONLY, Format, Settings, register_format
+from fg_orient.formats.registry import TIES_ONLY, Format, Settings
 from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -164,17 +164,14 @@ def _plain(images: Sequence[str], k: int) -> str:
     return images[k]
 
 
-FORMAT = register_format(
-    Format(
-        name="asp-match",
-        title="ASP interest point matches (.match)",
-        help=__doc__,
-        suffixes=(".match",),
-        files=("matches",),
-        first_pixel=(0.0, 0.0),
-        pixel_axes="x column, y row (pixels, single precision)",
-        holds=TIES_ONLY,
-        read=read,
-        write=write,
-    )
+FORMAT = Format(
+    name="asp-match",
+    title="ASP interest point matches (.match)",
+    suffixes=(".match",),
+    files=("matches",),
+    first_pixel=(0.0, 0.0),
+    pixel_axes="x column, y row (pixels, single precision)",
+    holds=TIES_ONLY,
+    read=read,
+    write=write,
 )

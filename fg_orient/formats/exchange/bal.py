@@ -30,7 +30,7 @@ from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import require_free
 from fg_orient.formats.exchange.ties import model_survey
 from fg_orient.formats.frame_model import FrameModel, Pose, free_block, in_one_image, in_pixels
-from fg_orient.formats.registry import TIES_ONLY, Format, Settings, register_format
+from fg_orient.formats.registry import TIES_ONLY, Format, Settings
 from fg_orient.model.block import Block, Image, ImagePoints, Source
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.frame import HALF_TURN, IDEAL_TO_MEASURED, FrameCamera, FrameSensor
@@ -38,7 +38,7 @@ from fg_orient.sensors.interior import Interior, converted
 
 Array = npt.NDArray[np.float64]
 
-#: What the camera model of these files does not have, by the position in ``Interior.distortion``.
+#: Coefficients that the camera model of these files lacks, by the position in ``Interior.distortion``.
 _BEYOND: Final = {2: "k3", 3: "p1", 4: "p2"}
 N_CAMERA: Final = 9
 #: Sigma of an image coordinate: the cost of the block is then that of the literature, in px^2.
@@ -53,7 +53,7 @@ LARGEST: Final = 10**9
 
 @dataclass(frozen=True, eq=False)
 class BalData:
-    """What a file holds, in its own conventions.
+    """Contents of a file, in its own conventions.
 
     Parameters
     ----------
@@ -381,18 +381,15 @@ def write_model(out: Path, model: FrameModel, overwrite: bool) -> tuple[str, ...
     return lost
 
 
-FORMAT: Final = register_format(
-    Format(
-        name="bal",
-        title="Bundle Adjustment in the Large",
-        help=__doc__,
-        files=("bundle",),
-        pixel_axes="x right, y up from the middle of the image (pixels)",
-        ground_axes="local x, y, z (left out)",
-        holds=TIES_ONLY,
-        read=read,
-        read_model=read_model,
-        write_model=write_model,
-        evidence="the published problem Ladybug 49",
-    )
+FORMAT: Final = Format(
+    name="bal",
+    title="Bundle Adjustment in the Large",
+    files=("bundle",),
+    pixel_axes="x right, y up from the middle of the image (pixels)",
+    ground_axes="local x, y, z (left out)",
+    holds=TIES_ONLY,
+    read=read,
+    read_model=read_model,
+    write_model=write_model,
+    evidence="the published problem Ladybug 49",
 )

@@ -18,7 +18,7 @@ from fg_orient.formats.exchange.bal import BalData, bal_data_of, bundle_survey, 
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import read_lines, require_free
 from fg_orient.formats.frame_model import FrameModel
-from fg_orient.formats.registry import TIES_ONLY, Format, Settings, register_format
+from fg_orient.formats.registry import TIES_ONLY, Format, Settings
 from fg_orient.formats.tables import finite
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
@@ -177,18 +177,15 @@ def write_model(out: Path, model: FrameModel, overwrite: bool) -> tuple[str, ...
     return lost
 
 
-FORMAT: Final = register_format(
-    Format(
-        name="bundler",
-        title="Bundler (bundle.out, v0.3)",
-        help=__doc__,
-        suffixes=(".out",),
-        files=("bundle", "list"),
-        pixel_axes="x right, y up from the middle of the image (pixels)",
-        ground_axes="local x, y, z (left out)",
-        holds=TIES_ONLY,
-        read=read,
-        read_model=read_model,
-        write_model=write_model,
-    )
+FORMAT: Final = Format(
+    name="bundler",
+    title="Bundler (bundle.out, v0.3)",
+    suffixes=(".out",),
+    files=("bundle", "list"),
+    pixel_axes="x right, y up from the middle of the image (pixels)",
+    ground_axes="local x, y, z (left out)",
+    holds=TIES_ONLY,
+    read=read,
+    read_model=read_model,
+    write_model=write_model,
 )

@@ -22,7 +22,7 @@ from fg_orient.formats.atomic import staged_file
 from fg_orient.formats.exchange.colmap_text import FIRST_PIXEL, MODEL_IDS, interior_of, parameters_of
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.ties import matched_survey, pairs_of
-from fg_orient.formats.registry import TIES_ONLY, Format, Settings, register_format
+from fg_orient.formats.registry import TIES_ONLY, Format, Settings
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.interior import Interior
 
@@ -31,7 +31,7 @@ Index = npt.NDArray[np.intp]
 
 #: A pair's number is this times its smaller image id plus its larger one.
 PAIR: Final = 2147483647
-#: Focal length of a camera nobody knows, in longer sides of the image (COLMAP's own guess), and marked as a guess.
+#: Focal length of an unknown camera, in longer sides of the image (COLMAP's own guess), and marked as a guess.
 FOCAL_GUESS: Final = 1.2
 _SCHEMA: Final = """
 CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, model INTEGER NOT NULL,
@@ -46,7 +46,7 @@ CREATE TABLE matches (pair_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NUL
 
 @dataclass(frozen=True, eq=False)
 class ColmapDatabase:
-    """What a database holds.
+    """Contents of a database.
 
     Parameters
     ----------
@@ -261,18 +261,15 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[
     return (finding("lost.single", file=paths[0], value=f"up to {rounding:.1g} px", format=FORMAT.name),)
 
 
-FORMAT: Final = register_format(
-    Format(
-        name="colmap-database",
-        title="COLMAP database (SQLite)",
-        help=__doc__,
-        suffixes=(".db",),
-        files=("database",),
-        first_pixel=(FIRST_PIXEL, FIRST_PIXEL),
-        pixel_axes="x column, y row (pixels, single precision)",
-        holds=TIES_ONLY,
-        read=read,
-        write=write,
-        evidence="databases written by pycolmap 4.2; ours are read by it",
-    )
+FORMAT: Final = Format(
+    name="colmap-database",
+    title="COLMAP database (SQLite)",
+    suffixes=(".db",),
+    files=("database",),
+    first_pixel=(FIRST_PIXEL, FIRST_PIXEL),
+    pixel_axes="x column, y row (pixels, single precision)",
+    holds=TIES_ONLY,
+    read=read,
+    write=write,
+    evidence="databases written by pycolmap 4.2; ours are read by it",
 )

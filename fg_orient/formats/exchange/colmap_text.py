@@ -21,7 +21,7 @@ from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import make_folder, read_lines, require_free, whole
 from fg_orient.formats.exchange.ties import model_survey
 from fg_orient.formats.frame_model import FrameModel, Pose
-from fg_orient.formats.registry import TIES_ONLY, Format, Settings, register_format
+from fg_orient.formats.registry import TIES_ONLY, Format, Settings
 from fg_orient.formats.tables import finite
 from fg_orient.model.errors import InputError, finding
 from fg_orient.sensors.frame import IDEAL_TO_MEASURED
@@ -315,19 +315,16 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     return model_survey(read_colmap_text(paths[0]))
 
 
-FORMAT: Final = register_format(
-    Format(
-        name="colmap-text",
-        title="COLMAP text model (folder of cameras.txt, images.txt, points3D.txt)",
-        help=__doc__,
-        files=("model",),
-        first_pixel=(FIRST_PIXEL, FIRST_PIXEL),
-        pixel_axes="x column, y row (pixels)",
-        ground_axes="local x, y, z (left out)",
-        holds=TIES_ONLY,
-        read=read,
-        read_model=lambda paths, settings: read_colmap_text(paths[0]),
-        write_model=lambda out, model, overwrite: write_colmap_text(out, model, overwrite=overwrite),
-        evidence="models written by pycolmap 4.2; ours are read by it",
-    )
+FORMAT: Final = Format(
+    name="colmap-text",
+    title="COLMAP text model (folder of cameras.txt, images.txt, points3D.txt)",
+    files=("model",),
+    first_pixel=(FIRST_PIXEL, FIRST_PIXEL),
+    pixel_axes="x column, y row (pixels)",
+    ground_axes="local x, y, z (left out)",
+    holds=TIES_ONLY,
+    read=read,
+    read_model=lambda paths, settings: read_colmap_text(paths[0]),
+    write_model=lambda out, model, overwrite: write_colmap_text(out, model, overwrite=overwrite),
+    evidence="models written by pycolmap 4.2; ours are read by it",
 )

@@ -28,7 +28,7 @@ Two = tuple[float, float]
 
 @dataclass(frozen=True)
 class Fill:
-    """What stands where a file says nothing: sigmas (m; pixels), height (m), role of points with coordinates."""
+    """Values where a file has none: sigmas (m; pixels), height (m), role of points with coordinates."""
 
     sigma_ground_m: Three | None = None
     sigma_image_px: Two | None = None
@@ -194,7 +194,7 @@ def _require_few(paths: Sequence[Path], format_: Format) -> None:
 
 
 def _used(survey: Survey, format_: Format) -> list[bool]:
-    """Which files of a format are written: the second is left out without image points."""
+    """Files of a format that are written: the second only with image points."""
     return [True, len(survey.observed) > 0][: len(format_.files)]
 
 
@@ -255,8 +255,8 @@ def convert_model(
     require_accepted(paths, reader, accept_unverified)
     model = reader.read_model(tuple(paths), settings)
     settings.require_images([pose.name for pose in model.poses], paths[0])
-    told = writer.write_model(out, model, overwrite)
-    return model, tuple(finding("lost.model", file=out, value=text, format=writer.name) for text in told)
+    lost = writer.write_model(out, model, overwrite)
+    return model, tuple(finding("lost.model", file=out, value=text, format=writer.name) for text in lost)
 
 
 # --- losses --------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Point files of DBAT: marks (image points) and control points, lines of cells between commas.
 
-The order of the cells is told by the last comment before the first line, such as ``# Format: image id, point id, x, y,
+The order of the cells is that of the last comment before the first line, such as ``# Format: image id, point id, x, y,
 sxy``, which DBAT's own examples have. x runs right and y down, pixels; the files do not say where they are counted
 from: the origin is taken for the centre of the first pixel, as DBAT's results are reproduced (docs/frame-cameras.md).
 Control points: id, name, X, Y, Z and, unless they are fixed, one standard deviation or one for each axis.
@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import read_lines
-from fg_orient.formats.registry import Format, Holds, Settings, register_format
+from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import finite
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import InputError
@@ -145,18 +145,15 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     return Survey(settings.crs, tuple(ids), roles, table[:, :3], table[:, 3:], fixed, tuple(image_ids), observed)
 
 
-FORMAT: Final = register_format(
-    Format(
-        name="dbat",
-        title="Damped Bundle Adjustment Toolbox: marks and control points",
-        help=__doc__,
-        files=("marks", "control"),
-        first_pixel=(0.0, 0.0),
-        pixel_axes="x right, y down (pixels)",
-        ground_axes="X, Y, Z of any system",
-        holds=frozenset({Holds.IMAGE, Holds.TIES, Holds.GROUND, Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_UP,
-                         Holds.SIGMA_EAST_NORTH, Holds.SIGMA_IMAGE, Holds.FIXED}),
-        read=read,
-        evidence="the examples published with DBAT; the pixel origin is an assumption",
-    )
+FORMAT: Final = Format(
+    name="dbat",
+    title="Damped Bundle Adjustment Toolbox: marks and control points",
+    files=("marks", "control"),
+    first_pixel=(0.0, 0.0),
+    pixel_axes="x right, y down (pixels)",
+    ground_axes="X, Y, Z of any system",
+    holds=frozenset({Holds.IMAGE, Holds.TIES, Holds.GROUND, Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_UP,
+                     Holds.SIGMA_EAST_NORTH, Holds.SIGMA_IMAGE, Holds.FIXED}),
+    read=read,
+    evidence="the examples published with DBAT; the pixel origin is an assumption",
 )  # fmt: skip

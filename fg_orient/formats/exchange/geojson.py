@@ -16,7 +16,7 @@ from fg_orient.formats.atomic import write_text
 from fg_orient.formats.exchange.ground import decided_crs
 from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
 from fg_orient.formats.points import SIGMA_COLUMNS
-from fg_orient.formats.registry import Format, Holds, Settings, register_format
+from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import Faults, read_text
 from fg_orient.geodesy.crs import WGS84, same_horizontal
 from fg_orient.model.errors import InputError
@@ -113,17 +113,14 @@ def _feature(survey: Survey, k: int) -> dict[str, Any]:
     return {"type": "Feature", "geometry": geometry, "properties": properties}
 
 
-FORMAT = register_format(
-    Format(
-        name="geojson",
-        title="GeoJSON (RFC 7946)",
-        help=__doc__,
-        suffixes=(".geojson", ".json"),
-        ground_axes="longitude, latitude (degrees), height (m), WGS84",
-        holds=frozenset(Holds) - {Holds.IMAGE, Holds.IMAGES, Holds.SIGMA_IMAGE, Holds.VERTICAL_CRS},
-        read=read,
-        write=write,
-        evidence="GDAL reads what we write, and we read what GDAL writes (tests)",
-        crs=WGS84,
-    )
+FORMAT = Format(
+    name="geojson",
+    title="GeoJSON (RFC 7946)",
+    suffixes=(".geojson", ".json"),
+    ground_axes="longitude, latitude (degrees), height (m), WGS84",
+    holds=frozenset(Holds) - {Holds.IMAGE, Holds.IMAGES, Holds.SIGMA_IMAGE, Holds.VERTICAL_CRS},
+    read=read,
+    write=write,
+    evidence="GDAL reads what we write, and we read what GDAL writes (tests)",
+    crs=WGS84,
 )

@@ -18,7 +18,7 @@ from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
 from fg_orient.formats.gdal import plain_case
 from fg_orient.formats.observations import COLUMNS
 from fg_orient.formats.points import SIGMA_COLUMNS
-from fg_orient.formats.registry import Format, Holds, Settings, register_format
+from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import Faults
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
@@ -125,18 +125,15 @@ def _write_image(pyogrio: Any, survey: Survey, path: Path) -> None:
     pyogrio.raw.write(path, None, columns, list(COLUMNS), layer=IMAGE, driver="GPKG", append=True)
 
 
-FORMAT = register_format(
-    Format(
-        name="gpkg",
-        title="GeoPackage",
-        help=__doc__,
-        suffixes=(".gpkg",),
-        first_pixel=(0.0, 0.0),
-        pixel_axes="line, sample (pixels)",
-        ground_axes="longitude or easting, latitude or northing, height (m)",
-        holds=frozenset(Holds),
-        read=read,
-        write=write,
-        evidence="written and read by GDAL (tests)",
-    )
+FORMAT = Format(
+    name="gpkg",
+    title="GeoPackage",
+    suffixes=(".gpkg",),
+    first_pixel=(0.0, 0.0),
+    pixel_axes="line, sample (pixels)",
+    ground_axes="longitude or easting, latitude or northing, height (m)",
+    holds=frozenset(Holds),
+    read=read,
+    write=write,
+    evidence="written and read by GDAL (tests)",
 )

@@ -18,13 +18,13 @@ from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.ground import decided_crs
 from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
 from fg_orient.formats.exchange.text import delimited, digits, named, numbers, row_of, separator_of, sigma
-from fg_orient.formats.registry import Format, Holds, Settings, register_format
+from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import Faults, Row, read_text
 from fg_orient.geodesy.crs import wkt
 from fg_orient.model.errors import InputError, finding
 from fg_orient.model.names import Role
 
-#: What a column is called, capitals, units, blanks and underscores aside.
+#: Names of the columns, without capitals, units, blanks and underscores.
 _NAMES: Final = {
     "label": ("label", "name", "marker", "markers", "point"),
     "x": ("x", "x/longitude", "x/easting", "longitude", "easting"),
@@ -117,17 +117,14 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
     write_lines(paths[0], lines)
 
 
-FORMAT = register_format(
-    Format(
-        name="metashape-csv",
-        title="Metashape reference table of markers (CSV)",
-        help=__doc__,
-        suffixes=(".csv",),
-        files=("markers",),
-        ground_axes="longitude or easting, latitude or northing, height (m), by column name",
-        holds=frozenset(Holds) - {Holds.IMAGE, Holds.IMAGES, Holds.SIGMA_IMAGE, Holds.FIXED},
-        needs=frozenset({Holds.HEIGHTS}),
-        read=read,
-        write=write,
-    )
+FORMAT = Format(
+    name="metashape-csv",
+    title="Metashape reference table of markers (CSV)",
+    suffixes=(".csv",),
+    files=("markers",),
+    ground_axes="longitude or easting, latitude or northing, height (m), by column name",
+    holds=frozenset(Holds) - {Holds.IMAGE, Holds.IMAGES, Holds.SIGMA_IMAGE, Holds.FIXED},
+    needs=frozenset({Holds.HEIGHTS}),
+    read=read,
+    write=write,
 )

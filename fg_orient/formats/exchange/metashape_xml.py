@@ -19,7 +19,7 @@ from fg_orient.formats.atomic import write_text
 from fg_orient.formats.exchange.ground import decided_crs
 from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
 from fg_orient.formats.exchange.text import digits, numbers, sigma
-from fg_orient.formats.registry import Format, Holds, Settings, register_format
+from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import Faults, Row
 from fg_orient.formats.xml import XmlNode, read_xml
 from fg_orient.geodesy.crs import wkt
@@ -146,19 +146,16 @@ def _places(survey: Survey) -> dict[int, list[str]]:
     return found
 
 
-FORMAT = register_format(
-    Format(
-        name="metashape-xml",
-        title="Metashape markers (XML)",
-        help=__doc__,
-        suffixes=(".xml",),
-        files=("markers",),
-        first_pixel=(CENTRE_PX, CENTRE_PX),
-        pixel_axes="x, y (pixels)",
-        ground_axes="longitude or easting, latitude or northing, height (m)",
-        holds=frozenset(Holds) - {Holds.SIGMA_IMAGE, Holds.FIXED},
-        needs=frozenset({Holds.HEIGHTS}),
-        read=read,
-        write=write,
-    )
+FORMAT = Format(
+    name="metashape-xml",
+    title="Metashape markers (XML)",
+    suffixes=(".xml",),
+    files=("markers",),
+    first_pixel=(CENTRE_PX, CENTRE_PX),
+    pixel_axes="x, y (pixels)",
+    ground_axes="longitude or easting, latitude or northing, height (m)",
+    holds=frozenset(Holds) - {Holds.SIGMA_IMAGE, Holds.FIXED},
+    needs=frozenset({Holds.HEIGHTS}),
+    read=read,
+    write=write,
 )

@@ -23,7 +23,7 @@ from fg_orient.formats.exchange.text import (
     require_plain,
     sigma,
 )
-from fg_orient.formats.registry import Format, Holds, Settings, register_format
+from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import Faults
 from fg_orient.model.names import Role
 
@@ -64,22 +64,19 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
         write_lines(paths[1], [f"# {' '.join(MARK)}", *marks])
 
 
-FORMAT = register_format(
-    Format(
-        name="micmac",
-        title="MicMac control points (two text files)",
-        help=__doc__,
-        suffixes=(".txt",),
-        files=("points", "images"),
-        first_pixel=(0.0, 0.0),
-        pixel_axes="x, y (pixels)",
-        ground_axes="longitude or easting, latitude or northing, height (m)",
-        holds=frozenset(
-            {Holds.GROUND, Holds.IMAGE, Holds.IDS, Holds.IMAGES, Holds.UNMEASURED, Holds.TIES, Holds.HEIGHTS,
-             Holds.SIGMA_GROUND, Holds.SIGMA_UP}
-        ),
-        needs=frozenset({Holds.HEIGHTS, Holds.SIGMA_GROUND}),
-        read=read,
-        write=write,
-    )
+FORMAT = Format(
+    name="micmac",
+    title="MicMac control points (two text files)",
+    suffixes=(".txt",),
+    files=("points", "images"),
+    first_pixel=(0.0, 0.0),
+    pixel_axes="x, y (pixels)",
+    ground_axes="longitude or easting, latitude or northing, height (m)",
+    holds=frozenset(
+        {Holds.GROUND, Holds.IMAGE, Holds.IDS, Holds.IMAGES, Holds.UNMEASURED, Holds.TIES, Holds.HEIGHTS,
+         Holds.SIGMA_GROUND, Holds.SIGMA_UP}
+    ),
+    needs=frozenset({Holds.HEIGHTS, Holds.SIGMA_GROUND}),
+    read=read,
+    write=write,
 )  # fmt: skip

@@ -18,7 +18,7 @@ from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import make_folder
 from fg_orient.formats.exchange.ties import tie_survey
-from fg_orient.formats.registry import Format, Holds, Settings, register_format
+from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import finite
 from fg_orient.model.errors import InputError
 
@@ -117,17 +117,14 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
         write_lines(paths[0] / f"{PREFIX}{image}.csv", [HEADER, *rows])
 
 
-FORMAT = register_format(
-    Format(
-        name="micmac-ties",
-        title="MicMac multi-image tie points (folder of PMUL-*.csv)",
-        help=__doc__,
-        files=("tie points",),
-        first_pixel=(0.0, 0.0),
-        pixel_axes="Pt.x sample, Pt.y line (pixels)",
-        holds=frozenset({Holds.IMAGE, Holds.IMAGES, Holds.NUMBERS, Holds.TIES}),
-        read=read,
-        write=write,
-        evidence="230 218 image points of a SPOT 7 pair published with MicMac; the pixel origin is by description",
-    )
+FORMAT = Format(
+    name="micmac-ties",
+    title="MicMac multi-image tie points (folder of PMUL-*.csv)",
+    files=("tie points",),
+    first_pixel=(0.0, 0.0),
+    pixel_axes="Pt.x sample, Pt.y line (pixels)",
+    holds=frozenset({Holds.IMAGE, Holds.IMAGES, Holds.NUMBERS, Holds.TIES}),
+    read=read,
+    write=write,
+    evidence="230 218 image points of a SPOT 7 pair published with MicMac; the pixel origin is by description",
 )

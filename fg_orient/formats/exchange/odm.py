@@ -17,7 +17,7 @@ from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.ground import decided_crs
 from fg_orient.formats.exchange.survey import Gathering, Survey
 from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, require_plain
-from fg_orient.formats.registry import Format, Holds, Settings, register_format
+from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import Faults, Row
 from fg_orient.model.errors import InputError, finding
 from fg_orient.model.names import Role
@@ -29,7 +29,7 @@ _FLAT: Final = {"EPSG:4979": "EPSG:4326"}
 
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read a ``gcp_list.txt``; points without a name are told apart by their coordinates and numbered."""
+    """Read a ``gcp_list.txt``; points without a name are distinguished by their coordinates and numbered."""
     path = paths[0]
     faults = Faults(str(path))
     lines = cells_of(path, faults, "blank")
@@ -88,17 +88,14 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
     write_lines(path, lines)
 
 
-FORMAT = register_format(
-    Format(
-        name="odm",
-        title="OpenDroneMap gcp_list.txt",
-        help=__doc__,
-        suffixes=("gcp_list.txt",),
-        first_pixel=(0.0, 0.0),
-        pixel_axes="x, y (pixels)",
-        ground_axes="longitude or easting, latitude or northing, height (m)",
-        holds=frozenset({Holds.GROUND, Holds.IMAGE, Holds.IDS, Holds.IMAGES, Holds.HEIGHTS, Holds.CRS}),
-        read=read,
-        write=write,
-    )
+FORMAT = Format(
+    name="odm",
+    title="OpenDroneMap gcp_list.txt",
+    suffixes=("gcp_list.txt",),
+    first_pixel=(0.0, 0.0),
+    pixel_axes="x, y (pixels)",
+    ground_axes="longitude or easting, latitude or northing, height (m)",
+    holds=frozenset({Holds.GROUND, Holds.IMAGE, Holds.IDS, Holds.IMAGES, Holds.HEIGHTS, Holds.CRS}),
+    read=read,
+    write=write,
 )

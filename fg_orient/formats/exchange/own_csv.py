@@ -11,9 +11,9 @@ import numpy as np
 from fg_orient.formats.exchange.ground import decided_crs
 from fg_orient.formats.exchange.survey import Survey, no_image_points
 from fg_orient.formats.observations import COLUMNS, read_observations
-from fg_orient.formats.points import read_point_table
+from fg_orient.formats.points import parse_points
 from fg_orient.formats.points_write import write_observations, write_points
-from fg_orient.formats.registry import Format, Holds, Settings, register_format
+from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import Faults, read_table, read_text
 from fg_orient.geodesy import crs_kind
 from fg_orient.model.errors import InputError
@@ -28,7 +28,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     faults.raise_if_any()
     stated = _CRS.search(text or "")
     crs, notes = decided_crs(stated[1] if stated else "", settings.crs, paths[0])
-    points = read_point_table(paths[0], crs, faults)
+    points = parse_points(paths[0], crs, faults)
     faults.raise_if_any()
     if points is None:
         raise InputError.of("interchange.empty", file=paths[0])
@@ -41,9 +41,10 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
         found = None if faults else read_observations(paths[1], dict.fromkeys(images), points.ids, faults)
         faults.raise_if_any()
         observed = found.observations if found is not None else observed
+    known = points.coordinates
     return Survey(
-        crs, points.ids, points.roles, points.given, points.sigma_enu_m, points.fixed, images, observed,
-        points.lines, notes,
+        crs, points.ids, points.roles, points.given, known.sigma_enu_m, known.fixed, images, observed, points.lines,
+        notes,
     )  # fmt: skip
 
 
@@ -62,20 +63,17 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
         )  # fmt: skip
 
 
-FORMAT = register_format(
-    Format(
-        name="csv",
-        title="fg_orient tables",
-        help=__doc__,
-        suffixes=(".csv",),
-        files=("points", "observations"),
-        first_pixel=(0.0, 0.0),
-        pixel_axes="line, sample (pixels)",
-        ground_axes="by column name, any EPSG code; longitude or easting first",
-        holds=frozenset(Holds),
-        needs=frozenset({Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_IMAGE}),
-        read=read,
-        write=write,
-        evidence="the format of this program",
-    )
+FORMAT = Format(
+    name="csv",
+    title="fg_orient tables",
+    suffixes=(".csv",),
+    files=("points", "observations"),
+    first_pixel=(0.0, 0.0),
+    pixel_axes="line, sample (pixels)",
+    ground_axes="by column name, any EPSG code; longitude or easting first",
+    holds=frozenset(Holds),
+    needs=frozenset({Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_IMAGE}),
+    read=read,
+    write=write,
+    evidence="the format of this program",
 )

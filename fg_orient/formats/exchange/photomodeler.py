@@ -20,7 +20,7 @@ from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import read_lines
 from fg_orient.formats.exchange.ties import model_survey, tie_survey
 from fg_orient.formats.frame_model import FrameModel, Pose
-from fg_orient.formats.registry import Format, Holds, Settings, register_format
+from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import finite
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, rotation_of_opk
@@ -44,7 +44,7 @@ def read_photomodeler(path: str | Path) -> FrameModel:
     Raises
     ------
     InputError
-        The file cannot be read or is none, or a line is faulty.
+        The file cannot be read, has another format, or a line is faulty.
     """
     path = Path(path)
     lines = read_lines(path)
@@ -132,7 +132,7 @@ def read_points_2d(path: str | Path) -> Survey:
     Raises
     ------
     InputError
-        The file cannot be read or is none, or a line is faulty.
+        The file cannot be read, has another format, or a line is faulty.
     """
     path = Path(path)
     lines = read_lines(path)
@@ -170,18 +170,15 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     return read_points_2d(paths[0])
 
 
-FORMAT: Final = register_format(
-    Format(
-        name="photomodeler",
-        title="PhotoModeler text export, or table of 2D points",
-        help=__doc__,
-        files=("export",),
-        first_pixel=(0.0, 0.0),
-        pixel_axes="x right, y down (pixels)",
-        ground_axes="local X, Y, Z (left out: they are results)",
-        holds=frozenset({Holds.IMAGE, Holds.TIES}),
-        read=read,
-        read_model=lambda paths, settings: read_photomodeler(paths[0]),
-        evidence="the projects published with DBAT; the pixel origin is an assumption",
-    )
+FORMAT: Final = Format(
+    name="photomodeler",
+    title="PhotoModeler text export, or table of 2D points",
+    files=("export",),
+    first_pixel=(0.0, 0.0),
+    pixel_axes="x right, y down (pixels)",
+    ground_axes="local X, Y, Z (left out: they are results)",
+    holds=frozenset({Holds.IMAGE, Holds.TIES}),
+    read=read,
+    read_model=lambda paths, settings: read_photomodeler(paths[0]),
+    evidence="the projects published with DBAT; the pixel origin is an assumption",
 )

@@ -24,7 +24,7 @@ from fg_orient.formats.exchange.text import (
     row_of,
     sigma,
 )
-from fg_orient.formats.registry import Format, Holds, Settings, register_format
+from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import Faults
 from fg_orient.geodesy.crs import north_first
 from fg_orient.model.names import Role
@@ -71,22 +71,19 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
         write_lines(paths[1], [*marks])
 
 
-FORMAT = register_format(
-    Format(
-        name="pix4d",
-        title="Pix4D ground control points and marks (CSV)",
-        help=__doc__,
-        suffixes=(".csv",),
-        files=("points", "marks"),
-        first_pixel=(CENTRE_PX, CENTRE_PX),
-        pixel_axes="x, y (pixels)",
-        ground_axes="in the order of the definition of the CRS, then height (m)",
-        holds=frozenset(
-            {Holds.GROUND, Holds.IMAGE, Holds.IDS, Holds.IMAGES, Holds.UNMEASURED, Holds.TIES, Holds.HEIGHTS,
-             Holds.SIGMA_GROUND, Holds.SIGMA_UP}
-        ),
-        needs=frozenset({Holds.HEIGHTS}),
-        read=read,
-        write=write,
-    )
+FORMAT = Format(
+    name="pix4d",
+    title="Pix4D ground control points and marks (CSV)",
+    suffixes=(".csv",),
+    files=("points", "marks"),
+    first_pixel=(CENTRE_PX, CENTRE_PX),
+    pixel_axes="x, y (pixels)",
+    ground_axes="in the order of the definition of the CRS, then height (m)",
+    holds=frozenset(
+        {Holds.GROUND, Holds.IMAGE, Holds.IDS, Holds.IMAGES, Holds.UNMEASURED, Holds.TIES, Holds.HEIGHTS,
+         Holds.SIGMA_GROUND, Holds.SIGMA_UP}
+    ),
+    needs=frozenset({Holds.HEIGHTS}),
+    read=read,
+    write=write,
 )  # fmt: skip

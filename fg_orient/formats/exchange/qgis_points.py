@@ -3,7 +3,7 @@
 A line ``#CRS: WKT``, a header ``mapX,mapY,sourceX,sourceY,enable,dX,dY,residual`` (older versions: pixelX, pixelY for
 sourceX, sourceY), then one point a line. sourceX is the column and **sourceY minus the row**, both counted from the
 corner of the first pixel, whose centre is (0.5, -0.5). Of an image that was georeferenced before, QGIS writes map
-coordinates there instead: such a file cannot be told apart unless a sourceY is above zero.
+coordinates there instead: such a file cannot be recognised unless a sourceY is above zero.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.ground import decided_crs
 from fg_orient.formats.exchange.survey import Gathering, Survey
 from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, row_of
-from fg_orient.formats.registry import Format, Holds, Settings, register_format
+from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import Faults, Row, read_text
 from fg_orient.geodesy.crs import wkt
 from fg_orient.model.errors import Finding, InputError, finding
@@ -92,17 +92,14 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[
     return (finding("lost.images", file=paths[0], value=f"{others} points", format=FORMAT.name),) if others else ()
 
 
-FORMAT = register_format(
-    Format(
-        name="qgis-points",
-        title="QGIS georeferencer .points",
-        help=__doc__,
-        suffixes=(".points",),
-        first_pixel=(-CENTRE_PX, CENTRE_PX),
-        pixel_axes="sourceX (column), sourceY (minus the row), pixels",
-        ground_axes="longitude or easting, latitude or northing; no height",
-        holds=frozenset({Holds.GROUND, Holds.IMAGE, Holds.ROLES, Holds.CRS}),
-        read=read,
-        write=write,
-    )
+FORMAT = Format(
+    name="qgis-points",
+    title="QGIS georeferencer .points",
+    suffixes=(".points",),
+    first_pixel=(-CENTRE_PX, CENTRE_PX),
+    pixel_axes="sourceX (column), sourceY (minus the row), pixels",
+    ground_axes="longitude or easting, latitude or northing; no height",
+    holds=frozenset({Holds.GROUND, Holds.IMAGE, Holds.ROLES, Holds.CRS}),
+    read=read,
+    write=write,
 )

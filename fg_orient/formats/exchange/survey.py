@@ -1,4 +1,4 @@
-"""What all formats are turned into and written from: ground points and their image points.
+"""Common form of all formats of points: ground points and their image points.
 
 Coordinates stay in the CRS of the file, longitude or easting first, so that a format comes back as it was. Pixels are
 (line, sample) with (0, 0) in the centre of the first pixel; readers and writers add what their format counts from.
@@ -37,7 +37,7 @@ class Survey:
     Parameters
     ----------
     crs : str
-        ``EPSG:n`` or ``EPSG:n+m``; "" if nobody says it.
+        ``EPSG:n`` or ``EPSG:n+m``; "" if unknown.
     ids, roles : tuples of length n
         Ground points. Tie points have no coordinates.
     coordinates : (n, 3) array

@@ -51,7 +51,7 @@ def cells_of(path: Path, faults: Faults, separator: Separator) -> list[tuple[int
 
 
 def separator_of(line: str) -> str:
-    """Separator of a delimited file, told by one of its lines: decimal commas do not hide a semicolon or tab."""
+    """Separator of a delimited file, found in one of its lines: decimal commas do not hide a semicolon or tab."""
     return next((mark for mark in ("\t", ";") if mark in line), ",")
 
 

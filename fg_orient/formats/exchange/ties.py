@@ -59,10 +59,10 @@ def matched_survey(
     Tie points are named by numbers from 1; those with two places in one image are left out, and a note says so.
     """
     tracks = join(image, line, sample, matches)
-    told = conflicts(tracks, images, image, line, sample)
+    conflict_notes = conflicts(tracks, images, image, line, sample)
     k = tracks.keypoint
     ids = tuple(map(str, range(1, tracks.n_tracks + 1)))
-    return tie_survey(images, ids, image[k], tracks.track, line[k], sample[k], (*notes, *told))
+    return tie_survey(images, ids, image[k], tracks.track, line[k], sample[k], (*notes, *conflict_notes))
 
 
 def pairs_of(image: Index, point: Index) -> dict[tuple[int, int], Index]:

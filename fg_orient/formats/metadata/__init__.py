@@ -1,1 +1,1 @@
-"""Metadata files of sensors: one module per format, each in the registry (docs/extending/sensor.md)."""
+"""Metadata files of sensors: one module per format, with its registration record (docs/extending/sensor.md)."""

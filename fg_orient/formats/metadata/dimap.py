@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 
 from fg_orient.formats import dimap1, dimap2
-from fg_orient.formats.registry import Format, register_format, xml_root
+from fg_orient.formats.registry import Format, xml_root
 from fg_orient.formats.rpc.dimap import is_rpc
 from fg_orient.formats.xml import MAX_BYTES, XmlNode, read_xml
 from fg_orient.sensors.metadata import PushbroomMetadata
@@ -112,9 +112,7 @@ def read_sensor(path: Path, *, extrapolate_attitude_s: float = 0.0) -> Pushbroom
     return PushbroomSensor(read_dimap(path), extrapolate_attitude_s=extrapolate_attitude_s)
 
 
-FORMAT = register_format(
-    Format(
-        name="dimap-metadata", title="DIMAP metadata", help=__doc__, sniff=_is_rigorous, read_image=read_sensor,
-        extrapolates=True,
-    )
+FORMAT = Format(
+    name="dimap-metadata", title="DIMAP metadata", sniff=_is_rigorous, read_image=read_sensor,
+    extrapolates=True,
 )  # fmt: skip

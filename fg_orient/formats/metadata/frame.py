@@ -17,7 +17,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from fg_orient.formats.atomic import write_lines
-from fg_orient.formats.registry import Format, register_format
+from fg_orient.formats.registry import Format
 from fg_orient.formats.schema import Number, Positive, Table, Text, read_toml
 from fg_orient.formats.toml import entries
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, to_ecef
@@ -169,10 +169,8 @@ def write_frame_file(path: str | Path, sensor: FrameSensor, camera: str) -> None
     write_lines(path, lines)
 
 
-FORMAT = register_format(
-    Format(
-        name="frame", title='frame image (TOML, kind = "frame")', help=__doc__, suffixes=(".toml",),
-        sniff=lambda path, head: path.suffix.lower() == ".toml" and _KIND.search(head) is not None,
-        read_image=read_frame_file,
-    )
+FORMAT = Format(
+    name="frame", title='frame image (TOML, kind = "frame")', suffixes=(".toml",),
+    sniff=lambda path, head: path.suffix.lower() == ".toml" and _KIND.search(head) is not None,
+    read_image=read_frame_file,
 )  # fmt: skip

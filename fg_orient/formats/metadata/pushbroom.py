@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import datetime
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -17,14 +16,14 @@ from pydantic import Field
 
 from factors.geometry import kepler
 from factors.geometry.interpolation import sign_aligned
-from fg_orient.formats.registry import Format, register_format
+from fg_orient.formats.registry import Format
 from fg_orient.formats.schema import Number, Positive, Switch, Table, Text, read_toml
-from fg_orient.formats.tables import Faults, number, read_table
+from fg_orient.formats.tables import read_numbers
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.earth_rotation import DAY_S, EarthOrientation, EarthRotation, neglected
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
 from fg_orient.sensors.general import GeneralPushbroom
-from fg_orient.sensors.general_metadata import (
+from fg_orient.sensors.metadata import (
     Attitude,
     AttitudeFrame,
     Camera,
@@ -33,10 +32,10 @@ from fg_orient.sensors.general_metadata import (
     GeneralMetadata,
     LightEffects,
     LineCamera,
+    LineTiming,
     Orbit,
     OrbitalFrame,
 )
-from fg_orient.sensors.metadata import LineTiming
 
 Array = npt.NDArray[np.float64]
 Three = tuple[Number, Number, Number]
@@ -190,7 +189,7 @@ def _camera(found: SensorFile, path: Path) -> Camera:
 
 
 def _directions(file: Path, n_samples: int) -> Camera:
-    sample, forward, left = _table(file, [_DIRECTIONS])[1].T
+    sample, forward, left = read_numbers(file, [_DIRECTIONS])[0].T
     if len(sample) < 2 or (np.diff(sample) <= 0.0).any():
         raise InputError.of("earth.order", file=file, place="column sample", value=f"{len(sample)} records")
     if sample[0] > 0.0 or sample[-1] < n_samples - 1:
@@ -219,20 +218,6 @@ def _mounting(table: MountingTable, path: Path) -> Array:
     return m
 
 
-def _table(file: Path, layouts: Sequence[Sequence[str]]) -> tuple[tuple[str, ...], Array]:
-    """Layout and numbers (n, k), in the order of the layout, of a CSV file."""
-    faults = Faults(str(file))
-    found = read_table(file, layouts, faults)
-    faults.raise_if_any()
-    assert found is not None  # else there is a fault
-    layout = next(tuple(one) for one in layouts if set(one) == set(found.columns))
-    values = found.numbers(*layout)
-    if values is None:
-        values = np.array([[number(row, name, faults) for name in layout] for row in found.rows])
-        faults.raise_if_any()
-    return layout, values
-
-
 def _increasing(file: Path, time_s: Array) -> None:
     if len(time_s) < 2 or (np.diff(time_s) <= 0.0).any():
         raise InputError.of("earth.order", file=file, place="column time_s", value=f"{len(time_s)} records")
@@ -240,7 +225,7 @@ def _increasing(file: Path, time_s: Array) -> None:
 
 def _orbit(table: OrbitTable, path: Path) -> Orbit:
     file = path.parent / table.file
-    values = _table(file, [_STATE])[1]
+    values = read_numbers(file, [_STATE])[0]
     _increasing(file, values[:, 0])
     p, v = np.ascontiguousarray(values[:, 1:4]), np.ascontiguousarray(values[:, 4:7])
     for what, size, (low, high) in (("distance from the Earth's centre", p, RADIUS_M), ("speed", v, SPEED_M_S)):
@@ -256,7 +241,7 @@ def _orbit(table: OrbitTable, path: Path) -> Orbit:
 def _attitude(table: AttitudeTable, path: Path) -> Attitude:
     file = path.parent / table.file
     orbital = table.frame == "orbital"
-    values = _table(file, [_ANGLES if orbital else _QUATERNION])[1]
+    values = read_numbers(file, [_ANGLES if orbital else _QUATERNION])[0]
     _increasing(file, values[:, 0])
     time_s = np.ascontiguousarray(values[:, 0])
     if orbital:
@@ -337,10 +322,8 @@ def _c04_number(path: str | Path, line: int, words: list[str], k: int) -> float:
     return value
 
 
-FORMAT = register_format(
-    Format(
-        name="pushbroom", title='sensor description (TOML, kind = "pushbroom")', help=__doc__, suffixes=(".toml",),
-        sniff=lambda path, head: path.suffix.lower() == ".toml" and _KIND.search(head) is None,
-        read_image=lambda path: GeneralPushbroom(read_sensor_file(path)),
-    )
+FORMAT = Format(
+    name="pushbroom", title='sensor description (TOML, kind = "pushbroom")', suffixes=(".toml",),
+    sniff=lambda path, head: path.suffix.lower() == ".toml" and _KIND.search(head) is None,
+    read_image=lambda path: GeneralPushbroom(read_sensor_file(path)),
 )  # fmt: skip

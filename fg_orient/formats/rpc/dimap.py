@@ -18,7 +18,7 @@ from lxml import etree
 from factors.cameras.rfm import permutation
 from factors.cameras.rfm_project import RANGE
 from fg_orient.formats.atomic import write_bytes
-from fg_orient.formats.registry import Format, register_format, xml_root
+from fg_orient.formats.registry import Format, xml_root
 from fg_orient.formats.rpc.fields import (
     AXES,
     POLYNOMIALS,
@@ -63,13 +63,7 @@ USUAL: Final = ("2.15", "PHR_SENSOR")
 
 
 def read_rpc_dimap(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
-    """Read the RPC of a DIMAP file of version 2 or 3.
-
-    Raises
-    ------
-    InputError
-        One line with file, place, value and remedy.
-    """
+    """Read the RPC of a DIMAP file of version 2 or 3."""
     root = read_xml(path)
     head = root.one("Metadata_Identification")
     version = head.one("METADATA_FORMAT").element.get("version", "")
@@ -169,13 +163,7 @@ def _holds(domain: dict[str, tuple[float, float]], lon: float, lat: float) -> bo
 
 
 def read_rpc_dimap1(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
-    """Read the RPC of a PHR_DIMAP file of CNES: 40 numbers for each coordinate, A scale and B offset.
-
-    Raises
-    ------
-    InputError
-        One line with file, place, value and remedy.
-    """
+    """Read the RPC of a PHR_DIMAP file of CNES: 40 numbers for each coordinate, A scale and B offset."""
     root = read_xml(path)
     model = root.one("Geoposition/Rational_Sensor_Model/Global_RFM")
     ranges, fields = model.one("RFM_Validity"), RpcFields(root.file)
@@ -290,16 +278,12 @@ def is_rpc(head: str) -> bool:
     return sub[1] == "RPC" if sub else "<Rational_Function_Model" in head
 
 
-FORMAT = register_format(
-    Format(
-        name="dimap", title="DIMAP 2 or 3 RPC XML", help=__doc__, suffixes=(".xml",),
-        sniff=lambda _, head: is_rpc(head), read_rpc=read_rpc_dimap,
-        write_rpc=lambda path, model: write_bytes(path, format_rpc_dimap(model)),
-    )
+FORMAT = Format(
+    name="dimap", title="DIMAP 2 or 3 RPC XML", suffixes=(".xml",),
+    sniff=lambda _, head: is_rpc(head), read_rpc=read_rpc_dimap,
+    write_rpc=lambda path, model: write_bytes(path, format_rpc_dimap(model)),
 )  # fmt: skip
-PHR_FORMAT = register_format(
-    Format(
-        name="phr-dimap", title="PHR_DIMAP", help=__doc__, read_rpc=read_rpc_dimap1,
-        sniff=lambda _, head: xml_root(head) == "PHR_Dimap_Document",
-    )
+PHR_FORMAT = Format(
+    name="phr-dimap", title="PHR_DIMAP", read_rpc=read_rpc_dimap1,
+    sniff=lambda _, head: xml_root(head) == "PHR_Dimap_Document",
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What the readers of all RPC formats share: the fields of a file by their ``_RPC.TXT`` names, and the model from them.
+"""Shared parts of all RPC readers: the fields of a file by their ``_RPC.TXT`` names, and the model made from them.
 
 A reader collects texts with their places; :func:`build` makes numbers of them, moves the pixel
 origin to ours, (0, 0) = centre of the first pixel, and coefficients to RPC00B order.
@@ -39,7 +39,7 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?
 
 @dataclass(frozen=True)
 class Reading:
-    """How a file is to be read: the order of its coefficients, and its pixel coordinate of the first pixel.
+    """Conventions of a file: the order of its coefficients, and its pixel coordinate of the first pixel.
 
     ``first_pixel`` None is the format's own (docs/rpc.md).
     """

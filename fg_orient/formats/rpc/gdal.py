@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from factors.cameras.rfm_project import RANGE
 from fg_orient.formats.gdal import rasterio_of
-from fg_orient.formats.registry import Format, register_format, xml_root
+from fg_orient.formats.registry import Format, xml_root
 from fg_orient.formats.rpc.fields import AXES, POLYNOMIALS, Reading, RpcFields, build, printed
 from fg_orient.formats.xml import read_xml
 from fg_orient.model.errors import InputError
@@ -121,15 +121,11 @@ def read_rpc_vrt(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     return build(fields, reading, VRT_NAME, FIRST_PIXEL, extra)
 
 
-FORMAT = register_format(
-    Format(
-        name="geotiff-tags", title="GeoTIFF", help=__doc__, suffixes=(".tif", ".tiff"),
-        sniff=lambda _, head: head.startswith(_TIFF), read_rpc=read_rpc_raster, write_rpc=write_rpc_raster,
-    )
+FORMAT = Format(
+    name="geotiff-tags", title="GeoTIFF", suffixes=(".tif", ".tiff"),
+    sniff=lambda _, head: head.startswith(_TIFF), read_rpc=read_rpc_raster, write_rpc=write_rpc_raster,
 )  # fmt: skip
-VRT_FORMAT = register_format(
-    Format(
-        name="vrt", title="GDAL VRT or .aux.xml", help=__doc__, read_rpc=read_rpc_vrt,
-        sniff=lambda _, head: xml_root(head) in ("VRTDataset", "PAMDataset"),
-    )
+VRT_FORMAT = Format(
+    name="vrt", title="GDAL VRT or .aux.xml", read_rpc=read_rpc_vrt,
+    sniff=lambda _, head: xml_root(head) in ("VRTDataset", "PAMDataset"),
 )  # fmt: skip

@@ -6,7 +6,7 @@ import os
 import re
 from typing import Any, Final
 
-from fg_orient.formats.registry import Format, has_line, register_format
+from fg_orient.formats.registry import Format, has_line
 from fg_orient.formats.rpc.fields import AXES, Reading, RpcFields, build, read_text, require_order
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.rpc import RpcModel
@@ -24,13 +24,7 @@ _SCALAR |= {"bias_error": "ERR_BIAS", "rand_error": "ERR_RAND"}
 
 
 def read_rpc_geom(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
-    """Read the RPC of an OSSIM keyword list.
-
-    Raises
-    ------
-    InputError
-        One line with file, place, value and remedy.
-    """
+    """Read the RPC of an OSSIM keyword list."""
     fields, other = RpcFields(os.fspath(path)), {}
     for number, line in enumerate(read_text(path).splitlines(), 1):
         match = _LINE.fullmatch(line.strip())
@@ -80,9 +74,7 @@ def _adjustment(other: dict[str, tuple[str, str]]) -> tuple[Finding, ...]:
     return ()
 
 
-FORMAT = register_format(
-    Format(
-        name="ossim-geom", title=NAME, help=__doc__, read_rpc=read_rpc_geom,
-        sniff=has_line("(?:line_num_coeff_0?0|line_den_coeff_0?0|polynomial_format)\\s*:"),
-    )
+FORMAT = Format(
+    name="ossim-geom", title=NAME, read_rpc=read_rpc_geom,
+    sniff=has_line("(?:line_num_coeff_0?0|line_den_coeff_0?0|polynomial_format)\\s*:"),
 )  # fmt: skip

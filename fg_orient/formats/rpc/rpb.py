@@ -8,7 +8,7 @@ from typing import Final
 
 from factors.cameras.rfm_project import RANGE
 from fg_orient.formats.atomic import write_bytes
-from fg_orient.formats.registry import Format, has_line, register_format, xml_root
+from fg_orient.formats.registry import Format, has_line, xml_root
 from fg_orient.formats.rpc.fields import AXES, POLYNOMIALS, Reading, RpcFields, build, printed, read_text, require_order
 from fg_orient.formats.xml import read_xml
 from fg_orient.model.errors import InputError
@@ -30,13 +30,7 @@ _ENTRY = re.compile(r'^[ \t]*(\w+)[ \t]*=\s*(\([^)]*\)|"[^"\n]*"|[^;\n("]*);', r
 
 
 def read_rpc_rpb(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
-    """Read an RPB file.
-
-    Raises
-    ------
-    InputError
-        One line with file, place, value and remedy.
-    """
+    """Read an RPB file."""
     text = read_text(path)
     fields = RpcFields(os.fspath(path))
     for match in _ENTRY.finditer(text):
@@ -67,13 +61,7 @@ def format_rpc_rpb(model: RpcModel) -> str:
 
 
 def read_rpc_isd(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
-    """Read the RPB section of a DigitalGlobe XML file.
-
-    Raises
-    ------
-    InputError
-        One line with file, place, value and remedy.
-    """
+    """Read the RPB section of a DigitalGlobe XML file."""
     root = read_xml(path)
     section = root.maybe("RPB")
     if section is None:
@@ -95,16 +83,12 @@ def read_rpc_isd(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     return build(fields, reading, ISD_NAME, FIRST_PIXEL, extra)
 
 
-FORMAT = register_format(
-    Format(
-        name="rpb", title=NAME, help=__doc__, suffixes=(".rpb",), sniff=has_line("(?:lineOffset|lineNumCoef)\\s*="),
-        read_rpc=read_rpc_rpb,
-        write_rpc=lambda path, model: write_bytes(path, format_rpc_rpb(model).encode("ascii")),
-    )
+FORMAT = Format(
+    name="rpb", title=NAME, suffixes=(".rpb",), sniff=has_line("(?:lineOffset|lineNumCoef)\\s*="),
+    read_rpc=read_rpc_rpb,
+    write_rpc=lambda path, model: write_bytes(path, format_rpc_rpb(model).encode("ascii")),
 )  # fmt: skip
-ISD_FORMAT = register_format(
-    Format(
-        name="digitalglobe-xml", title="DigitalGlobe XML", help=__doc__, read_rpc=read_rpc_isd,
-        sniff=lambda _, head: xml_root(head) == "isd",
-    )
+ISD_FORMAT = Format(
+    name="digitalglobe-xml", title="DigitalGlobe XML", read_rpc=read_rpc_isd,
+    sniff=lambda _, head: xml_root(head) == "isd",
 )  # fmt: skip

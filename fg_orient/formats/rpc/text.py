@@ -8,7 +8,7 @@ from typing import Final
 
 from factors.cameras.rfm_project import RANGE
 from fg_orient.formats.atomic import write_bytes
-from fg_orient.formats.registry import Format, has_line, register_format
+from fg_orient.formats.registry import Format, has_line
 from fg_orient.formats.rpc.fields import (
     AXES,
     POLYNOMIALS,
@@ -33,13 +33,7 @@ _NUMBERS = re.compile(r"\s*(?:[-+.0-9eEdD]+\s+){20,}")
 
 
 def read_rpc_text(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
-    """Read a ``_RPC.TXT``; keys that no RPC has are refused.
-
-    Raises
-    ------
-    InputError
-        One line with file, place, value and remedy.
-    """
+    """Read a ``_RPC.TXT``; keys that no RPC has are refused."""
     fields = RpcFields(os.fspath(path))
     for number, line in enumerate(read_text(path).splitlines(), 1):
         if not line.strip():
@@ -102,16 +96,12 @@ def read_rpc_list(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     return build(fields, reading, LIST_NAME, reading.first_pixel)
 
 
-FORMAT = register_format(
-    Format(
-        name="rpc-txt", title=NAME, help=__doc__, suffixes=(".txt",),
-        sniff=has_line("(?:LINE|SAMP|LAT|LONG|HEIGHT)_(?:OFF|SCALE)\\s*:"), read_rpc=read_rpc_text,
-        write_rpc=lambda path, model: write_bytes(path, format_rpc_text(model).encode("ascii")),
-    )
+FORMAT = Format(
+    name="rpc-txt", title=NAME, suffixes=(".txt",),
+    sniff=has_line("(?:LINE|SAMP|LAT|LONG|HEIGHT)_(?:OFF|SCALE)\\s*:"), read_rpc=read_rpc_text,
+    write_rpc=lambda path, model: write_bytes(path, format_rpc_text(model).encode("ascii")),
 )  # fmt: skip
-LIST_FORMAT = register_format(
-    Format(
-        name="rpc-list", title=LIST_NAME, help=__doc__, sniff=lambda _, head: _NUMBERS.match(head) is not None,
-        read_rpc=read_rpc_list,
-    )
+LIST_FORMAT = Format(
+    name="rpc-list", title=LIST_NAME, sniff=lambda _, head: _NUMBERS.match(head) is not None,
+    read_rpc=read_rpc_list,
 )  # fmt: skip

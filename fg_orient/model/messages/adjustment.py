@@ -31,7 +31,7 @@ adjust.memory: the adjustment exceeds the memory limit of {allowed}
 adjust.backend: this backend does not exist in this version
     -> choose one of {known}
 adjust.no_model: images of this sensor cannot be adjusted
-    -> known sensors: {known}; a further one is registered by a file of its own (docs/extending)
+    -> derive its class from fg_orient.Sensor and give it the method image_model (docs/extending)
 adjust.relative_priors: without control points and priors the datum of the block is not defined
     -> keep the priors, or leave out datum = "priors" and measure control points; datum = "free" lets the block
        float

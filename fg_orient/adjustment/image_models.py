@@ -1,0 +1,44 @@
+"""Image models of a block: each sensor gives its own (``fg_orient.sensors.base``)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from fg_orient.model.errors import InputError
+from fg_orient.sensors.base import ImageModel
+
+if TYPE_CHECKING:
+    from fg_orient.model.block import Image, Options
+
+
+def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel, ...]:
+    """Give the model of each image.
+
+    Raises
+    ------
+    InputError
+        The sensor of an image has no image model; images with a shared unknown begin with different values of it;
+        ``image_unknowns`` names an unknown that no image has, or none that an image has.
+    """
+    starts: dict[tuple[str, str], float] = {}
+    for image in images:
+        if not hasattr(image.sensor, "image_model"):
+            raise InputError.of("adjust.no_model", place=f"image {image.id}", value=type(image.sensor).__name__)
+        for (shared, part), value in image.sensor.shared_starts().items():
+            if starts.setdefault((shared, part), value) != value:
+                raise InputError.of("frame.shared", place=f"image {image.id}, {part}", value=value, id=shared)
+    models = tuple(image.sensor.image_model(options) for image in images)
+    every = {known for model in models for known in model.parameters.names}
+    wrong = [unknown for unknown in options.image_unknowns if unknown not in every]
+    if wrong:
+        raise InputError.of("parameters.unknown", place="image_unknowns", value=", ".join(wrong))
+    return models
+
+
+def groups(models: Sequence[ImageModel]) -> list[list[int]]:
+    """Images with the same equation and the same unknowns, by number, in the order of their first image."""
+    found: dict[tuple[str, bytes], list[int]] = {}
+    for k, model in enumerate(models):
+        found.setdefault((model.equation.name, model.parameters.setup.tobytes()), []).append(k)
+    return list(found.values())

@@ -1,1 +1,0 @@
-"""Image models: what the adjustment needs to know about the images of one kind of sensor."""

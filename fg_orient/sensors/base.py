@@ -1,0 +1,240 @@
+"""Contract of a sensor: one class holds everything that is asked of a kind of image.
+
+A sensor is one file with a subclass of :class:`Sensor` and its :class:`ImageModel`. Commands, backends, observability,
+covariance, tables and report use nothing else of it. A format (``fg_orient.formats.registry``) reads its metadata.
+Pixels are (line, sample) with (0, 0) = centre of the first pixel; ground points are ECEF metres, or metres of a local
+Cartesian system if the sensor is not georeferenced.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.geometry import ellipsoid
+from fg_orient.model.errors import Finding, OutOfImage, finding
+from fg_orient.sensors.correction import HeightSurface
+from fg_orient.sensors.surface import landed
+
+if TYPE_CHECKING:
+    from factors._contract import Equation
+    from fg_orient.model.block import ImagePoints, Options
+    from fg_orient.model.parameters import ImageParameters
+    from fg_orient.sensors.metadata import FramePoint
+
+Array = npt.NDArray[np.float64]
+
+
+class ImageModel(Protocol):
+    """One image in an adjustment: a sensor and an equation with the arguments (image unknowns, ground point)."""
+
+    equation: Equation
+    parameters: ImageParameters
+
+    def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
+        """Whitened constants (n, d) of image points of this image; the equation's residual is then in sigmas.
+
+        To first order it is minus ``v / sigma``; v = adjusted - observed is the residual of all results. ``ground_m``
+        (n, 3) ECEF m near the observed points; ``origin_m`` (3,): local origin of the ground unknowns.
+        """
+        ...
+
+    def correction(self, x: Array) -> Any:
+        """Correction for ``rays``, ``project`` and ``locate`` of the sensor, from unknowns (k,) in prior sigmas."""
+        ...
+
+    def silent_directions(self) -> list[tuple[str, Array]]:
+        """Directions that are unobservable in the image: sentence and unit vector (k,) in prior sigmas."""
+        ...
+
+    def per_line(self) -> tuple[Array, tuple[str, ...]]:
+        """Factors (k,) from the unknowns in physical units to coefficients per line, nan if not applicable; units."""
+        ...
+
+    def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
+        """Tell where the sensor's model may be used: ground points (n, 3) ECEF m -> (n,)."""
+        ...
+
+    def facts(self) -> dict[str, Any]:
+        """Mission, instrument, format and further entries for the report and the record of a run."""
+        ...
+
+
+class Sensor(ABC):
+    """Sensor of an image, with the centres of its first and last line and sample.
+
+    Attributes
+    ----------
+    georeferenced : bool
+        Ground points are Earth-fixed; else metres of a local Cartesian system.
+    notes : tuple of Finding
+        Remarks of the reader.
+    frame_points : tuple of FramePoint
+        Points whose ground position the metadata state, and why they may disagree with the model (``frame_note``).
+    mean_height_m : float
+        Ellipsoidal height of footprint and image centre.
+    """
+
+    n_lines: int
+    n_samples: int
+    first_line: float
+    last_line: float
+    first_sample: float
+    last_sample: float
+    georeferenced: bool = True
+    notes: tuple[Finding, ...] = ()
+    frame_points: tuple[FramePoint, ...] = ()
+    frame_note: Finding | None = None
+    mean_height_m: float = 0.0
+
+    @property
+    @abstractmethod
+    def file(self) -> str:
+        """Name of the metadata file."""
+
+    @abstractmethod
+    def rays(self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: Any = None) -> tuple[Array, Array]:
+        """Points on the lines of sight (N, 3) m, above the ground, and unit directions (N, 3)."""
+
+    @abstractmethod
+    def project(self, ground_m: npt.ArrayLike, correction: Any = None) -> tuple[Array, Array]:
+        """Line and sample (N,) of ground points (N, 3) m; nan for invisible points."""
+
+    @abstractmethod
+    def image_model(self, options: Options) -> ImageModel:
+        """Unknowns and equation of the image in an adjustment with these options."""
+
+    def locate(
+        self,
+        line: npt.ArrayLike,
+        sample: npt.ArrayLike,
+        *,
+        height_m: npt.ArrayLike | None = None,
+        dem: HeightSurface | None = None,
+        correction: Any = None,
+    ) -> Array:
+        """Ground points (N, 3) ECEF m of N pixels at ellipsoidal heights (default 0), or on a DEM.
+
+        Raises
+        ------
+        OutOfImage
+            A pixel lies outside the image.
+        OutOfTimeRange
+            The attitudes do not cover a line.
+        InputError
+            A ray misses the surface, or the DEM does not cover it.
+        """
+        line, sample = same_length(line, sample)
+        self.require_inside(line, sample)
+        p, u = self.rays(line, sample, correction)
+        return landed(p, u, height_m, dem, (line, sample), self.file)
+
+    def correction_of(self, values: Mapping[str, float], options: Options) -> Any:
+        """Correction from the values of the unknowns by name, in physical units, as a result folder holds them.
+
+        Raises
+        ------
+        KeyError
+            A name is not an unknown of this sensor.
+        """
+        model = self.image_model(options)
+        x = placed(values, model.parameters.names)
+        return model.correction(x / model.parameters.sigma)
+
+    def shared_starts(self) -> dict[tuple[str, str], float]:
+        """Start values of unknowns in common with other images, by (shared id, name): they must agree."""
+        return {}
+
+    @cached_property
+    def centre_m(self) -> Array:
+        """Ground point (3,) m of the image centre."""
+        middle = 0.5 * (self.first_line + self.last_line), 0.5 * (self.first_sample + self.last_sample)
+        return np.asarray(self.locate(*middle, height_m=self.mean_height_m)[0])
+
+    def footprint(self) -> Array:
+        """Corners in image order, clockwise: (4, 2) longitude, latitude in degrees."""
+        corners = self.locate(*self.corners(), height_m=self.mean_height_m)
+        return np.degrees(ellipsoid.geodetic_array(corners)[:, :2])
+
+    def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:
+        """Tell which pixels lie in the image, half a pixel of border included."""
+        inside = (line >= self.first_line - 0.5) & (line <= self.last_line + 0.5)
+        return np.asarray(inside & (sample >= self.first_sample - 0.5) & (sample <= self.last_sample + 0.5))
+
+    def require_inside(self, line: Array, sample: Array) -> None:
+        """Refuse pixels outside the image.
+
+        Raises
+        ------
+        OutOfImage
+            Names the first one and the image's range.
+        """
+        bad = np.flatnonzero(~self.is_inside(line, sample))
+        if len(bad):
+            raise OutOfImage(finding(
+                "sensor.pixel_outside", file=self.file, place=f"line {line[bad[0]]:g}, sample {sample[bad[0]]:g}",
+                value=f"{len(bad)} pixel(s)", first_line=self.first_line - 0.5, last_line=self.last_line + 0.5,
+                first_sample=self.first_sample - 0.5, last_sample=self.last_sample + 0.5,
+            ))  # fmt: skip
+
+    def corners(self) -> tuple[Array, Array]:
+        """Lines and samples (4,) of the corners in image order, clockwise."""
+        line = np.array([self.first_line, self.first_line, self.last_line, self.last_line])
+        return line, np.array([self.first_sample, self.last_sample, self.last_sample, self.first_sample])
+
+
+def same_length(*values: npt.ArrayLike) -> list[Array]:
+    """Give arrays (N,) in C order of scalars and arrays."""
+    return [
+        np.ascontiguousarray(a) for a in np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, float)) for v in values))
+    ]
+
+
+def placed(values: Mapping[str, float], names: tuple[str, ...]) -> Array:
+    """Values (n,) in the order of n names, 0 where there is none; KeyError for other names."""
+    out, place = np.zeros(len(names)), {name: k for k, name in enumerate(names)}
+    for name, value in values.items():
+        out[place[name]] = value
+    return out
+
+
+class OrientedSensor:
+    """A sensor bound to a correction; everything else is the sensor's own.
+
+    Parameters
+    ----------
+    sensor : PushbroomSensor, RpcSensor or FrameSensor
+    correction : Correction or array
+        As the sensor's methods take it, for instance ``solution.correction("left")``.
+    """
+
+    def __init__(self, sensor: Any, correction: Any) -> None:
+        self.sensor, self.correction = sensor, correction
+        self.notes: tuple[Finding, ...] = (*sensor.notes, finding("image.adjusted"))
+
+    def __getattr__(self, name: str) -> Any:
+        """Give what the sensor has."""
+        return getattr(self.sensor, name)
+
+    def rays(self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: None = None) -> tuple[Array, Array]:
+        """Points on the lines of sight (N, 3) m and unit directions (N, 3), ECEF."""
+        centre, direction = self.sensor.rays(line, sample, self.correction)
+        return centre, direction
+
+    def locate(
+        self, line: npt.ArrayLike, sample: npt.ArrayLike, *, height_m: npt.ArrayLike | None = None,
+        dem: HeightSurface | None = None,
+    ) -> Array:  # fmt: skip
+        """Ground points (N, 3) ECEF m at ellipsoidal heights or on a DEM; errors as of the sensor."""
+        ground = self.sensor.locate(line, sample, height_m=height_m, dem=dem, correction=self.correction)
+        return np.asarray(ground)
+
+    def project(self, ground_m: npt.ArrayLike, correction: None = None) -> tuple[Array, Array]:
+        """Line and sample (N,) of ECEF points (N, 3)."""
+        line, sample = self.sensor.project(ground_m, self.correction)
+        return line, sample
