@@ -196,7 +196,7 @@ def test_control_points_of_a_local_system_fix_the_datum() -> None:
 def test_impossible_simulations_are_refused(arguments: tuple[int, ...], place: str) -> None:
     with pytest.raises(InputError) as caught:
         pinhole_block(*arguments)
-    assert caught.value.problems[0].place == place
+    assert caught.value.problems[0].option == place
 
 
 @pytest.mark.consistency
