@@ -5,4 +5,4 @@ relation per file; the calling convention is in ``factors._contract``.
 """
 
 #: Marker by which ``fg_orient`` recognises its own ``factors`` package: the version that both have.
-FG_ORIENT_FACTORS = "0.1.0"
+FG_ORIENT_FACTORS = "0.2.0"

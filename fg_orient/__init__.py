@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from fg_orient.sensors.initial import intersect
     from fg_orient.studies.comparison.compare import compare
 
-__version__: Final = "0.1.0"
+__version__: Final = "0.2.0"
 
 
 def _require_own_factors() -> None:

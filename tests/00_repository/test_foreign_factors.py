@@ -13,11 +13,13 @@ from pathlib import Path
 
 import pytest
 
+from fg_orient import __version__
+
 pytestmark = pytest.mark.behaviour
 
-WHEEL = "dist/fg_orient-0.1.0-py3-none-any.whl"
+WHEEL = f"dist/fg_orient-{__version__}-py3-none-any.whl"
 #: What ``import fg_orient`` needs.
-PARTS = ("__init__.py", "model/__init__.py", "model/installation.py", "model/errors.py", "model/messages")
+PARTS = ("__init__.py", "_public.py", "model/__init__.py", "model/installation.py", "model/errors.py", "model/messages")
 
 
 def write(file: Path, text: str = "") -> None:
@@ -52,7 +54,7 @@ def site(repository: Path, tmp_path: Path) -> Path:
     folder = tmp_path / "site"
     copy_packages(repository, folder)
     files = ["fg_orient/__init__.py", "factors/__init__.py", "factors/_contract.py"]
-    dist_info(folder, "fg-orient", "0.1.0", files, {"url": (tmp_path / WHEEL).as_uri(), "archive_info": {}})
+    dist_info(folder, "fg-orient", __version__, files, {"url": (tmp_path / WHEEL).as_uri(), "archive_info": {}})
     return folder
 
 
@@ -182,21 +184,23 @@ def test_another_distribution_that_is_found_first(site: Path, tmp_path: Path, ed
 )
 def test_reinstalled_from_where_it_came(site: Path, direct_url: object, source: str) -> None:
     write(site / "factors" / "__init__.py")
-    shutil.rmtree(site / "fg_orient-0.1.0.dist-info")
-    dist_info(site, "fg-orient", "0.1.0", [], direct_url)
+    shutil.rmtree(site / f"fg_orient-{__version__}.dist-info")
+    dist_info(site, "fg-orient", __version__, [], direct_url)
     assert refusal(site).endswith(f"pip install --force-reinstall --no-deps {source}")
 
 
 def test_other_version(site: Path, tmp_path: Path) -> None:
     write(site / "factors" / "__init__.py", "FG_ORIENT_FACTORS = '0.0.9'\n")
     text = refusal(site)
-    assert "of fg_orient 0.0.9, the rest is of 0.1.0" in text and text.endswith(reinstall(tmp_path))
+    assert f"of fg_orient 0.0.9, the rest is of {__version__}" in text and text.endswith(reinstall(tmp_path))
 
 
 def test_source_tree_is_restored_not_installed(repository: Path, tmp_path: Path) -> None:
     copy_packages(repository, tmp_path / "tree")
     write(tmp_path / "tree" / "factors" / "__init__.py")
-    dist_info(tmp_path, "fg-orient", "0.1.0", [], {"url": (tmp_path / "tree").as_uri(), "dir_info": {"editable": True}})
+    dist_info(
+        tmp_path, "fg-orient", __version__, [], {"url": (tmp_path / "tree").as_uri(), "dir_info": {"editable": True}}
+    )
     assert "git checkout factors" in refusal(tmp_path / "tree", tmp_path)
 
 
