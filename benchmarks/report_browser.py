@@ -17,8 +17,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from fg_orient.orientation.run import run_project
 from fg_orient.report import write_report
-from fg_orient.run import run_project
 from fg_orient.simulate.block import BlockOptions, simulate_block
 from tests.support.browser import Page, executable, open_browser
 

@@ -54,7 +54,7 @@ nitpicky = False
 # line, the loops inside the backends and the printed values; a module takes a third of a second of a processor.
 _ROOT = Path(__file__).resolve().parents[1]
 _INTERNAL = """
-    fg_orient/__main__.py fg_orient/_public.py
+    fg_orient/__main__.py fg_orient/model/public.py
     fg_orient/adjustment/*.py fg_orient/adjustment/parts/*
     fg_orient/cli fg_orient/closerange/*job.py fg_orient/closerange/bundle_record.py fg_orient/closerange/importing.py
     fg_orient/closerange/report*.py fg_orient/formats/assemble.py fg_orient/formats/atomic.py
@@ -62,7 +62,8 @@ _INTERNAL = """
     fg_orient/formats/rpc/fields.py fg_orient/formats/schema.py fg_orient/kernels/batch* fg_orient/model/cells.py
     fg_orient/model/messages fg_orient/rectification/job.py fg_orient/rectification/record.py
     fg_orient/rectification/study.py fg_orient/rectification/adjusted.py fg_orient/rectification/grid.py
-    fg_orient/rectification/lattice.py fg_orient/rectification/ortho*.py fg_orient/report/*.py fg_orient/run
+    fg_orient/rectification/lattice.py fg_orient/rectification/ortho*.py fg_orient/report/*.py
+    fg_orient/orientation/run.py fg_orient/orientation/replay.py
     fg_orient/result/s*.py fg_orient/result/tables.py fg_orient/result/provenance.py
     fg_orient/simulate/* fg_orient/studies/claims*.py fg_orient/studies/comparison/* fg_orient/studies/published
     fg_orient/studies/reproduce fg_orient/studies/switch_effects.py fg_orient/studies/tables_*.py

@@ -15,7 +15,7 @@ from importlib.util import find_spec
 from os.path import dirname, join
 from typing import TYPE_CHECKING, Final
 
-from fg_orient._public import on_first_use
+from fg_orient.model.public import on_first_use
 
 if TYPE_CHECKING:
     from factors._contract import Argument, Equation, Example, compiled

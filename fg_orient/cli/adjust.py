@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fg_orient.orientation.reduction import Reduction
 
 #: Modules loaded before the clock starts: ``seconds`` measure the work, not Python's imports.
-WORKING = ("fg_orient.run", "fg_orient.adjustment.schur", "fg_orient.report", "fg_orient.formats.schema",
+WORKING = ("fg_orient.orientation.run", "fg_orient.adjustment.schur", "fg_orient.report", "fg_orient.formats.schema",
            "fg_orient.formats.metadata.dimap", "fg_orient.sensors.projection", "jinja2")  # fmt: skip
 #: The same, of one backend.
 OF_BACKEND = {
@@ -75,7 +75,7 @@ def adjust(
     require_free(target, overwrite=overwrite)
     require_files(project, **options)
     load(options.get("backend"))
-    from fg_orient.run import checkpoint_path, run_project
+    from fg_orient.orientation.run import checkpoint_path, run_project
 
     if resume and not checkpoint_path(target).exists():
         note(f"no checkpoint {checkpoint_path(target).name} to resume: starting from the beginning")

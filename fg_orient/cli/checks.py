@@ -124,7 +124,7 @@ def _checked_points(paths: list[Path], format_: Format, settings: Settings) -> _
 
 def _impossible(block: Block, project: Path) -> list[Finding]:
     """Options that ``adjust`` would refuse."""
-    from fg_orient.run import require_possible_options
+    from fg_orient.orientation.run import require_possible_options
 
     try:
         require_possible_options(block, project, {})

@@ -16,7 +16,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.names import EXIT_CODE, Status
 
 if TYPE_CHECKING:
-    from fg_orient.run.replay import Replay
+    from fg_orient.orientation.replay import Replay
 
 #: Differences shown to people; ``--json`` holds all.
 SHOWN: Final = 20
@@ -112,7 +112,7 @@ def replay(
     from fg_orient.cli.adjust import load
 
     load()
-    from fg_orient.run.replay import replay as repeat
+    from fg_orient.orientation.replay import replay as repeat
 
     with progress() as watch:
         repeated = repeat(

@@ -6,7 +6,7 @@ at map scale from satellite data. Cited as İpbüker 1994.
 
 from __future__ import annotations
 
-from fg_orient._public import names_of, on_first_use
+from fg_orient.model.public import names_of, on_first_use
 
 _HOME = names_of(__name__, {
     "fit": "Observations TransformationFit",

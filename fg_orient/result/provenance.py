@@ -54,7 +54,7 @@ def how_to_repeat(
     dem_control: tuple[HeightSurface, float] | None,
     dem_vertical_crs: str,
 ) -> dict[str, Any]:
-    """What a run was given beside its project file; ``fg_orient.run.replay`` reads it.
+    """What a run was given beside its project file; ``fg_orient.orientation.replay`` reads it.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def how_to_repeat(
     execution : mapping
         ``parts``, ``workers``, ``cluster``: the numbers depend on the parts only.
     dem_control, dem_vertical_crs
-        See :func:`fg_orient.run.run_project`.
+        See :func:`fg_orient.orientation.run.run_project`.
 
     Returns
     -------

@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from fg_orient._public import names_of, on_first_use
+from fg_orient.model.public import names_of, on_first_use
 
 _HOME = names_of(__name__, {
     "block": "grid_block simulate_block",

@@ -63,7 +63,7 @@ def test_import_loads_nothing_but_itself(repository: Path) -> None:
         "found = set(sys.modules) - before\n"
         "print(sorted(m for m in found if m.partition('.')[0] not in sys.stdlib_module_names))"
     )
-    assert run(code, repository).strip() == "['factors', 'fg_orient', 'fg_orient._public']"
+    assert run(code, repository).strip() == "['factors', 'fg_orient', 'fg_orient.model', 'fg_orient.model.public']"
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 import fg_orient as fg
-import fg_orient.run
+import fg_orient.orientation.run
 from fg_orient.formats.schema import ProjectFile, validate
 from fg_orient.model.declaration import Names, Option, Three, declared
 from fg_orient.model.errors import InputError
@@ -63,7 +63,7 @@ def given_on_the_command_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *
         given.update(options)
         raise InputError.of("options.value", place="stopped", expected="nothing")
 
-    monkeypatch.setattr(fg_orient.run, "run_project", run_project)
+    monkeypatch.setattr(fg_orient.orientation.run, "run_project", run_project)
     monkeypatch.setattr("fg_orient.formats.project.require_files", lambda *arguments, **more: None)
     project = tmp_path / "project.toml"
     project.touch()

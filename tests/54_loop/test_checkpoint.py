@@ -18,7 +18,7 @@ from fg_orient.adjustment.loop import OPTIMIZERS, Carried, IterationRecord
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.model.errors import InputError
-from fg_orient.run import checkpoint_path, run_project
+from fg_orient.orientation.run import checkpoint_path, run_project
 from fg_orient.simulate.block import BlockOptions, simulate_block
 from tests.support.command import in_process as run
 
@@ -27,7 +27,7 @@ from .conftest import spoiled_block, with_options
 #: Runs a project as the command does and kills itself, hard, when an iteration has been told of.
 KILLED = """
 import os, signal, sys
-from fg_orient.run import run_project
+from fg_orient.orientation.run import run_project
 def stop(record):
     if record.iteration == int(sys.argv[3]):
         os.kill(os.getpid(), signal.SIGKILL)

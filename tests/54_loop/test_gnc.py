@@ -17,8 +17,8 @@ from fg_orient.adjustment.rows import residuals
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.adjustment.stages import EXACT, PLAIN, SCHEDULES, Graduated, stages_left
 from fg_orient.model.errors import InputError
+from fg_orient.orientation.run import run_project
 from fg_orient.quality.verdict import DOWN
-from fg_orient.run import run_project
 from fg_orient.simulate.block import BlockOptions, simulate_block
 from tests.support.full_statistics import step_of_numpy
 

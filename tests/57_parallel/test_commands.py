@@ -15,7 +15,7 @@ from fg_orient.adjustment.parts import pool
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.model.errors import InputError, NoSolutionError
-from fg_orient.run import checkpoint_path, run_project
+from fg_orient.orientation.run import checkpoint_path, run_project
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process as run
 

@@ -14,8 +14,8 @@ import fg_orient as fg
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.cli.results import show_replay as show
 from fg_orient.model.errors import finding
-from fg_orient.run import run_project
-from fg_orient.run.replay import OCCASION, Replay, changed_sources, compare_records, compare_tables
+from fg_orient.orientation.replay import OCCASION, Replay, changed_sources, compare_records, compare_tables
+from fg_orient.orientation.run import run_project
 
 
 @pytest.fixture(scope="module")

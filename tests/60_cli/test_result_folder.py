@@ -12,7 +12,7 @@ import numpy as np
 import pyproj
 import pytest
 
-import fg_orient.run as runs
+import fg_orient.orientation.run as runs
 from fg_orient.formats.atomic import staged_folder
 from fg_orient.model.errors import InputError
 from fg_orient.result.record import Result

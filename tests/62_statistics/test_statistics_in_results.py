@@ -18,9 +18,9 @@ from fg_orient.adjustment.cofactors import AUTO_LIMIT, full_statistics
 from fg_orient.formats.project import read_project
 from fg_orient.model.block import Block, Options
 from fg_orient.model.names import Role
+from fg_orient.orientation.run import run_project
 from fg_orient.orientation.solution import Solution
 from fg_orient.result import statistics
-from fg_orient.run import run_project
 from fg_orient.simulate.block import BlockOptions, grid_block, simulate_block
 from tests.support.full_statistics import Full, fixed, options
 

@@ -12,8 +12,8 @@ import pytest
 
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import from_geographic
+from fg_orient.orientation.run import run_project
 from fg_orient.rectification.ortho_models import SensorModel
-from fg_orient.run import run_project
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.surface import RasterDem
 from fg_orient.simulate.render import RADII_M

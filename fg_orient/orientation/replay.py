@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.installation import versions
+from fg_orient.orientation.run import run_project
 from fg_orient.result.provenance import relative, sha256_of
 from fg_orient.result.record import RESULT_FILE
-from fg_orient.run import run_project
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.loop import Callback
@@ -107,7 +107,7 @@ def replay(
     overwrite : bool
         Replace an existing folder ``out``.
     callback, stage : callable, optional
-        See :func:`fg_orient.run.run_project`.
+        See :func:`fg_orient.orientation.run.run_project`.
 
     Returns
     -------
