@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 import fg_orient as fg
-from fg_orient.geodesy import enu_from_ecef
+from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.model.block import Coordinates, WithheldCoordinates
 from fg_orient.sensors.initial import all_rays, nearest_points
 
@@ -97,7 +97,7 @@ def direct_geolocation(scene: Scene) -> dict[str, float]:
     """Intersection with the metadata orientation against all points: mean and scatter, metres."""
     centre, direction = all_rays(tuple(scene.images), scene.observations)
     found, _ = nearest_points(centre, direction, scene.observations.point, len(scene.ids))
-    d = np.einsum("nij,nj->ni", enu_from_ecef(scene.ecef_m), found - scene.ecef_m)
+    d = np.einsum("nij,nj->ni", enu_from_ecef(*ecef_to_geodetic(scene.ecef_m)[:2]), found - scene.ecef_m)
     out = {f"mean_{axis}_m": float(d[:, k].mean()) for k, axis in enumerate(("east", "north", "up"))}
     out |= {f"sd_{axis}_m": float(d[:, k].std(ddof=1)) for k, axis in enumerate(("east", "north", "up"))}
     out["rmse_horizontal_m"] = float(np.sqrt(np.mean(d[:, 0] ** 2 + d[:, 1] ** 2)))

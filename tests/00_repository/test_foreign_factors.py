@@ -19,7 +19,14 @@ pytestmark = pytest.mark.behaviour
 
 WHEEL = f"dist/fg_orient-{__version__}-py3-none-any.whl"
 #: What ``import fg_orient`` needs.
-PARTS = ("__init__.py", "_public.py", "model/__init__.py", "model/installation.py", "model/errors.py", "model/messages")
+PARTS = (
+    "__init__.py",
+    "model/__init__.py",
+    "model/public.py",
+    "model/installation.py",
+    "model/errors.py",
+    "model/messages",
+)
 
 
 def write(file: Path, text: str = "") -> None:

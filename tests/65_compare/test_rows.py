@@ -290,7 +290,7 @@ def test_single_image_has_no_published_procedure(twin: Block) -> None:
     assert "two images" in found.rows[0].failure
     assert math.isnan(found.rows[-1].check_rmse_m)
     said = " ".join(verdict(found)["text"])
-    assert "type 1: none of 1 sets at the target (without solution: all), with each of 1 solver(s)." in said
+    assert "type 1: none of 1 sets at the target (without solution: all), with 1 solver." in said
     assert "no check points" in said
 
 

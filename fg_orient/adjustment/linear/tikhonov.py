@@ -206,7 +206,7 @@ def tikhonov(
     return replace(found, rule=rule, notes=(*choice.notes, *found.notes))
 
 
-#: Rule, label and source of the solvers "tikhonov_..."; the published ones clamp kappa, and "od" works on N alone.
+#: Rule, label and source of the solvers ``tikhonov_...``; the published ones clamp kappa, and "od" works on N alone.
 _RULES: Final = (
     ("hkb", "HKB", "T(3.5)", True), ("lw", "LW", "T(3.6)", True), ("od", "OD", "T(3.8)", True),
     ("l_curve", "L-curve", "Hansen, O'Leary 1993", False), ("gcv", "GCV", "Golub, Heath, Wahba 1979", False),

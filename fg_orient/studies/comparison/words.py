@@ -113,7 +113,8 @@ def _of_solvers(name: str, comparison: Comparison, lines: list[Summary]) -> list
         return []
     sets = comparison.eop_sets
     if len({(s.reached, s.missed) for s in lines}) == 1:
-        return [f"{name}: {_reached(lines[0], len(sets))}, with each of {len(lines)} solvers."]
+        solvers = "1 solver" if len(lines) == 1 else f"each of {len(lines)} solvers"
+        return [f"{name}: {_reached(lines[0], len(sets))}, with {solvers}."]
     always = sum(all(n not in s.missed for s in lines) for n in sets)
     never = [n for n in sets if all(n in s.missed for s in lines)]
     best = max(s.reached for s in lines)
