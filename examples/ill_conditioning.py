@@ -1,10 +1,10 @@
-"""What the published ill-conditioned systems are made of: the run behind docs/ill-conditioning.md.
+"""Causes of the published ill-conditioned systems: the computation behind docs/ill-conditioning.md.
 
     python examples/ill_conditioning.py [--seeds N] [--out FOLDER]
 
-Prints the figures of that page from the twin of the published experiments (1 px of image noise) and, with
-``--out``, draws them (matplotlib needed): what step 2 solves for, velocity against yaw, the constant residual.
-The heat maps and spectra of the page are those of ``fg-orient compare``.
+The script prints the values of that page. It uses the synthetic block of the published experiments (1 px of image
+noise). With ``--out`` it also draws three figures (this needs matplotlib): errors after step 2, velocity and yaw, and
+the constant residual. ``fg-orient compare`` makes the heat maps and spectra of the page.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from fg_orient.studies.two_stage import TwoStage
 
 SETS = (1, 9, 15, 5, 13, 17, 19, 20)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-#: The twin as real SPOT 5 flies: radial velocity and attitude of the order of the real file.
+#: Synthetic block with the radial velocity and attitude of a real SPOT 5 file.
 AS_RUN = ZonguldakOptions(
     image_noise_px=1.0, distortion_rad=3e-6, radial_velocity_m_s=8.0, attitude_rad=(-1.6e-4, -7.2e-4, 9e-4)
 )
 
 
 def main() -> None:
-    """Print, and draw if asked."""
+    """Print the values; draw figures with ``--out``."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--out", type=Path)
@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def step_two(studies: list[Study]) -> dict[tuple[int, str], list[float]]:
-    """What step 2 has to explain, and the control-point errors that its solution makes."""
+    """Misclosures before step 2, and the control-point errors after it."""
     before = [float(np.sqrt(np.mean(s.two_stage.look.v_rad**2))) for s in studies]
     after = [float(np.abs(s.two_stage.look.largest_misclosure)) for s in studies]
     print(f"misclosure before step 1 {np.median(before):.1e} rad, after it {np.median(after):.1e} at most")
@@ -67,7 +67,7 @@ def step_two(studies: list[Study]) -> dict[tuple[int, str], list[float]]:
 
 
 def velocity_as_yaw(two_stage: TwoStage) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Effect of a velocity change on the along-track condition, beside that of a yaw."""
+    """Effects of a velocity change and of a yaw on the along-track condition."""
     at = two_stage.pre_adjusted
     left = np.flatnonzero(at.image == 0)
     at = at.take(left[np.argsort(at.records[left, RECORD.s])])

@@ -1,11 +1,10 @@
-"""Orient the simulated SPOT-5 stereo pair of Zonguldak: the main job in twenty lines.
+"""Adjust the simulated SPOT-5 stereo pair of Zonguldak in twenty lines.
 
     python examples/orient_twin.py [FOLDER]
 
-Simulates the twin (47 points, 37 control and 10 check points, 0.3 px) into FOLDER (default: a
-temporary one), reads it as any project, adjusts it with three EOP sets and prints what a
-geodesist asks first: sigma0, accuracy at check points, what is not observable, and the
-standard deviations of one image.
+The script writes the synthetic block (37 control and 10 check points, 0.3 px) to FOLDER (default: a
+temporary folder) and reads its project file. It adjusts the block with three EOP sets and prints
+sigma0, the accuracy at check points, unobservable directions, and standard deviations of one image.
 """
 
 from __future__ import annotations

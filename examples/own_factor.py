@@ -1,11 +1,10 @@
-"""Write your own observation equation: a distance measured between two ground points.
+"""A user's observation equation: a measured distance between two ground points.
 
     python examples/own_factor.py
 
-The file holds all it takes: a compiled kernel with its analytic Jacobians, the same residual for
-complex-step checks, and the registration. The equation is then covered by the generic check of
-Jacobians below (the project's tests run the same one over every registered equation), wrapped
-into GTSAM factors with checked shapes, and adjusted together with image and control points.
+The file contains a compiled kernel with analytic Jacobians, the same residual for complex-step
+checks, and the registration. The script checks the Jacobians as the project's tests check every
+registered equation. Then it adjusts the distance together with image and control points.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ def kernel(record, setup, a, b, want):  # type: ignore[no-untyped-def]
 
 
 def example(rng: np.random.Generator) -> Example:
-    """Random well-posed state for the checks."""
+    """Random well-posed constants and unknowns for the checks."""
     return Example(rng.uniform(1.0, 9.0, 2), np.zeros((2, 0)), (rng.normal(size=3), rng.normal(size=3)))
 
 
@@ -77,7 +76,7 @@ def worst_jacobian_error(equation: Equation, draws: int = 20) -> float:
 
 
 def main() -> None:
-    """Check the Jacobians, then add one measured distance between two check points of the twin."""
+    """Check the Jacobians, then add one measured distance between two check points of the synthetic block."""
     print(f"Jacobians agree with complex step to {worst_jacobian_error(DISTANCE):.1e}")
     block, truth = zonguldak_block(ZonguldakOptions(seed=1))
     first, second = block.points.where(Role.CHECK)[:2]

@@ -1,13 +1,12 @@
-"""Orient the real Pléiades-1A images of Zonguldak from ten control points, and check with the rest.
+"""Adjust the real Pléiades-1A images of Zonguldak with ten control points; all other points are check points.
 
     python examples/pleiades_pair.py DATA_DIR [--first ID] [--json]
 
-DATA_DIR holds DIMAP v2 files ``DIM_*img<k>.XML`` and ``points_img<k>.csv`` (point_id, line and
+DATA_DIR contains DIMAP v2 files ``DIM_*img<k>.XML`` and ``points_img<k>.csv`` (point_id, line and
 column 1-based, ECEF metres) for two or more images. Ten control points are chosen by
-farthest-point sampling in ECEF, the first one being each point in turn (or only ``--first``);
-all others are check points. Point coordinates have 0.3 m per axis: identified in the image, not
-only surveyed. Try ``--point-sigma 0.05`` and the report says that the solution is not to be
-trusted. Data: GeoEtrim group, academic use.
+farthest-point sampling in ECEF. Each point in turn (or only ``--first``) is the first point. The sigma of point
+coordinates is 0.3 m per axis, because it includes the identification in the image. With ``--point-sigma 0.05``
+the solution is reported as not trustworthy. Data: GeoEtrim group, academic use.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from fg_orient.sensors.initial import all_rays, nearest_points
 SETS = (2, 10, 9, 16, 1, 15)
 IMAGE_SIGMA_PX = 0.3
 N_CONTROL = 10
-DIMAP_FIRST_PIXEL = 1.0  # lines and columns of the point files count from 1
+DIMAP_FIRST_PIXEL = 1.0  # coordinates of the first pixel in the point files
 
 
 class Scene:
@@ -84,7 +83,7 @@ class Scene:
 
 
 def farthest_points(ecef_m: np.ndarray, first: int, count: int) -> list[int]:
-    """Farthest-point sampling: each next point is the one farthest from all chosen before."""
+    """Farthest-point sampling: each further point has the largest distance from all chosen points."""
     chosen = [first]
     distance = np.linalg.norm(ecef_m - ecef_m[first], axis=1)
     while len(chosen) < count:
@@ -94,7 +93,7 @@ def farthest_points(ecef_m: np.ndarray, first: int, count: int) -> list[int]:
 
 
 def direct_geolocation(scene: Scene) -> dict[str, float]:
-    """Intersection with the metadata orientation against all points: mean and scatter, metres."""
+    """Differences of points intersected with the metadata orientation: mean and standard deviation, metres."""
     centre, direction = all_rays(tuple(scene.images), scene.observations)
     found, _ = nearest_points(centre, direction, scene.observations.point, len(scene.ids))
     d = np.einsum("nij,nj->ni", enu_from_ecef(*ecef_to_geodetic(scene.ecef_m)[:2]), found - scene.ecef_m)
@@ -105,7 +104,7 @@ def direct_geolocation(scene: Scene) -> dict[str, float]:
 
 
 def run(scene: Scene, first: int, eop_set: int, point_sigma_m: float) -> dict[str, object]:
-    """One adjustment: accuracy at the check points, sigma0, and the points to look at."""
+    """One adjustment: accuracy at the check points, sigma0, and suspicious points."""
     control = farthest_points(scene.ecef_m, first, N_CONTROL)
     solution = fg.adjust(scene.block(control, point_sigma_m), eop_set=eop_set)
     check = solution.accuracy.check
@@ -137,7 +136,7 @@ def summarise(runs: list[dict[str, object]]) -> dict[str, object]:
 
 
 def main() -> int:
-    """Run and print; 0 unless a run did not converge."""
+    """Run all adjustments and print their results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data_dir", type=Path)
     parser.add_argument("--first", help="id of the first control point; default: each in turn")

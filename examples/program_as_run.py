@@ -1,9 +1,9 @@
-"""The authors' program beside the published equations, departure by departure: the run behind docs/program-as-run.md.
+"""Departures of the authors' program from the published equations: the computation behind docs/program-as-run.md.
 
     python examples/program_as_run.py [--seed N] [--only D2,D5] [--out FOLDER]
 
-Each departure of the program from the published equations is switched on alone and off alone on the twin; prints
-what that changes and, with ``--out``, draws it (matplotlib needed).
+The script switches each departure on alone and off alone in the computation of a synthetic block. It prints the changes
+and, with ``--out``, draws them (this needs matplotlib).
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ import numpy as np
 from fg_orient.studies.switch_effects import MEASURES, effects
 from fg_orient.studies.switches import NUMBERED, label, names
 
-#: Measures that are drawn, with the title of their panel.
+#: Measures in the figure, with the titles of their panels.
 PANELS = {
     "step_1": "control points after step 1, m", "bundle_15": "type-2 bundle, set 15, m",
     "bundle_14": "type-2 bundle, set 14, m", "cond_1": "|N| |N$^{-1}$|, set 1",
 }  # fmt: skip
-#: Changes below this share are none.
+#: Relative changes up to this value are not reported.
 SAME = 0.005
 BLUE, RED = "#0072b2", "#d55e00"
 
 
 def main() -> None:
-    """Print, and draw if asked."""
+    """Print the values; draw a figure with ``--out``."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="labels of switches, with commas")
@@ -43,7 +43,7 @@ def main() -> None:
 
 
 def show(found: dict[str, dict[str, float]], chosen: tuple[str, ...]) -> None:
-    """Equations, program, and the measures that a switch changes."""
+    """Print the measures of equations and program, and the changes by each switch."""
     text, program = found["text"], found["program"]
     for name, (words, unit) in MEASURES.items():
         print(f"{words}: equations {shown(text[name])}, program {shown(program[name])} {unit}".rstrip())
@@ -61,14 +61,14 @@ def show(found: dict[str, dict[str, float]], chosen: tuple[str, ...]) -> None:
 
 
 def differs(before: float, after: float) -> bool:
-    """Tell a change from none; values of 1e-9 are rounding."""
+    """Return True if a measure has changed; values up to 1e-9 are rounding errors."""
     if np.isnan(before) or np.isnan(after):
         return np.isnan(before) != np.isnan(after)
     return abs(after - before) > SAME * abs(before) and max(before, after) > 1e-9
 
 
 def shown_name(switch: str) -> str:
-    """Label and words: "D2 midpoint", "short axis"."""
+    """Label and name: "D2 midpoint", "short axis"."""
     words = switch.replace("_", " ")
     return f"{label(switch)} {words}" if switch in NUMBERED else words
 

@@ -1,10 +1,10 @@
-"""Read a real DIMAP file (SPOT 1-5, SPOT 6/7, Pléiades), look at it, and locate pixels.
+"""Read a DIMAP file (SPOT 1-5, SPOT 6/7, Pléiades), print its contents, and locate a pixel.
 
     python examples/read_dimap.py METADATA [LINE SAMPLE [HEIGHT_M]]
 
-Prints what the file says about the image, how well degree-2 polynomials describe its
-orientation, how far the file's own frame points are met, and the ground position of a pixel
-((0, 0) = centre of the first pixel; ellipsoidal height).
+The script prints image data, the residuals of degree-2 polynomials fitted to the metadata
+orientation, the differences at the frame points of the file, and the ground position of a
+pixel ((0, 0) = centre of the first pixel; ellipsoidal height).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fg_orient.sensors.ground import frame_records, ground_records
 
 
 def main() -> int:
-    """Read, describe, locate."""
+    """Read the file, print its contents, locate a pixel."""
     if len(sys.argv) not in (2, 4, 5):
         print(__doc__)
         return 2

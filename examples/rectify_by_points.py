@@ -1,6 +1,6 @@
-"""Rectify an image by points from Python: which degree, which points are bad, which map scale.
+"""Rectify an image by points from Python: outlier test, choice of the degree, admissible map scale.
 
-A made-up TM scene of 30 km: 30 control points with 15 m of noise, one of them off by 150 m, and 20 check points.
+A synthetic TM scene of 30 km has 30 control points with 15 m of noise, one gross error of 150 m, and 20 check points.
 
     python examples/rectify_by_points.py
 """
@@ -16,7 +16,7 @@ from fg_orient.rectification.transformation import find_model
 
 
 def scene(n: int, rng: np.random.Generator) -> Observations:
-    """Sample and line to UTM metres: turned, scaled, slightly curved."""
+    """Sample and line to UTM metres: rotated, scaled, slightly curved."""
     x, y = rng.uniform(0.0, 1023.0, (2, n))
     east = 660_000.0 + 28.4 * x + 4.1 * y + 1e-4 * x * x
     north = 4_550_000.0 - 28.4 * y + 4.1 * x
@@ -24,7 +24,7 @@ def scene(n: int, rng: np.random.Generator) -> Observations:
 
 
 def main() -> None:
-    """Fit three degrees, leave out what is suspected, judge the best."""
+    """Remove suspected points, fit three degrees, assess the map accuracy."""
     rng = np.random.default_rng(1)
     control, check = scene(30, rng), scene(20, rng)
     control.target[11] += (150.0, 0.0)

@@ -1,10 +1,10 @@
-"""A stereo pair with RPC only: removes the bias, finds a gross error, and says what control points are for.
+"""Adjust a stereo pair with RPC only: estimate the bias, find a gross error, adjust without control points.
 
     python examples/rpc_bundle.py [--compensation shift|shift_drift|affine]
 
-Fits rational functions to the rigorous models of the simulated SPOT-5 twin of Zonguldak (as a vendor does), displaces
-the images by a bias of some pixels, and adjusts: with GTSAM's factor graph and with full matrices, with one
-observation grossly wrong, and without any control point.
+The script fits rational functions to the rigorous models of the simulated SPOT-5 pair of Zonguldak, as a vendor does,
+and adds a bias of a few pixels to the image coordinates. It adjusts the block by factor graph and by full matrices,
+then with one gross error, and then without control points.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fg_orient.rpc.virtual_grid import fit_sensor
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 
-#: Line and sample bias of both images, pixels: what the compensation has to find.
+#: True line and sample bias of both images, pixels; the compensation estimates it.
 BIAS_PX = np.array([[3.0, -16.0, 0.0, 0.0, 0.0, 0.0], [-5.0, 9.0, 0.0, 0.0, 0.0, 0.0]])
 NOISE_PX = 0.3
 #: A vendor's location error without control, in pixels of 5 m.
@@ -29,7 +29,7 @@ VENDOR_PX = 10.0
 
 
 def rpc_block() -> fg.Block:
-    """The twin with RPC images and biased, noisy pixels."""
+    """Synthetic block with RPC images and biased, noisy pixels."""
     block, truth = zonguldak_block(ZonguldakOptions(seed=1))
     images, o = [], block.observations
     pixels, rng = np.empty((len(o), 2)), np.random.default_rng(1)
@@ -45,14 +45,14 @@ def rpc_block() -> fg.Block:
 
 
 def with_gross_error(block: fg.Block, point: str, image: str, size_px: float) -> fg.Block:
-    """Measure one point wrongly in one image."""
+    """Add a gross error to one point in one image."""
     o = block.observations
     wrong = (o.point == block.points.ids.index(point)) & (o.image == block.image_index(image))
     return replace(block, observations=replace(o, sample=o.sample + size_px * wrong))
 
 
 def without_control(block: fg.Block) -> fg.Block:
-    """Make a tie point of every point."""
+    """Change all points to tie points."""
     known, n = block.points.known, len(block.points.ids)
     empty = replace(known, ecef_m=np.full((n, 3), np.nan), sigma_enu_m=np.full((n, 3), np.nan))
     points = replace(block.points, roles=(Role.TIE,) * n, known=empty)
@@ -61,7 +61,7 @@ def without_control(block: fg.Block) -> fg.Block:
 
 
 def main() -> None:
-    """Fit, adjust three times, print."""
+    """Fit RPC, adjust the three cases, print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--compensation", default="shift", choices=("shift", "shift_drift", "affine"))
     kind = parser.parse_args().compensation
