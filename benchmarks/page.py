@@ -23,28 +23,33 @@ PAGE: Final = ROOT / "docs" / "performance.md"
 FIGURE: Final = ROOT / "docs" / "performance.svg"
 #: Words before a table.
 TEXTS: Final = {
-    "What must hold": "Ratios are peer over ours, with the threads that our backend takes by itself.",
-    "What is wished for": """\
-A ratio with ">=" is a lower bound: the peer ended before it had reached the common cost, so its time is the least
-that it would need.""",
+    "Limits": """\
+A ratio is the time of another program divided by the time of fg_orient with its default number of threads.""",
+    "Targets": """\
+A ratio with ">=" is a lower bound: the other program ended before it reached the common cost, and would need more
+time.""",
     "All solvers": """\
-Seconds are medians of the repeats with their quartiles. Structure is what is made once per problem: arrays and
-ordering, sparsity pattern, or the peer's own objects. An iteration is the solution over its iterations; *steady* is one
-iteration of ours on memory that was used before. The cost excess is relative to the lowest cost that any solver found;
-above 1e-6 a ratio is a lower bound. pyceres calls the same compiled function as our factors.""",
+Times in seconds are medians of the repeats with their quartiles. Structure is the preparation once per problem:
+arrays and ordering, sparsity pattern, or the objects of the other program. The time of an iteration is the time of
+the solution divided by the number of iterations; *steady* is one iteration of fg_orient on memory that was used
+before. The cost excess is relative to the lowest cost of all solvers; above 1e-6 a ratio is a lower bound. pyceres
+calls the same compiled function as the factors of fg_orient.""",
     "Against the hardware": """\
-The bound charges, at the highest rates of a triad and of matrix products measured between the rounds: 450 B and 330
-flop to linearise an image point, 192 B for its part of the point block, 1458 flop per pair of rays, and the
-factorisation of the full reduced matrix at the rate of a matrix product. The band bound charges the factorisation of
-its band instead, where that is less, with the images in the order of the block: harder than the first.""",
-    "Stages of an iteration": "`linearise`, `solve` and `retract` make the iteration; kernels are parts of them.",
+The bound is the time of these operations at the highest rates of a triad and of matrix products measured between
+the rounds: 450 B and 330 flop to linearise an image point, 192 B for its part of the point block, 1458 flop per
+pair of rays, and the factorisation of the full reduced matrix at the rate of a matrix product. The band bound uses
+the factorisation of the band if that is faster, with the images in the order of the block. It is stricter than the
+first bound.""",
+    "Stages of an iteration": """\
+An iteration consists of `linearise`, `solve` and `retract`; the kernels are parts of these stages.""",
     "Before the first iteration": """\
-Reading is metadata, tables and project file of the block; compiling gives start coordinates and whitened records; the
-structure sorts and indexes them. The first call of the kernels, compiled or loaded from the cache, is apart.""",
+Read: metadata, tables and project file of the block. Compile: approximate coordinates and whitened records.
+Structure: sorting and indexing. The times do not include the first call of the kernels, compiled or loaded from the
+cache.""",
     "Memory": """\
-Bytes per image point, measured in a process of its own: the peak of the resident memory in the solution minus that
-before the block was made minus the arrays of the problem (working set); the same with the records of the equations
-counted; the peak minus the resident memory right before the solution.""",
+Bytes per image point, measured in a separate process. Working set: the peak of the resident memory in the solution
+minus the memory before the block was made minus the arrays of the problem. With records: the same including the
+records of the equations. Solve only: the peak minus the resident memory immediately before the solution.""",
 }
 
 
@@ -64,12 +69,12 @@ def page(results: dict[str, Any]) -> str:
     exponents = {name: s.exponent(name, 10_000) for name in ("schur", "schur-1", "schur-2", "graph")}
     parts = [
         "# Performance",
-        f"Measured on {m['processor']} with vectors of {m['vector_bits']} bits; a run on a processor with narrower "
-        f"ones stands beside it: [{SECOND}](#{SECOND.lower().replace(' ', '-')}).",
+        f"Measured on {m['processor']} with vectors of {m['vector_bits']} bits. The figures of a second run are in the "
+        f"section [{SECOND}](#{SECOND.lower().replace(' ', '-')}).",
         "<!-- Made by `python -m benchmarks.page` from benchmarks/results/fast_path.json. Do not edit. -->",
-        "One observation here is one image point, two equations. Synthetic SPOT-like blocks with 27 unknowns per "
-        "image, 2 % control points; all solvers get the same whitened equations, start values and priors; BLAS has one "
-        "thread. The pinhole problems have nine unknowns per camera and no priors.",
+        "On this page one observation is one image point with two equations. The blocks are synthetic SPOT-like blocks "
+        "with 27 unknowns per image and 2 % control points. All solvers use the same whitened equations, approximate "
+        "values and priors; BLAS has one thread. The pinhole problems have nine unknowns per camera and no priors.",
         f"Run of {m['date']} ({kind}, up to {m['repeats']} repeats): {m['processor']}, {m['cores']} cores, Python "
         f"{m['python']}; {versions}. Load of the machine before the run: {m['load']:.1f}. Triad "
         f"{h.triad[1] / 1e9:.1f} GB/s with one thread, {h.triad[2] / 1e9:.1f} with two; matrix product "
@@ -79,12 +84,15 @@ def page(results: dict[str, Any]) -> str:
     ]
     found = [f"{NAMES[name]} {value:.2f}" for name, value in exponents.items() if value is not None]
     if found:
-        parts.append(f"Time per iteration grows with the number of image points to the power: {'; '.join(found)}.")
+        parts.append(
+            "The time per iteration is proportional to a power of the number of image points. "
+            f"Exponents: {'; '.join(found)}."
+        )
     tables = all_tables(results)
     for heading, rows in tables.items():
         parts += [f"## {heading}", TEXTS[heading], markdown(rows)]
-        if heading == "What is wished for":
-            parts += second_run([row for name in ("What must hold", heading) for row in tables[name][1:]])
+        if heading == "Targets":
+            parts += second_run([row for name in ("Limits", heading) for row in tables[name][1:]])
     return "\n\n".join(parts) + "\n"
 
 

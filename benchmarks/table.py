@@ -8,23 +8,23 @@ from benchmarks.goals import MUST, WISHED, Goal, shown
 from benchmarks.summary import Summary, Value, iteration_seconds, steady_seconds, whole_seconds
 
 NAMES: Final = {
-    "schur": "ours (Schur)",
-    "schur-1": "ours (Schur), 1 thread",
-    "schur-2": "ours (Schur), 2 threads",
-    "graph": "ours (graph)",
-    "adjust": "ours (as `adjust` chooses)",
+    "schur": "fg_orient (Schur)",
+    "schur-1": "fg_orient (Schur), 1 thread",
+    "schur-2": "fg_orient (Schur), 2 threads",
+    "graph": "fg_orient (graph)",
+    "adjust": "fg_orient (choice of `adjust`)",
     "trf-2-point": "scipy trf, 2-point",
-    "trf-analytic": "scipy trf, our Jacobian",
-    "pyceres": "pyceres, our function",
+    "trf-analytic": "scipy trf, Jacobian of fg_orient",
+    "pyceres": "pyceres, function of fg_orient",
     "ceres-1": "Ceres C++ (pycolmap), 1 thread",
     "ceres-2": "Ceres C++ (pycolmap), 2 threads",
     "gtsam": "GTSAM C++",
-    "gtsam-native": "GTSAM's optimiser, our factors",
-    "gtsam-native-iterate": "GTSAM's optimiser, our factors",
+    "gtsam-native": "GTSAM's optimiser, factors of fg_orient",
+    "gtsam-native-iterate": "GTSAM's optimiser, factors of fg_orient",
     "compile": "compile",
     "read": "read",
 }
-#: The one of ours that peers are held against.
+#: Solver of fg_orient with which the other programs are compared.
 OWN: Final = {"spot": "schur", "pinhole": "schur", "resection": "adjust"}
 NO_SOLUTION: Final = ("compile", "read")
 
@@ -44,7 +44,7 @@ def solver_rows(s: Summary) -> Rows:
     """Every solver on every problem: seconds, iterations, cost, and its ratio to ours."""
     out = [[
         "problem", "solver", "image points", "repeats", "structure s", "solve s", "iterations",
-        "µs/point/iteration", "steady", "cost excess", "whole / ours", "iteration / ours",
+        "µs/point/iteration", "steady", "cost excess", "whole / fg_orient", "iteration / fg_orient",
     ]]  # fmt: skip
     for problem in ("spot", "resection", "pinhole"):
         for size in s.sizes(problem):
@@ -144,8 +144,8 @@ def all_tables(results: dict[str, Any]) -> dict[str, Rows]:
     """Tables by heading, in the order of the page."""
     s = Summary(results)
     return {
-        "What must hold": goal_rows(s, MUST, must=True),
-        "What is wished for": goal_rows(s, WISHED, must=False),
+        "Limits": goal_rows(s, MUST, must=True),
+        "Targets": goal_rows(s, WISHED, must=False),
         "All solvers": solver_rows(s),
         "Against the hardware": bound_rows(s),
         "Stages of an iteration": stage_rows(s),

@@ -149,7 +149,7 @@ def test_verdicts() -> None:
 @pytest.mark.behaviour
 def test_every_goal_can_be_measured_or_says_that_it_was_not() -> None:
     empty = all_tables(summary(record("schur", "1e3", 1.0, 1.0)).results)
-    for heading, goals in (("What must hold", MUST), ("What is wished for", WISHED)):
+    for heading, goals in (("Limits", MUST), ("Targets", WISHED)):
         assert [row[0] for row in empty[heading][1:]] == [goal.name for goal in goals]
         assert "not measured" in {row[-1] for row in empty[heading]}
     sizes = ("1e3", "1e4", "1e5", "1e6")
