@@ -20,8 +20,8 @@ HEAD = """\
 
 <!-- made by docs/options.py from fg_orient/model/options.py -->
 
-Every option has one declaration, in `fg_orient.model.options`, and can be given in three places; the later one of this
-list wins:
+Every option has one declaration, in `fg_orient.model.options`, and can be given in three places. If it
+is given in several places, the last place of this list applies:
 
 1. project file: an entry of `[orientation]` or `[adjustment]`, for instance `datum = "inner"`;
 2. command line: `fg-orient adjust project.toml --datum inner`. Yes or no: `--gnc`, `--no-gnc`. Names
@@ -30,7 +30,7 @@ list wins:
    option is a `TypeError`, a value that is not allowed an `InputError`. `fg.adjust(block, options=fg.Options(...))`
    replaces all.
 
-{reading} are options of reading: `read_project` takes them, `adjust` of a block does not.
+{reading} are used when a project is read: `read_project` accepts them, `adjust` of a block does not.
 
 tau runs from -1 at the first line of an image to +1 at the last; c0, c1, c2 are the constant, linear and quadratic
 coefficient of tau.
