@@ -202,7 +202,7 @@ class _Run:
         self._report("statistics", len(compiled.observations))
         cofactors, withheld = _cofactors(compiled, estimate)
         return Again(
-            problem=compiled, status=verdict.judge(compiled, estimate, withheld).status, state=estimate.state,
+            problem=compiled, status=verdict.assess_solution(compiled, estimate, withheld).status, state=estimate.state,
             chi2=estimate.chi2, cofactors=cofactors, withheld=withheld, estimate=estimate, structure_s=structure,
         )  # fmt: skip
 
@@ -258,7 +258,7 @@ def conclude(
     if located is not None:
         ground[located.index] = located.ground_m
     accuracy = _assess(compiled, ground, located, cofactors)
-    assessment = verdict.judge(compiled, estimate, withheld)
+    assessment = verdict.assess_solution(compiled, estimate, withheld)
     findings = verdict.findings(compiled, estimate, assessment, observability, block_view, accuracy)
     if assessment.status is Status.NOT_TRUSTWORTHY:
         from fg_orient.quality.verdict import mix_ups

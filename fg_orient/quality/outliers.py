@@ -254,10 +254,10 @@ def outlier_tests(
             problem, state, cofactors, groups_of(problem, problem.block.options.variance_components), known
         )
         freedom = freedoms(residuals, found, components)
-    return judge(problem, found, chi2, level=level, test=test, control=control, freedom=freedom)
+    return assess_suspects(problem, found, chi2, level=level, test=test, control=control, freedom=freedom)
 
 
-def judge(
+def assess_suspects(
     problem: Problem, found: Sequence[Suspects], chi2: float, *, level: float, test: str, control: str,
     freedom: Array | None = None,
 ) -> OutlierTests:  # fmt: skip

@@ -47,7 +47,7 @@ class SolutionAssessment:
     interval: tuple[float, float]
 
 
-def judge(problem: Problem, estimate: Estimate, withheld: tuple[Finding, ...]) -> SolutionAssessment:
+def assess_solution(problem: Problem, estimate: Estimate, withheld: tuple[Finding, ...]) -> SolutionAssessment:
     """Status from convergence, covariance and the global test of sigma0."""
     f = problem.redundancy
     if not estimate.converged or not np.isfinite(estimate.chi2):

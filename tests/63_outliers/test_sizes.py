@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binom, ncf, ncx2
 
 from fg_orient.quality import hypotheses
-from fg_orient.quality.outliers import _classes, judge
+from fg_orient.quality.outliers import _classes, assess_suspects
 from fg_orient.quality.reliability import noncentrality
 from fg_orient.quality.suspects import Suspects
 from tests.support.linear_twin import LinearTwin, linear_twin
@@ -140,7 +140,9 @@ def any_alarm(twin: LinearTwin, v: np.ndarray, test: str, level: float) -> dict[
         out[control] = float(np.mean(alarms))
         for run in range(0, 3):  # the same through the public path
             drawn = [replace(s, v=v[run][twin.rows(s)]) for s in families]
-            found = judge(twin.solution.problem, drawn, float(chi2[run]), level=level, test=test, control=control)
+            found = assess_suspects(
+                twin.solution.problem, drawn, float(chi2[run]), level=level, test=test, control=control
+            )
             assert bool(found.suspicious()) is bool(alarms[run])
             assert found.n_tested == len(classes)
     return out

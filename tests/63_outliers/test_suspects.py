@@ -12,7 +12,7 @@ from fg_orient.adjustment.dense import assemble
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError, NoSolutionError, finding
 from fg_orient.quality import prediction
-from fg_orient.quality.outliers import judge
+from fg_orient.quality.outliers import assess_suspects
 from fg_orient.quality.suspects import Kind, suspects
 from tests.support.linear_twin import linear_twin
 from tests.support.rpc_block import rpc_twin
@@ -157,6 +157,6 @@ def test_suspects_of_different_points_are_never_one_class() -> None:
     found = suspects(twin.solution.problem, twin.solution.state, twin.solution.cofactors)[0]
     one = replace(found, point=np.array([0, 0, 1]), row=np.array([0, 1, 2]), v=10.0 * found.v[[0, 0, 0]],
                   q=found.q[[0, 0, 0]], columns=found.columns[[0, 0, 0]])  # fmt: skip
-    tests = judge(twin.solution.problem, [one], 1e4, level=0.05, test="baarda", control="none")
+    tests = assess_suspects(twin.solution.problem, [one], 1e4, level=0.05, test="baarda", control="none")
     assert tests.n_tested == 2
     assert sorted(len(test.inseparable) for test in tests) == [0, 1, 1]
