@@ -100,8 +100,10 @@ def constant_for(weight: Curve, dimension: int, corners: Sequence[float] = (), g
     return 0.5 * (low + high)
 
 
-def loss_from_weight(name: str, weight: Curve, *, corners: Sequence[float] = (), source: str = "") -> Loss:
-    """Make a loss of its weight alone; :func:`factors.losses.register` makes it known.
+def loss_from_weight(
+    name: str, weight: Curve, *, corners: Sequence[float] = (), source: str = "", redescending: bool = True
+) -> Loss:
+    """Make a loss from its weight; :func:`factors.losses.register` registers it.
 
     Parameters
     ----------
@@ -112,11 +114,13 @@ def loss_from_weight(name: str, weight: Curve, *, corners: Sequence[float] = (),
         Where w or its slope jumps, in u.
     source : str
         Author year.
+    redescending : bool
+        Whether the weight falls so fast that the loss has several minima; it then starts from that of Huber's loss.
 
     Raises
     ------
     ValueError
-        The weight is none, or no constant leaves 95 % efficiency.
+        The weight is invalid, or no constant gives 95 % efficiency.
     """
     grid = np.unique(np.concatenate([np.linspace(0.0, 50.0, 5001), np.geomspace(50.0, _LAST, 500)]))
     w = np.asarray(weight(grid), dtype=np.float64)
@@ -124,4 +128,6 @@ def loss_from_weight(name: str, weight: Curve, *, corners: Sequence[float] = (),
         raise ValueError(f"the weight of {name!r} is not 1 at 0, falling and not negative")
     constants = tuple(constant_for(weight, d, corners) for d in (1, 2, 3))
     first, second, third = constants
-    return Loss(name, weight, Integral.of(weight, corners), (first, second, third), source, tuple(corners))
+    return Loss(
+        name, weight, Integral.of(weight, corners), (first, second, third), source, tuple(corners), redescending
+    )

@@ -37,7 +37,7 @@ PLAUSIBLE_SIGMA_M: Final = (1e-5, 1e4)
 
 @dataclass(frozen=True)
 class Record:
-    """Ground points as a reader gives them, check points included: nothing of it leaves ``io`` unsealed.
+    """Ground points as a reader gives them, check points included: they leave ``formats`` sealed only.
 
     Parameters
     ----------

@@ -1,8 +1,15 @@
 """Assessment of a solution: status, reason and the most important findings.
 
-``sigma0`` above the upper end of its two-sided 99.9 % interval makes a solution not
-trustworthy: model and weights contradict the observations. Below the lower end the sigmas
-are too large; this is reported and does not change the status.
+A converged solution is not trustworthy (exit code 4) for one of five reasons:
+
+- its datum is free (damped steps without priors and control);
+- it has no covariance, and no priors hold the weak directions;
+- ``sigma0`` is above the upper end of its two-sided 99.9 % interval: model and weights contradict the observations;
+- a robust loss down-weights more than half of the image points;
+- a robust loss down-weights more than half of the image points of one image.
+
+``sigma0`` below the lower end of the interval means that the sigmas are too large. This is reported and does not change
+the status.
 
 Image coordinates that are exchanged or counted from the other side are detected before the adjustment
 (:func:`mix_ups`).
@@ -30,7 +37,7 @@ from fg_orient.quality.observability import BlockObservability, ImageObservabili
 
 #: Probability of the two-sided interval of sigma0.
 SIGMA0_LEVEL = 0.999
-#: Image points with a smaller weight count as turned down; more than this share of them, and nothing is to be trusted.
+#: Image points with a smaller weight count as down-weighted; a solution with a larger share of them is not trustworthy.
 DOWN = 0.5
 MOST_DOWN = 0.5
 #: Images that are named one by one.
@@ -71,10 +78,10 @@ def assess_solution(problem: Problem, estimate: Estimate, withheld: tuple[Findin
 
 
 def _assess_weights(problem: Problem, estimate: Estimate, weights: Weights) -> SolutionAssessment:
-    """Under a loss sigma0 follows no chi-square; a loss that turns most of the observations down fits too few.
+    """Status under a loss, by the number of down-weighted image points: sigma0 is not chi-square distributed there.
 
-    So does one that turns most image points of one image down: what is left, or its priors, orient it. Least absolute
-    values turn nothing down: their weights fall from the first residual on.
+    An image with most of its image points down-weighted is oriented by the others or by its priors alone. Least
+    absolute values are not assessed: their weights decrease from the smallest residual on.
     """
     if problem.block.options.loss in UNWEIGHED:
         return SolutionAssessment(Status.CONVERGED, estimate.end, NO_INTERVAL)
@@ -91,7 +98,7 @@ def _assess_weights(problem: Problem, estimate: Estimate, weights: Weights) -> S
 
 
 def turned_down_images(problem: Problem, weights: Weights) -> list[tuple[str, int, int]]:
-    """Images most of whose image points a loss has turned down: id, how many, of how many."""
+    """Images with more than half of their image points down-weighted: id, number of these, number of all."""
     o, m = problem.observations, problem.n_images
     if problem.block.options.loss in UNWEIGHED:
         return []
@@ -100,17 +107,17 @@ def turned_down_images(problem: Problem, weights: Weights) -> list[tuple[str, in
 
 
 def points_without_ray(problem: Problem, weights: Weights) -> list[str]:
-    """Ids of unknown points all of whose rays a loss has turned down: they lie where these rays meet, unchecked."""
+    """Ids of unknown points with all rays down-weighted: no other observation checks their position."""
     return [problem.block.points.ids[j] for j in _left_with(problem, weights, 0)]
 
 
 def points_on_one_ray(problem: Problem, weights: Weights) -> list[str]:
-    """Ids of unknown points all but one of whose rays a loss has turned down: next to nothing holds them along it."""
+    """Ids of unknown points with all rays but one down-weighted: their position along this ray is not determined."""
     return [problem.block.points.ids[j] for j in _left_with(problem, weights, 1)]
 
 
 def _left_with(problem: Problem, weights: Weights, rays: int) -> list[int]:
-    """Unknown points without control, or whose control is turned down, that a loss has left so many of more rays."""
+    """Unknown points with this number of rays left by a loss, without control or with down-weighted control."""
     o, n = problem.observations, len(problem.active)
     if problem.block.options.loss in UNWEIGHED:
         return []

@@ -52,7 +52,7 @@ class Section:
     template: str = ""
 
 
-#: Sections of an adjustment, and of a block whose unknowns nothing determines.
+#: Sections of the report of an adjustment; the page of a refused block has its own (:func:`render_deficient`).
 SECTIONS: Final[list[Section]] = []
 
 

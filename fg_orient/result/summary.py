@@ -188,7 +188,7 @@ def summary(solution: Solution) -> dict[str, Any]:
 
 
 def _robust(solution: Solution) -> dict[str, Any] | None:
-    """What the loss has turned down, least weight first; null without a loss."""
+    """Observations down-weighted by the loss, smallest weight first; null without a loss."""
     weights, problem = solution.weights, solution.problem
     if weights is None:
         return None

@@ -135,3 +135,10 @@ def test_scales_multiply_the_constants() -> None:
     robust = scaled(loss, (2.0, 0.5))
     assert robust.image.constant == 2.0 * loss.constant(IMAGE)
     assert robust.control.constant == 0.5 * loss.constant(CONTROL)
+
+
+@pytest.mark.behaviour
+def test_a_convex_loss_of_its_weight_starts_from_least_squares() -> None:
+    convex = loss_from_weight("soft", lambda u: 1.0 / (1.0 + u), redescending=False)
+    assert not convex.redescending
+    assert loss_from_weight("hard", lambda u: 1.0 / (1.0 + u * u)).redescending
