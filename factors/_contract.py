@@ -1,6 +1,6 @@
 """The calling convention of every observation equation, and the registry.
 
-An equation is one scalar kernel, compiled with numba and pure::
+An equation is one pure scalar kernel::
 
     value, jacobian_1, ..., jacobian_n = kernel(record, setup, x_1, ..., x_n, want)
 
@@ -9,7 +9,8 @@ all observations of a group share, ``x_i`` (k_i,) the unknowns, all float64 in C
 ``value`` (m,) is the whitened residual, ``jacobian_i`` (m, k_i) its derivative. With
 ``want`` False the Jacobians are (0, 0) arrays; the value never depends on ``want``.
 ``residual(record, setup, x_1, ...)`` gives the value alone and accepts complex unknowns,
-so that every Jacobian can be checked by complex step.
+so that every Jacobian can be checked by complex step. What is called for each observation is compiled with numba:
+``fill`` of an equation of image points, ``residual``, or the kernel itself (:func:`compiled`).
 
 Factors and batches call the same kernel. Observations run along axis 0.
 """

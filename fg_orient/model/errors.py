@@ -99,8 +99,8 @@ class Finding:
         data = known | dict(self.data)
         name = (lambda option: self.names.get(option, option)) if self.names else naming
         named = [_OPTION.sub(lambda found: name(found[1]), part) for part in parts]
-        shown = [part for k, part in enumerate(named) if k == 0 or _filled(part, data)]
-        return _PLURAL.sub(_agreeing, "".join(_FORMAT.vformat(part, (), data) for part in shown))
+        shown = (part for k, part in enumerate(named) if k == 0 or _filled(part, data))
+        return "".join(_FORMAT.vformat(_agreeing(part, data), (), data) for part in shown)
 
 
 class _Format(string.Formatter):
@@ -119,18 +119,19 @@ class _Format(string.Formatter):
 
 
 _FORMAT: Final = _Format()
-#: A number, its noun with "(s)", and the verb after it.
-_PLURAL: Final = re.compile(r"\b(\d+)((?: [a-z]+){1,5})\(s\)(,?(?: that| which)? (?:are|have|lie|were)\b)?")
-_SINGULAR: Final = {"are": "is", "have": "has", "lie": "lies", "were": "was"}
+#: Field of a number, its noun with "(s)", and the verb after it.
+_COUNTED: Final = re.compile(r"(\{(\w+)[^{}]*\}(?: [a-z]+){1,5})\(s\)( (?:are|have|lie)\b)?")
+_SINGULAR: Final = {"": "", " are": " is", " have": " has", " lie": " lies"}
 
 
-def _agreeing(counted: re.Match[str]) -> str:
-    """Noun and verb in the number of the figure before them."""
-    number, noun, verb = counted[1], counted[2], counted[3] or ""
-    if number != "1":
-        return f"{number}{noun}s{verb}"
-    start, _, word = verb.rpartition(" ")
-    return f"{number}{noun}" + (f"{start} {_SINGULAR[word]}" if verb else "")
+def _agreeing(part: str, data: Mapping[str, Any]) -> str:
+    """Part of a message whose nouns and verbs agree with the numbers before them; the data themselves stay."""
+
+    def agree(counted: re.Match[str]) -> str:
+        verb = counted[3] or ""
+        return counted[1] + (_SINGULAR[verb] if str(data[counted[2]]) == "1" else f"s{verb}")
+
+    return _COUNTED.sub(agree, part)
 
 
 def _filled(part: str, data: Mapping[str, Any]) -> bool:

@@ -158,3 +158,8 @@ def test_data_are_plain_and_lists_are_short() -> None:
 )
 def test_noun_and_verb_agree_with_their_number(n: int, text: str) -> None:
     assert finding("search.check_points", n=n, points=["7"]).message.startswith(text)
+
+
+@pytest.mark.behaviour
+def test_names_of_the_user_stay_as_they_are() -> None:
+    assert finding("search.check_points", n=2, points=["1 tree(s) are"]).message.endswith(": 1 tree(s) are")
