@@ -18,7 +18,6 @@ from factors._contract import Array
 from fg_orient.adjustment.linear import conditioning
 from fg_orient.adjustment.linear.conditioning import diagnose
 from fg_orient.adjustment.linear.l_curve import LCurve, l_curve_of
-from fg_orient.adjustment.linear.ls_conditions import ls_conditions
 from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.model.cells import CellKey
 from fg_orient.model.names import COMPONENTS, EOP_SETS, Role
@@ -215,8 +214,8 @@ def _condition_values(system: LinearSystem, x: Array, residual: Array) -> dict[s
     names = ("sum_residual", "sum_squared_residual", "normal_residual_abs_min", "normal_residual_abs_max")
     if not (np.isfinite(x).all() and np.isfinite(residual).all()):
         return counted | dict.fromkeys(names, math.nan)
-    found = ls_conditions(system, x, residual)
-    values = (found.sum_v, found.sum_vv, found.normal_min, found.normal_max)
+    misfit = np.abs(system.normal @ x - system.rhs)
+    values = map(float, (residual.sum(), residual @ residual, misfit.min(), misfit.max()))
     return counted | dict(zip(names, values, strict=True))
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from fg_orient.adjustment.linear import kappa as kappa_module
 from fg_orient.adjustment.linear import registry
-from fg_orient.adjustment.linear.conditioning import cross_solver_spread, diagnose
+from fg_orient.adjustment.linear.conditioning import diagnose
 from fg_orient.adjustment.linear.kappa import (
     Given,
     KappaChoice,
@@ -18,10 +18,9 @@ from fg_orient.adjustment.linear.kappa import (
     register_kappa_rule,
     unit_variance,
 )
-from fg_orient.adjustment.linear.ls_conditions import ls_conditions, well_posedness
 from fg_orient.adjustment.linear.registry import attempt, register_solver, solve, solver, solvers
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, Breakdown, LinearSolution, LinearSystem
-from fg_orient.adjustment.linear.tikhonov import generalised, penalty_matrix, regularised, tikhonov
+from fg_orient.adjustment.linear.tikhonov import regularised, tikhonov
 from fg_orient.model.errors import InputError
 
 EYE = LinearSystem(np.eye(2), np.ones(2))
@@ -60,19 +59,8 @@ CASES: dict[str, tuple[Callable[[], object], str, str]] = {
         "linear.too_large",
         "2001",
     ),
-    "no redundancy": (lambda: ls_conditions(SQUARE, np.ones(2)), "linear.redundancy", "2 rows, 2 unknowns"),
     "no redundancy for s0": (lambda: unit_variance(SQUARE, np.ones(2)), "linear.redundancy", "2 rows, 2 unknowns"),
     "no redundancy for HKB": (lambda: solve("tikhonov_hkb", SQUARE), "linear.redundancy", "2 rows, 2 unknowns"),
-    "dP does not fit": (
-        lambda: ls_conditions(LinearSystem.from_design(np.ones((3, 1)), np.ones(3)), np.ones(2)),
-        "linear.solution",
-        "(2,)",
-    ),
-    "v does not fit": (
-        lambda: ls_conditions(LinearSystem.from_design(np.ones((3, 1)), np.ones(3)), np.ones(1), np.ones(2)),
-        "linear.residuals",
-        "(2,)",
-    ),
     "complex N": (lambda: LinearSystem(np.eye(2) * 1j, np.ones(2)), "linear.not_real", "complex128"),
     "complex A": (lambda: LinearSystem.from_design(np.eye(2) * 1j, np.ones(2)), "linear.not_real", "complex128"),
     "words in b": (lambda: LinearSystem(np.eye(2), np.array(["1", "2"])), "linear.not_real", "<U1"),
@@ -85,31 +73,12 @@ CASES: dict[str, tuple[Callable[[], object], str, str]] = {
     ),
     "no design": (lambda: solve("qr", EYE), "linear.no_design", ""),
     "no design for a curve": (lambda: tikhonov(EYE, "gcv"), "linear.no_design", ""),
-    "no design for conditions": (lambda: ls_conditions(EYE, np.ones(2)), "linear.no_design", ""),
     "unknown solver": (lambda: solver("cramer"), "linear.solver", "cramer"),
     "unknown rule": (lambda: choose_kappa("best", EYE), "linear.kappa_rule", "best"),
     "rule lacks noise": (lambda: choose_kappa("discrepancy", SQUARE), "linear.kappa_needs", ""),
     "negative kappa": (lambda: regularised(EYE, -1.0), "linear.kappa_value", "-1.0"),
     "kappa nan": (lambda: regularised(EYE, np.nan), "linear.kappa_value", "nan"),
-    "unknown penalty": (lambda: penalty_matrix("third", 4), "linear.penalty", "third"),  # type: ignore[arg-type]
-    "too few unknowns": (lambda: penalty_matrix("second_difference", 2), "linear.penalty", "second_difference"),
-    "penalty shape": (lambda: penalty_matrix(np.ones((2, 3)), 4), "linear.penalty", "(2, 3)"),
-    "prior mean": (lambda: generalised(EYE, np.ones(3), np.eye(2)), "linear.prior", "(3,)"),
-    "prior covariance": (lambda: generalised(EYE, np.ones(2), np.diag([1.0, 0.0])), "linear.prior", "(2, 2)"),
-    "prior not symmetric": (
-        lambda: generalised(EYE, np.ones(2), np.array([[1.0, 0.5], [0.0, 1.0]])),
-        "linear.prior",
-        "(2, 2)",
-    ),
-    "prior sigma": (lambda: generalised(EYE, np.ones(2), np.eye(2), sigma=0.0), "linear.prior", ""),
-    "noise": (lambda: well_posedness(np.eye(2), np.ones(2), -1.0), "linear.noise", "-1.0"),
-    "posedness nan": (lambda: well_posedness(np.diag([1.0, np.nan]), np.ones(2)), "linear.design", "nan"),
-    "no reference": (lambda: cross_solver_spread({}), "linear.reference", "gauss_partial_pivot_elimination"),
-    "broken reference": (
-        lambda: cross_solver_spread({"a": LinearSolution(np.ones(1), failure="pivot 0")}, "a"),
-        "linear.reference",
-        "pivot 0",
-    ),
+    "penalty shape": (lambda: regularised(EYE, 1.0, np.ones((2, 3))), "linear.penalty", "(2, 3)"),
 }
 
 

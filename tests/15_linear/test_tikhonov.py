@@ -13,7 +13,7 @@ from fg_orient.adjustment.linear.kappa import Given, KappaChoice, choose_kappa, 
 from fg_orient.adjustment.linear.kappa_graph import Ridge
 from fg_orient.adjustment.linear.registry import solve
 from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSystem
-from fg_orient.adjustment.linear.tikhonov import generalised, penalty_matrix, regularised, tikhonov
+from fg_orient.adjustment.linear.tikhonov import regularised, tikhonov
 from tests.support.systems import design_system, vandermonde
 
 
@@ -44,10 +44,11 @@ def test_solution_minimises_the_penalised_sum(system: LinearSystem, penalty: str
         return float(v @ v + kappa * bend @ bend), 2.0 * (design.T @ v + kappa * matrix.T @ bend)
 
     best = minimize(cost, np.zeros(5), jac=True, method="BFGS", options={"gtol": 1e-10}).x
-    found = regularised(system, kappa, penalty, solver=solver)  # type: ignore[arg-type]
+    found = regularised(system, kappa, matrix, solver=solver)
     assert np.abs(found.x - best).max() <= 1e-7
     assert found.kappa == kappa
-    assert np.array_equal(found.x, regularised(system, kappa, matrix, solver=solver).x)
+    if penalty == "identity":
+        assert np.array_equal(found.x, regularised(system, kappa, solver=solver).x)
 
 
 @pytest.mark.oracle
@@ -57,21 +58,6 @@ def test_kappa_zero_is_least_squares_and_the_norm_falls_with_kappa(system: Linea
     assert np.abs(regularised(system, 0.0).x - plain).max() <= 1e-12
     norms = [np.linalg.norm(regularised(system, kappa).x) for kappa in (0.0, 1e-3, 1e-1, 1.0, 10.0, 1e3)]
     assert all(later < earlier for earlier, later in pairwise(norms))
-
-
-@pytest.mark.oracle
-def test_prior_is_the_posterior_mean(system: LinearSystem, rng: np.random.Generator) -> None:
-    """The gain form of the update: x0 + Q A^T (A Q A^T + s^2 I)^-1 (l - A x0)."""
-    design, observed = system.require_design("test")
-    half = rng.normal(size=(5, 5))
-    covariance, mean, sigma = half @ half.T + 0.1 * np.eye(5), rng.normal(size=5), 0.7
-    covariance = 0.5 * (covariance + covariance.T)
-    gain = covariance @ design.T @ np.linalg.inv(design @ covariance @ design.T + sigma**2 * np.eye(12))
-    expected = mean + gain @ (observed - design @ mean)
-    assert np.abs(generalised(system, mean, covariance, sigma=sigma).x - expected).max() <= 1e-11
-    alone = LinearSystem(system.normal, system.rhs)  # N and b suffice
-    found = generalised(alone, mean, covariance, sigma=sigma, solver="cholesky_inverse")
-    assert np.abs(found.x - expected).max() <= 1e-11
 
 
 @pytest.mark.oracle
@@ -342,9 +328,3 @@ def test_registered_solvers_return_their_kappa_and_its_solution(name: str) -> No
     stacked = np.vstack([design, np.sqrt(expected) * np.eye(12)])
     x = np.linalg.lstsq(stacked, np.concatenate([observed, np.zeros(12)]), rcond=None)[0]
     np.testing.assert_allclose(found.x, x, rtol=0.0, atol=1e-8 * np.linalg.norm(x))
-
-
-@pytest.mark.truth
-def test_difference_penalties_do_not_penalise_their_null_space() -> None:
-    assert np.array_equal(penalty_matrix("first_difference", 4) @ np.ones(4), np.zeros(3))
-    assert np.array_equal(penalty_matrix("second_difference", 4) @ np.arange(4.0), np.zeros(2))

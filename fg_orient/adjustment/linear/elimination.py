@@ -5,35 +5,21 @@ Sources: Terlemezoğlu 2019, sections 3.6.2.1-3.6.2.3 and Table 3.1, with the mi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from fg_orient.adjustment.linear.registry import register_solver
+from fg_orient.adjustment.linear.registry import Function, register_solver
 from fg_orient.adjustment.linear.system import Array, LinearSolution, LinearSystem
 from fg_orient.adjustment.linear.triangular import Numbers, back_substitution, check_pivot, cholesky_rows, lost_digits
 
 
 def eliminate(matrix: Array, rhs: Array, *, pivoting: bool) -> tuple[Array, tuple[str, ...]]:
-    """Solve N x = b by Gauss elimination and back substitution, T(3.40)-(3.44).
+    """Solve N x = b by Gauss elimination and back substitution, T(3.40)-(3.44); Breakdown for a zero pivot.
 
-    Parameters
-    ----------
-    matrix : (u, u) array
-    rhs : (u,) array
-    pivoting : bool
-        Before each step exchange rows so that the largest element of the column is the pivot.
-
-    Returns
-    -------
-    x : (u,) array
-    notes : tuple of str
-        Pivots that lost their digits.
-
-    Raises
-    ------
-    Breakdown
-        A pivot is zero.
+    With ``pivoting`` rows are exchanged before each step so that the largest element of the column is the pivot. The
+    notes name pivots that lost their digits.
     """
     u = len(rhs)
     method = "gauss_partial_pivot_elimination" if pivoting else "gauss_elimination"
@@ -49,26 +35,10 @@ def eliminate(matrix: Array, rhs: Array, *, pivoting: bool) -> tuple[Array, tupl
     return x, lost_digits(work.diagonal(), np.abs(matrix).max(axis=0))
 
 
-@dataclass(frozen=True)
-class CheckedElimination:
-    """Cholesky elimination and its check sums.
-
-    Parameters
-    ----------
-    x : (u,) array
-        Solution; complex under ``as_run`` where a radicand was negative.
-    factor : (u, u) array
-        C, upper, with C^T C = N.
-    checks : (u,) array
-        |s_red,i - (sum_j c_ij + y_i)|, zero but for rounding.
-    violated : tuple of int
-        Rows (from 0) where the check sum is off by more than rounding explains.
-    notes : tuple of str
-        Negative radicands, lost digits, violated check sums.
-    """
+class CheckedElimination(NamedTuple):
+    """Cholesky elimination with check sums; see :func:`checked_cholesky`."""
 
     x: Numbers
-    factor: Numbers
     checks: Array
     violated: tuple[int, ...]
     notes: tuple[str, ...]
@@ -79,8 +49,8 @@ def checked_cholesky(
 ) -> CheckedElimination:
     """Solve N x = b by Cholesky with a check-sum column, T-Table 3.1, T(3.45)-(3.50).
 
-    The columns b and s are appended to N. C^T C = N, y = C^-T b, s_red = C^-T s; at each row
-    s_red,i = sum_j c_ij + y_i is checked; C x = y is solved.
+    The columns b and s are appended to N: C^T C = N, y = C^-T b, s_red = C^-T s. Each row is checked by
+    s_red,i = sum_j c_ij + y_i. Then C x = y is solved.
 
     Parameters
     ----------
@@ -88,13 +58,20 @@ def checked_cholesky(
         Symmetric.
     rhs : (u,) array
     sums : (u,) array, optional
-        s_i = sum_j n_ij + b_i as carried since N was formed; default formed here.
+        s_i = sum_j n_ij + b_i, updated since N was formed; default: computed here.
     as_run : bool
         Negative radicands have complex roots.
 
     Returns
     -------
-    CheckedElimination
+    x : (u,) array
+        Solution; complex with ``as_run`` after a negative radicand.
+    checks : (u,) array
+        |s_red,i - (sum_j c_ij + y_i)|: zero except for rounding.
+    violated : tuple of int
+        Rows (from 0) whose check sum differs by more than rounding.
+    notes : tuple of str
+        Negative radicands, lost digits, violated check sums.
 
     Raises
     ------
@@ -111,14 +88,14 @@ def checked_cholesky(
         x = back_substitution(factor[:, :u], factor[:, u])
     checks = np.abs(off)
     notes = (*notes, *(f"row {i + 1}: check sum off by {checks[i]:.3g}" for i in violated))
-    return CheckedElimination(x, factor[:, :u], checks, violated, notes)
+    return CheckedElimination(x, checks, violated, notes)
 
 
 def _violated(table: Array, factor: Numbers, off: Numbers) -> tuple[int, ...]:
-    """Rows whose own share of the check-sum difference exceeds rounding.
+    """Rows whose own part of the check-sum difference exceeds rounding.
 
-    The differences e of the rows above enter row i as -sum_k c_ki e_k/c_ii (the same recursion that reduces s). What
-    is left, c_ii e_i + sum_k c_ki e_k, arises in row i. It is a sum of at most (u + 2)(i + 2) products; to first order
+    The differences e of the rows above enter row i as -sum_k c_ki e_k/c_ii (the same recursion that reduces s). The
+    remainder c_ii e_i + sum_k c_ki e_k arises in row i. It is a sum of at most (u + 2)(i + 2) products. To first order
     their rounding is (u + i + 4) eps times the sum of their absolute values.
     """
     u = len(table)
@@ -132,36 +109,26 @@ def _violated(table: Array, factor: Numbers, off: Numbers) -> tuple[int, ...]:
     return tuple(int(i) for i in np.flatnonzero(own > limit))
 
 
-@register_solver(
-    "gauss_elimination", "Gauss elimination", "elimination", source="Terlemezoğlu 2019, T(3.40)-(3.44)", published=True
-)
+def _published(name: str, label: str, source: str) -> Callable[[Function], Function]:
+    return register_solver(name, label, "elimination", source=f"Terlemezoğlu 2019, {source}", published=True)
+
+
+@_published("gauss_elimination", "Gauss elimination", "T(3.40)-(3.44)")
 def gauss_elimination(system: LinearSystem, as_run: bool) -> LinearSolution:
     """Elimination without pivoting."""
     x, notes = eliminate(system.normal, system.rhs, pivoting=False)
     return LinearSolution(x, notes=notes)
 
 
-@register_solver(
-    "gauss_partial_pivot_elimination",
-    "Gauss elimination, partial pivoting",
-    "elimination",
-    source="Terlemezoğlu 2019, section 3.6.2.2",
-    published=True,
-)
+@_published("gauss_partial_pivot_elimination", "Gauss elimination, partial pivoting", "section 3.6.2.2")
 def gauss_partial_pivot_elimination(system: LinearSystem, as_run: bool) -> LinearSolution:
     """Elimination with exchange of rows."""
     x, notes = eliminate(system.normal, system.rhs, pivoting=True)
     return LinearSolution(x, notes=notes)
 
 
-@register_solver(
-    "cholesky_elimination",
-    "Cholesky elimination",
-    "elimination",
-    source="Terlemezoğlu 2019, Table 3.1, T(3.45)-(3.50)",
-    published=True,
-)
+@_published("cholesky_elimination", "Cholesky elimination", "Table 3.1, T(3.45)-(3.50)")
 def cholesky_elimination(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """Cholesky with check sums; under ``as_run`` the real part of x."""
-    done = checked_cholesky(system.normal, system.rhs, as_run=as_run)
-    return LinearSolution(np.ascontiguousarray(done.x.real), notes=done.notes)
+    """Cholesky with check sums; with ``as_run`` the real part of x."""
+    solved = checked_cholesky(system.normal, system.rhs, as_run=as_run)
+    return LinearSolution(np.ascontiguousarray(solved.x.real), notes=solved.notes)

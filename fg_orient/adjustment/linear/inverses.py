@@ -1,36 +1,66 @@
 """The five published inverses, written out: Cramer, exchange step, Gauss, Moore-Penrose, Cholesky.
 
 Sources: Terlemezoğlu 2019, sections 3.6.1.1-3.6.1.5, with the misprints corrected. Each inverse is formed
-explicitly and then multiplied with b.
+explicitly and then multiplied with b. An inverse that is not finite is a Breakdown.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from fg_orient.adjustment.linear.registry import register_solver
+from fg_orient.adjustment.linear.registry import Function, register_solver
 from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSolution, LinearSystem
-from fg_orient.adjustment.linear.triangular import LOST, Numbers, check_pivot, cholesky_rows, lu_factors, upper_inverse
+from fg_orient.adjustment.linear.triangular import LOST, check_pivot, cholesky_rows, lu_factors, upper_inverse
+
+Inverse = Callable[[Array], Array]
 
 
+def _published(name: str, label: str, equations: str) -> Callable[[Function], Function]:
+    source = f"Terlemezoğlu 2019, {equations}"
+    return register_solver(name, label, "inverse", source=source, published=True)
+
+
+def _solver(name: str, label: str, equations: str) -> Callable[[Inverse], Inverse]:
+    """Register the solver that multiplies the inverse of a decorated function with b."""
+
+    def add(invert: Inverse) -> Inverse:
+        def multiplied(system: LinearSystem, as_run: bool) -> LinearSolution:
+            inverse = invert(system.normal)
+            return LinearSolution(inverse @ system.rhs, inverse=inverse, notes=_inflation(system, inverse))
+
+        _published(name, label, equations)(multiplied)
+        return invert
+
+    return add
+
+
+def _finite(inverse: Array, method: str) -> Array:
+    """Raise Breakdown for an inverse that overflowed."""
+    if not np.isfinite(inverse).all():
+        raise Breakdown.of("linear.result_not_finite", place=method)
+    return inverse
+
+
+def _inflation(system: LinearSystem, inverse: Array) -> tuple[str, ...]:
+    """Remark if digits are lost.
+
+    n_ii (N^-1)_ii has no unit. Its reciprocal is the share of n_ii that remains after the elimination of all other
+    unknowns: the same measure as a lost pivot. (N N^-1 is close to the identity even for a singular N.)
+    """
+    inflation = float(np.abs(system.normal.diagonal() * inverse.diagonal()).max())
+    if inflation <= 1.0 / LOST:
+        return ()
+    return (f"an element n_ii times its inverse's is {inflation:.1e}: the matrix is near singular",)
+
+
+@_solver("cramer_inverse", "Cramer inverse", "T(3.9)")
 def invert_cramer(normal: Array) -> Array:
-    """Invert by cofactors: N^-1 = adj(N)/det(N), T(3.9).
+    """Invert (u, u) by cofactors: N^-1 = adj(N)/det(N), T(3.9); Breakdown if the determinant is zero.
 
-    Determinants are kept as sign and logarithm and only differences of logarithms are exponentiated, so that no
+    Determinants are stored as sign and logarithm, and only differences of logarithms are exponentiated: no
     determinant overflows. The cost grows with u^5: 1 s at u = 84.
-
-    Parameters
-    ----------
-    normal : (u, u) array
-
-    Returns
-    -------
-    (u, u) array
-
-    Raises
-    ------
-    Breakdown
-        The determinant is zero, or the inverse is not finite.
     """
     u = len(normal)
     sign, log_det = np.linalg.slogdet(normal)
@@ -47,21 +77,11 @@ def invert_cramer(normal: Array) -> Array:
     return _finite(inverse, "cramer_inverse")
 
 
+@_solver("pivot_inverse", "Pivot inverse", "T(3.17)-(3.21)")
 def invert_pivot(matrix: Array) -> Array:
-    """Invert by exchange steps with complete pivoting, T(3.17)-(3.21); also for non-symmetric matrices.
+    """Invert (u, u) by exchange steps with complete pivoting, T(3.17)-(3.21); also non-symmetric matrices.
 
-    Parameters
-    ----------
-    matrix : (u, u) array
-
-    Returns
-    -------
-    (u, u) array
-
-    Raises
-    ------
-    Breakdown
-        All elements left are zero, or the inverse is not finite.
+    Breakdown if all remaining elements are zero.
     """
     u = len(matrix)
     work = np.array(matrix, dtype=np.float64)
@@ -85,21 +105,11 @@ def invert_pivot(matrix: Array) -> Array:
     return _finite(inverse, "pivot_inverse")
 
 
+@_solver("gauss_inverse", "Gauss inverse", "T(3.22)-(3.29)")
 def invert_gauss(matrix: Array) -> Array:
-    """Invert by LU without pivoting (Doolittle): N = C B, N^-1 = B^-1 C^-1, T(3.22)-(3.29).
+    """Invert (u, u) by LU without pivoting (Doolittle): N = C B, N^-1 = B^-1 C^-1, T(3.22)-(3.29).
 
-    Parameters
-    ----------
-    matrix : (u, u) array
-
-    Returns
-    -------
-    (u, u) array
-
-    Raises
-    ------
-    Breakdown
-        A pivot is zero, or the inverse is not finite.
+    Breakdown if a pivot is zero.
     """
     lower, upper = lu_factors(matrix)
     with np.errstate(all="ignore"):
@@ -130,86 +140,7 @@ def pseudo_inverse(matrix: Array, tolerance: float | None = None) -> tuple[Array
     return _finite(inverse, "moore_penrose_inverse"), rank
 
 
-def invert_moore_penrose(matrix: Array, tolerance: float | None = None) -> Array:
-    """Moore-Penrose inverse alone; see :func:`pseudo_inverse`."""
-    return pseudo_inverse(matrix, tolerance)[0]
-
-
-def invert_cholesky(normal: Array, *, as_run: bool = False) -> Array:
-    """Invert by Cholesky: N = C^T C, N^-1 = C^-1 C^-T, T(3.34)-(3.39).
-
-    Parameters
-    ----------
-    normal : (u, u) array
-        Symmetric.
-    as_run : bool
-        Negative radicands have complex roots, as in MATLAB, and the real part of N^-1 is given.
-
-    Returns
-    -------
-    (u, u) array
-
-    Raises
-    ------
-    Breakdown
-        A radicand is not positive (with ``as_run``: zero), or the inverse is not finite.
-    """
-    inverse, _ = _cholesky_inverse(normal, as_run)
-    return _finite(np.ascontiguousarray(inverse.real), "cholesky_inverse")
-
-
-def _cholesky_inverse(normal: Array, as_run: bool) -> tuple[Numbers, tuple[str, ...]]:
-    """N^-1, complex where a radicand was negative, with the notes."""
-    factor, notes = cholesky_rows(normal, "cholesky_inverse", as_run=as_run)
-    with np.errstate(all="ignore"):
-        root = upper_inverse(factor)
-        return root @ root.T, notes
-
-
-def _finite(inverse: Array, method: str) -> Array:
-    """Refuse an inverse that overflowed."""
-    if not np.isfinite(inverse).all():
-        raise Breakdown.of("linear.result_not_finite", place=method)
-    return inverse
-
-
-def _multiplied(system: LinearSystem, inverse: Array, notes: tuple[str, ...] = ()) -> LinearSolution:
-    """Solution N^-1 b, with a remark where digits are lost.
-
-    n_ii (N^-1)_ii carries no units and is the share of n_ii that is left when all other unknowns are eliminated,
-    inverted: the same measure as a lost pivot. (N N^-1 is close to the identity even for a singular N.)
-    """
-    inflation = float(np.abs(system.normal.diagonal() * inverse.diagonal()).max())
-    if inflation > 1.0 / LOST and not notes:
-        notes = (f"an element n_ii times its inverse's is {inflation:.1e}: the matrix is near singular",)
-    return LinearSolution(inverse @ system.rhs, inverse=inverse, notes=notes)
-
-
-@register_solver("cramer_inverse", "Cramer inverse", "inverse", source="Terlemezoğlu 2019, T(3.9)", published=True)
-def cramer_inverse(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """Cofactors over the determinant."""
-    return _multiplied(system, invert_cramer(system.normal))
-
-
-@register_solver(
-    "pivot_inverse", "Pivot inverse", "inverse", source="Terlemezoğlu 2019, T(3.17)-(3.21)", published=True
-)
-def pivot_inverse(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """Exchange steps with complete pivoting."""
-    return _multiplied(system, invert_pivot(system.normal))
-
-
-@register_solver(
-    "gauss_inverse", "Gauss inverse", "inverse", source="Terlemezoğlu 2019, T(3.22)-(3.29)", published=True
-)
-def gauss_inverse(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """LU without pivoting."""
-    return _multiplied(system, invert_gauss(system.normal))
-
-
-@register_solver(
-    "moore_penrose_inverse", "Moore-Penrose", "inverse", source="Terlemezoğlu 2019, T(3.30)-(3.33)", published=True
-)
+@_published("moore_penrose_inverse", "Moore-Penrose", "T(3.30)-(3.33)")
 def moore_penrose_inverse(system: LinearSystem, as_run: bool) -> LinearSolution:
     """Pseudo-inverse of N with the default tolerance."""
     inverse, rank = pseudo_inverse(system.normal)
@@ -217,12 +148,15 @@ def moore_penrose_inverse(system: LinearSystem, as_run: bool) -> LinearSolution:
     return LinearSolution(inverse @ system.rhs, inverse=inverse, rank=rank, notes=notes)
 
 
-@register_solver(
-    "cholesky_inverse", "Cholesky inverse", "inverse", source="Terlemezoğlu 2019, T(3.34)-(3.39)", published=True
-)
+@_published("cholesky_inverse", "Cholesky inverse", "T(3.34)-(3.39)")
 def cholesky_inverse(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """C^-1 C^-T; under ``as_run`` the real part of the complex product with b."""
-    inverse, notes = _cholesky_inverse(system.normal, as_run)
-    x = (inverse @ system.rhs).real
+    """Cholesky N = C^T C, N^-1 = C^-1 C^-T; Breakdown if a radicand is not positive.
+
+    With ``as_run`` negative radicands have complex roots, as in MATLAB, and x is the real part of the product with b.
+    """
+    factor, notes = cholesky_rows(system.normal, "cholesky_inverse", as_run=as_run)
+    with np.errstate(all="ignore"):
+        root = upper_inverse(factor)
+        inverse = root @ root.T
     real = _finite(np.ascontiguousarray(inverse.real), "cholesky_inverse")
-    return LinearSolution(x, inverse=real, notes=_multiplied(system, real, notes).notes)
+    return LinearSolution((inverse @ system.rhs).real, inverse=real, notes=notes or _inflation(system, real))

@@ -1,8 +1,8 @@
 """The registry of rules for the regularisation parameter kappa, and the algebraic rules HKB, LW, Bayes, OD.
 
 A rule is ``function(system: LinearSystem, given: Given) -> KappaChoice``. All rules are for the penalty |x|, so
-kappa has the unit of a squared observation over a squared unknown and changes with the units. A file that calls
-:func:`register_kappa_rule` adds a rule; docs/extending.md. Rules by a curve:
+kappa has the unit of a squared observation over a squared unknown and depends on the units. A file that calls
+:func:`register_kappa_rule` adds a rule; docs/extending.md. Rules that use a curve:
 :mod:`fg_orient.adjustment.linear.kappa_graph`.
 """
 
@@ -25,12 +25,12 @@ _MODULES: Final = ("kappa", "kappa_graph")
 
 @dataclass(frozen=True)
 class Given:
-    """What a rule may need beside the system.
+    """Further inputs of a rule.
 
     Parameters
     ----------
     start_solver : str
-        Solver of the plain least-squares solution that HKB and LW start from.
+        Solver of the least-squares solution used by HKB and LW.
     noise_norm : float, optional
         |e| of the observations l, for the discrepancy principle.
     truth : (u,) array, optional
@@ -48,17 +48,16 @@ class Given:
 
 @dataclass(frozen=True)
 class KappaChoice:
-    """The kappa of a rule, and the curve behind it.
+    """The kappa that a rule chose, and its curve.
 
     Parameters
     ----------
     kappa : float
-        To be used.
     rule : str
     notes : tuple of str
-        Clamping; a choice at the end of the grid.
+        Remarks: clamping; kappa at the end of the grid.
     grid, curve : (n,) array, optional
-        Kappas and the function whose maximum, minimum or zero is the choice, for plots.
+        Kappas and the function whose maximum, minimum or zero is chosen, for plots.
     unclamped : float, optional
         Value of the rule before clamping.
     """
@@ -81,7 +80,7 @@ class KappaRule:
     Parameters
     ----------
     name, label : str
-        "gcv", "Generalised cross-validation".
+        Such as "gcv", "Generalised cross-validation".
     function : callable
         See the module docstring.
     source : str
@@ -132,9 +131,9 @@ def kappa_rules() -> dict[str, KappaRule]:
 
 
 def clamped(choice: KappaChoice) -> KappaChoice:
-    """Clamp to [0, 1] as published: above 1 gives 1; below 0 or nan gives 0 (rounding); both are noted.
+    """Clamp to [0, 1] as published, with a remark: above 1 gives 1, below 0 or nan (rounding) gives 0.
 
-    The bound is no property of kappa: metres to kilometres changes kappa by 1e6.
+    The bound depends on the units: with kilometres instead of metres kappa changes by 1e6.
     """
     value = choice.kappa
     if value > 1.0:
@@ -150,7 +149,7 @@ def choose_kappa(name: str, system: LinearSystem, given: Given | None = None, *,
     Parameters
     ----------
     name : str
-        Of :func:`kappa_rules`.
+        See :func:`kappa_rules`.
     system : LinearSystem
     given : Given, optional
     clamp : bool
@@ -163,9 +162,9 @@ def choose_kappa(name: str, system: LinearSystem, given: Given | None = None, *,
     Raises
     ------
     InputError
-        No rule of this name, or it needs what is not given.
+        There is no rule of this name, or an input of the rule is missing.
     Breakdown
-        The rule finds no kappa, or (without ``clamp``) one that is negative or not finite.
+        The rule finds no kappa, or (without ``clamp``) a kappa that is negative or not finite.
     """
     known = kappa_rules()
     if name not in known:
@@ -189,7 +188,7 @@ def unit_variance(system: LinearSystem, x: Array) -> float:
     Raises
     ------
     InputError
-        A is not known, or there is no redundancy.
+        A is not known, or the redundancy is not positive.
     """
     design, observed = system.require_design("s0")
     if system.redundancy <= 0:
@@ -199,7 +198,7 @@ def unit_variance(system: LinearSystem, x: Array) -> float:
 
 @register_kappa_rule("hkb", "HKB", source="Hoerl, Kennard, Baldwin 1975; T(3.5)", published=True)
 def hkb(system: LinearSystem, given: Given) -> KappaChoice:
-    """Kappa = u s0^2/(x^T x) of the least-squares solution; meaningless when that one is wild."""
+    """Kappa = u s0^2/(x^T x) of the least-squares solution; meaningless if that solution is very inaccurate."""
     x = solve(given.start_solver, system).x
     return KappaChoice(float(np.float64(len(x) * unit_variance(system, x)) / (x @ x)), "hkb")
 

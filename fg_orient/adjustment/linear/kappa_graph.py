@@ -1,8 +1,8 @@
-"""Rules that read kappa off a curve: L-curve, GCV, CRESO, discrepancy, CC and others, for the penalty |x|.
+"""Kappa rules that use a curve: L-curve, GCV, CRESO, discrepancy, CC and others, for the penalty |x|.
 
-With A = U S V^T, beta = U^T l: x = V (s beta/(s^2 + kappa)), |x|^2 = X and |A x - l|^2 = R are sums over the
-singular values, so that curves and their derivatives are exact. The published work names L-curve, GCV,
-CRESO, "maximum" and "CC" without formulas; these are the standard forms.
+With A = U S V^T and beta = U^T l, x = V (s beta/(s^2 + kappa)); |x|^2 = X and |A x - l|^2 = R are sums over the
+singular values. Curves and their derivatives are therefore exact. The published work names L-curve, GCV, CRESO,
+"maximum" and "CC" without formulas; these are the standard forms.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
-from fg_orient.adjustment.linear.kappa import Given, KappaChoice, register_kappa_rule
+from fg_orient.adjustment.linear.kappa import Given, KappaChoice, RuleFunction, register_kappa_rule
 from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSystem
 from fg_orient.model.errors import InputError
 
 GRID_POINTS = 240
-#: The grid starts where the smallest singular value is, but not below 16 roundings of the largest (Hansen 1998).
+#: The grid starts at the smallest singular value, but not below 16 roundings of the largest (Hansen 1998).
 ROUNDINGS = 16.0
 
 Curve = Callable[[float], float]
@@ -37,8 +37,11 @@ class Ridge:
     right : (p, u) array
         V^T.
     outside : float
-        Squared length of the part of l that no x can reach.
+        Squared length of the part of l outside the range of A.
     rows : int
+        r.
+    rule : str
+        Name of the rule, for messages.
     """
 
     values: Array
@@ -46,6 +49,7 @@ class Ridge:
     right: Array
     outside: float
     rows: int
+    rule: str
 
     @classmethod
     def of(cls, system: LinearSystem, rule: str) -> Ridge:
@@ -63,7 +67,7 @@ class Ridge:
         if values[0] == 0.0:
             raise Breakdown.of("linear.no_kappa", place=f"kappa rule {rule}", value="A = 0")
         beta = left.T @ observed
-        return cls(values, beta, right, float(np.sum((observed - left @ beta) ** 2)), len(design))
+        return cls(values, beta, right, float(np.sum((observed - left @ beta) ** 2)), len(design), rule)
 
     @property
     def grid(self) -> Array:
@@ -131,105 +135,104 @@ class Ridge:
         return float(np.sum(terms * (squares - kappa) / (squares + kappa)))
 
 
-def _lowest(rule: str, function: Curve, grid: Array, *, sign: float = 1.0) -> KappaChoice:
+def _lowest(ridge: Ridge, function: Curve, *, sign: float = 1.0) -> KappaChoice:
     """Minimum of a curve (maximum for ``sign`` -1): on the grid, then between its neighbours."""
-    curve = np.array([function(kappa) for kappa in grid])
+    grid, curve = ridge.grid, _along(function, ridge.grid)
     usable = np.where(np.isfinite(curve), sign * curve, np.inf)
     best = int(usable.argmin())
     if not np.isfinite(usable[best]):
-        raise Breakdown.of("linear.no_kappa", place=f"kappa rule {rule}", value="curve not finite")
+        raise Breakdown.of("linear.no_kappa", place=f"kappa rule {ridge.rule}", value="curve not finite")
     if best in (0, len(grid) - 1):
         end = "lower" if best == 0 else "upper"
-        return KappaChoice(float(grid[best]), rule, (f"kappa at the {end} end of its range",), grid, curve)
+        return KappaChoice(float(grid[best]), ridge.rule, (f"kappa at the {end} end of its range",), grid, curve)
     bounds = (np.log(grid[best - 1]), np.log(grid[best + 1]))
-    found = minimize_scalar(lambda t: sign * function(float(np.exp(t))), bounds=bounds, method="bounded")
-    return KappaChoice(float(np.exp(found.x)), rule, (), grid, curve)
+    minimum = minimize_scalar(lambda t: sign * function(float(np.exp(t))), bounds=bounds, method="bounded")
+    return KappaChoice(float(np.exp(minimum.x)), ridge.rule, (), grid, curve)
 
 
-def _crossings(function: Curve, grid: Array, *, upward: bool) -> list[float]:
-    """Kappas where a function changes sign, from below to above zero or the other way, ascending."""
-    logs = np.log(grid)
+def _crossings(ridge: Ridge, function: Curve, missing: str, *, upward: bool, grid: Array | None = None) -> list[float]:
+    """Kappas where a function changes sign in this direction, ascending; Breakdown with the text if there is none."""
+    logs = np.log(ridge.grid if grid is None else grid)
 
     def at_log(t: float) -> float:
         return function(float(np.exp(t)))
 
-    signs = np.sign([at_log(t) for t in logs]) * (1.0 if upward else -1.0)  # where brentq looks: exp(log(x)) is not x
+    signs = np.sign([at_log(t) for t in logs]) * (1.0 if upward else -1.0)  # as brentq evaluates: exp(log(x)) is not x
     starts = np.flatnonzero((signs[:-1] < 0.0) & (signs[1:] >= 0.0))
+    if not len(starts):
+        raise Breakdown.of("linear.no_kappa", place=f"kappa rule {ridge.rule}", value=missing)
     return [float(np.exp(brentq(at_log, logs[i], logs[i + 1]))) for i in starts]
-
-
-def _required(rule: str, found: list[float], what: str) -> list[float]:
-    """Refuse an empty list of candidates."""
-    if not found:
-        raise Breakdown.of("linear.no_kappa", place=f"kappa rule {rule}", value=what)
-    return found
 
 
 def _along(function: Curve, grid: Array) -> Array:
     return np.array([function(kappa) for kappa in grid])
 
 
-@register_kappa_rule("l_curve", "L-curve", source="Hansen, O'Leary 1993")
-def l_curve(system: LinearSystem, given: Given) -> KappaChoice:
+def _curve_rule(
+    name: str, label: str, source: str, *, needs: tuple[str, ...] = ()
+) -> Callable[[Callable[[Ridge, Given], KappaChoice]], RuleFunction]:
+    """Register a rule of the singular value decomposition of a system."""
+
+    def add(function: Callable[[Ridge, Given], KappaChoice]) -> RuleFunction:
+        rule = register_kappa_rule(name, label, source=source, needs=needs)
+        return rule(lambda system, given: function(Ridge.of(system, name), given))
+
+    return add
+
+
+@_curve_rule("l_curve", "L-curve", "Hansen, O'Leary 1993")
+def l_curve(ridge: Ridge, given: Given) -> KappaChoice:
     """Largest curvature of log|x| over log|A x - l|."""
-    ridge = Ridge.of(system, "l_curve")
-    return _lowest("l_curve", ridge.curvature, ridge.grid, sign=-1.0)
+    return _lowest(ridge, ridge.curvature, sign=-1.0)
 
 
-@register_kappa_rule("gcv", "Generalised cross-validation", source="Golub, Heath, Wahba 1979")
-def gcv(system: LinearSystem, given: Given) -> KappaChoice:
+@_curve_rule("gcv", "Generalised cross-validation", "Golub, Heath, Wahba 1979")
+def gcv(ridge: Ridge, given: Given) -> KappaChoice:
     """Least n |(I - H) l|^2/(tr(I - H))^2."""
-    ridge = Ridge.of(system, "gcv")
-    return _lowest("gcv", ridge.gcv, ridge.grid)
+    return _lowest(ridge, ridge.gcv)
 
 
-@register_kappa_rule("creso", "CRESO", source="Colli-Franzone et al. 1985")
-def creso(system: LinearSystem, given: Given) -> KappaChoice:
+@_curve_rule("creso", "CRESO", "Colli-Franzone et al. 1985")
+def creso(ridge: Ridge, given: Given) -> KappaChoice:
     """First local maximum of |x|^2 + 2 kappa d|x|^2/dkappa, from small kappa up.
 
-    Where the solution is all noise at small kappa, that maximum belongs to the smallest singular values and the kappa
+    If the solution for small kappa is noise only, this maximum belongs to the smallest singular values, and the kappa
     is far too small.
     """
-    ridge = Ridge.of(system, "creso")
-    found = _required("creso", _crossings(ridge.creso_slope, ridge.grid, upward=False), "no local maximum")
-    return KappaChoice(found[0], "creso", (), ridge.grid, _along(ridge.creso, ridge.grid))
+    kappas = _crossings(ridge, ridge.creso_slope, "no local maximum", upward=False)
+    return KappaChoice(kappas[0], "creso", (), ridge.grid, _along(ridge.creso, ridge.grid))
 
 
-@register_kappa_rule("maximum", "Maximum likelihood", source="Wahba 1985; the published work names 'maximum' only")
-def maximum(system: LinearSystem, given: Given) -> KappaChoice:
+@_curve_rule("maximum", "Maximum likelihood", "Wahba 1985; the published work names 'maximum' only")
+def maximum(ridge: Ridge, given: Given) -> KappaChoice:
     """Largest likelihood of l under l = A x + e, x normal with variance sigma^2/kappa: our reading of "maximum"."""
-    ridge = Ridge.of(system, "maximum")
-    return _lowest("maximum", ridge.likelihood, ridge.grid, sign=-1.0)
+    return _lowest(ridge, ridge.likelihood, sign=-1.0)
 
 
-@register_kappa_rule("zero_crossing", "Zero crossing", source="Johnston, Gulrajani 1997")
-def zero_crossing(system: LinearSystem, given: Given) -> KappaChoice:
+@_curve_rule("zero_crossing", "Zero crossing", "Johnston, Gulrajani 1997")
+def zero_crossing(ridge: Ridge, given: Given) -> KappaChoice:
     """Smallest kappa with kappa |x|^2 = |A x - l|^2."""
-    ridge = Ridge.of(system, "zero_crossing")
 
     def balance(kappa: float) -> float:
         return kappa * ridge.norm2(kappa) - ridge.residual2(kappa)
 
-    found = _required("zero_crossing", _crossings(balance, ridge.grid, upward=True), "no crossing")
-    return KappaChoice(found[0], "zero_crossing", (), ridge.grid, _along(balance, ridge.grid))
+    kappas = _crossings(ridge, balance, "no crossing", upward=True)
+    return KappaChoice(kappas[0], "zero_crossing", (), ridge.grid, _along(balance, ridge.grid))
 
 
-@register_kappa_rule("quasi_optimality", "Quasi-optimality", source="Tikhonov, Glasko 1965")
-def quasi_optimality(system: LinearSystem, given: Given) -> KappaChoice:
+@_curve_rule("quasi_optimality", "Quasi-optimality", "Tikhonov, Glasko 1965")
+def quasi_optimality(ridge: Ridge, given: Given) -> KappaChoice:
     """Lowest local minimum of |kappa dx/dkappa|."""
-    ridge = Ridge.of(system, "quasi_optimality")
-    found = _crossings(ridge.change2_slope, ridge.grid, upward=True)
-    found = _required("quasi_optimality", found, "no local minimum")
+    kappas = _crossings(ridge, ridge.change2_slope, "no local minimum", upward=True)
     curve = np.sqrt(_along(ridge.change2, ridge.grid))
-    return KappaChoice(min(found, key=ridge.change2), "quasi_optimality", (), ridge.grid, curve)
+    return KappaChoice(min(kappas, key=ridge.change2), "quasi_optimality", (), ridge.grid, curve)
 
 
-@register_kappa_rule("discrepancy", "Discrepancy principle", source="Morozov 1966", needs=("noise_norm",))
-def discrepancy(system: LinearSystem, given: Given) -> KappaChoice:
+@_curve_rule("discrepancy", "Discrepancy principle", "Morozov 1966", needs=("noise_norm",))
+def discrepancy(ridge: Ridge, given: Given) -> KappaChoice:
     """Kappa with |A x - l| = the norm of the noise; the residual grows with kappa, so there is at most one."""
-    ridge, target = Ridge.of(system, "discrepancy"), float(given.noise_norm or 0.0)
-    # beyond these ends the residual is that of kappa = 0 and of x = 0 within rounding
-    eps = np.finfo(np.float64).eps
+    # beyond these ends the residual equals that of kappa = 0 and of x = 0 within rounding
+    eps, target = np.finfo(np.float64).eps, float(given.noise_norm or 0.0)
     wide = np.geomspace(ridge.values[0] ** 2 * eps**3, ridge.values[0] ** 2 / eps, GRID_POINTS)
 
     def excess(kappa: float) -> float:
@@ -237,19 +240,19 @@ def discrepancy(system: LinearSystem, given: Given) -> KappaChoice:
 
     low, high = excess(wide[0]) + target, excess(wide[-1]) + target
     reach = f"noise {target:.3g}, residuals {low:.3g} to {high:.3g}"
-    found = _required("discrepancy", _crossings(excess, wide, upward=True), reach)
-    return KappaChoice(found[0], "discrepancy", (), ridge.grid, _along(excess, ridge.grid))
+    kappas = _crossings(ridge, excess, reach, upward=True, grid=wide)
+    return KappaChoice(kappas[0], "discrepancy", (), ridge.grid, _along(excess, ridge.grid))
 
 
-@register_kappa_rule("cc", "CC", source="named only in Terlemezoğlu 2019", needs=("truth",))
-def cc(system: LinearSystem, given: Given) -> KappaChoice:
-    """Largest correlation x^T t/(|x||t|) with the true solution t: only simulations know it."""
-    ridge, truth = Ridge.of(system, "cc"), np.asarray(given.truth, dtype=np.float64)
-    if truth.shape != system.rhs.shape or not np.isfinite(truth).all():
-        raise InputError.of("linear.truth", place="kappa rule cc", value=f"shape {truth.shape}", unknowns=len(system))
+@_curve_rule("cc", "CC", "named only in Terlemezoğlu 2019", needs=("truth",))
+def cc(ridge: Ridge, given: Given) -> KappaChoice:
+    """Largest correlation x^T t/(|x||t|) with the true solution t, which only simulations provide."""
+    truth, u = np.asarray(given.truth, dtype=np.float64), ridge.right.shape[1]
+    if truth.shape != (u,) or not np.isfinite(truth).all():
+        raise InputError.of("linear.truth", place="kappa rule cc", value=f"shape {truth.shape}", unknowns=u)
 
     def correlation(kappa: float) -> float:
         x = ridge.solution(kappa)
         return float(x @ truth / np.sqrt((x @ x) * (truth @ truth)))
 
-    return _lowest("cc", correlation, ridge.grid, sign=-1.0)
+    return _lowest(ridge, correlation, sign=-1.0)

@@ -1,7 +1,7 @@
-"""The L-curve of a system, and the kappas of the rules as places on it: what a choice of kappa is judged by.
+"""The L-curve of a system, and the kappas of all rules as points on it.
 
-The curve holds |A x - l| and |x| of the Tikhonov solutions for all kappa (Hansen, O'Leary 1993). A rule that reads
-kappa off another function, or off no curve at all, still chooses one of these solutions and so a place on it.
+The curve consists of |A x - l| and |x| of the Tikhonov solutions for all kappa (Hansen, O'Leary 1993). The kappa of
+any rule, also of a rule without this curve, is a point on it.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ CURVE_POINTS: Final = 121
 
 @dataclass(frozen=True)
 class Choice:
-    """The kappa of one rule and its place on the curve.
+    """The kappa of one rule and its point on the curve.
 
     Parameters
     ----------
     rule, label : str
-        "gcv", "Generalised cross-validation".
+        Such as "gcv", "Generalised cross-validation".
     kappa : float
-        nan where the rule finds none.
+        nan if the rule fails.
     residual_norm, solution_norm : float
-        |A x - l| and |x| of its solution; nan where there is none.
+        |A x - l| and |x| of the solution; nan if the rule fails.
     notes : tuple of str
-        Clamping, a choice at the end of the range.
+        Remarks: clamping; kappa at the end of the range.
     failure : str
-        Why there is no kappa; "" if there is one.
+        Reason why the rule fails; "" otherwise.
     """
 
     rule: str
@@ -56,11 +56,11 @@ class LCurve:
     kappa : (n,) array
         Ascending, in equal ratios.
     residual_norm, solution_norm : (n,) array
-        |A x - l|, rising with kappa, and |x|, falling.
+        |A x - l|, which increases with kappa, and |x|, which decreases.
     curvature : (n,) array
-        Of (log residual_norm, log solution_norm); largest at the corner.
+        Curvature of (log residual_norm, log solution_norm); largest at the corner.
     choices : tuple of Choice
-        Of the rules that need the system alone.
+        Kappas of the rules that need no further inputs.
     """
 
     kappa: Array
@@ -70,29 +70,32 @@ class LCurve:
     choices: tuple[Choice, ...]
 
     def place(self, kappa: float) -> tuple[float, float]:
-        """Norms of residuals and solution at a kappa: of the rule that chose it, else interpolated; nan beyond."""
+        """Norms of residuals and solution at a kappa: those of a rule with this kappa, else interpolated.
+
+        They are nan outside the range of the curve.
+        """
         for choice in self.choices:
             if choice.kappa == kappa:
                 return choice.residual_norm, choice.solution_norm
         if not self.kappa[0] <= kappa <= self.kappa[-1]:
             return float("nan"), float("nan")
         at = np.log(kappa), np.log(self.kappa)
-        found = (float(np.exp(np.interp(*at, np.log(norm)))) for norm in (self.residual_norm, self.solution_norm))
-        return next(found), next(found)
+        residual, solution = (np.interp(*at, np.log(norm)) for norm in (self.residual_norm, self.solution_norm))
+        return float(np.exp(residual)), float(np.exp(solution))
 
 
 def l_curve_of(system: LinearSystem) -> LCurve:
-    """L-curve of a system with the choices of all rules that need nothing else.
+    """L-curve of a system with the kappas of all rules that need no further inputs.
 
     Parameters
     ----------
     system : LinearSystem
-        With its design matrix.
+        Its design matrix is required.
 
     Returns
     -------
     LCurve
-        Its range holds every kappa above zero that a rule chose.
+        Its range contains every positive kappa that a rule chose.
 
     Raises
     ------
@@ -105,19 +108,19 @@ def l_curve_of(system: LinearSystem) -> LCurve:
     choices = tuple(_choice(rule, system, ridge) for rule in kappa_rules().values() if not rule.needs)
     chosen = [c.kappa for c in choices if c.kappa > 0.0]
     kappa = np.geomspace(min(ridge.grid[0], *chosen), max(ridge.grid[-1], *chosen), CURVE_POINTS)
-    with np.errstate(all="ignore"):  # curvature has no value where the residual is zero
+    with np.errstate(all="ignore"):  # the curvature is not defined where the residual is zero
         curvature = np.array([ridge.curvature(k) for k in kappa])
     residual, solution = (np.sqrt([norm(k) for k in kappa]) for norm in (ridge.residual2, ridge.norm2))
     return LCurve(kappa, residual, solution, curvature, choices)
 
 
 def _choice(rule: KappaRule, system: LinearSystem, ridge: Ridge) -> Choice:
-    """Place of a rule; those of the publication are clamped as their solvers clamp them."""
+    """Apply a rule; kappas of published rules are clamped, as in their solvers."""
     try:
-        found = choose_kappa(rule.name, system, clamp=rule.published)
+        choice = choose_kappa(rule.name, system, clamp=rule.published)
     except FgOrientError as error:
         nan = float("nan")
         return Choice(rule.name, rule.label, nan, nan, nan, failure="; ".join(p.message for p in error.problems))
-    with np.errstate(all="ignore"):  # kappa 0 of a singular system has no solution of its own
-        norms = np.sqrt(ridge.residual2(found.kappa)), np.sqrt(ridge.norm2(found.kappa))
-    return Choice(rule.name, rule.label, found.kappa, float(norms[0]), float(norms[1]), found.notes)
+    with np.errstate(all="ignore"):  # a singular system has no unique solution for kappa = 0
+        norms = np.sqrt(ridge.residual2(choice.kappa)), np.sqrt(ridge.norm2(choice.kappa))
+    return Choice(rule.name, rule.label, choice.kappa, float(norms[0]), float(norms[1]), choice.notes)

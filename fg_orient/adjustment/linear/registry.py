@@ -1,9 +1,9 @@
 """The registry of linear solvers: one function each, found by name.
 
-A solver is ``function(system: LinearSystem, as_run: bool) -> LinearSolution``. It raises
-:class:`fg_orient.adjustment.linear.system.Breakdown` where it cannot go on; it never returns nan or inf. With
-``as_run`` it does what the authors' program does (complex square roots whose real part is taken);
-most solvers ignore it. A file that calls :func:`register_solver` adds one; docs/extending.md.
+A solver is ``function(system: LinearSystem, as_run: bool) -> LinearSolution``. If it fails, it raises
+:class:`fg_orient.adjustment.linear.system.Breakdown`; it never returns nan or inf. ``as_run`` selects the behaviour of
+the authors' program (real parts of complex square roots); most solvers ignore it. A file that calls
+:func:`register_solver` adds a solver; docs/extending.md.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -23,7 +23,6 @@ Function = Callable[[LinearSystem, bool], LinearSolution]
 
 #: Modules of this package that register solvers when imported.
 _MODULES = ("inverses", "elimination", "tikhonov", "modern")
-_FAMILIES: tuple[Family, ...] = ("inverse", "elimination", "tikhonov", "modern")
 
 
 @dataclass(frozen=True)
@@ -33,14 +32,14 @@ class Solver:
     Parameters
     ----------
     name : str
-        Unique; the names of the published methods are those of the tables ("gauss_inverse").
+        Unique; published methods have the names of the tables ("gauss_inverse").
     label : str
-        For tables and plots ("Gauss inverse").
+        Text for tables and plots ("Gauss inverse").
     family : "inverse", "elimination", "tikhonov" or "modern"
     published : bool
         One of the methods of Terlemezoğlu 2019.
     needs_design : bool
-        Works on A, not on N.
+        Requires A, not only N.
     source : str
         Author year, equation.
     function : callable
@@ -84,7 +83,7 @@ def solvers() -> dict[str, Solver]:
     """All solvers by name: the published ones in the order of the publication, then the others."""
     for module in _MODULES:
         import_module(f"fg_orient.adjustment.linear.{module}")
-    entries = sorted(_REGISTRY.values(), key=lambda s: (not s.published, _FAMILIES.index(s.family)))
+    entries = sorted(_REGISTRY.values(), key=lambda s: (not s.published, get_args(Family).index(s.family)))
     return {entry.name: entry for entry in entries}
 
 
@@ -94,7 +93,7 @@ def solver(name: str) -> Solver:
     Raises
     ------
     InputError
-        There is none of this name.
+        There is no solver of this name.
     """
     known = solvers()
     if name not in known:
@@ -108,24 +107,24 @@ def solve(name: str, system: LinearSystem, *, as_run: bool = False) -> LinearSol
     Raises
     ------
     Breakdown
-        The solver cannot go on, or its result is not finite.
+        The solver fails, or its result is not finite.
     InputError
-        No solver of this name; it needs A and only N is known; its function gives no (u,) real array.
+        There is no solver of this name; A is required but not known; the result is not a real array (u,).
     """
-    with np.errstate(all="ignore"):  # what is not finite is refused below, with the solver's name
+    with np.errstate(all="ignore"):  # values that are not finite are refused below, with the solver's name
         try:
-            found = solver(name).function(system, as_run)
+            solution = solver(name).function(system, as_run)
         except np.linalg.LinAlgError as error:
             raise Breakdown.of("linear.library", place=name, value=error) from error
-    if found.x.shape != system.rhs.shape or not np.isrealobj(found.x):
-        raise InputError.of("linear.result_shape", place=name, value=f"shape {found.x.shape}", unknowns=len(system))
-    if not np.isfinite(found.x).all():
+    if solution.x.shape != system.rhs.shape or not np.isrealobj(solution.x):
+        raise InputError.of("linear.result_shape", place=name, value=f"shape {solution.x.shape}", unknowns=len(system))
+    if not np.isfinite(solution.x).all():
         raise Breakdown.of("linear.result_not_finite", place=name)
-    return found
+    return solution
 
 
 def attempt(name: str, system: LinearSystem, *, as_run: bool = False) -> LinearSolution:
-    """Solve a system; a breakdown gives nan and its reason in ``failure``, for tables."""
+    """Solve a system; after a breakdown x is nan and ``failure`` contains the reason, for tables."""
     try:
         return solve(name, system, as_run=as_run)
     except Breakdown as error:

@@ -1,8 +1,8 @@
-"""A linear system ``N x = b`` as every solver gets it, its solution, and the reported failure.
+"""A linear system ``N x = b``, its solution, and the exception of a solver that fails.
 
-``N = A^T A`` and ``b = A^T l`` where the design matrix is known: A (r, u) and l (r,) are whitened, so a
-Gauss-Helmert adjustment gives ``A = M^-1/2 A'`` and ``l = -M^-1/2 w``. Methods that work on A (QR, SVD)
-need it, the published ones use N and b alone. In scaled units every column of A has the length 1.
+If the design matrix is known, ``N = A^T A`` and ``b = A^T l``: A (r, u) and l (r,) are whitened, so that a
+Gauss-Helmert adjustment gives ``A = M^-1/2 A'`` and ``l = -M^-1/2 w``. QR and SVD require A; the published methods use
+N and b only. In scaled units every column of A has length 1.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from fg_orient.model.errors import InputError, NoSolutionError
 
 Array = npt.NDArray[np.float64]
 
-#: Dense matrices beyond this many unknowns are refused: the graph backend is made for them.
+#: Dense matrices with more unknowns are refused: the graph backend is made for them.
 MAX_UNKNOWNS = 2000
-#: |N - N^T| beyond this share of the largest element is no rounding.
+#: |N - N^T| above this share of the largest element is more than rounding.
 SYMMETRY_TOLERANCE = 1e-10
 
 
 class Breakdown(NoSolutionError):
-    """A solver cannot go on (pivot 0, radicand not positive ...); ``problems[0]`` says where and why."""
+    """A solver failed (pivot 0, radicand not positive ...); ``problems[0]`` contains place and reason."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,12 @@ class LinearSystem:
     observed : (r,) array, optional
         Whitened l with ``b = A^T l``.
 
-    Whole numbers are taken as float64.
+    Integers are converted to float64.
 
     Raises
     ------
     InputError
-        Not square, not symmetric, not real, not finite, sizes that do not fit, or more than 2000 unknowns.
+        A matrix that is not square, symmetric, real or finite, sizes that do not agree, more than 2000 unknowns.
     """
 
     normal: Array
@@ -59,7 +59,7 @@ class LinearSystem:
         for name, place in (("normal", "N"), ("rhs", "b"), ("design", "A"), ("observed", "l")):
             values = getattr(self, name)
             if values is not None:
-                object.__setattr__(self, name, real_numbers(values, place))  # the way of frozen dataclasses
+                object.__setattr__(self, name, real_numbers(values, place))  # a frozen dataclass
         check_normal(self.normal)
         u = len(self.normal)
         if self.rhs.shape != (u,) or not np.isfinite(self.rhs).all():
@@ -69,7 +69,7 @@ class LinearSystem:
 
     @classmethod
     def from_design(cls, design: Array, observed: Array) -> LinearSystem:
-        """Normal equations of ``A x = l`` with unit weights; refused before N is formed."""
+        """Normal equations of ``A x = l`` with unit weights; unusable matrices are refused before N is formed."""
         design, observed = real_numbers(design, "A"), real_numbers(observed, "l")
         if design.ndim == 2 and design.shape[1] > MAX_UNKNOWNS:
             raise InputError.of("linear.too_large", place="N", value=design.shape[1], limit=MAX_UNKNOWNS)
@@ -83,24 +83,11 @@ class LinearSystem:
 
     @property
     def redundancy(self) -> int:
-        """Observations minus unknowns.
-
-        Raises
-        ------
-        InputError
-            The design matrix is not known.
-        """
-        design, _ = self.require_design("redundancy")
-        return len(design) - len(self)
+        """Observations minus unknowns; InputError if A is not known."""
+        return len(self.require_design("redundancy")[0]) - len(self)
 
     def require_design(self, what: str) -> tuple[Array, Array]:
-        """Give A and l for a method that needs them.
-
-        Raises
-        ------
-        InputError
-            Only N and b are known.
-        """
+        """A and l; InputError if only N and b are known, with ``what`` as place."""
         if self.design is None or self.observed is None:
             raise InputError.of("linear.no_design", place=what)
         return self.design, self.observed
@@ -109,14 +96,7 @@ class LinearSystem:
     def decomposition(self) -> tuple[Array, Array, Array]:
         """Singular value decomposition ``A = U S V^T``: U (r, p), S (p,) descending, V^T (p, u).
 
-        It is made when first asked for: rules for kappa read many things off the same one.
-
-        Raises
-        ------
-        InputError
-            The design matrix is not known.
-        LinAlgError
-            It does not converge.
+        It is computed at first use and kept for all kappa rules. InputError if A is not known.
         """
         design, _ = self.require_design("singular value decomposition")
         left, values, right = np.linalg.svd(design, full_matrices=False)
@@ -124,12 +104,7 @@ class LinearSystem:
 
 
 def real_numbers(values: npt.ArrayLike, place: str) -> Array:
-    """Array of float64; complex numbers and words are refused, not cut.
-
-    Raises
-    ------
-    InputError
-    """
+    """Array of float64; InputError for complex numbers and words."""
     given = np.asarray(values)
     if given.dtype.kind not in "fiu":
         raise InputError.of("linear.not_real", place=place, value=given.dtype)
@@ -137,12 +112,7 @@ def real_numbers(values: npt.ArrayLike, place: str) -> Array:
 
 
 def check_design(design: Array, observed: Array | None, unknowns: int) -> None:
-    """Refuse a design matrix and observations that do not fit each other or the unknowns, or are not finite.
-
-    Raises
-    ------
-    InputError
-    """
+    """Raise InputError if the sizes of A, l and unknowns do not agree, or A or l is not finite."""
     fits = design.ndim == 2 and design.shape[1] == unknowns and design.size > 0
     fits = fits and observed is not None and observed.shape == (len(design),)
     if not fits:
@@ -155,13 +125,7 @@ def check_design(design: Array, observed: Array | None, unknowns: int) -> None:
 
 
 def check_normal(normal: Array) -> None:
-    """Refuse a matrix that no solver of this package may get.
-
-    Raises
-    ------
-    InputError
-        Not square, empty, too large, not finite, not symmetric.
-    """
+    """Raise InputError for a matrix that is not square, finite and symmetric, that is empty or too large."""
     if normal.ndim != 2 or normal.shape[0] != normal.shape[1] or not len(normal):
         raise InputError.of("linear.not_square", place="N", value=f"shape {normal.shape}")
     if len(normal) > MAX_UNKNOWNS:
@@ -177,24 +141,24 @@ def check_normal(normal: Array) -> None:
 
 @dataclass(frozen=True)
 class LinearSolution:
-    """What a solver gives.
+    """Solution of a linear system.
 
     Parameters
     ----------
     x : (u,) array
-        Unknowns; nan where the solver broke down (then ``failure`` says why).
+        Unknowns; nan if the solver failed.
     inverse : (u, u) array, optional
-        The inverse, for solvers that form one.
+        Inverse of N, of solvers that form it.
     rank : int, optional
-        Number of singular values used, for solvers that count.
+        Number of singular values used.
     kappa : float, optional
-        Regularisation parameter, for Tikhonov solvers.
+        Regularisation parameter of Tikhonov solvers.
     rule : str
-        Rule that chose it (``fg_orient.adjustment.linear.kappa``); "" if none did.
+        Rule that chose kappa (``fg_orient.adjustment.linear.kappa``); "" without a rule.
     notes : tuple of str
-        Remarks: negative radicands, check sums that do not hold, clamped parameters.
+        Remarks: negative radicands, violated check sums, clamped parameters.
     failure : str
-        Why there is no solution; "" if there is one.
+        Reason why the solver failed; "" otherwise.
     """
 
     x: Array
@@ -207,16 +171,7 @@ class LinearSolution:
 
 
 def column_lengths(system: LinearSystem) -> Array:
-    """Lengths of the columns of A, or sqrt(n_ii) where A is not known; 1 for a column of zeros.
-
-    Parameters
-    ----------
-    system : LinearSystem
-
-    Returns
-    -------
-    (u,) array
-    """
+    """Lengths (u,) of the columns of A, or sqrt(n_ii) if A is not known; 1 for a column of zeros."""
     if system.design is not None:
         return _lengths(system.design)
     lengths = np.sqrt(np.abs(system.normal.diagonal()))
@@ -231,32 +186,12 @@ def _lengths(design: Array) -> Array:
 
 
 def unit_columns(design: Array) -> Array:
-    """Matrix (r, u) with columns of length 1; a column of zeros stays.
-
-    Parameters
-    ----------
-    design : (r, u) array
-
-    Returns
-    -------
-    (r, u) array
-    """
+    """Matrix (r, u) with columns of length 1; a column of zeros is not changed."""
     return np.asarray(design / _lengths(design))
 
 
 def scaled(system: LinearSystem) -> tuple[LinearSystem, Array]:
-    """System in unknowns z_i = d_i x_i whose columns have length 1, and d.
-
-    Parameters
-    ----------
-    system : LinearSystem
-
-    Returns
-    -------
-    system : LinearSystem
-    lengths : (u,) array
-        d; x = z / d.
-    """
+    """System in unknowns z_i = d_i x_i, whose columns have length 1, and the lengths d (u,)."""
     lengths = column_lengths(system)
     if system.design is not None and system.observed is not None:
         return LinearSystem.from_design(system.design / lengths, system.observed), lengths

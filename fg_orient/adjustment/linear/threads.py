@@ -1,8 +1,8 @@
 """One thread for dense linear algebra.
 
-The matrices of this package are small: two BLAS threads cost ten times the processor time of one (measured, 180
-unknowns). And the order of their sums decides what rounding noise looks like, so that results of singular systems would
-depend on the number of cores.
+The matrices of this package are small: two BLAS threads take ten times the processor time of one (measured with 180
+unknowns). The order of sums also changes rounding errors, so that results of singular systems would depend on the
+number of cores.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 @cache
 def _libraries() -> ThreadpoolController:
-    """The BLAS libraries of this process; finding them takes 10 ms, so it is done once."""
-    import scipy.linalg  # noqa: F401  # its BLAS is another one than numpy's and must be loaded to be limited
+    """The BLAS libraries of this process; the search takes 10 ms and is made once."""
+    import scipy.linalg  # noqa: F401  # scipy has a BLAS of its own, which must be loaded before it can be limited
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()

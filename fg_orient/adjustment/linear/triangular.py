@@ -1,7 +1,6 @@
-"""Triangular factors written out as specified: Doolittle LU, Cholesky (real, or complex as published), inverses.
+"""Triangular factors, written out: Doolittle LU, Cholesky (real, or complex as published), inverses.
 
-Row and column operations are numpy expressions; the order of the formulas is kept, the sums over k are
-dot products.
+Row and column operations are numpy expressions. They follow the order of the formulas; sums over k are dot products.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.linear.system import Array, Breakdown
 
-# Real, or complex once a negative radicand was met. (No '#:': autodoc cannot format this alias.)
+# Real, or complex after a negative radicand. (No '#:': autodoc cannot format this alias.)
 Numbers = npt.NDArray[Any]
 
 #: A pivot below this share of its matrix element has lost 12 of 16 digits: the matrix is singular for the method.
@@ -21,21 +20,15 @@ LOST = 1e-12
 
 
 def check_pivot(pivot: Any, method: str, step: int, of: int) -> None:
-    """Refuse a pivot that cannot divide; ``step`` counts from 0.
-
-    Raises
-    ------
-    Breakdown
-        The pivot is zero or not finite.
-    """
+    """Raise Breakdown for a pivot that is zero or not finite; ``step`` counts from 0."""
     if pivot == 0 or not np.isfinite(pivot):
         raise Breakdown.of("linear.zero_pivot", place=f"{method}, step {step + 1} of {of}", value=pivot)
 
 
 def lost_digits(pivots: Numbers, elements: Numbers) -> tuple[str, ...]:
-    """Remark on the worst pivot that cancelled almost fully against its matrix element.
+    """Remark on the pivot with the largest cancellation against its matrix element.
 
-    A hint: where several pivots are small, rounding can lift the one that should vanish above the limit.
+    It is only an indication: with several small pivots, rounding can lift a pivot that should vanish above the limit.
     """
     with np.errstate(divide="ignore"):  # an element 0 cannot lose digits
         share = np.abs(pivots) / np.abs(elements)
@@ -48,20 +41,7 @@ def lost_digits(pivots: Numbers, elements: Numbers) -> tuple[str, ...]:
 def lu_factors(matrix: Array, method: str = "gauss_inverse") -> tuple[Array, Array]:
     """Factor N = C B without pivoting (Doolittle): C unit lower, B upper; T(3.22)-(3.26), ranges corrected.
 
-    Parameters
-    ----------
-    matrix : (u, u) array
-    method : str
-        Named in the report of a breakdown.
-
-    Returns
-    -------
-    lower, upper : (u, u) arrays
-
-    Raises
-    ------
-    Breakdown
-        A pivot is zero.
+    Breakdown for a zero pivot; ``method`` names the solver in its message.
     """
     u = len(matrix)
     lower, upper = np.eye(u), np.zeros((u, u))
@@ -84,7 +64,7 @@ def cholesky_rows(matrix: Array, method: str, *, as_run: bool = False) -> tuple[
     matrix : (u, u + m) array
         N and m further columns.
     method : str
-        Named in the report of a breakdown.
+        Name of the solver, for messages.
     as_run : bool
         The square root of a negative radicand is complex, as in MATLAB; from that row on C is complex.
 

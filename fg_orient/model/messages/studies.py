@@ -132,19 +132,8 @@ linear.kappa_value: kappa must be finite and not negative
     -> 0 gives least squares
 linear.no_kappa: the rule finds no usable kappa
     -> take another rule
-linear.penalty: the penalty must be identity, first_difference, second_difference or a finite matrix of {unknowns}
-    columns
-    -> differences need more unknowns than their order
-linear.prior: the prior needs a mean of {unknowns} numbers, a positive definite covariance and a positive sigma
-    -> leave out unknowns that are fixed
-linear.solution: the solution must hold {unknowns} finite numbers
-    -> give x as a (u,) array
-linear.residuals: there must be one finite residual per observation
-    -> give v as an (r,) array
-linear.noise: the noise must be a standard deviation
-    -> 0 if the observations are exact
-linear.reference: the reference solver has no solution to compare with
-    -> name another reference
+linear.penalty: the penalty must be a finite matrix of {unknowns} columns
+    -> give L as a (k, u) array
 linear.library: the linear algebra library cannot go on
     -> the system is singular for this solver
 linear.result_shape: the solver must give {unknowns} real numbers
