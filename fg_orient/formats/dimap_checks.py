@@ -1,20 +1,23 @@
-"""Checks and records that both DIMAP readers share.
+"""Checks and records that all DIMAP readers share.
 
-Each limit is physical: an Earth observation satellite flies 100 to 1600 km high at 6 to
-9 km/s, looks at most 45 degrees off, and scans a line in 10 microseconds to 10 ms. A value
-outside is a damaged file or a wrong unit, never a scene.
+Each limit is physical: an Earth observation satellite flies 100 to 1600 km high at 6 to 9 km/s, looks at most 45
+degrees off nadir, and scans a line in 10 microseconds to 10 ms. A value outside these limits is damaged or has a wrong
+unit.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.xml import DEGREES, XmlNode
-from fg_orient.sensors.metadata import Ephemeris, FramePoint
+from fg_orient.formats.xml import DEGREES, METRES, METRES_PER_SECOND, Quantity, XmlNode
+from fg_orient.model.errors import finding
+from fg_orient.sensors.metadata import Ephemeris, FramePoint, LineTiming, PushbroomMetadata
 
 Array = npt.NDArray[np.float64]
 
@@ -32,17 +35,54 @@ QUATERNION_NORM_TOLERANCE = 1e-3
 DIMAP_FIRST_PIXEL = 1
 
 
-def image_size(root: XmlNode, path: str) -> tuple[int, int]:
-    """Lines and samples from the Raster_Dimensions at ``path``."""
-    size = root.one(path)
+@dataclass(frozen=True)
+class Layout:
+    """Elements of a version of DIMAP that have the same contents in all versions.
+
+    Parameters
+    ----------
+    pixel_origin, size, points, frame : str
+        Paths of the pixel origin, the image size, the state vectors, and the parent of the corners (``Vertex``).
+    state : tuple of str
+        Tags of time, position and velocity; position and velocity have three numbers, or children X, Y, Z.
+    corner : tuple of str
+        Tags of row, column, longitude and latitude.
+    centre : str
+        Tag of the centre of the frame.
+    height_m : float or None
+        Height of the corners; None if the file states none.
+    """
+
+    pixel_origin: str
+    size: str
+    points: str
+    frame: str
+    state: tuple[str, str, str]
+    corner: tuple[str, str, str, str] = ("ROW", "COL", "LON", "LAT")
+    centre: str = "Center"
+    height_m: float | None = None
+
+
+def image_size(root: XmlNode, layout: Layout) -> tuple[int, int]:
+    """Lines and samples of an image whose pixel origin is 1, or not stated."""
+    origin = root.maybe(layout.pixel_origin)
+    if origin is not None and origin.integer(-1, 10) != DIMAP_FIRST_PIXEL:
+        raise origin.fault("dimap.pixel_origin", origin.text())
+    size = root.one(layout.size)
     return size.one("NROWS").integer(2, MAX_IMAGE_SIZE), size.one("NCOLS").integer(2, MAX_IMAGE_SIZE)
 
 
-def require_pixel_origin(root: XmlNode, path: str) -> None:
-    """Refuse a file that states another pixel origin than 1."""
-    node = root.maybe(path)
-    if node is not None and node.integer(-1, 10) != DIMAP_FIRST_PIXEL:
-        raise node.fault("dimap.pixel_origin", node.text())
+def metadata(
+    root: XmlNode, layout: Layout, size: tuple[int, int], epoch: np.datetime64, timing: LineTiming, **others: Any
+) -> PushbroomMetadata:
+    """Metadata with state vectors and frame points of the file, and with the ``others``."""
+    corners = _frame_points(root.maybe(layout.frame), layout)
+    if corners and layout.height_m is None:
+        others["frame_note"] = finding("image.frame_without_heights")
+    return PushbroomMetadata(
+        file=root.file, epoch=epoch, n_lines=size[0], n_samples=size[1], timing=timing,
+        ephemeris=_ephemeris(root, layout, epoch), frame_points=corners, **others,
+    )  # fmt: skip
 
 
 def times(nodes: Sequence[XmlNode], epoch: np.datetime64) -> Array:
@@ -61,23 +101,29 @@ def times(nodes: Sequence[XmlNode], epoch: np.datetime64) -> Array:
     return time_s
 
 
-def ephemeris(points: Sequence[XmlNode], time_s: Array, position_m: Array, velocity_m_s: Array) -> Ephemeris:
-    """State vectors after their checks; ``points`` are the elements to name in a message.
-
-    Raises
-    ------
-    InputError
-        A radius or a speed that no Earth observation satellite has.
-    """
-    for code, values, (low, high) in (
-        ("dimap.radius", position_m, RADIUS_M),
-        ("dimap.speed", velocity_m_s, SPEED_M_S),
+def _ephemeris(root: XmlNode, layout: Layout, epoch: np.datetime64) -> Ephemeris:
+    """State vectors; radius and speed must be possible for an Earth observation satellite."""
+    points = root.every(layout.points, MIN_EPHEMERIS_POINTS)
+    time, position, velocity = layout.state
+    time_s = times([point.one(time) for point in points], epoch)
+    vectors = []
+    for code, tag, quantity, (low, high) in (
+        ("dimap.radius", position, METRES, RADIUS_M),
+        ("dimap.speed", velocity, METRES_PER_SECOND, SPEED_M_S),
     ):
-        norm = np.linalg.norm(values, axis=1)
+        vectors.append(np.array([_vector(point.one(tag), quantity) for point in points]))
+        norm = np.linalg.norm(vectors[-1], axis=1)
         wrong = np.flatnonzero((norm < low) | (norm > high))
         if len(wrong):
             raise points[int(wrong[0])].fault(code, f"{norm[wrong[0]]:.6g}", low=low, high=high)
-    return Ephemeris(time_s, position_m, velocity_m_s)
+    return Ephemeris(time_s, *vectors)
+
+
+def _vector(node: XmlNode, quantity: Quantity) -> Array:
+    """Three numbers of an element, or of its children X, Y, Z."""
+    if any(node.children()):
+        return np.array([node.one(axis).number(quantity) for axis in "XYZ"])
+    return node.vector(3, quantity)
 
 
 def require_unit_quaternions(nodes: Sequence[XmlNode], quaternion: Array) -> None:
@@ -90,28 +136,14 @@ def require_unit_quaternions(nodes: Sequence[XmlNode], quaternion: Array) -> Non
         )
 
 
-def frame_points(
-    frame: XmlNode | None, names: tuple[str, str, str, str], centre: str, height_m: float | None
-) -> tuple[FramePoint, ...]:
-    """Corners of a frame and its centre, if it has one.
-
-    Parameters
-    ----------
-    frame : XmlNode or None
-        Parent of the elements ``Vertex``.
-    names : tuple of str
-        Tags of row, column, longitude, latitude.
-    centre : str
-        Tag of the centre.
-    height_m : float or None
-        Height of the points; None if the file gives none.
-    """
+def _frame_points(frame: XmlNode | None, layout: Layout) -> tuple[FramePoint, ...]:
+    """Corners of a frame and its centre, if it has one."""
     if frame is None:
         return ()
     nodes = [(f"corner {k}", vertex) for k, vertex in enumerate(frame.every("Vertex", 4), start=1)]
-    middle = frame.maybe(centre)
+    middle = frame.maybe(layout.centre)
     nodes += [("centre", middle)] if middle else []
-    row, column, lon, lat = names
+    row, column, lon, lat = layout.corner
 
     def pixel(vertex: XmlNode, tag: str) -> float:
         return vertex.one(tag).number(low=-MAX_IMAGE_SIZE, high=MAX_IMAGE_SIZE) - DIMAP_FIRST_PIXEL
@@ -119,7 +151,7 @@ def frame_points(
     return tuple(
         FramePoint(
             id_, pixel(v, row), pixel(v, column), v.one(lon).number(DEGREES, -360.0, 360.0),
-            v.one(lat).number(DEGREES, -90.0, 90.0), height_m,
+            v.one(lat).number(DEGREES, -90.0, 90.0), layout.height_m,
         )
         for id_, v in nodes
     )  # fmt: skip

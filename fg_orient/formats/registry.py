@@ -279,8 +279,8 @@ def format_claiming(path: Path, contents: Contents) -> Format | None:
 # --- recognition by content ----------------------------------------------------------------------
 
 
-def read_bytes(path: str | os.PathLike[str], size: int) -> bytes:
-    """First bytes of a file.
+def read_bytes(path: str | os.PathLike[str], size: int, code: str = "rpc.unreadable") -> bytes:
+    """First bytes of a file; ``code`` is the message if it cannot be read.
 
     Raises
     ------
@@ -296,7 +296,7 @@ def read_bytes(path: str | os.PathLike[str], size: int) -> bytes:
         with Path(path).open("rb") as stream:
             return stream.read(size)
     except OSError as error:
-        raise InputError.of("rpc.unreadable", file=file, value=error.strerror) from error
+        raise InputError.of(code, file=file, value=error.strerror) from error
 
 
 def xml_root(head: str) -> str:

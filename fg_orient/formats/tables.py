@@ -28,14 +28,15 @@ Array = npt.NDArray[np.float64]
 MAX_FAULTS: Final = 20
 #: A longer line than this is not a record of ours.
 MAX_LINE: Final = 100_000
-_NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
-#: Of text made of these, ``float`` takes what :data:`_NUMBER` describes and nothing else.
+#: Texts that are read as numbers, and numbers with a decimal comma.
+NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+DECIMAL_COMMA: Final = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
+#: Of texts that consist of these characters, ``float`` accepts exactly those that match :data:`NUMBER`.
 _OF_NUMBERS: Final = b"0123456789eE+.-"
 #: Characters that ``strip`` removes from ASCII text, except line ends.
 _SPACES: Final = "\t\v\f\x1c\x1d\x1e\x1f "
 #: Lines that start otherwise are neither blank nor a comment.
 _ODD_STARTS: Final = frozenset(("", "#", " ", "\t", ","))
-_DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+")
 
 
 class Faults:
@@ -226,8 +227,8 @@ def number(row: Row, column: str, faults: Faults) -> float:
     code = ""
     if not text:
         code = "table.cell_empty"
-    elif not _NUMBER.fullmatch(text):
-        code = "table.decimal_comma" if _DECIMAL_COMMA.fullmatch(text) else "table.not_a_number"
+    elif not NUMBER.fullmatch(text):
+        code = "table.decimal_comma" if DECIMAL_COMMA.fullmatch(text) else "table.not_a_number"
     elif float(text) in (float("inf"), float("-inf")):
         code = "table.number_too_large"
     if code:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.dimap_write import write_dimap1, write_dimap2
+from fg_orient.formats.dimap_write import write_dimap1
 from fg_orient.formats.metadata.dimap import read_dimap
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.metadata import (
@@ -23,6 +23,7 @@ from fg_orient.sensors.metadata import (
     QuaternionList,
     QuaternionPolynomial,
 )
+from tests.support.dimap2_files import write_dimap2
 
 N_LINES, N_SAMPLES = 40, 24
 T0_S = 19267.332158

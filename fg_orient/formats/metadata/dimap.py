@@ -12,7 +12,7 @@ from pathlib import Path
 from fg_orient.formats import dimap1, dimap2
 from fg_orient.formats.registry import Format, xml_root
 from fg_orient.formats.rpc.dimap import is_rpc
-from fg_orient.formats.xml import MAX_BYTES, XmlNode, read_xml
+from fg_orient.formats.xml import MAX_BYTES, read_xml
 from fg_orient.sensors.metadata import PushbroomMetadata
 from fg_orient.sensors.pushbroom import PushbroomSensor
 
@@ -55,48 +55,28 @@ def read_dimap(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> P
         return dimap2.read_dimap_phr(root)
     if root.tag != "Dimap_Document":
         raise root.fault("dimap.other_format", _ROOTS.get(root.tag, f"root element {root.tag}"))
-    if root.maybe("Metadata_Id") is not None:
-        _require_version_1(root)
-        return dimap1.read_dimap1(root)
-    _require_version_2(root)
-    return dimap2.read_dimap2(root)
-
-
-def _require_version_1(root: XmlNode) -> None:
-    head = root.one("Metadata_Id")
+    first = root.maybe("Metadata_Id")
+    head = first or root.one("Metadata_Identification")
     form, profile = head.one("METADATA_FORMAT"), head.one("METADATA_PROFILE").text()
-    version = form.element.get("version", "")
-    seen = _seen(form.text(), version, profile)
-    if form.text() != "DIMAP" or version != "1.1":
+    version, sub = form.element.get("version", ""), head.maybe("METADATA_SUBPROFILE")
+    names = [f" ({name})" for prefix, name in _PROFILE_PREFIXES.items() if profile.upper().startswith(prefix)]
+    seen = f"{form.text()} {version or 'without version'}, profile {profile}{''.join(names[:1])}"
+    if not first and ((sub and sub.text() == "RPC") or root.maybe("Rational_Function_Model")):
+        raise head.fault("dimap.rpc_file", f"RPC file, {seen}")
+    if form.text() != "DIMAP" or not (version == "1.1" if first else version.startswith("2.")):
         raise form.fault("dimap.other_version", seen)
-    if profile not in dimap1.PROFILES:
-        raise head.fault("dimap.other_level" if profile.startswith("SPOT") else "dimap.other_mission", seen)
+    if profile not in (dimap1.PROFILES if first else dimap2.PROFILES):
+        known = profile.startswith("SPOT" if first else ("PHR_", "S6_", "S7_"))
+        raise head.fault("dimap.other_level" if known else "dimap.other_mission", seen)
+    if not first:
+        return dimap2.read_dimap2(root)
     level = root.maybe("Data_Processing/PROCESSING_LEVEL")
     if level is not None and level.text() != "1A":
         raise level.fault("dimap.other_level", f"{seen}, level {level.text()}")
     mission = root.one("Dataset_Sources/Source_Information/Scene_Source/MISSION")
     if mission.text() != "SPOT":
         raise mission.fault("dimap.other_mission", f"{seen}, mission {mission.text()}")
-
-
-def _require_version_2(root: XmlNode) -> None:
-    head = root.one("Metadata_Identification")
-    form, profile = head.one("METADATA_FORMAT"), head.one("METADATA_PROFILE").text()
-    version = form.element.get("version", "")
-    sub = head.maybe("METADATA_SUBPROFILE")
-    seen = _seen(form.text(), version, profile)
-    if (sub is not None and sub.text() == "RPC") or root.maybe("Rational_Function_Model") is not None:
-        raise head.fault("dimap.rpc_file", f"RPC file, {seen}")
-    if form.text() != "DIMAP" or not version.startswith("2."):
-        raise form.fault("dimap.other_version", seen)
-    if profile not in dimap2.PROFILES:
-        code = "dimap.other_level" if profile.startswith(("PHR_", "S6_", "S7_")) else "dimap.other_mission"
-        raise head.fault(code, seen)
-
-
-def _seen(form: str, version: str, profile: str) -> str:
-    names = [name for prefix, name in _PROFILE_PREFIXES.items() if profile.upper().startswith(prefix)]
-    return f"{form} {version or 'without version'}, profile {profile}" + (f" ({names[0]})" if names else "")
+    return dimap1.read_dimap1(root)
 
 
 def _is_rigorous(path: Path, head: str) -> bool:
