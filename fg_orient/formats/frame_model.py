@@ -1,8 +1,8 @@
 """Frame images with their cameras, poses, points and image points, as bundle programs exchange them.
 
-A :class:`FrameModel` is what COLMAP's text models, Bundler's and BAL's files hold, in the conventions of
-``fg_orient.sensors.frame``: cameras look along +Z with Y down, (0, 0) is the centre of the first pixel, coordinates
-are metres (or another unit) of a local Cartesian system. :func:`frame_block` makes the block that is adjusted.
+A :class:`FrameModel` contains the data of COLMAP's text models and of the files of Bundler and BAL, in the conventions
+of ``fg_orient.sensors.frame``: cameras look along +Z with Y down, (0, 0) is the centre of the first pixel, coordinates
+are metres (or another unit) of a local Cartesian system. :func:`frame_block` makes the block of an adjustment.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 from typing import Final
 
 import numpy as np
@@ -35,7 +36,7 @@ from fg_orient.sensors.interior import Interior
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: Unknowns of an image in the adjustment of such a model, by default.
+#: Default unknowns of an image in the adjustment of such a model.
 EXTERIOR: Final = UNKNOWNS[:6]
 
 
@@ -76,6 +77,8 @@ class FrameModel:
         Pixels.
     notes : tuple of Finding
         Remarks of the reader.
+    from_middle : bool
+        Pixels are counted from the middle of each image instead of its first pixel.
     """
 
     cameras: Mapping[str, Interior]
@@ -87,11 +90,20 @@ class FrameModel:
     line: Array
     sample: Array
     notes: tuple[Finding, ...] = ()
+    from_middle: bool = False
 
     @cached_property
     def sensors(self) -> tuple[FrameSensor, ...]:
         """The sensor of each image."""
-        return tuple(_sensor(self.cameras[p.camera], p) for p in self.poses)
+        out = []
+        for pose in self.poses:
+            own = self.cameras[pose.camera]
+            line, sample = (-0.5 * (n - 1.0) if self.from_middle else 0.0 for n in (own.n_lines, own.n_samples))
+            out.append(FrameSensor(
+                own.camera(pose.rotation, pose.centre_m), own.n_lines, own.n_samples, first_line=line,
+                first_sample=sample, georeferenced=False, file=pose.camera,
+            ))  # fmt: skip
+        return tuple(out)
 
     def residuals_px(self) -> Array:
         """Computed minus measured line and sample (n, 2); nan for points that are not in front of their camera."""
@@ -104,41 +116,45 @@ class FrameModel:
         return out
 
 
-def _sensor(interior: Interior, pose: Pose) -> FrameSensor:
-    camera = interior.camera(pose.rotation, pose.centre_m)
-    return FrameSensor(camera, interior.n_lines, interior.n_samples, georeferenced=False, file=pose.camera)
-
-
 def frame_block(
     model: FrameModel, name: str, sources: tuple[Source, ...] = (), *, sigma_px: float = 1.0,
-    unknowns: Sequence[str] = EXTERIOR,
+    unknowns: Sequence[str] = EXTERIOR, keep_behind: bool = True,
 ) -> Block:  # fmt: skip
-    """Make the block of a model: all points are tie points, the datum is free, and there are no priors.
+    """Make the block of a model: tie points with start values, free datum, no priors, Levenberg-Marquardt.
+
+    Points that are measured in one image only are left out: nothing determines their depth.
 
     Parameters
     ----------
     model : FrameModel
     name : str
+        Name of the block, and of its file in messages.
     sources : tuple of Source, optional
     sigma_px : float, optional
-        Sigma of line and sample of every image point: these files hold none.
+        Sigma of line and sample of every image point: these files contain none.
     unknowns : sequence of str, optional
-        What is unknown of each image (``fg_orient.sensors.frame.UNKNOWNS``), each for itself; the rest is held.
+        Unknowns of each image (``fg_orient.sensors.frame.UNKNOWNS``), not shared with others. All else is held fixed.
+    keep_behind : bool, optional
+        Keep points whose start values lie behind one of their cameras.
     """
-    alone = in_one_image(model.image, model.point, len(model.points_m))
-    usable, images = ~alone[model.point], []
+    n, images = len(model.points_m), []
+    alone, behind = _in_one_image(model.image, model.point, n), np.zeros(n, bool)
     for k, (pose, sensor) in enumerate(zip(model.poses, model.sensors, strict=True)):
-        own = np.flatnonzero((model.image == k) & usable)
-        place = model.line[own], model.sample[own]
-        camera = in_pixels(sensor.camera, unknowns, *place, model.points_m[model.point[own]])
-        images.append(Image(pose.name, FrameSensor(
-            camera, sensor.n_lines, sensor.n_samples, georeferenced=False, file=sensor.file)))  # fmt: skip
-    sigma = np.full(int(usable.sum()), sigma_px)
-    seen = ImagePoints(
-        model.image[usable], model.point[usable], model.line[usable], model.sample[usable], sigma, sigma
-    )  # fmt: skip
-    alone_note = (finding("points.alone", n=alone.sum()),) if alone.any() else ()
-    return free_block(name, tuple(images), model.point_ids, model.points_m, seen, sources, (*model.notes, *alone_note))
+        own = np.flatnonzero(model.image == k)
+        point = model.point[own]
+        behind[point[(model.points_m[point] - pose.centre_m) @ pose.rotation[2] <= 0.0]] = True
+        camera = _in_pixels(sensor.camera, unknowns, model.line[own], model.sample[own], model.points_m[point])
+        images.append(Image(pose.name, sensor.with_camera(camera, name)))
+    used = ~(alone | behind & (not keep_behind))[model.point]
+    sigma = np.full(int(used.sum()), sigma_px)
+    seen = ImagePoints(model.image[used], model.point[used], model.line[used], model.sample[used], sigma, sigma)
+    counts = (("points.alone", int(alone.sum())), ("points.behind", int(behind.sum())))
+    notes = tuple(finding(code, n=count) for code, count in counts if count)
+    known = Coordinates(model.points_m, np.full((n, 3), np.nan), np.zeros(n, bool))
+    points = GroundPoints(model.point_ids, (Role.TIE,) * n, known)
+    nothing = WithheldCoordinates((), lambda: Coordinates(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool)))
+    options = Options(datum="free", priors=False, optimizer="levenberg-marquardt", max_iterations=500)
+    return Block(name, tuple(images), points, seen, nothing, options, sources, (*model.notes, *notes))
 
 
 def adjusted_model(model: FrameModel, corrections: Sequence[Array], ground_m: Array) -> FrameModel:
@@ -169,28 +185,16 @@ def adjusted_model(model: FrameModel, corrections: Sequence[Array], ground_m: Ar
     known = np.asarray(np.isfinite(ground_m).all(axis=1), bool)
     seen, number = known[model.point], np.cumsum(known) - 1
     left_out = () if known.all() else (finding("points.not_adjusted", n=(~known).sum()),)
-    return FrameModel(
-        {name: camera for name, camera in cameras.items() if name in used}, tuple(poses),
-        tuple(i for i, k in zip(model.point_ids, known.tolist(), strict=True) if k), ground_m[known],
-        model.image[seen], number[model.point[seen]], model.line[seen], model.sample[seen], (*model.notes, *left_out),
+    return replace(
+        model, cameras={name: camera for name, camera in cameras.items() if name in used}, poses=tuple(poses),
+        point_ids=tuple(compress(model.point_ids, known)), points_m=ground_m[known], image=model.image[seen],
+        point=number[model.point[seen]], line=model.line[seen], sample=model.sample[seen],
+        notes=(*model.notes, *left_out),
     )  # fmt: skip
 
 
-def free_block(
-    name: str, images: tuple[Image, ...], point_ids: tuple[str, ...], points_m: Array, observations: ImagePoints,
-    sources: tuple[Source, ...], notes: tuple[Finding, ...],
-) -> Block:  # fmt: skip
-    """Block of tie points (N, 3) m with start values in a local system: free datum, no priors, Levenberg-Marquardt."""
-    n = len(points_m)
-    known = Coordinates(points_m, np.full((n, 3), np.nan), np.zeros(n, bool))
-    points = GroundPoints(point_ids, (Role.TIE,) * n, known)
-    nothing = WithheldCoordinates((), lambda: Coordinates(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool)))
-    options = Options(datum="free", priors=False, optimizer="levenberg-marquardt", max_iterations=500)
-    return Block(name, images, points, observations, nothing, options, sources, notes)
-
-
-def in_one_image(image: Index, point: Index, n_points: int) -> npt.NDArray[np.bool_]:
-    """Points (n_points,) that are measured, but in one image only: nothing determines their depth."""
+def _in_one_image(image: Index, point: Index, n_points: int) -> npt.NDArray[np.bool_]:
+    """Points (n_points,) that are measured, but in one image only."""
     some, several = (np.zeros(n_points, bool) for _ in range(2))
     any_image = np.zeros(n_points, np.intp)
     some[point], any_image[point] = True, image
@@ -198,21 +202,13 @@ def in_one_image(image: Index, point: Index, n_points: int) -> npt.NDArray[np.bo
     return some & ~several
 
 
-def in_pixels(
+def _in_pixels(
     camera: FrameCamera, unknowns: Sequence[str], line: Array, sample: Array, ground_m: Array
 ) -> FrameCamera:  # fmt: skip
-    """Name the unknowns, each in the unit that moves the image points by 1 px (root of the squares) at the start.
+    """Camera with unknowns whose units move its image points (n,) by 1 px (root of the sum of squares) at the start.
 
-    There are no priors: the units rule the damped steps alone (Moré 1978), and so does no unit of the file.
-
-    Parameters
-    ----------
-    camera : FrameCamera
-        Its polynomial leads from ideal to measured coordinates.
-    unknowns : sequence of str
-    line, sample : (n,) arrays
-        Its image points, px.
-    ground_m : (n, 3) array
+    Without priors the units act on the damped steps only (Moré 1978), which then do not depend on the units of the
+    file. The polynomial of the camera leads from ideal to measured coordinates.
     """
     codes = np.array([UNKNOWNS.index(name) for name in unknowns], dtype=float)
     records = FrameSensor(camera, 1, 1, georeferenced=False).records(line, sample)

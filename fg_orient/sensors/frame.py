@@ -269,6 +269,13 @@ class FrameSensor(Sensor):
         """Name of the file of the camera."""
         return self._file
 
+    def with_camera(self, camera: FrameCamera, file: str) -> FrameSensor:
+        """Sensor with the same size, pixels and notes, and another camera."""
+        return FrameSensor(
+            camera, self.n_lines, self.n_samples, first_line=self.first_line, first_sample=self.first_sample,
+            georeferenced=self.georeferenced, file=file, notes=self.notes,
+        )  # fmt: skip
+
     def records(self, line: npt.ArrayLike, sample: npt.ArrayLike, origin_m: Array | None = None) -> Array:
         """Constants of the camera's frame equation for N image points, unwhitened: (N, 24) or (N, 26).
 

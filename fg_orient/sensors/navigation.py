@@ -156,10 +156,7 @@ def _with_unknowns(sensor: FrameSensor, fix: Fix, mounting: Mounting) -> FrameSe
     of_strip = {name: f"strip {fix.strip}" for name in names if name.startswith(("gnss_", "ins_"))}
     of_all = {name: MOUNTING for name in names if name not in of_strip}
     camera = replace(camera, sigma=sigma, shared={**camera.shared, **of_strip, **of_all})
-    return FrameSensor(
-        camera, sensor.n_lines, sensor.n_samples, first_line=sensor.first_line, first_sample=sensor.first_sample,
-        file=sensor.file, notes=sensor.notes,
-    )  # fmt: skip
+    return sensor.with_camera(camera, sensor.file)
 
 
 def _observations(

@@ -155,17 +155,17 @@ def test_coefficients_that_these_files_do_not_have_are_refused(camera: str, valu
 
 
 FAULTS = [
-    ("v0.3", "v0.2", "bundle.cells", "line 1"),
-    ("2 1\n", "2 1.5\n", "bundle.cells", "line 2"),
+    ("v0.3", "v0.2", "interchange.cells", "line 1"),
+    ("2 1\n", "2 1.5\n", "interchange.cells", "line 2"),
     ("2 1\n", "2 2\n", "bundle.lines", ""),
     ("2 1\n", "2000000000 1\n", "bundle.lines", ""),
-    ("900 ", "900,0 ", "bundle.cells", "line 8"),
-    ("0.36", "0.37", "bundle.cells", "line 9"),
-    ("0.3 -0.5", "nan -0.5", "bundle.cells", "line 13"),
-    ("1 1 17", "2 1 17", "bundle.cells", "line 15"),
-    ("1 1 17", "1 2 17", "bundle.cells", "line 15"),
-    ("1 1 17", "1 1", "bundle.cells", "line 15"),
-    ("1 1 17", "1 0.5 17", "bundle.cells", "line 15"),
+    ("900 ", "900,0 ", "interchange.cells", "line 8"),
+    ("0.36", "0.37", "interchange.cells", "line 9"),
+    ("0.3 -0.5", "nan -0.5", "interchange.cells", "line 13"),
+    ("1 1 17", "2 1 17", "interchange.cells", "line 15"),
+    ("1 1 17", "1 2 17", "interchange.cells", "line 15"),
+    ("1 1 17", "1 1", "interchange.cells", "line 15"),
+    ("1 1 17", "1 0.5 17", "interchange.cells", "line 15"),
 ]
 
 

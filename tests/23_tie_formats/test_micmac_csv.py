@@ -57,14 +57,14 @@ def test_what_is_written_is_read_again(ids: tuple[str, ...], tmp_path: Path) -> 
 
 
 FAULTS = [
-    ("Pt.x,Pt.y,Id", "Pt.y,Pt.x,Id", "micmac.cells", "line 1"),
-    ("61.123,", "61,123,", "micmac.cells", "line 3"),
-    ("1767.49", "nan", "micmac.cells", "line 3"),
-    ("1767.49", "1_767", "micmac.cells", "line 3"),
-    (",7", ",7.5", "micmac.cells", "line 4"),
-    (",7", ",1e300", "micmac.cells", "line 4"),
-    (",7", ",1", "micmac.twice", "line 4"),
-    ("\n1e1", "\n\n1e1", "micmac.cells", "line 4"),
+    ("Pt.x,Pt.y,Id", "Pt.y,Pt.x,Id", "interchange.cells", "line 1"),
+    ("61.123,", "61,123,", "interchange.cells", "line 3"),
+    ("1767.49", "nan", "interchange.cells", "line 3"),
+    ("1767.49", "1_767", "interchange.cells", "line 3"),
+    (",7", ",7.5", "interchange.cells", "line 4"),
+    (",7", ",1e300", "interchange.cells", "line 4"),
+    (",7", ",1", "interchange.twice", "line 4"),
+    ("\n1e1", "\n\n1e1", "interchange.cells", "line 4"),
 ]
 
 

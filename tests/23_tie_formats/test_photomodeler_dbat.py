@@ -58,12 +58,12 @@ def test_angles_are_kappa_phi_omega_of_successive_turns(tmp_path: Path) -> None:
 
 
 FAULTS = [
-    ("Bundle Soln", "Bundle", "photomodeler.cells", "line 1"),
-    ("1000 800", "1000", "photomodeler.cells", "line 2"),
-    ("-3e-4\n", "\n", "photomodeler.cells", "line 4"),
-    ("90.0 -5.0", "90.0", "photomodeler.cells", "line 7"),
-    ("   1 photos", "   5 photos", "photomodeler.cells", "line 13"),
-    ("2.5 1.5", "2.5 x", "photomodeler.cells", "line 19"),
+    ("Bundle Soln", "Bundle", "interchange.cells", "line 1"),
+    ("1000 800", "1000", "interchange.cells", "line 2"),
+    ("-3e-4\n", "\n", "interchange.cells", "line 4"),
+    ("90.0 -5.0", "90.0", "interchange.cells", "line 7"),
+    ("   1 photos", "   5 photos", "interchange.cells", "line 13"),
+    ("2.5 1.5", "2.5 x", "interchange.cells", "line 19"),
     ("   1    7", "   1    8", "photomodeler.mark", ""),
     ("   1    7", "   2    7", "photomodeler.mark", ""),
 ]
@@ -96,8 +96,8 @@ def test_a_table_of_points_names_photos_by_number(tmp_path: Path) -> None:
     assert (survey.images, survey.ids) == (("1", "3"), ("2", "5"))
     assert survey.observed.line.tolist() == [1456.427823, 1126.807078, 2.5]
     for old, new, code in (
-        ("5,1,", "2,1,", "photomodeler.twice"), ("1.5,2.5", "1.5,", "photomodeler.cells"),
-        ("Object", "Subject", "photomodeler.cells"),
+        ("5,1,", "2,1,", "interchange.twice"), ("1.5,2.5", "1.5,", "interchange.cells"),
+        ("Object", "Subject", "interchange.cells"),
     ):  # fmt: skip
         (tmp_path / "2d.txt").write_text(TABLE.replace(old, new, 1))
         with pytest.raises(InputError) as error:
@@ -137,13 +137,13 @@ DBAT_FAULTS: list[tuple[str, str, str, str]] = [
     ("# Format: Image id, OP id, x, y, sxy\n", "", "dbat.order", ""),
     ("OP id", "thing", "dbat.order", ""),
     ("OP id", "image", "dbat.order", ""),
-    (" 1, 03, 11, 21, 0.2", " 1, 03, 11, 21", "dbat.cells", "line 4"),
-    ("11, 21", "11, x", "dbat.cells", "line 4"),
-    ("21, 0.2", "21, 0.0", "dbat.cells", "line 4"),
-    ("1, 03", "1, 2", "dbat.twice", ""),
-    ("0.002", "-0.002", "dbat.cells", "line 2"),
-    ("8, ,", "2, ,", "dbat.twice", "line 3"),
-    ("2.0, 3.0", "2.0", "dbat.cells", "line 3"),
+    (" 1, 03, 11, 21, 0.2", " 1, 03, 11, 21", "interchange.cells", "line 4"),
+    ("11, 21", "11, x", "interchange.cells", "line 4"),
+    ("21, 0.2", "21, 0.0", "interchange.cells", "line 4"),
+    ("1, 03", "1, 2", "interchange.twice", ""),
+    ("0.002", "-0.002", "interchange.cells", "line 2"),
+    ("8, ,", "2, ,", "interchange.twice", "line 3"),
+    ("2.0, 3.0", "2.0", "interchange.cells", "line 3"),
 ]
 
 

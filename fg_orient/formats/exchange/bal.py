@@ -4,8 +4,8 @@ A file is text, plain or compressed by gzip or bzip2: number of cameras, points 
 line (camera, point, x, y); nine numbers per camera (rotation vector, translation, f, k1, k2), three per point. Cameras
 look along -Z, x runs right and y up from the middle of the image (Snavely et al. 2006). The projection centre is
 ``-R^T t``. A block of such a file counts pixels from the middle: samples are x and lines -y. A frame model counts them
-from the first pixel; the middle of an image of w x h pixels is at ((h - 1) / 2, (w - 1) / 2), for Bundler puts its
-lower left corner at (-w/2, -h/2). These files hold neither the principal point nor the size of the images.
+from the first pixel; the middle of an image of w x h pixels is at ((h - 1) / 2, (w - 1) / 2), because the lower left
+corner is at (-w/2, -h/2) in Bundler. These files contain neither the principal point nor the size of the images.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import gzip
 import hashlib
 import math
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -27,13 +27,14 @@ from scipy.spatial.transform import Rotation
 from factors.cameras import frame_camera
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.exchange.text import require_free
+from fg_orient.formats.exchange.text import require_free, whole
 from fg_orient.formats.exchange.ties import model_survey
-from fg_orient.formats.frame_model import FrameModel, Pose, free_block, in_one_image, in_pixels
+from fg_orient.formats.frame_model import FrameModel, Pose, frame_block
 from fg_orient.formats.registry import TIES_ONLY, Format, Settings
-from fg_orient.model.block import Block, Image, ImagePoints, Source
+from fg_orient.formats.tables import finite
+from fg_orient.model.block import Block, Source
 from fg_orient.model.errors import Finding, InputError, finding
-from fg_orient.sensors.frame import HALF_TURN, IDEAL_TO_MEASURED, FrameCamera, FrameSensor
+from fg_orient.sensors.frame import HALF_TURN, IDEAL_TO_MEASURED
 from fg_orient.sensors.interior import Interior, converted
 
 Array = npt.NDArray[np.float64]
@@ -41,13 +42,11 @@ Array = npt.NDArray[np.float64]
 #: Coefficients that the camera model of these files lacks, by the position in ``Interior.distortion``.
 _BEYOND: Final = {2: "k3", 3: "p1", 4: "p2"}
 N_CAMERA: Final = 9
-#: Sigma of an image coordinate: the cost of the block is then that of the literature, in px^2.
-SIGMA_PX: Final = 1.0
 #: Unknowns of a camera.
 UNKNOWN: Final = (
     "rotation_x", "rotation_y", "rotation_z", "centre_x", "centre_y", "centre_z", "focal", "k1", "k2",
 )  # fmt: skip
-#: More than this of anything is no bundle of this world, but a damaged file.
+#: A count above this is that of a damaged file.
 LARGEST: Final = 10**9
 
 
@@ -74,29 +73,31 @@ class BalData:
 def read_bal(path: str | Path, *, keep_behind: bool = True) -> Block:
     """Read a file as a block in a local system, with the options to adjust it as the literature does.
 
-    There are no priors and the datum is free; Levenberg-Marquardt; sigma 1 px. Points measured in one image
-    only, once or more, are left out: nothing determines their depth.
+    There are no priors and the datum is free; Levenberg-Marquardt; sigma 1 px: the cost is then that of the literature,
+    in px^2. Points measured in one image only, once or more, are left out: nothing determines their depth.
 
     Parameters
     ----------
     path : str or Path
     keep_behind : bool
         Keep points whose start values lie behind one of their cameras. The equation holds there as well, but no
-        camera sees backwards. Programs differ: Ceres keeps them; GTSAM's ``GeneralSFMFactor`` lets their residuals
-        count as zero, so that a cost of GTSAM belongs to False.
+        camera sees backwards. Programs differ: Ceres keeps them. GTSAM's ``GeneralSFMFactor`` counts their residuals
+        as zero, so that a cost of GTSAM corresponds to False.
 
     Raises
     ------
     InputError
         The file cannot be read, is truncated or damaged: with the line of the first fault.
     """
-    raw, sha256 = _read(Path(path))
-    data = _parse(raw, Path(path).name)
-    return bal_block(data, Path(path).name, (Source(str(path), sha256),), keep_behind=keep_behind)
+    path = Path(path)
+    raw, sha256 = _read(path)
+    model = frame_model_of(_parse(raw, path.name), from_middle=True)
+    source = Source(str(path), sha256)
+    return frame_block(model, path.name, (source,), unknowns=UNKNOWN, keep_behind=keep_behind)
 
 
 def read_bal_data(path: str | Path) -> BalData:
-    """Read a file into arrays, as it stands.
+    """Read the numbers of a file into arrays.
 
     Raises
     ------
@@ -106,56 +107,8 @@ def read_bal_data(path: str | Path) -> BalData:
     return _parse(_read(Path(path))[0], Path(path).name)
 
 
-def bal_block(data: BalData, name: str, sources: tuple[Source, ...] = (), *, keep_behind: bool = True) -> Block:
-    """Make the block of a file's numbers; see :func:`read_bal`."""
-    cameras = cameras_of(data)
-    behind = np.zeros(len(data.points), bool)
-    behind[data.point[_depths(data, cameras) <= 0.0]] = True
-    alone = in_one_image(data.camera, data.point, len(data.points))
-    rows = ~(alone | behind & (not keep_behind))[data.point]
-    x, y = data.xy[rows].T
-    sigma = np.full(len(x), SIGMA_PX)
-    observations = ImagePoints(data.camera[rows], data.point[rows], -y, x, sigma, sigma)
-    half = math.ceil(float(np.abs(data.xy).max(initial=0.0)))
-    images = tuple(
-        Image(str(k), FrameSensor(
-            camera, 2 * half + 1, 2 * half + 1, first_line=-half, first_sample=-half, georeferenced=False, file=name,
-        ))
-        for k, camera in enumerate(cameras)
-    )  # fmt: skip
-    left_out = (("points.alone", int(alone.sum())), ("points.behind", int(behind.sum())))
-    notes = tuple(finding(code, n=n) for code, n in left_out if n)
-    return free_block(name, images, tuple(map(str, range(len(data.points)))), data.points, observations, sources, notes)
-
-
-def _depths(data: BalData, cameras: list[FrameCamera]) -> Array:
-    """Depth (n,) of the start value of each measured point in its camera."""
-    view = np.array([camera.rotation[2] for camera in cameras])
-    centre = np.array([camera.centre_m for camera in cameras])
-    depth: Array = np.einsum("ni,ni->n", view[data.camera], data.points[data.point] - centre[data.camera])
-    return depth
-
-
-def cameras_of(data: BalData) -> list[FrameCamera]:
-    """The cameras of a file as those of ``fg_orient.sensors.frame``."""
-    rotations, centres = np.empty((len(data.cameras), 3, 3)), np.empty((len(data.cameras), 3))
-    for k, row in enumerate(data.cameras):
-        theirs = frame_camera.rotated(np.eye(3), row)
-        rotations[k], centres[k] = HALF_TURN @ theirs, -theirs.T @ row[3:6]
-    return [
-        _scaled(FrameCamera(rotation, centre, row[6], distortion=np.array([row[7], row[8], 0.0, 0.0, 0.0])), data, k)
-        for k, (rotation, centre, row) in enumerate(zip(rotations, centres, data.cameras, strict=True))
-    ]
-
-
-def _scaled(camera: FrameCamera, data: BalData, k: int) -> FrameCamera:
-    """Camera with the unknowns of the literature."""
-    own = np.flatnonzero(data.camera == k)
-    return in_pixels(camera, UNKNOWN, -data.xy[own, 1], data.xy[own, 0], data.points[data.point[own]])
-
-
 def _read(path: Path) -> tuple[bytes, str]:
-    """Content of a file, decompressed as its first bytes tell, and the SHA-256 of the file."""
+    """Content of a file, decompressed if its first bytes are those of gzip or bzip2, and the SHA-256 of the file."""
     try:
         raw = path.read_bytes()
         sha256 = hashlib.sha256(raw).hexdigest()
@@ -167,128 +120,97 @@ def _read(path: Path) -> tuple[bytes, str]:
 
 
 def _parse(raw: bytes, file: str) -> BalData:
-    """Numbers of a file; on any fault the line is looked for."""
-    tokens = raw.split()
-    try:
-        n_cameras, n_points, n = (_whole(token) for token in tokens[:3])
-    except ValueError:
-        raise InputError.of("bal.header", file=file, place="line 1", value=_shown(raw)) from None
-    if not (0 < n_cameras <= LARGEST and 0 < n_points <= LARGEST and 0 < n <= LARGEST):
-        raise InputError.of("bal.header", file=file, place="line 1", value=f"{n_cameras} {n_points} {n}")
-    expected = 3 + 4 * n + N_CAMERA * n_cameras + 3 * n_points
+    text = raw.decode("ascii", "replace")
+    tokens = text.split()
+    counts = [whole(token) for token in tokens[:3]]
+    m, n_points, n = (count or LARGEST + 1 for count in (*counts, *(None,) * (3 - len(counts))))
+    if max(m, n_points, n) > LARGEST:
+        raise InputError.of("bal.header", file=file, place="line 1", value=text.split("\n", 1)[0][:60])
+    expected = 3 + 4 * n + N_CAMERA * m + 3 * n_points
     if len(tokens) != expected:
         place = f"line {raw.count(10) + 1}"
         raise InputError.of("bal.count", file=file, place=place, value=f"{len(tokens)} numbers", expected=expected)
-    values = _numbers(raw, tokens, file)
-    if not np.isfinite(values).all():
-        _refuse(raw, file, 3 + int(np.flatnonzero(~np.isfinite(values))[0]), "bal.number")
+    values = finite(tokens[3:])
+    if values is None:
+        _refuse(text, file, next(k for k in range(3, expected) if finite(tokens[k : k + 1]) is None), "bal.number")
     observed = values[: 4 * n].reshape(n, 4)
-    limits = np.array([n_cameras, n_points])
+    limits = np.array([m, n_points])
     bad = np.argwhere((observed[:, :2] < 0) | (observed[:, :2] >= limits) | (observed[:, :2] % 1 != 0))
     if len(bad):
-        _refuse(raw, file, 3 + 4 * int(bad[0, 0]) + int(bad[0, 1]), "bal.index", last=int(limits[bad[0, 1]]) - 1)
-    cameras = values[4 * n : 4 * n + N_CAMERA * n_cameras].reshape(-1, N_CAMERA)
+        _refuse(text, file, 3 + 4 * int(bad[0, 0]) + int(bad[0, 1]), "bal.index", last=int(limits[bad[0, 1]]) - 1)
+    cameras = values[4 * n : 4 * n + N_CAMERA * m].reshape(-1, N_CAMERA)
     short = np.flatnonzero(cameras[:, 6] <= 0.0)
     if len(short):
-        _refuse(raw, file, 3 + 4 * n + N_CAMERA * int(short[0]) + 6, "bal.focal")
+        _refuse(text, file, 3 + 4 * n + N_CAMERA * int(short[0]) + 6, "bal.focal")
     index = observed[:, :2].astype(np.intp)
     points = values[-3 * n_points :].reshape(-1, 3).copy()
     return BalData(index[:, 0], index[:, 1], observed[:, 2:].copy(), cameras.copy(), points)
 
 
-def _whole(token: bytes) -> int:
-    """Whole number of digits alone; ValueError for others (``int`` would take 1_0 for 10)."""
-    if not token.lstrip(b"-").isdigit():
-        raise ValueError(token)
-    return int(token)
-
-
-def _numbers(raw: bytes, tokens: list[bytes], file: str) -> Array:
-    """Numbers behind the header."""
-    if b"_" not in raw:  # numpy would take 1_0 for 10
-        try:
-            return np.array(tokens[3:], dtype=np.float64)
-        except ValueError:
-            pass
-    _refuse(raw, file, next(k for k in range(3, len(tokens)) if not _is_number(tokens[k])), "bal.number")
-
-
-def _is_number(token: bytes) -> bool:
-    try:
-        float(token)
-    except ValueError:
-        return False
-    return b"_" not in token
-
-
-def _refuse(raw: bytes, file: str, wrong: int, code: str, **fields: object) -> NoReturn:
-    """Refuse a number by its place among all, with its line.
-
-    Raises
-    ------
-    InputError
-        Always.
-    """
-    seen = 0
-    for line, text in enumerate(raw.split(b"\n"), start=1):
-        parts = text.split()
-        if wrong < seen + len(parts):
-            raise InputError.of(code, file=file, place=f"line {line}", value=_shown(parts[wrong - seen]), **fields)
-        seen += len(parts)
-    raise AssertionError("the number stands in the file")
-
-
-def _shown(raw: bytes) -> str:
-    """First line of some bytes as text."""
-    return raw.split(b"\n", 1)[0][:60].decode("ascii", "replace")
+def _refuse(text: str, file: str, wrong: int, code: str, **fields: object) -> NoReturn:
+    """Raise InputError for a number, given by its position among all numbers, with its line."""
+    for line, row in enumerate(text.split("\n"), start=1):
+        cells = row.split()
+        if wrong < len(cells):
+            raise InputError.of(code, file=file, place=f"line {line}", value=cells[wrong][:60], **fields)
+        wrong -= len(cells)
+    raise AssertionError("the file contains the number")
 
 
 # --- frame models --------------------------------------------------------------------------------
 
 
 def frame_model_of(
-    data: BalData, names: Sequence[str] | None = None, sizes: Sequence[tuple[int, int]] | None = None,
-    notes: tuple[Finding, ...] = (),
+    data: BalData, names: Sequence[str] | None = None, sizes: Sequence[tuple[int, int] | None] | None = None,
+    notes: tuple[Finding, ...] = (), *, from_middle: bool = False,
 ) -> FrameModel:  # fmt: skip
-    """Give a file's numbers as a frame model; each image has a camera of its own.
+    """Convert the numbers of a file to a frame model; each image has its own camera.
 
     Parameters
     ----------
     data : BalData
     names : sequence of str, optional
-        Of the images; else they are counted from 0.
-    sizes : sequence of (n_lines, n_samples), optional
-        Of the images; else all are as large as the outermost image point of all demands, and square.
+        Names of the images; default: counted from 0.
+    sizes : sequence of (n_lines, n_samples) or None, optional
+        Sizes of the images. An image without one becomes the square that contains the outermost image point of all
+        images; a note names these images.
     notes : tuple of Finding
+    from_middle : bool
+        Count the pixels from the middle of the images; no note on sizes.
     """
-    n = len(data.cameras)
-    size = np.array(sizes if sizes is not None else [(assumed_side(data),) * 2] * n, int).reshape(n, 2)
-    middle = (size - 1) / 2.0
-    found = cameras_of(data)
+    n, side = len(data.cameras), assumed_side(data)
     keys = tuple(names) if names is not None else tuple(map(str, range(n)))
-    cameras = {
-        key: Interior(int(size[k, 0]), int(size[k, 1]), camera.focal_px, middle[k], camera.distortion, name=key)
-        for k, (key, camera) in enumerate(zip(keys, found, strict=True))
-    }
-    poses = tuple(Pose(key, key, c.rotation, c.centre_m) for key, c in zip(keys, found, strict=True))
+    given = dict(zip(keys, sizes or (None,) * n, strict=True))
+    assumed = [key for key, size in given.items() if size is None and not from_middle]
+    if assumed:
+        notes = (*notes, finding("points.sizes_assumed", side=side, images=assumed))
+    size = np.array([given[key] or (side, side) for key in keys], int).reshape(n, 2)
+    middle = np.zeros((n, 2)) if from_middle else (size - 1) / 2.0
+    cameras, poses = {}, []
+    for k, (key, row) in enumerate(zip(keys, data.cameras, strict=True)):
+        theirs, distortion = frame_camera.rotated(np.eye(3), row), np.array([row[7], row[8], 0.0, 0.0, 0.0])
+        cameras[key] = Interior(int(size[k, 0]), int(size[k, 1]), row[6], middle[k], distortion, name=key)
+        poses.append(Pose(key, key, HALF_TURN @ theirs, -theirs.T @ row[3:6]))
     line, sample = middle[data.camera, 0] - data.xy[:, 1], middle[data.camera, 1] + data.xy[:, 0]
     ids = tuple(map(str, range(len(data.points))))
-    return FrameModel(cameras, poses, ids, data.points, data.camera, data.point, line, sample, notes)
+    return FrameModel(
+        cameras, tuple(poses), ids, data.points, data.camera, data.point, line, sample, notes, from_middle
+    )  # fmt: skip
 
 
 def assumed_side(data: BalData) -> int:
-    """Side of the square that holds all image points about its middle, px: an odd number."""
+    """Side of the square that contains all image points about its middle, px: an odd number."""
     return 2 * math.ceil(float(np.abs(data.xy).max(initial=0.0))) + 1
 
 
 def bal_data_of(model: FrameModel, file: str = "") -> tuple[BalData, tuple[str, ...]]:
-    """Give a frame model in the conventions of these files; pixels are counted from the principal point.
+    """Convert a frame model to the conventions of these files; pixels are counted from the principal point.
 
     Returns
     -------
     data : BalData
     lost : tuple of str
-        What they cannot hold, in words.
+        Information that they cannot hold, in words.
 
     Raises
     ------
@@ -336,60 +258,52 @@ def write_bal(path: str | Path, data: BalData, *, overwrite: bool = False) -> No
     write_bytes(path, bz2.compress(raw) if path.suffix == ".bz2" else raw)
 
 
-def sized_model(data: BalData, names: Sequence[str], settings: Settings, notes: tuple[Finding, ...] = ()) -> FrameModel:
-    """Frame model of a bundle with the sizes of the settings; a note tells those that had to be assumed."""
-    side = assumed_side(data)
-    without = [name for name in names if name not in settings.image_sizes]
-    if without:
-        notes = (*notes, finding("points.sizes_assumed", side=side, images=without))
-    return frame_model_of(data, names, [settings.image_sizes.get(name, (side, side)) for name in names], notes)
+def bundle_format(
+    load: Callable[[tuple[Path, ...]], tuple[BalData, Sequence[str], tuple[Finding, ...]]],
+    save: Callable[[Path, BalData, bool], None], **fields: Any,
+) -> Format:  # fmt: skip
+    """Registration record of a format with the numbers of BAL.
 
-
-def bundle_survey(
-    data: BalData, names: Sequence[str], settings: Settings, notes: tuple[Finding, ...], file: str
-) -> Survey:
-    """Tie points of a bundle; the sizes of its images are those of the settings.
-
-    Raises
-    ------
-    InputError
-        The size of an image is not given: nothing else tells where the first pixel is.
+    Parameters
+    ----------
+    load : callable
+        Files to numbers, names of the images and notes.
+    save : callable
+        Writes numbers to a file; the last argument tells whether an existing file is replaced.
+    **fields
+        Further fields of the record.
     """
-    settings.require_images(names, file)
-    for name in names:
-        if name not in settings.image_sizes:
-            raise InputError.of("ties.size", file=file, place=name)
-    return model_survey(sized_model(data, names, settings, notes))
+
+    def read_model(paths: tuple[Path, ...], settings: Settings) -> FrameModel:
+        data, names, notes = load(paths)
+        return frame_model_of(data, names, [settings.image_sizes.get(name) for name in names], notes)
+
+    def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
+        model = read_model(paths, settings)
+        names = [pose.name for pose in model.poses]
+        settings.require_images(names, paths[0].name)
+        for name in names:
+            if name not in settings.image_sizes:  # without the size the first pixel is unknown
+                raise InputError.of("ties.size", file=paths[0].name, place=name)
+        return model_survey(model)
+
+    def write_model(out: Path, model: FrameModel, overwrite: bool) -> tuple[str, ...]:
+        data, lost = bal_data_of(model, out.name)
+        save(out, data, overwrite)
+        return lost
+
+    return Format(
+        pixel_axes="x right, y up from the middle of the image (pixels)", ground_axes="local x, y, z (left out)",
+        holds=TIES_ONLY, read=read, read_model=read_model, write_model=write_model, **fields,
+    )  # fmt: skip
 
 
-def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read the tie points of a file; its images are named by numbers from 0."""
+def _load(paths: tuple[Path, ...]) -> tuple[BalData, list[str], tuple[Finding, ...]]:
     data = read_bal_data(paths[0])
-    return bundle_survey(data, tuple(map(str, range(len(data.cameras)))), settings, (), paths[0].name)
+    return data, list(map(str, range(len(data.cameras)))), ()
 
 
-def read_model(paths: tuple[Path, ...], settings: Settings) -> FrameModel:
-    """Read a whole file."""
-    data = read_bal_data(paths[0])
-    return sized_model(data, tuple(map(str, range(len(data.cameras)))), settings)
-
-
-def write_model(out: Path, model: FrameModel, overwrite: bool) -> tuple[str, ...]:
-    """Write a whole file."""
-    data, lost = bal_data_of(model, out.name)
-    write_bal(out, data, overwrite=overwrite)
-    return lost
-
-
-FORMAT: Final = Format(
-    name="bal",
-    title="Bundle Adjustment in the Large",
-    files=("bundle",),
-    pixel_axes="x right, y up from the middle of the image (pixels)",
-    ground_axes="local x, y, z (left out)",
-    holds=TIES_ONLY,
-    read=read,
-    read_model=read_model,
-    write_model=write_model,
-    evidence="the published problem Ladybug 49",
-)
+FORMAT: Final = bundle_format(
+    _load, lambda out, data, overwrite: write_bal(out, data, overwrite=overwrite), name="bal",
+    title="Bundle Adjustment in the Large", files=("bundle",), evidence="the published problem Ladybug 49",
+)  # fmt: skip

@@ -2,8 +2,8 @@
 
 A pose leads from ground to camera axes (quaternion w x y z, then translation t = -R C); the axes are those of
 ``fg_orient.sensors.frame``. Pixels are (x, y) with (0.5, 0.5) in the centre of the first one. Each image has two
-lines, of which the second may be empty: its keypoints, -1 where they belong to no point. What COLMAP may put beside
-(rigs.txt, frames.txt: since 3.12) says nothing more about images of single cameras.
+lines. The second one may be empty: it lists the keypoints, with -1 for a keypoint without a point. Further files of
+COLMAP since 3.12 (rigs.txt, frames.txt) contain no additional data of images of single cameras.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.exchange.text import make_folder, read_lines, require_free, whole
+from fg_orient.formats.exchange.text import TextLines, make_folder, positions, require_free, require_once, whole
 from fg_orient.formats.exchange.ties import model_survey
 from fg_orient.formats.frame_model import FrameModel, Pose
 from fg_orient.formats.registry import TIES_ONLY, Format, Settings
@@ -49,7 +49,7 @@ FILES: Final = ("cameras.txt", "images.txt", "points3D.txt")
 #: Point id of a keypoint without a point: -1, or the same as an unsigned number.
 NO_POINT: Final = -1.0
 _UNSIGNED_NO_POINT: Final = 2.0**64
-#: Quaternions are normalised; further from 1 than this they are none.
+#: Largest deviation of the length of a quaternion from 1.
 NORM: Final = 1e-3
 
 
@@ -80,7 +80,9 @@ def interior_of(
         raise InputError.of("colmap.model", file=file, place=place, value=model, known=", ".join(MODELS))
     if len(parameters) != len(MODELS[model]):
         needed = f"{model} with {' '.join(MODELS[model])}"
-        raise InputError.of("colmap.cells", file=file, place=place, value=f"{len(parameters)} numbers", needed=needed)
+        raise InputError.of(
+            "interchange.cells", file=file, place=place, value=f"{len(parameters)} numbers", needed=needed
+        )
     value = dict(zip(MODELS[model], parameters, strict=True))
     focal = value.get("f", value.get("fx", 0.0))
     beyond = {key: value[key] for key in ("k4", "k5", "k6") if value.get(key, 0.0) != 0.0}
@@ -95,10 +97,10 @@ def interior_of(
 
 
 def parameters_of(interior: Interior) -> tuple[str, tuple[float, ...], float]:
-    """Camera for COLMAP: the smallest model that holds it, its parameters, and the largest error in px.
+    """Camera for COLMAP: the smallest sufficient model, its parameters, and the largest error in px.
 
-    The error is 0 unless the polynomial leads from measured to ideal coordinates: it is then fitted the other way
-    round (``fg_orient.sensors.interior.converted``).
+    The error is 0 unless the polynomial leads from measured to ideal coordinates: then a polynomial of the other
+    direction is fitted (``fg_orient.sensors.interior.converted``).
     """
     turned = converted(interior, IDEAL_TO_MEASURED)
     own = turned.interior
@@ -121,140 +123,110 @@ def read_colmap_text(folder: str | Path) -> FrameModel:
         has no counterpart here.
     """
     folder = Path(folder)
-    cameras = _read_cameras(folder / FILES[0])
-    poses, keypoints = _read_images(folder / FILES[1], cameras)
-    ids, points, n_tracked = _read_points(folder / FILES[2])
+    cameras = _read_cameras(TextLines(folder / FILES[0]))
+    poses, keypoints = _read_images(TextLines(folder / FILES[1]), cameras)
+    ids, points, n_tracked = _read_points(TextLines(folder / FILES[2]))
     image = np.repeat(np.arange(len(poses)), [len(k) for k in keypoints])
     rows = np.concatenate([np.empty((0, 3)), *keypoints])
     measured = (rows[:, 2] != NO_POINT) & (rows[:, 2] < _UNSIGNED_NO_POINT)
     image, rows = image[measured], rows[measured]
-    point = _positions(ids, rows[:, 2], folder.name)
+    point = positions(ids, rows[:, 2])
+    if (point < 0).any():
+        _no_reference(FILES[1], folder.name, int(rows[point < 0, 2][0]), "point", FILES[2])
     if n_tracked != len(rows):
-        raise InputError.of(
-            "colmap.track", file=FILES[2], place=folder.name, n_tracks=n_tracked, n_images=len(rows)
-        )  # fmt: skip
+        raise InputError.of("colmap.track", file=FILES[2], place=folder.name, n_tracks=n_tracked, n_images=len(rows))
     left_out = int((~measured).sum())
     notes = (finding("points.no_track", n=left_out),) if left_out else ()
     names = tuple(str(int(i)) for i in ids)
-    return FrameModel(
-        cameras, poses, names, points, image, point, rows[:, 1] - FIRST_PIXEL, rows[:, 0] - FIRST_PIXEL, notes
-    )  # fmt: skip
+    line, sample = rows[:, 1] - FIRST_PIXEL, rows[:, 0] - FIRST_PIXEL
+    return FrameModel(cameras, poses, names, points, image, point, line, sample, notes)
 
 
-def _read_cameras(path: Path) -> dict[str, Interior]:
-    found: dict[str, Interior] = {}
-    for number, line in _content(path):
-        place, cells = f"line {number}", line.split()
-        values = finite(cells[4:])
-        size = [whole(cell) for cell in cells[2:4]]
+def _no_reference(file: str, place: str, value: object, kind: str, other: str) -> NoReturn:
+    raise InputError.of("colmap.reference", file=file, place=place, value=value, kind=kind, other=other)
+
+
+def _read_cameras(text: TextLines) -> dict[str, Interior]:
+    rows = [(number, line.split()) for number, line in text.content()]
+    cameras: dict[str, Interior] = {}
+    for number, cells in rows:
+        values, size = finite(cells[4:]), [whole(cell) for cell in cells[2:4]]
         if len(cells) < 5 or values is None or None in size:
-            _refuse(path, number, line, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]")
-        if cells[0] in found:
-            raise InputError.of("colmap.twice", file=path.name, place=place, value=cells[0], kind="camera")
+            text.refuse(number, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]")
         width, height = (n for n in size if n is not None)
-        found[cells[0]] = interior_of(
-            cells[1], (width, height), values.tolist(), cells[0], file=path.name, place=place
+        cameras[cells[0]] = interior_of(
+            cells[1], (width, height), values.tolist(), cells[0], file=text.path.name, place=f"line {number}"
         )  # fmt: skip
-    return found
+    ids = np.array([cells[0] for _, cells in rows], str)
+    require_once(ids, "camera", text.path.name, lambda k: (f"line {rows[k][0]}", ids[k]))
+    return cameras
 
 
-def _read_images(path: Path, cameras: dict[str, Interior]) -> tuple[tuple[Pose, ...], list[Array]]:
+def _read_images(text: TextLines, cameras: dict[str, Interior]) -> tuple[tuple[Pose, ...], list[Array]]:
     """Poses and keypoints (k, 3): x, y, point id."""
-    lines = read_lines(path)
     poses, keypoints = [], []
-    upcoming = iter(enumerate(lines, start=1))
+    upcoming = iter(enumerate(text.lines, start=1))
     for number, line in upcoming:
         if not line.strip() or line.startswith("#"):
             continue
-        poses.append(_pose(path, number, line, cameras))
-        second, text = next(upcoming, (number, ""))
-        cells = text.split()
+        poses.append(_pose(text, number, line, cameras))
+        second, keypoint_line = next(upcoming, (number, ""))
+        cells = keypoint_line.split()
         values = finite(cells)
         if values is None or len(cells) % 3:
-            _refuse(path, second, text, "X Y POINT3D_ID of each keypoint")
+            text.refuse(second, "X Y POINT3D_ID of each keypoint")
         keypoints.append(values.reshape(-1, 3))
     return tuple(poses), keypoints
 
 
-def _pose(path: Path, number: int, line: str, cameras: dict[str, Interior]) -> Pose:
+def _pose(text: TextLines, number: int, line: str, cameras: dict[str, Interior]) -> Pose:
     cells = line.split(maxsplit=9)
     values = finite(cells[1:8])
     if len(cells) < 10 or values is None or abs(np.linalg.norm(values[:4]) - 1.0) > NORM:
-        _refuse(path, number, line, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME with a quaternion of length 1")
+        text.refuse(number, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME with a quaternion of length 1")
     if cells[8] not in cameras:
-        raise InputError.of(
-            "colmap.reference", file=path.name, place=f"line {number}", value=cells[8], kind="camera", other=FILES[0]
-        )  # fmt: skip
+        _no_reference(text.path.name, f"line {number}", cells[8], "camera", FILES[0])
     rotation = Rotation.from_quat(values[[1, 2, 3, 0]]).as_matrix()
     return Pose(cells[9].strip(), cells[8], rotation, -rotation.T @ values[4:7])
 
 
-def _read_points(path: Path) -> tuple[Array, Array, int]:
+def _read_points(text: TextLines) -> tuple[Array, Array, int]:
     """Ids (N,), coordinates (N, 3), number of image points of all tracks."""
-    content = list(_content(path))
-    heads = [line.split(maxsplit=4)[:4] for _, line in content]
-    flat = finite([cell for head in heads for cell in head]) if all(len(head) == 4 for head in heads) else None
+    needed = "POINT3D_ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)[]"
+    content = text.content()
     counts = [len(line.split()) for _, line in content]
-    for (number, line), count, head in zip(content, counts, heads, strict=True):
-        if count < 8 or count % 2 or (flat is None and finite(head) is None):
-            _refuse(path, number, line, "POINT3D_ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)[]")
-    rows = np.empty((0, 4)) if flat is None else flat.reshape(-1, 4)
-    ids, times = np.unique(rows[:, 0], return_counts=True)
-    if len(ids) < len(rows):
-        again = ids[times > 1][0]
-        raise InputError.of("colmap.twice", file=path.name, value=int(again), kind="point")
+    for (number, _), count in zip(content, counts, strict=True):
+        if count < 8 or count % 2:
+            text.refuse(number, needed)
+    rows = text.numbers([(number, line.split(maxsplit=4)[:4]) for number, line in content], 4, needed)
+    require_once(rows[:, 0], "point", text.path.name, lambda k: ("", int(rows[k, 0])))
     return rows[:, 0], rows[:, 1:], (sum(counts) - 8 * len(counts)) // 2
-
-
-def _positions(ids: Array, wanted: Array, folder: str) -> Index:
-    """Place of each wanted id among the ids."""
-    order = np.argsort(ids)
-    if not len(ids):
-        order = np.zeros(0, np.intp)
-    at = np.searchsorted(ids, wanted, sorter=order)
-    known = at < len(ids)
-    known[known] = ids[order[at[known]]] == wanted[known]
-    if not known.all():
-        value = int(wanted[~known][0])
-        raise InputError.of(
-            "colmap.reference", file=FILES[1], place=folder, value=value, kind="point", other=FILES[2]
-        )  # fmt: skip
-    return order[at]
-
-
-def _refuse(path: Path, number: int, line: str, needed: str) -> NoReturn:
-    raise InputError.of("colmap.cells", file=path.name, place=f"line {number}", value=repr(line), needed=needed)
-
-
-def _content(path: Path) -> Iterator[tuple[int, str]]:
-    """Lines with their numbers, without comments and blank ones."""
-    for number, line in enumerate(read_lines(path), start=1):
-        if line.strip() and not line.startswith("#"):
-            yield number, line
 
 
 def write_colmap_text(folder: str | Path, model: FrameModel, *, overwrite: bool = False) -> tuple[str, ...]:
     """Write a model; the folder is made if it is missing. Numbers have all their digits.
 
-    Ids of cameras, images and points count from 1, in the order of the model: names of points and cameras that are
-    no numbers are lost.
+    Ids of cameras, images and points count from 1, in the order of the model: other names of points and cameras are
+    lost.
 
     Returns
     -------
     tuple of str
-        What the files cannot hold, in words.
+        Information that the files cannot hold, in words.
 
     Raises
     ------
     InputError
-        A file exists, cannot be written, or a name of an image holds a blank: COLMAP would cut it there.
+        A file exists, cannot be written, or the name of an image contains a blank: COLMAP would cut it there.
     """
     folder = Path(folder)
     paths = [folder / name for name in FILES]
     require_free(*paths, overwrite=overwrite)
     for pose in model.poses:
         if len(pose.name.split()) != 1:
-            raise InputError.of("colmap.cells", file=FILES[1], value=repr(pose.name), needed="a NAME without blanks")
+            raise InputError.of(
+                "interchange.cells", file=FILES[1], value=repr(pose.name), needed="a NAME without blanks"
+            )
     cameras, lost = _camera_lines(model)
     order = np.lexsort((model.point, model.image))
     place = np.empty(len(order), np.intp)  # of an image point among those of its image

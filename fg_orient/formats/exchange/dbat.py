@@ -1,8 +1,8 @@
 """Point files of DBAT: marks (image points) and control points, lines of cells between commas.
 
-The order of the cells is that of the last comment before the first line, such as ``# Format: image id, point id, x, y,
-sxy``, which DBAT's own examples have. x runs right and y down, pixels; the files do not say where they are counted
-from: the origin is taken for the centre of the first pixel, as DBAT's results are reproduced (docs/frame-cameras.md).
+The last comment before the first line states the order of the cells, as in DBAT's own examples: ``# Format: image id,
+point id, x, y, sxy``. x runs right and y down, in pixels. The files do not state the origin. It is assumed to be the
+centre of the first pixel, because DBAT's results are reproduced with it (docs/frame-cameras.md).
 Control points: id, name, X, Y, Z and, unless they are fixed, one standard deviation or one for each axis.
 Observed projection centres: photo, X, Y, Z, one standard deviation or three; ``closerange import`` reads them.
 """
@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.exchange.text import read_lines
+from fg_orient.formats.exchange.text import TextLines, require_once
 from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import finite
 from fg_orient.model.block import ImagePoints
@@ -25,7 +25,7 @@ from fg_orient.model.names import Role
 
 Array = npt.NDArray[np.float64]
 
-#: Words of the comment for the cells that are read.
+#: Words of the comment for each kind of cell.
 _WORDS: Final = {
     "image": "image", "image id": "image", "im": "image", "id": "point", "point id": "point", "op id": "point",
     "x": "x", "y": "y", "sxy": "sigma",
@@ -35,44 +35,36 @@ _CENTRES: Final = "photo, X, Y, Z, then one sigma, or sigmaX, sigmaY, sigmaZ"
 
 
 def read_marks(path: Path) -> tuple[list[str], list[str], Array]:
-    """Image and point of each mark, and x, y, sigma (n, 3) in pixels, nan where the file gives no sigma.
+    """Image and point of each mark, and x, y, sigma (n, 3) in pixels, nan if the file has no sigma.
 
     Raises
     ------
     InputError
-        No comment tells the order of the cells, or a line is faulty.
+        No comment states the order of the cells, a line is faulty, or a point is marked twice in an image.
     """
-    lines = read_lines(path)
+    text = TextLines(path)
     order: list[str] = []
-    rows: list[tuple[int, list[str]]] = []
-    for number, line in enumerate(lines, start=1):
-        if line.startswith("#") and not rows:
-            words = [word.strip().lower() for word in line[1:].rpartition(":")[2].split(",")]
-            order = [_WORDS[word] for word in words] if all(word in _WORDS for word in words) else order
-        elif line.strip() and not line.startswith("#"):
-            rows.append((number, [cell.strip() for cell in line.split(",")]))
+    rows = [(number, [cell.strip() for cell in line.split(",")]) for number, line in text.content()]
+    for line in text.lines[: rows[0][0] if rows else None]:
+        words = [word.strip().lower() for word in line[1:].rpartition(":")[2].split(",")]
+        if line.startswith("#") and all(word in _WORDS for word in words):
+            order = [_WORDS[word] for word in words]
     if not {"image", "point", "x", "y"} <= set(order) or len(set(order)) < len(order):
-        raise InputError.of("dbat.order", file=path.name, value=lines[0])
+        raise InputError.of("dbat.order", file=path.name, value=text.lines[0])
     for number, cells in rows:
         if len(cells) != len(order) or not all(cells):
-            raise InputError.of(
-                "dbat.cells", file=path.name, place=f"line {number}", value=",".join(cells), needed=", ".join(order)
-            )  # fmt: skip
-    column = {name: [cells[k] for _, cells in rows] for k, name in enumerate(order)}
+            text.refuse(number, ", ".join(order))
     values = np.full((len(rows), 3), np.nan)
     for k, name in enumerate(("x", "y", "sigma")):
-        found = finite(column[name]) if name in column else np.full(len(rows), np.nan)
-        if found is None or (name == "sigma" and (found <= 0.0).any()):
-            bad = next(j for j, cell in enumerate(column[name]) if not _positive(cell, any_sign=name != "sigma"))
-            place = f"line {rows[bad][0]}"
-            raise InputError.of("dbat.cells", file=path.name, place=place, value=column[name][bad], needed=name)
-        values[:, k] = found
-    return column["image"], column["point"], values
-
-
-def _positive(cell: str, *, any_sign: bool) -> bool:
-    value = finite([cell])
-    return value is not None and (any_sign or bool(value[0] > 0.0))
+        if name in order:
+            at = order.index(name)
+            values[:, k] = text.numbers([(number, cells[at : at + 1]) for number, cells in rows], 1, name)[:, 0]
+    for k in np.flatnonzero(values[:, 2] <= 0.0)[:1]:
+        text.refuse(rows[k][0], "sigma")
+    images, points = ([cells[order.index(name)] for _, cells in rows] for name in ("image", "point"))
+    pairs = np.array([f"{point}\n{image}" for point, image in zip(points, images, strict=True)], str)
+    require_once(pairs, "mark", path.name, lambda k: ("", f"point {points[k]} in image {images[k]}"))
+    return images, points, values
 
 
 def read_control(path: Path) -> tuple[list[str], Array]:
@@ -102,40 +94,27 @@ def read_centres(path: Path) -> dict[str, Array]:
 
 
 def _rows(path: Path, first: int, counts: tuple[int, ...], needed: str) -> dict[str, Array]:
-    """Numbers from cell ``first`` on by the name in the first cell; so many of them, sigmas behind three coordinates.
-
-    Raises
-    ------
-    InputError
-        A line is faulty, or a name occurs twice.
-    """
-    out: dict[str, Array] = {}
-    for number, line in enumerate(read_lines(path), start=1):
-        if not line.strip() or line.startswith("#"):
-            continue
+    """Numbers from cell ``first`` on, by the name in the first cell: three coordinates, then sigmas."""
+    text, rows = TextLines(path), list[tuple[str, Array]]()
+    content = text.content()
+    for number, line in content:
         cells = [cell.strip() for cell in line.split(",")]
-        values, place = finite(cells[first:]), f"line {number}"
+        values = finite(cells[first:])
         if values is None or len(values) not in counts or not cells[0] or (values[3:] <= 0.0).any():
-            raise InputError.of("dbat.cells", file=path.name, place=place, value=line.strip(), needed=needed)
-        if cells[0] in out:
-            raise InputError.of("dbat.twice", file=path.name, place=place, value=cells[0])
-        out[cells[0]] = values
-    return out
+            text.refuse(number, needed)
+        rows.append((cells[0], values))
+    names = np.array([name for name, _ in rows], str)
+    require_once(names, "name", path.name, lambda k: (f"line {content[k][0]}", names[k]))
+    return dict(rows)
 
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     """Read marks and, as second file, control points; their CRS is that of the settings."""
     images, points, marks = read_marks(paths[0])
     names, control = read_control(paths[1]) if len(paths) > 1 else ([], np.empty((0, 6)))
-    ids = list(dict.fromkeys([*names, *points]))
-    image_ids = list(dict.fromkeys(images))
+    ids, image_ids = list(dict.fromkeys([*names, *points])), list(dict.fromkeys(images))
     point_row, image_row = ({name: k for k, name in enumerate(known)} for known in (ids, image_ids))
     at, of = np.array([point_row[p] for p in points], np.intp), np.array([image_row[i] for i in images], np.intp)
-    pair, first = np.unique(of * max(len(ids), 1) + at, return_index=True)
-    if len(pair) < len(at):
-        again = int(np.setdiff1d(np.arange(len(at)), first)[0])
-        value = f"point {points[again]} in image {images[again]}"
-        raise InputError.of("dbat.twice", file=paths[0].name, value=value)
     rest = np.full((len(ids) - len(names), 6), np.nan)
     table = np.concatenate([control, rest])
     fixed = np.isfinite(table[:, 0]) & np.isnan(table[:, 3])

@@ -1,7 +1,7 @@
 """Multi-image tie points of MicMac: a folder with one table ``PMUL-IMAGE.csv`` per image, columns Pt.x, Pt.y, Id.
 
-Pt.x is the sample and Pt.y the line; image points of the same Id in several tables are one tie point. That whole
-numbers are centres of pixels is MicMac's convention by description: tie points alone cannot decide it.
+Pt.x is the sample and Pt.y the line; image points of the same Id in several tables are one tie point. Whole numbers
+are centres of pixels according to MicMac's description; tie points alone cannot confirm it.
 """
 
 from __future__ import annotations
@@ -9,17 +9,16 @@ from __future__ import annotations
 import gzip
 import zlib
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.exchange.text import make_folder
+from fg_orient.formats.exchange.text import TextLines, make_folder, require_once
 from fg_orient.formats.exchange.ties import tie_survey
 from fg_orient.formats.registry import Format, Holds, Settings
-from fg_orient.formats.tables import finite
 from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -52,27 +51,16 @@ def read_image(path: str | Path) -> tuple[Array, npt.NDArray[np.int64]]:
         raise InputError.of("ties.unreadable", file=path.name, value=error) from None
     except UnicodeDecodeError as error:
         raise InputError.of("ties.not_text", file=path.name, place=f"byte {error.start}") from None
-    lines = text.replace("\r\n", "\n").rstrip("\n").split("\n")
-    if lines[0].strip() != HEADER:
-        _refuse(path, 1, lines[0])
-    records = lines[1:]
-    values = finite(",".join(records).split(",")) if records else np.empty(0)
-    if values is None or any(record.count(",") != 2 for record in records):
-        bad = next(k for k, record in enumerate(records) if record.count(",") != 2 or finite(record.split(",")) is None)
-        _refuse(path, bad + 2, records[bad])
-    rows = values.reshape(-1, 3)
-    odd = np.flatnonzero((rows[:, 2] != np.floor(rows[:, 2])) | (np.abs(rows[:, 2]) > _EXACT))
-    if len(odd):
-        _refuse(path, int(odd[0]) + 2, records[odd[0]])
-    ids, first = np.unique(rows[:, 2], return_index=True)
-    if len(ids) < len(rows):
-        again = int(np.setdiff1d(np.arange(len(rows)), first)[0])
-        raise InputError.of("micmac.twice", file=path.name, place=f"line {again + 2}", value=int(rows[again, 2]))
-    return rows[:, 1::-1].copy(), rows[:, 2].astype(np.int64)
-
-
-def _refuse(path: Path, line: int, text: str) -> NoReturn:
-    raise InputError.of("micmac.cells", file=path.name, place=f"line {line}", value=repr(text), header=HEADER)
+    lines = TextLines(path, text.replace("\r\n", "\n").rstrip("\n"))
+    needed = f"the columns {HEADER}, numbers with a whole Id"
+    if lines.lines[0].strip() != HEADER:
+        lines.refuse(1, needed)
+    rows = lines.numbers([(n, line.split(",")) for n, line in enumerate(lines.lines[1:], start=2)], 3, needed)
+    ids = rows[:, 2]
+    for k in np.flatnonzero((ids != np.floor(ids)) | (np.abs(ids) > _EXACT))[:1]:
+        lines.refuse(int(k) + 2, needed)
+    require_once(ids, "point", path.name, lambda k: (f"line {k + 2}", int(ids[k])))
+    return rows[:, 1::-1].copy(), ids.astype(np.int64)
 
 
 def image_of(path: Path) -> str:

@@ -1,27 +1,27 @@
 """Exports of PhotoModeler: the text export of a project ("Bundle Soln") and the table of 2D points.
 
-The text export is read in parts between empty lines: image size and camera; each photo with its projection centre and
-the angles kappa, phi, omega (degrees); known points; all points, in a shifted system; marks. Lengths of the camera are
-mm, its polynomial leads from measured to ideal coordinates with y up, photos count from 0 (from 1 in tables).
-Pixels run right and down. Neither file says where they are counted from: marks and principal point have one origin,
-which is taken for the centre of the first pixel, as DBAT's results are reproduced (docs/frame-cameras.md).
+The text export has parts between empty lines: image size and camera; each photo with its projection centre and the
+angles kappa, phi, omega (degrees); known points; all points, in a shifted system; marks. Lengths of the camera are in
+mm. Its polynomial leads from measured to ideal coordinates with y up. Photos count from 0 (from 1 in tables).
+Pixels run right and down. Neither file states their origin, which marks and principal point have in common. It is
+assumed to be the centre of the first pixel, because DBAT's results are reproduced with it (docs/frame-cameras.md).
 """
 
 from __future__ import annotations
 
 import re
+from itertools import groupby
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.exchange.text import read_lines
+from fg_orient.formats.exchange.text import TextLines, positions, require_once
 from fg_orient.formats.exchange.ties import model_survey, tie_survey
 from fg_orient.formats.frame_model import FrameModel, Pose
 from fg_orient.formats.registry import Format, Holds, Settings
-from fg_orient.formats.tables import finite
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, rotation_of_opk
 from fg_orient.sensors.interior import Interior
@@ -32,7 +32,7 @@ Paragraph = list[tuple[int, list[str]]]
 HEAD: Final = "Bundle Soln"
 #: First columns of the table of 2D points.
 TABLE: Final = "Object Point ID,Photo #,X (pixels),Y (pixels)"
-#: Cells of a line of known or all points, and of marks.
+#: Number of cells of a line of points, and of marks.
 _POINT, _MARK = 7, 6
 #: Lines before the camera of the first photo; cells of a line of a camera, in the head and before each further photo.
 _HEAD_LINES, _CAMERA = 3, (10, 11)
@@ -46,25 +46,24 @@ def read_photomodeler(path: str | Path) -> FrameModel:
     InputError
         The file cannot be read, has another format, or a line is faulty.
     """
-    path = Path(path)
-    lines = read_lines(path)
-    if not lines[0].startswith(HEAD):
-        _refuse(path, 1, lines[0], f"{HEAD} ...")
-    size, camera = (finite(lines[k].split()) if len(lines) > 4 else None for k in (1, 3))
-    if size is None or len(size) != 4 or camera is None or len(camera) != 10 or not (size[2:] > 0).all():
-        _refuse(path, 2 if size is None or len(size) != 4 else 4, " ".join(lines[1:4:2]), "image size and camera")
+    text = TextLines(Path(path))
+    rows = [(n, line.split()) for n, line in enumerate(text.lines, start=1)]
+    if not text.lines[0].startswith(HEAD):
+        text.refuse(1, f"{HEAD} ...")
+    size, camera = (text.numbers(rows[k : k + 1] or [(k + 1, [])], n, "image size and camera")[0]
+                    for k, n in ((1, 4), (3, 10)))  # fmt: skip
+    if not (size[2:] > 0).all():
+        text.refuse(2, "image size and camera")
     interior = _interior(size, camera)
-    paragraphs = _paragraphs(lines)
-    poses = _poses(path, lines, paragraphs)
-    tables = _tables(path, paragraphs)
-    points, marks = tables[_POINT], tables[_MARK]
+    paragraphs = [list(group) for filled, group in groupby(rows, lambda row: bool(row[1])) if filled]
+    poses = _poses(text, paragraphs)
+    points, marks = _table(text, paragraphs[::-1], _POINT, "points"), _table(text, paragraphs, _MARK, "marks")
     ids, first = np.unique(points[:, 0], return_index=True)
-    at = np.searchsorted(ids, marks[:, 1])
-    known = at < len(ids)
-    known[known] = ids[at[known]] == marks[known, 1]
-    if not known.all() or (marks[:, 0] >= len(poses)).any():
-        bad = marks[~known | (marks[:, 0] >= len(poses))][0]
-        raise InputError.of("photomodeler.mark", file=path.name, value=f"photo {bad[0]:g}, point {bad[1]:g}")
+    at = positions(ids, marks[:, 1])
+    bad = marks[(at < 0) | (marks[:, 0] >= len(poses))]
+    if len(bad):
+        value = f"photo {bad[0, 0]:g}, point {bad[0, 1]:g}"
+        raise InputError.of("photomodeler.mark", file=text.path.name, value=value)
     return FrameModel(
         {"1": interior}, poses, tuple(str(int(i)) for i in ids), points[first, 1:4],
         marks[:, 0].astype(np.intp), at, marks[:, 3], marks[:, 2],
@@ -81,49 +80,29 @@ def _interior(size: Array, camera: Array) -> Interior:
     )  # fmt: skip
 
 
-def _poses(path: Path, lines: list[str], paragraphs: list[Paragraph]) -> tuple[Pose, ...]:
+def _poses(text: TextLines, paragraphs: list[Paragraph]) -> tuple[Pose, ...]:
     """Photos: two lines of the camera, number and file, then number, centre, kappa, phi, omega, and sigmas."""
     out: list[Pose] = []
     for paragraph in (paragraphs[0][_HEAD_LINES:], *paragraphs[1:]):
         if len(paragraph) != 5 or len(paragraph[0][1]) not in _CAMERA:
             continue
         (number, name), (at, cells) = paragraph[2:4]
-        station = finite(cells)
-        if station is None or len(station) != 7 or len(name) < 2 or name[0] != str(len(out)):
-            _refuse(path, at, lines[at - 1], "photo, X, Y, Z, kappa, phi, omega; photos count from 0")
+        needed = "photo, X, Y, Z, kappa, phi, omega; photos count from 0"
+        station = text.numbers([(at, cells)], 7, needed)[0]
+        if len(name) < 2 or name[0] != str(len(out)):
+            text.refuse(at, needed)
         rotation = rotation_of_opk(*np.radians(station[:3:-1]).tolist())
-        file = re.split(r"[/\\]", lines[number - 1].strip())[-1].removeprefix(f"{len(out)} ").strip()
+        file = re.split(r"[/\\]", text.lines[number - 1].strip())[-1].removeprefix(f"{len(out)} ").strip()
         out.append(Pose(file, "1", rotation, station[1:4]))
     return tuple(out)
 
 
-def _tables(path: Path, paragraphs: list[Paragraph]) -> dict[int, Array]:
-    """The last table of points and the first of marks among the paragraphs, by their number of cells."""
-    found: dict[int, Array] = {}
+def _table(text: TextLines, paragraphs: list[Paragraph], width: int, what: str) -> Array:
+    """First table (n, width) among the paragraphs."""
     for paragraph in paragraphs:
-        width = len(paragraph[0][1])
-        if width not in (_POINT, _MARK) or any(len(cells) != width for _, cells in paragraph):
-            continue
-        values = finite([cell for _, cells in paragraph for cell in cells])
-        if values is None:
-            number, cells = next((n, cells) for n, cells in paragraph if finite(cells) is None)
-            _refuse(path, number, " ".join(cells), f"{width} numbers")
-        if width == _POINT or width not in found:
-            found[width] = values.reshape(-1, width)
-    for width, what in ((_POINT, "points"), (_MARK, "marks")):
-        if width not in found:
-            raise InputError.of("photomodeler.part", file=path.name, value=what)
-    return found
-
-
-def _paragraphs(lines: list[str]) -> list[Paragraph]:
-    out: list[Paragraph] = [[]]
-    for number, line in enumerate(lines, start=1):
-        if line.strip():
-            out[-1].append((number, line.split()))
-        elif out[-1]:
-            out.append([])
-    return [paragraph for paragraph in out if paragraph]
+        if all(len(cells) == width for _, cells in paragraph):
+            return text.numbers(paragraph, width, f"{width} numbers")
+    raise InputError.of("photomodeler.part", file=text.path.name, value=what)
 
 
 def read_points_2d(path: str | Path) -> Survey:
@@ -134,38 +113,25 @@ def read_points_2d(path: str | Path) -> Survey:
     InputError
         The file cannot be read, has another format, or a line is faulty.
     """
-    path = Path(path)
-    lines = read_lines(path)
-    head = next((k for k, line in enumerate(lines) if line.startswith(TABLE)), None)
+    text = TextLines(Path(path))
+    head = next((k for k, line in enumerate(text.lines) if line.startswith(TABLE)), None)
     if head is None:
-        _refuse(path, 1, lines[0], f"{HEAD} ..., or a table with {TABLE}")
-    rows = [(n, line.split(",")[:4]) for n, line in enumerate(lines[head + 1 :], start=head + 2) if line.strip()]
-    values = finite([cell for _, cells in rows for cell in cells]) if all(len(c) == 4 for _, c in rows) else None
-    if values is None:
-        number, cells = next((n, c) for n, c in rows if len(c) != 4 or finite(c) is None)
-        _refuse(path, number, ",".join(cells), TABLE)
-    table = values.reshape(-1, 4)
+        text.refuse(1, f"{HEAD} ..., or a table with {TABLE}")
+    rows = [(n, line.split(",")[:4]) for n, line in enumerate(text.lines, start=1) if n > head + 1 and line.strip()]
+    table = text.numbers(rows, 4, TABLE)
     photos, image = np.unique(table[:, 1], return_inverse=True)
     ids, point = np.unique(table[:, 0], return_inverse=True)
-    pair = image * len(ids) + point
-    if len(np.unique(pair)) < len(pair):
-        again = int(np.setdiff1d(np.arange(len(pair)), np.unique(pair, return_index=True)[1])[0])
-        raise InputError.of(
-            "photomodeler.twice", file=path.name, place=f"line {rows[again][0]}", value=",".join(rows[again][1])
-        )  # fmt: skip
+    require_once(
+        image * len(ids) + point, "point in this photo", text.path.name,
+        lambda k: (f"line {rows[k][0]}", ",".join(rows[k][1])),
+    )  # fmt: skip
     names = [str(int(photo)) for photo in photos]
     return tie_survey(names, [str(int(i)) for i in ids], image, point, table[:, 3], table[:, 2])
 
 
-def _refuse(path: Path, number: int, found: str, needed: str) -> NoReturn:
-    raise InputError.of(
-        "photomodeler.cells", file=path.name, place=f"line {number}", value=repr(found), needed=needed
-    )  # fmt: skip
-
-
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     """Read the image points of either file."""
-    if read_lines(paths[0])[0].startswith(HEAD):
+    if TextLines(paths[0]).lines[0].startswith(HEAD):
         return model_survey(read_photomodeler(paths[0]))
     return read_points_2d(paths[0])
 

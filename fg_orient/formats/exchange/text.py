@@ -6,16 +6,19 @@ Numbers are written with the fewest digits that read back to the same double.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal, NoReturn
 
 import numpy as np
+import numpy.typing as npt
 
 from fg_orient.formats.exchange.survey import Gathering
-from fg_orient.formats.tables import Faults, Row, number, read_text
+from fg_orient.formats.tables import Faults, Row, finite, number, read_text
 from fg_orient.model.errors import InputError
 
+Array = npt.NDArray[np.float64]
 Separator = Literal["comma", "blank", "either"]
 
 #: Starts of a cell that spreadsheets take for a formula.
@@ -163,46 +166,89 @@ def require_plain(names: Iterable[str], what: str, path: Path) -> None:
 # --- files of bundle programs --------------------------------------------------------------------
 
 
-def read_lines(path: Path) -> list[str]:
+class TextLines:
     """Lines of a UTF-8 file, without their ends.
+
+    Parameters
+    ----------
+    path : Path
+    text : str, optional
+        Content of the file, if it was read before.
 
     Raises
     ------
     InputError
-        The file does not exist, cannot be read, or is no text.
+        The file does not exist, cannot be read, or is not text.
     """
-    faults = Faults(path.name)
-    text = read_text(path, faults)
-    faults.raise_if_any()
-    return (text or "").split("\n")
+
+    def __init__(self, path: Path, text: str | None = None) -> None:
+        faults = Faults(path.name)
+        text = read_text(path, faults) if text is None else text
+        faults.raise_if_any()
+        self.path, self.lines = path, (text or "").split("\n")
+
+    def content(self) -> list[tuple[int, str]]:
+        """Numbers (from 1) and text of the lines that are neither blank nor a comment."""
+        return [(n, line) for n, line in enumerate(self.lines, start=1) if line.strip() and line[0] != "#"]
+
+    def numbers(self, rows: Sequence[tuple[int, Sequence[str]]], width: int, needed: str) -> Array:
+        """Cells of lines, given with the number of each line, as finite numbers (n, width).
+
+        Raises
+        ------
+        InputError
+            A line has another number of cells, or a cell is not a number: names the first such line.
+        """
+        cells = [row for _, row in rows]
+        values = finite(list(chain.from_iterable(cells))) if {*map(len, cells)} <= {width} else None
+        if values is None:
+            self.refuse(next(n for n, row in rows if len(row) != width or finite(row) is None), needed)
+        return values.reshape(-1, width)
+
+    def refuse(self, number: int, needed: str, value: object = None) -> NoReturn:
+        """Raise InputError for a line; ``value`` replaces the text of the line in the message."""
+        line = repr(self.lines[number - 1]) if number <= len(self.lines) else "the end of the file"
+        raise InputError.of("interchange.cells", file=self.path.name, place=f"line {number}",
+                            value=line if value is None else value, needed=needed)  # fmt: skip
 
 
 def whole(cell: str) -> int | None:
-    """Whole number above zero of ASCII digits alone; None for others (``int`` would take 1_0)."""
+    """Whole number above zero of ASCII digits alone; None for others (``int`` would accept 1_0)."""
     return int(cell) if cell.isascii() and cell.isdigit() and 0 < len(cell) < 19 and int(cell) > 0 else None
 
 
-def require_free(*paths: Path, overwrite: bool) -> None:
-    """Refuse to replace files.
+def require_once(values: npt.NDArray[Any], kind: str, file: str, at: Callable[[int], tuple[str, object]]) -> None:
+    """Refuse values (n,) that occur twice; ``at`` gives place and value of a row for the message.
 
     Raises
     ------
     InputError
-        One exists and ``overwrite`` is False.
+        Names the first repetition.
     """
+    _, first = np.unique(values, return_index=True)
+    if len(first) < len(values):
+        place, value = at(int(np.setdiff1d(np.arange(len(values)), first)[0]))
+        raise InputError.of("interchange.twice", file=file, place=place, value=value, kind=kind)
+
+
+def positions(ids: Array, wanted: Array) -> npt.NDArray[np.intp]:
+    """Position of each wanted id (n,) among the ids (m,), -1 where it is missing."""
+    if not len(ids):
+        return np.full(len(wanted), -1)
+    order = np.argsort(ids)
+    at = order[np.minimum(np.searchsorted(ids, wanted, sorter=order), len(ids) - 1)]
+    return np.where(ids[at] == wanted, at, -1)
+
+
+def require_free(*paths: Path, overwrite: bool) -> None:
+    """Raise InputError if a file exists and ``overwrite`` is False."""
     for path in paths:
         if path.exists() and not overwrite:
             raise InputError.of("output.exists", file=path, option="out")
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder that may exist.
-
-    Raises
-    ------
-    InputError
-        It cannot be made.
-    """
+    """Make a folder that may exist; raise InputError if that fails."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
