@@ -60,8 +60,11 @@ class Holds(StrEnum):
     VERTICAL_CRS = "the vertical CRS"
 
 
-#: Contents of files of tie points alone.
+#: Contents of files of tie points alone, and of tables of ground points and image points.
 TIES_ONLY: Final = frozenset({Holds.IMAGE, Holds.IMAGES, Holds.TIES})
+POINTS_AND_MARKS: Final = TIES_ONLY | {
+    Holds.GROUND, Holds.IDS, Holds.UNMEASURED, Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_UP
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.exchange.ground import decided_crs
-from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.exchange.survey import Survey, decided_crs
 from fg_orient.formats.registry import Settings, formats
 from fg_orient.geodesy.crs import wkt
 from fg_orient.model.errors import InputError

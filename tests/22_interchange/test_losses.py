@@ -17,7 +17,7 @@ from fg_orient.geodesy import ecef_to_geodetic, to_ecef
 from fg_orient.geodesy.crs import from_ecef
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
-from tests.support.survey import assert_same, by_name, random_survey
+from tests.support.survey import random_survey, taken
 
 UTM = "EPSG:32636"
 #: Kinds of information that each format loses of a survey that has all of them.
@@ -233,13 +233,6 @@ def test_formats_are_told_by_the_end_of_the_name() -> None:
         format_of(Path("a.unknown"), place="--from")
 
 
-@pytest.mark.consistency
-def test_observed_points_are_the_same_in_any_order(rng: np.random.Generator) -> None:
-    survey = random_survey(rng, formats()["csv"], UTM)
-    assert len(by_name(survey)) == len(survey.observed)
-    assert_same(survey.take(np.ones(len(survey.ids), bool)), survey)
-
-
 # --- tie points alone ----------------------------------------------------------------------------
 
 
@@ -248,7 +241,7 @@ def test_observed_points_are_the_same_in_any_order(rng: np.random.Generator) -> 
 def test_tie_points_alone_need_no_crs(name: str, everything: Survey, tmp_path: Path) -> None:
     """Matches of other programs know no CRS, and nothing in them needs one."""
     format_ = formats()[name]
-    ties = replace(everything.take(np.array([k == 2 for k in range(6)])), crs="")
+    ties = replace(taken(everything, (2,)), crs="")
     out = tmp_path / f"a{format_.suffixes[0]}"
     written, lost = write_survey(ties, [out], format_, Settings())
     assert "lost.ties" not in {p.code for p in lost}
@@ -260,7 +253,7 @@ def test_tie_points_alone_need_no_crs(name: str, everything: Survey, tmp_path: P
 def test_ids_that_are_numbers_are_not_lost_where_numbers_are_kept(everything: Survey, tmp_path: Path) -> None:
     format_ = formats()["micmac-ties"]
     for ids, codes in ((("7", "12"), set()), (("7", "012"), {"lost.ids"})):
-        ties = replace(everything.take(np.array([k in (0, 2) for k in range(6)])), ids=ids)
+        ties = replace(taken(everything, (0, 2)), ids=ids)
         lost = {p.code for p in write_survey(ties, [tmp_path / ids[1]], format_, Settings())[1]}
         assert lost & {"lost.ids"} == codes
         found, _ = read_survey([tmp_path / ids[1]], format_, Settings())

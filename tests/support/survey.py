@@ -75,6 +75,17 @@ def _measured(
     return images, ImagePoints(image, point, line, sample, *sigma)
 
 
+def taken(survey: Survey, rows: tuple[int, ...]) -> Survey:
+    """Some of the ground points, and the image points of these only."""
+    k, o = list(rows), survey.observed
+    o = o.take(np.isin(o.point, k))
+    observed = ImagePoints(o.image, np.searchsorted(k, o.point), o.line, o.sample, o.sigma_line_px, o.sigma_sample_px)
+    return replace(
+        survey, ids=tuple(survey.ids[j] for j in k), roles=tuple(survey.roles[j] for j in k), lines=survey.lines[k],
+        coordinates=survey.coordinates[k], sigma_enu_m=survey.sigma_enu_m[k], fixed=survey.fixed[k], observed=observed,
+    )  # fmt: skip
+
+
 def by_name(survey: Survey) -> dict[tuple[str, str], tuple[float, ...]]:
     """Image points by image and id: order is no information."""
     o = survey.observed

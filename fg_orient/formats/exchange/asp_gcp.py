@@ -1,10 +1,9 @@
 """Ground control of the Ames Stereo Pipeline: ``.gcp``, one point a line with all its image points.
 
 ``id latitude longitude height sx sy sz`` and, for each image, ``name column row sigma_column sigma_row``; blanks or
-commas. Latitude stands before longitude. The datum stands in a comment, ``# WKT: GEOGCS[...]``, or nowhere.
-The three standard deviations refer to
-geocentric x, y, z unless an option changes this (``bundle_adjust --use-lon-lat-height-gcp-error``: then to
-longitude, latitude, height in metres). Columns and rows count from 0, taken as the centre of the first pixel.
+commas. Latitude precedes longitude. A comment may state the datum: ``# WKT: GEOGCS[...]``. The three standard
+deviations refer to geocentric x, y, z, or with ``bundle_adjust --use-lon-lat-height-gcp-error`` to longitude,
+latitude, height in metres. Columns and rows count from 0, assumed to be the centre of the first pixel.
 """
 
 from __future__ import annotations
@@ -17,11 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.atomic import write_lines
-from fg_orient.formats.exchange.ground import decided_crs
 from fg_orient.formats.exchange.survey import Gathering, Survey
-from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, require_plain, sigma
-from fg_orient.formats.registry import Format, Holds, Settings
-from fg_orient.formats.tables import Faults, read_text
+from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, require_plain, sigma, stated_in
+from fg_orient.formats.registry import POINTS_AND_MARKS, Format, Holds, Settings
 from fg_orient.geodesy import crs_kind, enu_from_ecef
 from fg_orient.geodesy.crs import WGS84, wkt
 from fg_orient.model.errors import Finding, InputError, finding
@@ -33,22 +30,20 @@ GROUND: Final = ("id", "latitude", "longitude", "height", "sx", "sy", "sz")
 IMAGE: Final = ("image", "column", "row", "sigma_column", "sigma_row")
 EXPECTED: Final = "7 and 5 more for each image"
 _WKT: Final = re.compile(r"^#\s*WKT:\s*(.+)$", re.MULTILINE | re.IGNORECASE)
-#: Heights are those above the ellipsoid, whatever the comment can say of them.
+#: Heights are ellipsoidal; the comment cannot state that.
 _WITH_HEIGHTS: Final = {"EPSG:4326": WGS84}
 
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read a ``.gcp``; the CRS of the settings, or of the comment, has to be geographic."""
+    """Read a ``.gcp``; the CRS of the settings or the comment must be geographic."""
     path = paths[0]
-    faults = Faults(str(path))
-    stated = _WKT.search(read_text(path, faults) or "")
-    faults.raise_if_any()
-    crs, notes = decided_crs(stated[1] if stated else "", settings.crs, path)
-    crs = crs if settings.crs else _WITH_HEIGHTS.get(crs, crs)
-    if crs_kind(crs) != "geographic":
+    gathered = Gathering(path, settings.crs, stated_in(path, _WKT))
+    faults = gathered.faults
+    if not settings.crs:
+        gathered.crs = _WITH_HEIGHTS.get(gathered.crs, gathered.crs)
+    if crs_kind(gathered.crs) != "geographic":
         place = "<crs>" if settings.crs else "WKT"
-        raise InputError.of("interchange.geographic", file=path, place=place, value=crs)
-    gathered = Gathering(faults)
+        raise InputError.of("interchange.geographic", file=path, place=place, value=gathered.crs)
     for n, cells in cells_of(path, faults, "either"):
         images, rest = divmod(len(cells) - len(GROUND), len(IMAGE))
         if rest or images < 0:
@@ -64,11 +59,11 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
             column, line = numbers(mark, IMAGE[1:3], faults)
             along, across = (sigma(mark, name, "pixels", faults) for name in ("sigma_row", "sigma_column"))
             gathered.measure(mark.cells["image"], row.cells["id"], line, column, (along, across), line=n)
-    return gathered.finished(crs, notes=notes)
+    return gathered.finished()
 
 
 def _enu(lon: float, lat: float, sigmas: list[float], axes: str) -> list[float]:
-    """Standard deviations East, North, Up of geocentric ones; equal ones stay as they are, to the last digit."""
+    """Standard deviations East, North, Up from geocentric ones; equal ones are returned unchanged."""
     given = np.array(sigmas)
     if axes == "enu" or np.ptp(given) == 0.0 or not np.isfinite([lon, lat, *given]).all():
         return sigmas
@@ -77,7 +72,7 @@ def _enu(lon: float, lat: float, sigmas: list[float], axes: str) -> list[float]:
 
 
 def _ecef(survey: Survey, k: int, axes: str) -> Array:
-    """The way back, for writing."""
+    """Inverse of :func:`_enu`."""
     given: Array = survey.sigma_enu_m[k]
     if axes == "enu" or np.ptp(given) == 0.0 or not np.isfinite(given).all():
         return given
@@ -85,7 +80,7 @@ def _ecef(survey: Survey, k: int, axes: str) -> Array:
 
 
 def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
-    """Write the points with coordinates; those of the CRS of the file have to be geographic."""
+    """Write the points with coordinates; their CRS must be geographic."""
     path, o = paths[0], survey.observed
     if crs_kind(survey.crs) != "geographic":
         raise InputError.of("interchange.geographic", file=path, option="to_crs", value=survey.crs)
@@ -118,12 +113,9 @@ FORMAT = Format(
     first_pixel=(0.0, 0.0),
     pixel_axes="column, row (pixels)",
     ground_axes="latitude, longitude (degrees), height (m)",
-    holds=frozenset(
-        {Holds.GROUND, Holds.IMAGE, Holds.IDS, Holds.IMAGES, Holds.UNMEASURED, Holds.HEIGHTS, Holds.SIGMA_GROUND,
-         Holds.SIGMA_UP, Holds.SIGMA_EAST_NORTH, Holds.SIGMA_IMAGE, Holds.CRS}
-    ),
+    holds=POINTS_AND_MARKS - {Holds.TIES} | {Holds.SIGMA_EAST_NORTH, Holds.SIGMA_IMAGE, Holds.CRS},
     needs=frozenset({Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_IMAGE}),
     read=read,
     write=write,
     crs="EPSG:4979",
-)  # fmt: skip
+)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -49,11 +50,11 @@ def read_survey(
     format_ : Format
         Of these files.
     settings : Settings
-        What the files do not say.
+        Information that the files lack.
     accept_unverified : bool
-        Read a format whose conventions were never tried on a file of its program.
+        Read a format whose reader was never tried on a file of its program.
     scenes : sequence of Scene
-        Where the images look: far points are refused.
+        Footprints of the images: points far from all of them are refused.
 
     Returns
     -------
@@ -68,7 +69,7 @@ def read_survey(
     file = paths[0]
     if format_.read is None:
         raise InputError.of("interchange.no_reader", file=file, option="from", value=format_.name)
-    require_accepted(paths, format_, accept_unverified)
+    _require_usable(paths, format_, accept_unverified)
     survey = format_.read(tuple(paths), settings)
     settings.require_images(survey.images, file)
     remarks = check_ground(survey, str(file), scenes) if survey.crs else ()
@@ -77,26 +78,22 @@ def read_survey(
     return survey, remarks
 
 
-def require_accepted(paths: Sequence[Path], format_: Format, accept_unverified: bool) -> None:
-    """Refuse more files than a format has, and a format that was never tried unless that is accepted.
-
-    Raises
-    ------
-    InputError
-        Either of these.
-    """
-    _require_few(paths, format_)
+def _require_usable(paths: Sequence[Path], format_: Format, accept_unverified: bool) -> None:
+    """Refuse more files than a format has, and an unverified format that the user does not accept."""
+    if len(paths) > len(format_.files):
+        value, names = f"{len(paths)} files", ", ".join(format_.files)
+        raise InputError.of("interchange.files", file=paths[0], value=value, format=format_.name, names=names)
     if not (format_.verified or accept_unverified):
         raise InputError.of("interchange.unverified", file=paths[0], option="from", value=format_.name)
 
 
 def filled(survey: Survey, fill: Fill) -> Survey:
-    """Survey with given values where its file says nothing.
+    """Survey with given values where its file has none.
 
     Raises
     ------
     InputError
-        A check point is asked for that is not there.
+        There is no such check point with coordinates.
     """
     known = survey.located
     roles = list(survey.roles)
@@ -139,25 +136,25 @@ def write_survey(
     format_ : Format
         To be written.
     settings : Settings
-        ``crs`` is that of the output; "" keeps the survey's, unless the format demands one.
+        ``crs`` is the CRS of the output; "" keeps that of the survey, unless the format requires another.
     overwrite : bool
         Replace existing files.
 
     Returns
     -------
     tuple
-        Files written, and one problem for each kind of information that is lost.
+        Files written, and one finding for each kind of information that is lost.
 
     Raises
     ------
     InputError
-        The format cannot be written, something that it needs is missing, or a file exists.
+        The format cannot be written, information that it requires is missing, or a file exists.
     """
     if format_.write is None:
         raise InputError.of("interchange.no_writer", file=paths[0], option="to", value=format_.name)
-    _require_few(paths, format_)
+    _require_usable(paths, format_, True)
     targets = tuple(paths) if len(paths) == len(format_.files) else format_.paths(paths[0])
-    wanted = [path for path, used in zip(targets, _used(survey, format_), strict=True) if used]
+    wanted = targets if len(survey.observed) else targets[:1]  # the second file contains image points
     for path in wanted:
         if path.exists() and not overwrite:
             raise InputError.of("output.exists", file=path, option="out")
@@ -165,41 +162,29 @@ def write_survey(
     _require(survey, format_, str(paths[0]))
     lost = losses(survey, format_, str(paths[0]))
     lost = (*lost, *(format_.write(survey, targets, settings) or ()))
-    return tuple(wanted), lost
+    return wanted, lost
 
 
 def placed(survey: Survey, format_: Format, wanted: str, file: str) -> Survey:
-    """Survey in the CRS that a user wants, or the format; the operation is among its notes.
+    """Survey in the CRS given by the user or required by the format; its notes name the operation.
 
     Raises
     ------
     InputError
-        The survey's CRS is unknown, or no exact operation leads to the other one.
+        The CRS of the survey is unknown, or there is no exact operation to the other CRS.
     """
     crs = wanted or format_.crs
     if Holds.GROUND not in format_.holds or (survey.crs and survey.crs == (crs or survey.crs)):
         return survey
     if not survey.located.any():
-        return replace(survey, crs=crs or survey.crs or WGS84)  # without coordinates any will do
+        return replace(survey, crs=crs or survey.crs or WGS84)  # without coordinates any CRS is right
     if not survey.crs:
         raise InputError.of("interchange.no_crs", file=file, place="CRS")
     return transformed(survey, crs, file)
 
 
-def _require_few(paths: Sequence[Path], format_: Format) -> None:
-    """Refuse more files than a format has."""
-    if len(paths) > len(format_.files):
-        value, names = f"{len(paths)} files", ", ".join(format_.files)
-        raise InputError.of("interchange.files", file=paths[0], value=value, format=format_.name, names=names)
-
-
-def _used(survey: Survey, format_: Format) -> list[bool]:
-    """Files of a format that are written: the second only with image points."""
-    return [True, len(survey.observed) > 0][: len(format_.files)]
-
-
 def _require(survey: Survey, format_: Format, file: str) -> None:
-    """Refuse a survey that lacks what a format needs, with the option that gives it."""
+    """Refuse a survey that lacks information required by the format; the message names the option that supplies it."""
     known, o = survey.located, survey.observed
     weighted = known & ~(survey.fixed & (Holds.FIXED in format_.holds))
     lacking: list[tuple[Holds, str, npt.NDArray[np.bool_], str]] = [
@@ -232,18 +217,18 @@ def convert_model(
     paths : sequence of Path
         Files of the format that is read.
     reader, writer : Format
-        The one has ``read_model``, the other ``write_model``.
+        Formats with ``read_model`` and with ``write_model``.
     out : Path
         File or folder to write.
     settings : Settings
-        ``image_sizes`` for formats that do not hold them.
+        ``image_sizes`` for formats that lack them.
     accept_unverified, overwrite : bool
 
     Returns
     -------
     model : FrameModel
     lost : tuple of Finding
-        What the new format cannot hold.
+        Information that the new format cannot hold.
 
     Raises
     ------
@@ -252,7 +237,7 @@ def convert_model(
     """
     if reader.read_model is None or writer.write_model is None:
         raise InputError.of("interchange.no_writer", file=out, option="to", value=writer.name)
-    require_accepted(paths, reader, accept_unverified)
+    _require_usable(paths, reader, accept_unverified)
     model = reader.read_model(tuple(paths), settings)
     settings.require_images([pose.name for pose in model.poses], paths[0])
     lost = writer.write_model(out, model, overwrite)
@@ -263,7 +248,7 @@ def convert_model(
 
 
 def losses(survey: Survey, format_: Format, file: str) -> tuple[Finding, ...]:
-    """List what the survey holds and the format does not.
+    """List information of the survey that the format cannot hold.
 
     Parameters
     ----------
@@ -274,19 +259,19 @@ def losses(survey: Survey, format_: Format, file: str) -> tuple[Finding, ...]:
     file : str
         For messages.
     """
-    found = []
+    lost = []
     for what, (code, count) in _COUNTED.items():
         implied = _IMPLIED.get(what)
         if what is Holds.IDS and Holds.NUMBERS in format_.holds:
             count = _no_numbers
         n = 0 if what in format_.holds or (implied and implied not in format_.holds) else count(survey)
         if n:
-            found.append(finding(code, file=file, value=f"{n} points" if n > 1 else "1 point", format=format_.name))
+            lost.append(finding(code, file=file, value=f"{n} points" if n > 1 else "1 point", format=format_.name))
     if Holds.CRS not in format_.holds and Holds.GROUND in format_.holds and survey.crs:
-        found.append(finding("lost.crs", file=file, value=survey.crs, format=format_.name))
+        lost.append(finding("lost.crs", file=file, value=survey.crs, format=format_.name))
     elif Holds.HEIGHTS in format_.holds and Holds.VERTICAL_CRS not in format_.holds and "+" in survey.crs:
-        found.append(finding("lost.vertical_crs", file=file, value=survey.crs, format=format_.name))
-    return tuple(found)
+        lost.append(finding("lost.vertical_crs", file=file, value=survey.crs, format=format_.name))
+    return tuple(lost)
 
 
 def _measured(survey: Survey) -> npt.NDArray[np.bool_]:
@@ -294,14 +279,14 @@ def _measured(survey: Survey) -> npt.NDArray[np.bool_]:
 
 
 def _numbered(survey: Survey) -> bool:
-    """Tell whether numbering the image points in their order gives the ids that the points have."""
+    """Whether the points have the ids that numbering in the order of the image points gives."""
     _, first = np.unique(survey.observed.point, return_index=True)
     order = survey.observed.point[np.sort(first)]
     return [survey.ids[k] for k in order] == [str(k + 1) for k in range(len(survey.ids))]
 
 
 def _no_numbers(survey: Survey) -> int:
-    """Count the ids, unless all are whole numbers as they are printed."""
+    """Number of ids, 0 if all are whole numbers without leading zeros."""
     return 0 if all(name.isdecimal() and name == str(int(name)) for name in survey.ids) else len(survey.ids)
 
 
@@ -314,7 +299,7 @@ def _unequal(survey: Survey, first: int, second: int) -> int:
     return int((rows[:, first] != rows[:, second]).sum())
 
 
-#: Losses that are none of their own if something greater is lost.
+#: Kinds of information that are not reported as lost if a more general kind is lost.
 _IMPLIED: Final = {
     Holds.BARE_TIES: Holds.TIES, Holds.UNMEASURED: Holds.GROUND, Holds.ROLES: Holds.GROUND,
     Holds.HEIGHTS: Holds.GROUND, Holds.SIGMA_GROUND: Holds.GROUND, Holds.FIXED: Holds.GROUND,
@@ -328,7 +313,7 @@ _COUNTED: Final[dict[Holds, tuple[str, Callable[[Survey], int]]]] = {
     Holds.UNMEASURED: ("lost.unmeasured", lambda s: int((s.located & ~_measured(s)).sum())),
     Holds.BARE_TIES: ("lost.bare_ties", lambda s: int((~s.located & ~_measured(s)).sum())),
     Holds.TIES: ("lost.ties", lambda s: int((~s.located).sum())),
-    Holds.ROLES: ("lost.roles", lambda s: int((s.of_role(Role.CHECK) & s.located).sum())),
+    Holds.ROLES: ("lost.roles", lambda s: sum(r is Role.CHECK for r in compress(s.roles, s.located))),
     Holds.HEIGHTS: ("lost.heights", lambda s: int((s.located & np.isfinite(s.coordinates[:, 2])).sum())),
     Holds.SIGMA_GROUND: ("lost.sigma_ground", lambda s: int(_weighted(s).sum())),
     Holds.SIGMA_EAST_NORTH: ("lost.sigma_east_north", lambda s: _unequal(s, 0, 1)),

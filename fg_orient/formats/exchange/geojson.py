@@ -13,7 +13,6 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 from fg_orient.formats.atomic import write_text
-from fg_orient.formats.exchange.ground import decided_crs
 from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
 from fg_orient.formats.points import SIGMA_COLUMNS
 from fg_orient.formats.registry import Format, Holds, Settings
@@ -22,7 +21,7 @@ from fg_orient.geodesy.crs import WGS84, same_horizontal
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 
-#: Members that name a point, the first that is there.
+#: Members that may name a point, in order of preference.
 _NAMES: Final = ("id", "name", "label", "Name", "Label", "ID")
 
 
@@ -32,16 +31,14 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     content = _content(path)
     if settings.crs and not same_horizontal(settings.crs, WGS84):
         raise InputError.of("interchange.crs_differs", file=path, place="CRS", value=WGS84, given=settings.crs)
-    crs, _ = decided_crs("", settings.crs or WGS84, path)
-    faults = Faults(str(path))
-    gathered = Gathering(faults)
+    gathered = Gathering(path, settings.crs or WGS84)
     for k, feature in enumerate(content["features"], start=1):
         _take(gathered, feature if isinstance(feature, dict) else {}, k)
-    return gathered.finished(crs)
+    return gathered.finished()
 
 
 def _content(path: Path) -> dict[str, Any]:
-    """The collection; nan, infinity and what is no collection of WGS84 are refused."""
+    """The collection; nan, infinity and other content than a collection in WGS84 are refused."""
     faults = Faults(str(path))
     text = read_text(path, faults)
     faults.raise_if_any()
@@ -50,17 +47,17 @@ def _content(path: Path) -> dict[str, Any]:
         raise InputError.of("interchange.json", file=path, value=word)
 
     try:
-        found = json.loads(text or "", parse_constant=refuse)
+        content = json.loads(text or "", parse_constant=refuse)
     except (json.JSONDecodeError, RecursionError) as error:
         raise InputError.of("interchange.json", file=path, value=error) from None
-    if not isinstance(found, dict) or not isinstance(found.get("features"), list):
+    if not isinstance(content, dict) or not isinstance(content.get("features"), list):
         what = "it has no list of features"
-        raise InputError.of("interchange.geojson", file=path, value=type(found).__name__, what=what)
-    named = found.get("crs")  # of GeoJSON before 2016
+        raise InputError.of("interchange.geojson", file=path, value=type(content).__name__, what=what)
+    named = content.get("crs")  # of GeoJSON before 2016
     if named is not None and "CRS84" not in str(named) and "4326" not in str(named):
         what = "coordinates have to be WGS84 (RFC 7946)"
         raise InputError.of("interchange.geojson", file=path, place="crs", value=named, what=what)
-    return found
+    return content
 
 
 def _take(gathered: Gathering, feature: dict[str, Any], k: int) -> None:

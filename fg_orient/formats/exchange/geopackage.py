@@ -1,7 +1,7 @@
 """GeoPackage: a layer ``ground_points`` and a table ``image_points``, the columns of our tables.
 
 Needs pyogrio and shapely (extra ``geo``). Geometries are points with Z, longitude or easting first, in the CRS of the
-survey; tie points have none. Pixels are ours: (0, 0) is the centre of the first one.
+survey; tie points have no geometry. Pixel (0, 0) is the centre of the first pixel, as in our tables.
 """
 
 from __future__ import annotations
@@ -13,19 +13,17 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.atomic import staged_file
-from fg_orient.formats.exchange.ground import decided_crs
 from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
 from fg_orient.formats.gdal import plain_case
 from fg_orient.formats.observations import COLUMNS
 from fg_orient.formats.points import SIGMA_COLUMNS
 from fg_orient.formats.registry import Format, Holds, Settings
-from fg_orient.formats.tables import Faults
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 
 GROUND: Final = "ground_points"
 IMAGE: Final = "image_points"
-#: Version 1.2 holds all that we write; QGIS before 3.28 warns of later ones.
+#: Version 1.2 is sufficient; QGIS before 3.28 warns of later versions.
 GPKG_OPTIONS: Final = {"VERSION": "1.2"}
 
 
@@ -61,13 +59,11 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
         raise InputError.of("interchange.gpkg", file=path, value=str(error).split(";")[0]) from None
     if ground is None or "id" not in ground[2]:
         raise InputError.of("interchange.layer", file=path, value=", ".join(layers), layer=GROUND)
-    crs, notes = decided_crs(ground[0]["crs"] or "", settings.crs, path)
-    faults = Faults(str(path))
-    gathered = Gathering(faults)
+    gathered = Gathering(path, settings.crs, ground[0]["crs"] or "")
     _take_ground(gathered, shapely.from_wkb(ground[1]), ground[2])
     if image is not None:
         _take_image(gathered, image[2], path)
-    return gathered.finished(crs, notes=notes)
+    return gathered.finished()
 
 
 def _take_ground(gathered: Gathering, geometry: Any, columns: dict[str, Any]) -> None:

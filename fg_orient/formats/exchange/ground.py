@@ -1,4 +1,4 @@
-"""Ground coordinates of other programs: which CRS, whether they can be true in it, and into another one."""
+"""Ground coordinates of other programs: plausibility in their CRS, and transformation to another CRS."""
 
 from __future__ import annotations
 
@@ -13,57 +13,17 @@ from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.scenes import Scene, check_positions
 from fg_orient.formats.tables import Faults
 from fg_orient.geodesy import area_of_use, crs_kind, to_ecef, to_ecef_with_operation, to_geographic
-from fg_orient.geodesy.crs import epsg_code, from_ecef, same_horizontal
+from fg_orient.geodesy.crs import from_ecef
 from fg_orient.model.errors import Finding, InputError, finding
 
 Array = npt.NDArray[np.float64]
 
-#: Points this far outside the area that a CRS was made for are worth a remark, degrees.
+#: Distance from the area of use of a CRS beyond which points cause a remark, degrees.
 AREA_MARGIN_DEG: Final = 3.0
-#: Characters of a CRS that a note repeats.
-_LONG: Final = 80
-
-
-def decided_crs(stated: str, given: str, file: object) -> tuple[str, tuple[Finding, ...]]:
-    """CRS of a file that may state one, and of a user who may give one.
-
-    Parameters
-    ----------
-    stated : str
-        What the file says: code, WKT, PROJ string; "" if nothing.
-    given : str
-        EPSG code by the user; "" if none. It may add a vertical CRS to what the file states.
-    file : object
-        For messages.
-
-    Returns
-    -------
-    tuple
-        EPSG code, and a note where the user's replaces what the file says, which nothing could hold against it.
-
-    Raises
-    ------
-    InputError
-        Nobody says it, it is no EPSG code, or both say different things.
-    """
-    found = epsg_code(stated) if stated.strip() else ""
-    if given:
-        crs_kind(given)
-        if found and not same_horizontal(found, given):
-            raise InputError.of("interchange.crs_differs", file=file, place="CRS", value=found, given=given)
-        replaced = "" if found else " ".join(stated.split())
-        text = replaced if len(replaced) <= _LONG else replaced[: _LONG - 3] + "..."
-        return given, (finding("points.crs_replaced", stated=text, crs=given),) if replaced else ()
-    if not stated.strip():
-        raise InputError.of("interchange.no_crs", file=file, place="CRS")
-    if not found:
-        raise InputError.of("interchange.crs_unknown", file=file, place="CRS", value=stated)
-    crs_kind(found)
-    return found, ()
 
 
 def check_ground(survey: Survey, file: str, scenes: Sequence[Scene] = ()) -> tuple[Finding, ...]:
-    """Refuse coordinates that cannot be true in their CRS, in the first place exchanged ones.
+    """Refuse coordinates that cannot be true in their CRS, for instance exchanged ones.
 
     Parameters
     ----------
@@ -72,7 +32,7 @@ def check_ground(survey: Survey, file: str, scenes: Sequence[Scene] = ()) -> tup
     file : str
         For messages.
     scenes : sequence of Scene
-        Where the images look, if that is known.
+        Footprints of the images, if they are known.
 
     Returns
     -------
@@ -112,7 +72,7 @@ def _check_ranges(survey: Survey, rows: npt.NDArray[np.intp], faults: Faults) ->
 
 
 def _check_area(survey: Survey, rows: npt.NDArray[np.intp], faults: Faults) -> tuple[Finding, ...]:
-    """Judge projected coordinates by the area that their CRS was made for."""
+    """Check projected coordinates against the area of use of their CRS."""
     area = area_of_use(survey.crs)
     first, second = survey.coordinates[rows, :2].T
     outside = ~_in_area(survey.crs, first, second, area)
@@ -131,7 +91,7 @@ def _check_area(survey: Survey, rows: npt.NDArray[np.intp], faults: Faults) -> t
 def _in_area(
     crs: str, first: Array, second: Array, area: tuple[float, float, float, float] | None
 ) -> npt.NDArray[np.bool_]:
-    """Tell which points lie in the area of use of a CRS, with a margin."""
+    """Whether points lie in the area of use of a CRS, with a margin: (n,)."""
     if area is None:
         return np.ones(len(first), bool)
     west, south, east, north = area
@@ -142,7 +102,7 @@ def _in_area(
 
 
 def transformed(survey: Survey, crs: str, file: str) -> Survey:
-    """Survey in another CRS; the operations used are among its notes, sigmas East, North, Up stay.
+    """Survey in another CRS; its notes name the operations. Sigmas East, North, Up do not change.
 
     Raises
     ------

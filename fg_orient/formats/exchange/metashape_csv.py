@@ -1,9 +1,9 @@
 """Reference table of Metashape's markers: comma-separated, the user chooses the columns.
 
-Written are ``#Label,Enable,X,Y,Z,Accuracy_X_(m),Accuracy_Y_(m),Accuracy_Z_(m)`` below a line ``# CoordinateSystem:``.
-Any header is read that names its columns so that they are recognised; an accuracy may also be one column, ``0.02`` or
-``0.02/0.05`` (horizontal and vertical). X is longitude or easting. An enabled marker is a control point, another one a
-check point; a marker without coordinates is a tie point.
+The writer uses the columns ``#Label,Enable,X,Y,Z,Accuracy_X_(m),Accuracy_Y_(m),Accuracy_Z_(m)`` below a line
+``# CoordinateSystem:``. The reader accepts any header with known names. The accuracy may also be one column, ``0.02``
+or ``0.02/0.05`` (horizontal and vertical). X is longitude or easting. An enabled marker is a control point, a disabled
+one a check point; a marker without coordinates is a tie point.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from typing import Final
 import numpy as np
 
 from fg_orient.formats.atomic import write_lines
-from fg_orient.formats.exchange.ground import decided_crs
 from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
-from fg_orient.formats.exchange.text import delimited, digits, named, numbers, row_of, separator_of, sigma
+from fg_orient.formats.exchange.text import delimited, digits, named, numbers, row_of, separator_of, sigma, stated_in
 from fg_orient.formats.registry import Format, Holds, Settings
-from fg_orient.formats.tables import Faults, Row, read_text
+from fg_orient.formats.tables import Row, read_text
 from fg_orient.geodesy.crs import wkt
 from fg_orient.model.errors import InputError, finding
 from fg_orient.model.names import Role
@@ -50,14 +49,11 @@ _OFF: Final = ("0", "false", "no")
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     """Read a reference table."""
     path = paths[0]
-    faults = Faults(str(path))
+    gathered = Gathering(path, settings.crs, stated_in(path, _CRS))
+    faults = gathered.faults
     text = read_text(path, faults) or ""
-    faults.raise_if_any()
-    stated = _CRS.search(text)
-    crs, notes = decided_crs(stated[1] if stated else "", settings.crs, path)
     lines = list(enumerate(text.split("\n"), start=1))
     start, mark, columns, ignored = _header(lines, path)
-    gathered = Gathering(faults)
     for n, line in lines[start:]:
         cells = None if not line.strip() or line.startswith("#") else delimited(line, n, mark, faults)
         if cells and len(cells) > len(columns):
@@ -65,12 +61,12 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
             faults.add("interchange.cell_count", place=f"line {n}", value=value, expected=f"up to {len(columns)}")
         elif cells:
             _take(gathered, named(n, cells, columns))
-    notes += (finding("points.columns_ignored", columns=ignored),) if ignored else ()
-    return gathered.finished(crs, notes=notes)
+    gathered.notes += (finding("points.columns_ignored", columns=ignored),) if ignored else ()
+    return gathered.finished()
 
 
 def _header(lines: list[tuple[int, str]], path: Path) -> tuple[int, str, list[str], list[str]]:
-    """Place of the first record, separator, columns and the names of those that are not read."""
+    """Number of the header line, separator, columns, and names of columns that are not read."""
     first = "an empty file"
     for n, line in lines:
         mark = separator_of(line)

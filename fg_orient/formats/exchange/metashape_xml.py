@@ -1,8 +1,8 @@
-"""Markers of Metashape with their places in the images: the XML of *Export Markers*.
+"""Markers of Metashape with their positions in the images: the XML of *Export Markers*.
 
 ``markers/marker`` has a label and a ``reference`` with x, y, z (longitude or easting first), standard deviations
-(``sx sy sz``, ``sxy sz`` or ``sxyz``) and ``enabled``: a control point if true, else a check point. In
-``frames/frame/markers/marker`` stand the ``location`` of a marker in each camera, x and y counted from the corner of
+(``sx sy sz``, ``sxy sz`` or ``sxyz``) and ``enabled``: a control point if true, else a check point.
+``frames/frame/markers/marker`` contains the ``location`` of a marker in each camera. x and y count from the corner of
 the first pixel, whose centre is (0.5, 0.5).
 """
 
@@ -16,11 +16,10 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from fg_orient.formats.atomic import write_text
-from fg_orient.formats.exchange.ground import decided_crs
 from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
 from fg_orient.formats.exchange.text import digits, numbers, sigma
 from fg_orient.formats.registry import Format, Holds, Settings
-from fg_orient.formats.tables import Faults, Row
+from fg_orient.formats.tables import Row
 from fg_orient.formats.xml import XmlNode, read_xml
 from fg_orient.geodesy.crs import wkt
 from fg_orient.model.errors import InputError
@@ -39,16 +38,14 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     chunk = read_xml(path).one("chunk")
     reference = chunk.maybe("reference")
     stated = (reference.element.text or "") if reference is not None else ""
-    crs, notes = decided_crs(stated, settings.crs, path)
-    faults = Faults(str(path))
-    gathered = Gathering(faults)
+    gathered = Gathering(path, settings.crs, stated)
     cameras, labels = _labels(chunk, "cameras", "camera"), _labels(chunk, "markers", "marker")
     for marker in _children(chunk.maybe("markers"), "marker"):
         _take(gathered, marker)
     frame = chunk.maybe("frames/frame")
     for marker in _children(frame.maybe("markers") if frame is not None else None, "marker"):
         _locate(gathered, marker, cameras, labels)
-    return gathered.finished(crs, notes=notes)
+    return gathered.finished()
 
 
 def _children(parent: XmlNode | None, name: str) -> Sequence[XmlNode]:
@@ -56,7 +53,7 @@ def _children(parent: XmlNode | None, name: str) -> Sequence[XmlNode]:
 
 
 def _labels(chunk: XmlNode, group: str, name: str) -> dict[str, str]:
-    """Labels by id; cameras may stand in groups."""
+    """Labels by id; cameras may be nested in groups."""
     parent = chunk.maybe(group)
     found = [] if parent is None else [XmlNode(element, chunk.file) for element in parent.element.iter(name)]
     return {node.element.get("id", ""): node.element.get("label", "") for node in found}
@@ -105,7 +102,7 @@ def _locate(gathered: Gathering, marker: XmlNode, cameras: dict[str, str], label
 
 
 def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
-    """Write all markers and their places in the images."""
+    """Write all markers and their positions in the images."""
     for name in (*survey.ids, *survey.images):
         if not name.isprintable():
             raise InputError.of("interchange.xml_name", file=paths[0], value=repr(name))

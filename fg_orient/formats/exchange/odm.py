@@ -1,9 +1,9 @@
 """Ground control of OpenDroneMap: ``gcp_list.txt``, one image point a line with the coordinates of its ground point.
 
-The first line names the CRS: ``EPSG:32632``, a PROJ string, or ``WGS84 UTM 32N``. Then, between blanks, ``geo_x geo_y
-geo_z im_x im_y image`` and, if given, the name of the point and more, which is ignored. geo_x is longitude or easting;
-``NaN`` is an unknown height. Without the first line the CRS must be given. (0, 0) is taken as the
-centre of the first pixel.
+The first line states the CRS: ``EPSG:32632``, a PROJ string, or ``WGS84 UTM 32N``. Further lines contain, between
+blanks, ``geo_x geo_y geo_z im_x im_y image`` and, if given, the name of the point; further words are ignored. geo_x is
+longitude or easting; ``NaN`` is an unknown height. Without the first line the CRS must be given. (0, 0) is assumed to
+be the centre of the first pixel.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import Final
 import numpy as np
 
 from fg_orient.formats.atomic import write_lines
-from fg_orient.formats.exchange.ground import decided_crs
 from fg_orient.formats.exchange.survey import Gathering, Survey
 from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, require_plain
 from fg_orient.formats.registry import Format, Holds, Settings
@@ -24,7 +23,7 @@ from fg_orient.model.names import Role
 
 COLUMNS: Final = ("geo_x", "geo_y", "geo_z", "im_x", "im_y", "image", "name")
 _FEWEST: Final = 6
-#: Horizontal CRS of a geographic one with heights: the program knows no other.
+#: Horizontal CRS of a geographic CRS with heights, which the program does not read.
 _FLAT: Final = {"EPSG:4979": "EPSG:4326"}
 
 
@@ -37,8 +36,8 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     if not lines:
         raise InputError.of("interchange.empty", file=path)
     headless = _is_point(lines[0][1])
-    crs, notes = decided_crs("" if headless else " ".join(lines[0][1]), settings.crs, path)
-    gathered = Gathering(faults)
+    gathered = Gathering(path, settings.crs, "" if headless else " ".join(lines[0][1]))
+    faults = gathered.faults
     placed: dict[str, tuple[tuple[str, ...], int]] = {}
     numbered: dict[tuple[str, ...], str] = {}
     for n, cells in lines if headless else lines[1:]:
@@ -55,12 +54,12 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
             gathered.point(name, Role.CONTROL, _coordinates(row, faults), line=n)
         x, y = numbers(row, ("im_x", "im_y"), faults)
         gathered.measure(row.cells["image"], name, y, x, line=n)
-    notes += (finding("points.numbered", n=len(numbered)),) if numbered else ()
-    return gathered.finished(crs, notes=notes)
+    gathered.notes += (finding("points.numbered", n=len(numbered)),) if numbered else ()
+    return gathered.finished()
 
 
 def _is_point(cells: list[str]) -> bool:
-    """Tell whether a first line is an image point already, so that the file lacks its CRS."""
+    """Whether the first line is an image point, so that the file lacks its CRS."""
     try:
         return len([float(cell) for cell in cells[:2]]) == 2 and len(cells) >= _FEWEST
     except ValueError:
@@ -68,7 +67,7 @@ def _is_point(cells: list[str]) -> bool:
 
 
 def _coordinates(row: Row, faults: Faults) -> tuple[float, ...]:
-    """Coordinates of a line; the height is nan if the file says so."""
+    """Coordinates of a line; the height may be nan."""
     if row.cells["geo_z"].lower() == "nan":
         return (*numbers(row, ("geo_x", "geo_y"), faults), np.nan)
     return numbers(row, ("geo_x", "geo_y", "geo_z"), faults)

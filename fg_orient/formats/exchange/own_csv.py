@@ -8,13 +8,13 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.formats.exchange.ground import decided_crs
-from fg_orient.formats.exchange.survey import Survey, no_image_points
+from fg_orient.formats.exchange.survey import Survey, decided_crs, no_image_points
+from fg_orient.formats.exchange.text import stated_in
 from fg_orient.formats.observations import COLUMNS, read_observations
 from fg_orient.formats.points import parse_points
 from fg_orient.formats.points_write import write_observations, write_points
 from fg_orient.formats.registry import Format, Holds, Settings
-from fg_orient.formats.tables import Faults, read_table, read_text
+from fg_orient.formats.tables import Faults, read_table
 from fg_orient.geodesy import crs_kind
 from fg_orient.model.errors import InputError
 
@@ -22,12 +22,9 @@ _CRS: Final = re.compile(r"^#\s*crs\s*[:=]\s*(\S+)\s*$", re.MULTILINE | re.IGNOR
 
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read one or two tables; the points' CRS stands in a comment ``# crs: EPSG:n``, or is that of the settings."""
+    """Read one or two tables; a comment ``# crs: EPSG:n`` or the settings state the CRS of the points."""
+    crs, notes = decided_crs(stated_in(paths[0], _CRS), settings.crs, paths[0])
     faults = Faults(str(paths[0]))
-    text = read_text(paths[0], faults)
-    faults.raise_if_any()
-    stated = _CRS.search(text or "")
-    crs, notes = decided_crs(stated[1] if stated else "", settings.crs, paths[0])
     points = parse_points(paths[0], crs, faults)
     faults.raise_if_any()
     if points is None:

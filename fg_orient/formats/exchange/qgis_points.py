@@ -1,9 +1,9 @@
 """Points of QGIS's georeferencer: ``.points``, the points of one image, without names and heights.
 
 A line ``#CRS: WKT``, a header ``mapX,mapY,sourceX,sourceY,enable,dX,dY,residual`` (older versions: pixelX, pixelY for
-sourceX, sourceY), then one point a line. sourceX is the column and **sourceY minus the row**, both counted from the
-corner of the first pixel, whose centre is (0.5, -0.5). Of an image that was georeferenced before, QGIS writes map
-coordinates there instead: such a file cannot be recognised unless a sourceY is above zero.
+sourceX, sourceY), then one point per line. sourceX is the column and **sourceY is minus the row**. Both count from the
+corner of the first pixel, whose centre is (0.5, -0.5). For an image that was georeferenced before, QGIS writes map
+coordinates instead: such a file is recognised only if a sourceY is above zero.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from typing import Final
 import numpy as np
 
 from fg_orient.formats.atomic import write_lines
-from fg_orient.formats.exchange.ground import decided_crs
 from fg_orient.formats.exchange.survey import Gathering, Survey
-from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, row_of
+from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, row_of, stated_in
 from fg_orient.formats.registry import Format, Holds, Settings
-from fg_orient.formats.tables import Faults, Row, read_text
+from fg_orient.formats.tables import Row
 from fg_orient.geodesy.crs import wkt
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
@@ -35,14 +34,11 @@ _CRS: Final = re.compile(r"^#\s*CRS:\s*(.+)$", re.MULTILINE)
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     """Read the points of one image, numbered in their order: enabled ones are control, the others check points."""
     path = paths[0]
-    faults = Faults(str(path))
-    text = read_text(path, faults)
+    gathered = Gathering(path, settings.crs, stated_in(path, _CRS))
+    faults = gathered.faults
     lines = cells_of(path, faults, "comma")
     faults.raise_if_any()
-    stated = _CRS.search(text or "")
-    crs, notes = decided_crs(stated[1] if stated else "", settings.crs, path)
     image = settings.image or path.name.removesuffix(".points")
-    gathered = Gathering(faults)
     names = _header(lines, path)
     for k, (n, cells) in enumerate(lines[1:], start=1):
         if not len(_NEEDED) <= len(cells) <= len(names):
@@ -50,11 +46,11 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
             faults.add("interchange.cell_count", place=f"line {n}", value=value, expected=f"4 to {len(names)}")
             continue
         _take(gathered, named(n, cells, names), str(k), image)
-    return gathered.finished(crs, notes=notes)
+    return gathered.finished()
 
 
 def _header(lines: list[tuple[int, list[str]]], path: Path) -> list[str]:
-    """Names of the columns; those of older versions become today's."""
+    """Names of the columns; names of older versions are replaced."""
     names = [_OLDER.get(cell, cell) for cell in lines[0][1]] if lines else []
     for column in _NEEDED:
         if column not in names:
@@ -72,7 +68,7 @@ def _take(gathered: Gathering, row: Row, name: str, image: str) -> None:
 
 
 def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
-    """Write the points of one image, the one of the settings if there are several."""
+    """Write the points of one image; the settings name it if there are several."""
     o, image = survey.observed, settings.image
     if not image and len(survey.images) == 1:
         image = survey.images[0]

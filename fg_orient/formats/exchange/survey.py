@@ -1,27 +1,32 @@
 """Common form of all formats of points: ground points and their image points.
 
-Coordinates stay in the CRS of the file, longitude or easting first, so that a format comes back as it was. Pixels are
-(line, sample) with (0, 0) in the centre of the first pixel; readers and writers add what their format counts from.
-Whatever a file does not say is nan (numbers) or "" (CRS).
+Coordinates keep the CRS of the file, longitude or easting first, so that writing the same format reproduces the file.
+Pixels are (line, sample) with (0, 0) in the centre of the first pixel; readers and writers convert the pixel origin of
+their format. Values that a file does not contain are nan (numbers) or "" (CRS).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.tables import Faults
-from fg_orient.model.block import ImagePoints, Index
-from fg_orient.model.errors import Finding
+from fg_orient.geodesy import crs_kind
+from fg_orient.geodesy.crs import epsg_code, same_horizontal
+from fg_orient.model.block import ImagePoints
+from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 
 Array = npt.NDArray[np.float64]
 
 UNKNOWN: Final = (np.nan, np.nan, np.nan)
+#: Characters of a CRS that a note repeats.
+_LONG: Final = 80
 
 
 def no_image_points() -> ImagePoints:
@@ -32,7 +37,7 @@ def no_image_points() -> ImagePoints:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """Ground points and image points, as a file holds them.
+    """Ground points and image points of a file.
 
     Parameters
     ----------
@@ -53,7 +58,7 @@ class Survey:
     lines : (n,) int array
         Line of each ground point in its file, for messages; 0 where there is none.
     notes : tuple of Finding
-        What a user should know about the reading.
+        Remarks of the reader for the user.
     """
 
     crs: str
@@ -76,42 +81,68 @@ class Survey:
         """Points with horizontal coordinates: (n,)."""
         return np.asarray(np.isfinite(self.coordinates[:, :2]).all(axis=1))
 
-    def of_role(self, role: Role) -> npt.NDArray[np.bool_]:
-        """Tell which points have a role: (n,)."""
-        return np.fromiter((one is role for one in self.roles), bool, len(self.roles))
 
-    def take(self, rows: npt.NDArray[np.bool_]) -> Survey:
-        """Give some of the ground points, and the image points of these only."""
-        kept = np.flatnonzero(rows)
-        number = np.full(len(self.ids), -1, np.intp)
-        number[kept] = np.arange(len(kept))
-        left = self.observed.take(rows[self.observed.point])
-        return replace(
-            self, ids=tuple(self.ids[k] for k in kept), roles=tuple(self.roles[k] for k in kept),
-            coordinates=self.coordinates[kept], sigma_enu_m=self.sigma_enu_m[kept], fixed=self.fixed[kept],
-            lines=self.lines[kept], observed=replace_points(left, number[left.point]),
-        )  # fmt: skip
+def decided_crs(stated: str, given: str, file: object) -> tuple[str, tuple[Finding, ...]]:
+    """CRS of a file that may state one, and of a user who may give one.
 
+    Parameters
+    ----------
+    stated : str
+        Code, WKT or PROJ string in the file; "" if there is none.
+    given : str
+        EPSG code by the user; "" if there is none. It may add a vertical CRS to that of the file.
+    file : object
+        For messages.
 
-def replace_points(observed: ImagePoints, point: Index) -> ImagePoints:
-    """Image points that belong to other positions of ground points."""
-    o = observed
-    return ImagePoints(o.image, point, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px)
+    Returns
+    -------
+    tuple
+        EPSG code, and a note if the user's CRS replaces a text of the file that is not a CRS of EPSG.
+
+    Raises
+    ------
+    InputError
+        Neither states a CRS, it is not a CRS of EPSG, or the two differ.
+    """
+    own = epsg_code(stated) if stated.strip() else ""
+    if given:
+        crs_kind(given)
+        if own and not same_horizontal(own, given):
+            raise InputError.of("interchange.crs_differs", file=file, place="CRS", value=own, given=given)
+        replaced = "" if own else " ".join(stated.split())
+        text = replaced if len(replaced) <= _LONG else replaced[: _LONG - 3] + "..."
+        return given, (finding("points.crs_replaced", stated=text, crs=given),) if replaced else ()
+    if not stated.strip():
+        raise InputError.of("interchange.no_crs", file=file, place="CRS")
+    if not own:
+        raise InputError.of("interchange.crs_unknown", file=file, place="CRS", value=stated)
+    crs_kind(own)
+    return own, ()
 
 
 class Gathering:
-    """Collects the records of a file one by one and notes ids that meet twice.
+    """Collects the records of a file one by one and notes ids that occur twice.
 
     Points that only image records name become tie points.
 
     Parameters
     ----------
+    path : Path
+        File to read.
+    given, stated : str
+        CRS by the user and in the file, see :func:`decided_crs`.
+
+    Attributes
+    ----------
     faults : Faults
-        Of the file being read; exchange it before the next file.
+        Faults of the file; replace it before the next file.
+    crs : str
+    notes : tuple of Finding
     """
 
-    def __init__(self, faults: Faults) -> None:
-        self.faults = faults
+    def __init__(self, path: Path, given: str, stated: str = "") -> None:
+        self.faults = Faults(str(path))
+        self.crs, self.notes = decided_crs(stated, given, path)
         self._point: dict[str, int] = {}
         self._image: dict[str, int] = {}
         self._ground: list[tuple[Role, Sequence[float], Sequence[float], bool, int]] = []
@@ -131,10 +162,6 @@ class Gathering:
             self._point[name] = len(self._ground)
             self._ground.append((role, coordinates, sigma, fixed, line))
 
-    def has(self, name: str) -> bool:
-        """Tell whether a point of this id was taken."""
-        return name in self._point
-
     def measure(
         self, image: str, name: str, line_px: float, sample_px: float,
         sigma: Sequence[float] = UNKNOWN[:2], *, line: int,
@@ -152,14 +179,8 @@ class Gathering:
         else:
             self._measured[key] = ((line_px, sample_px), sigma, line)
 
-    def finished(self, crs: str, *, notes: Sequence[Finding] = ()) -> Survey:
-        """Give what was taken.
-
-        Raises
-        ------
-        InputError
-            Faults were noted, or nothing was taken.
-        """
+    def finished(self) -> Survey:
+        """Survey of all records; raise InputError if faults were noted or the file has no records."""
         if not self._ground and not self.faults:
             self.faults.add("interchange.empty")
         self.faults.raise_if_any()
@@ -168,6 +189,6 @@ class Gathering:
         pixels = np.array([m[0] for m in self._measured.values()], float).reshape(-1, 2)
         sigmas = np.array([m[1] for m in self._measured.values()], float).reshape(-1, 2)
         return Survey(
-            crs, tuple(self._point), roles, np.array(xyz, float), np.array(sigma, float), np.array(fixed, bool),
-            tuple(self._image), ImagePoints(*pairs.T, *pixels.T, *sigmas.T), np.array(lines, np.int64), tuple(notes),
+            self.crs, tuple(self._point), roles, np.array(xyz, float), np.array(sigma, float), np.array(fixed, bool),
+            tuple(self._image), ImagePoints(*pairs.T, *pixels.T, *sigmas.T), np.array(lines, np.int64), self.notes,
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Shared parts of text formats: lines to cells, cells to numbers, cells written so that they read back, output paths.
+"""Shared parts of text formats: lines to cells, cells to numbers, tables of points, numbers of bundles, output paths.
 
 Numbers are written with the fewest digits that read back to the same double.
 """
@@ -6,6 +6,7 @@ Numbers are written with the fewest digits that read back to the same double.
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
@@ -14,14 +15,17 @@ from typing import Any, Final, Literal, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.exchange.survey import Gathering
+from fg_orient.formats.atomic import write_lines
+from fg_orient.formats.exchange.survey import Gathering, Survey
 from fg_orient.formats.tables import Faults, Row, finite, number, read_text
+from fg_orient.geodesy.crs import north_first
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
 
 Array = npt.NDArray[np.float64]
 Separator = Literal["comma", "blank", "either"]
 
-#: Starts of a cell that spreadsheets take for a formula.
+#: First characters of a cell that spreadsheets interpret as a formula.
 _FORMULA: Final = ("=", "+", "-", "@")
 
 
@@ -33,10 +37,10 @@ def cells_of(path: Path, faults: Faults, separator: Separator) -> list[tuple[int
     path : Path
         UTF-8 text, with or without byte order mark, any line ends.
     faults : Faults
-        Takes what is wrong with the file; the list is then empty or lacks these lines.
+        Collects the faults of the file; the list is then empty or lacks the faulty lines.
     separator : str
-        "comma" (also semicolon or tab, if the first line has no comma), "blank", or "either": commas in a line that
-        has any, else blanks.
+        "comma" (or semicolon or tab, if the first line contains one), "blank", or "either": commas in a line that
+        contains one, else blanks.
     """
     text = read_text(path, faults)
     if text is None:
@@ -54,12 +58,12 @@ def cells_of(path: Path, faults: Faults, separator: Separator) -> list[tuple[int
 
 
 def separator_of(line: str) -> str:
-    """Separator of a delimited file, found in one of its lines: decimal commas do not hide a semicolon or tab."""
+    """Separator of a delimited file from one of its lines: semicolon and tab come before decimal commas."""
     return next((mark for mark in ("\t", ";") if mark in line), ",")
 
 
 def delimited(line: str, n: int, mark: str, faults: Faults) -> list[str] | None:
-    """Stripped cells of a delimited line, empty ones at its end left out; None, with the fault noted, if unusable."""
+    """Stripped cells of a delimited line without empty cells at its end; None, with the fault noted, if unusable."""
     try:
         cells = [cell.strip() for cell in next(csv.reader([line], delimiter=mark, strict=True))]
     except csv.Error as error:
@@ -73,7 +77,7 @@ def delimited(line: str, n: int, mark: str, faults: Faults) -> list[str] | None:
 def read_rows(
     path: Path, faults: Faults, separator: Separator, columns: Sequence[str], counts: Sequence[int]
 ) -> Iterator[Row]:
-    """Records of a file without header, with cells known by place.
+    """Records of a file without header; the order of the cells is fixed.
 
     Parameters
     ----------
@@ -92,28 +96,90 @@ def read_rows(
             faults.add("interchange.cell_count", place=f"line {n}", value=f"{len(cells)} cells", expected=expected)
 
 
-def read_marks(
-    path: Path, gathered: Gathering, separator: Separator, columns: Sequence[str], counts: Sequence[int],
-    centre_px: float = 0.0,
-) -> None:  # fmt: skip
-    """Take the image points of a file: columns ``image``, ``x``, ``y``, and ``label`` or ``name`` of the point.
+def read_tables(
+    paths: tuple[Path, ...], given: str, separator: Separator, point: Sequence[str], mark: Sequence[str],
+    counts: tuple[Sequence[int], Sequence[int]], centre_px: float = 0.0, *, in_crs_order: bool = False,
+) -> Survey:  # fmt: skip
+    """Read control points and, if there is a second file, image points; both files have no header.
 
-    ``centre_px`` is the coordinate of the centre of the first pixel; other parameters as in :func:`read_rows`.
+    Parameters
+    ----------
+    paths : tuple of Path
+    given : str
+        CRS by the user.
+    separator : str
+        See :func:`cells_of`.
+    point : sequence of str
+        Cells of a point: name, three coordinates, horizontal and vertical standard deviation.
+    mark : sequence of str
+        Cells of an image point: ``image``, ``x``, ``y`` and the name of the point, which is that of ``point``.
+    counts : two sequences of int
+        Allowed numbers of cells of points and image points.
+    centre_px : float
+        Coordinate of the centre of the first pixel.
+    in_crs_order : bool
+        Coordinates have the order of the definition of the CRS; else longitude or easting is first.
     """
-    faults = gathered.faults = Faults(str(path))
-    label = "label" if "label" in columns else "name"
-    for row in read_rows(path, faults, separator, columns, counts):
-        x, y = numbers(row, ("x", "y"), faults)
-        gathered.measure(row.cells["image"], row.cells[label], y - centre_px, x - centre_px, line=row.line)
+    gathered = Gathering(paths[0], given)
+    faults = gathered.faults
+    backwards = in_crs_order and north_first(gathered.crs)
+    for row in read_rows(paths[0], faults, separator, point, counts[0]):
+        first, second, height = numbers(row, point[1:4], faults)
+        across, up = (sigma(row, column, "m", faults) for column in point[4:])
+        xyz = (second, first, height) if backwards else (first, second, height)
+        gathered.point(row.cells[point[0]], Role.CONTROL, xyz, (across, across, up), line=row.line)
+    faults.raise_if_any()
+    if len(paths) > 1:
+        faults = gathered.faults = Faults(str(paths[1]))
+        for row in read_rows(paths[1], faults, separator, mark, counts[1]):
+            x, y = numbers(row, ("x", "y"), faults)
+            gathered.measure(row.cells["image"], row.cells[point[0]], y - centre_px, x - centre_px, line=row.line)
+    return gathered.finished()
 
 
-def horizontal_sigma(east: float, north: float) -> float:
-    """One horizontal standard deviation: the root mean square, if east and north differ."""
-    return east if east == north else float(np.hypot(east, north) / np.sqrt(2.0))
+def write_tables(
+    survey: Survey, paths: tuple[Path, ...], separator: Separator, point: Sequence[str], mark: Sequence[str],
+    centre_px: float = 0.0, *, in_crs_order: bool = False,
+) -> None:  # fmt: skip
+    """Write files as :func:`read_tables` reads them; the second file only if there are image points.
+
+    Lines with blanks as separator begin with a comment that names the cells.
+    """
+    head = [f"# {' '.join(names)}" if separator == "blank" else "" for names in (point, mark)]
+    join = " ".join if separator == "blank" else row_of
+    order = [1, 0, 2] if in_crs_order and north_first(survey.crs) else [0, 1, 2]
+    lines = []
+    for k in np.flatnonzero(survey.located).tolist():
+        east, north, up = survey.sigma_enu_m[k].tolist()
+        across = east if east == north else float(np.hypot(east, north) / np.sqrt(2.0))
+        sigmas = [] if np.isnan(up) else [digits(across), digits(up)]
+        lines.append(join([survey.ids[k], *map(digits, survey.coordinates[k, order]), *sigmas]))
+    write_lines(paths[0], [*filter(None, head[:1]), *lines])
+    o, lines = survey.observed, []
+    for i, p, line, sample in zip(o.image, o.point, o.line, o.sample, strict=True):
+        cells = {"image": survey.images[i], point[0]: survey.ids[p], "x": digits(sample + centre_px),
+                 "y": digits(line + centre_px)}  # fmt: skip
+        lines.append(join([cells[name] for name in mark if name in cells]))
+    if lines:
+        write_lines(paths[1], [*filter(None, head[1:]), *lines])
+
+
+def stated_in(path: Path, pattern: re.Pattern[str]) -> str:
+    """First group of the first match of a pattern in a text file, "" if there is none.
+
+    Raises
+    ------
+    InputError
+        The file does not exist, cannot be read, or is not text.
+    """
+    faults = Faults(str(path))
+    match = pattern.search(read_text(path, faults) or "")
+    faults.raise_if_any()
+    return match[1] if match else ""
 
 
 def named(n: int, cells: Sequence[str], names: Sequence[str]) -> Row:
-    """Record of cells known by place; cells that are not there are empty."""
+    """Record of cells in the order of their names; missing cells are empty."""
     padded = [*cells, *[""] * (len(names) - len(cells))]
     return Row(n, dict(zip(names, padded, strict=False)))
 
@@ -140,7 +206,7 @@ def digits(value: float) -> str:
 
 
 def row_of(cells: Iterable[str], mark: str = ",") -> str:
-    """Line of a delimited file; cells that a reader or a spreadsheet would mistake are quoted."""
+    """Line of a delimited file; cells that a reader or a spreadsheet would misread are quoted."""
     return mark.join(_quoted(cell, mark) for cell in cells)
 
 
@@ -151,13 +217,7 @@ def _quoted(cell: str, mark: str) -> str:
 
 
 def require_plain(names: Iterable[str], what: str, path: Path) -> None:
-    """Refuse names that a format of words between blanks cannot hold.
-
-    Raises
-    ------
-    InputError
-        A name is empty, holds blanks or commas, or begins with ``#``.
-    """
+    """Raise InputError if a name is empty, contains blanks or commas, or begins with ``#``."""
     for name in names:
         if not name or name[:1] == "#" or any(c.isspace() or c in ',"' for c in name):
             raise InputError.of("interchange.name", file=path, place=what, value=name)
