@@ -1,11 +1,11 @@
 """Collinearity extended by corrections from measured to ideal coordinates, for self-calibrating bundles.
 
-    e = (x' + dx - c X/Z,  y' + dy - s c Y/Z) Z^p,    (X, Y, Z) = R (P - O),    x' = x - x0,  y' = y - y0
+    e = (c X/Z - x' - dx,  s c Y/Z - y' - dy) Z^p,    (X, Y, Z) = R (P - O),    x' = x - x0,  y' = y - y0
 
 (Ayhan 1996, eqs. 76-77, with the derivatives that print has wrong corrected.) dx, dy:
 ``factors.cameras.image_corrections``, ``factors.cameras.additional_parameters`` and ``factors.cameras.image_variants``.
 Camera axes X right, Y down, Z along the view; s = -1 where image y points up. With p = 0 the residual is one of the
-image, with p = 1 the thesis' F, in image units times metres.
+image, with p = 1 the thesis' F with the other sign, in image units times metres.
 
 Unknowns: an image's own camera parameters, those it shares with others (photo-variant and block-invariant
 calibration), the rotation vector w of R = exp([w]x) R_0 in rad, the projection centre O and the point P, m.
@@ -58,18 +58,18 @@ def _seen(record: Any, w: Any, centre: Any, point: Any) -> Any:
 
 @compiled
 def _difference(record: Any, c: Any, q: Vector) -> Any:
-    """Ideal minus computed coordinates."""
+    """Computed minus ideal coordinates."""
     x, y = record[RECORD.x] - c[CAMERA.x0], record[RECORD.y] - c[CAMERA.y0]
     u, v = lens.ideal(c[CAMERA.lens], x, y)
-    u, v = u - c[CAMERA.c] * q[0] / q[2], v - record[RECORD.sign] * c[CAMERA.c] * q[1] / q[2]
+    u, v = c[CAMERA.c] * q[0] / q[2] - u, record[RECORD.sign] * c[CAMERA.c] * q[1] / q[2] - v
     terms, a = brown.terms(x, y, record[RECORD.held_c]), c[CAMERA.brown]
     for j in range(len(a)):
-        u, v = u + a[j] * terms[0, j], v + a[j] * terms[1, j]
+        u, v = u - a[j] * terms[0, j], v - a[j] * terms[1, j]
     a = c[CAMERA.variants]
     if np.any(a != 0.0):
         terms = variants.terms(x, y, record[RECORD.radius])
         for j in range(len(a)):
-            u, v = u + a[j] * terms[0, j], v + a[j] * terms[1, j]
+            u, v = u - a[j] * terms[0, j], v - a[j] * terms[1, j]
     return u, v
 
 
@@ -95,7 +95,7 @@ def _by_camera(record: Array, setup: Array, c: Array, q: Array, scale: float) ->
     terms, others = brown.terms(x, y, record[RECORD.held_c]), variants.terms(x, y, record[RECORD.radius])
     out = np.empty((2, setup.shape[1]))
     for j in range(setup.shape[1]):
-        code = int(setup[0, j])
+        code = int(setup[0, j])  # u, v: derivatives of the ideal minus the computed coordinates
         if code == CAMERA.c:
             u, v = -q[0] / q[2], -record[RECORD.sign] * q[1] / q[2]
         elif code == CAMERA.x0:
@@ -108,7 +108,7 @@ def _by_camera(record: Array, setup: Array, c: Array, q: Array, scale: float) ->
             u, v = terms[0, code - CAMERA.brown.start], terms[1, code - CAMERA.brown.start]
         else:
             u, v = others[0, code - CAMERA.variants.start], others[1, code - CAMERA.variants.start]
-        out[0, j], out[1, j] = scale * setup[1, j] * u, scale * setup[1, j] * v
+        out[0, j], out[1, j] = -scale * setup[1, j] * u, -scale * setup[1, j] * v
     return out
 
 
@@ -117,7 +117,7 @@ def _by_place(record: Array, c: Array, q: Array, turn: Array, scale: float) -> t
     """Derivatives (2, 3) with respect to the rotation vector and to the point, not whitened."""
     f, z, power, sign = c[CAMERA.c] * scale / q[2], q[2], record[RECORD.power], record[RECORD.sign]
     a, b = _difference(record, c, q)
-    by_q = np.array([[-f, 0.0, f * q[0] / z + power * a], [0.0, -sign * f, sign * f * q[1] / z + power * b]])
+    by_q = np.array([[f, 0.0, power * a - f * q[0] / z], [0.0, sign * f, power * b - sign * f * q[1] / z]])
     spin, point = np.empty((2, 3)), np.empty((2, 3))
     for i in range(2):
         g = by_q[i]

@@ -1,6 +1,6 @@
 """Collinearity of a frame image with Brown's distortion from ideal to measured: the observation equation.
 
-    r = A (observed pixel - pixel of the ground point)          (Brown 1966; maps: ``factors.cameras.frame_camera``)
+    r = A (pixel of the ground point - observed pixel)          (Brown 1966; maps: ``factors.cameras.frame_camera``)
 
 Unknown 1 is the orientation of the image in prior sigmas, exterior and interior, any of them; unknown 2 the ground
 point (m, local origin). The projection centre is the unknown, not the translation ``-R C``: it is what a receiver on
@@ -58,8 +58,8 @@ def columns_of(setup: Any) -> Any:
 
 @compiled
 def misclosure(record: Any, line: Any, sample: Any) -> Any:
-    """Whitened observed minus computed pixel: two numbers."""
-    line, sample = record[RECORD.line] - line, record[RECORD.sample] - sample
+    """Whitened computed minus observed pixel: two numbers."""
+    line, sample = line - record[RECORD.line], sample - record[RECORD.sample]
     return record[RECORD.a_line] * line, record[RECORD.a_sample] * sample
 
 
@@ -111,11 +111,11 @@ def derivatives(c: Any, ray: Any, a_line: float, a_sample: float, out: Array) ->
     x, y, _ = ray
     mx, my = brown_ideal_to_measured(c, x, y)
     a, b, d = brown_derivatives(c, x, y)
-    zero = sight_row(c, y, ray, b, d, -a_line, out, 0) + sight_row(c, x, ray, a, b, -a_sample, out, 1)
+    zero = sight_row(c, y, ray, b, d, a_line, out, 0) + sight_row(c, x, ray, a, b, a_sample, out, 1)
     r, xy = x * x + y * y, 2.0 * x * y
-    out[0, UNKNOWN.focal], out[0, UNKNOWN.sample], out[0, UNKNOWN.line] = -a_line * my, 0.0, -a_line
-    out[1, UNKNOWN.focal], out[1, UNKNOWN.sample], out[1, UNKNOWN.line] = -a_sample * mx, -a_sample, 0.0
-    s_line, s_sample = -a_line * c[CAMERA.focal], -a_sample * c[CAMERA.focal]
+    out[0, UNKNOWN.focal], out[0, UNKNOWN.sample], out[0, UNKNOWN.line] = a_line * my, 0.0, a_line
+    out[1, UNKNOWN.focal], out[1, UNKNOWN.sample], out[1, UNKNOWN.line] = a_sample * mx, a_sample, 0.0
+    s_line, s_sample = a_line * c[CAMERA.focal], a_sample * c[CAMERA.focal]
     out[0, UNKNOWN.p1], out[0, UNKNOWN.p2] = s_line * (r + 2.0 * y * y), s_line * xy
     out[1, UNKNOWN.p1], out[1, UNKNOWN.p2] = s_sample * xy, s_sample * (r + 2.0 * x * x)
     return float(zero)

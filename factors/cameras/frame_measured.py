@@ -1,6 +1,6 @@
 """Collinearity of a frame image with Brown's distortion from measured to ideal coordinates: the observation equation.
 
-    r = A (corrected observed pixel - pixel of the ground point without distortion)
+    r = A (pixel of the ground point without distortion - corrected observed pixel)
 
 The polynomial of ``factors.cameras.frame_camera`` corrects what was measured, as in photogrammetric calibrations (Brown
 1971; Ayhan 1996; DBAT: Börlin, Grussenmeyer 2016, "backward" models), where OpenCV, COLMAP and BAL distort what is
@@ -53,10 +53,10 @@ def measured(c: Any, line: float, sample: float) -> Any:
 
 @compiled
 def difference(c: Any, line: float, sample: float, u: Any, v: Any) -> Any:
-    """Corrected pixel minus that of the ideal direction (u, v): line, sample (px)."""
+    """Pixel of the ideal direction (u, v) minus the corrected one: line, sample (px)."""
     x, y = measured(c, line, sample)
     cx, cy = brown_ideal_to_measured(c, x, y)
-    return c[CAMERA.unit] * cy - c[CAMERA.focal] * v, c[CAMERA.unit] * cx - c[CAMERA.focal] * u
+    return c[CAMERA.focal] * v - c[CAMERA.unit] * cy, c[CAMERA.focal] * u - c[CAMERA.unit] * cx
 
 
 @compiled
@@ -73,12 +73,12 @@ def derivatives(c: Any, ray: Vector, line: float, sample: float, a_line: float, 
     """Write the whitened derivatives of the residual into ``out`` (2, 19), as ``factors.cameras.frame.derivatives``."""
     x, y = measured(c, line, sample)
     a, b, d = brown_derivatives(c, x, y)
-    zero = sight_row(c, ray[1], ray, 0.0, 1.0, -a_line, out, 0) + sight_row(c, ray[0], ray, 1.0, 0.0, -a_sample, out, 1)
+    zero = sight_row(c, ray[1], ray, 0.0, 1.0, a_line, out, 0) + sight_row(c, ray[0], ray, 1.0, 0.0, a_sample, out, 1)
     r, xy, stretch = x * x + y * y, 2.0 * x * y, 1.0 + c[CAMERA.aspect]
-    out[0, UNKNOWN.focal], out[1, UNKNOWN.focal] = -a_line * ray[1], -a_sample * ray[0]
-    out[0, UNKNOWN.sample], out[1, UNKNOWN.sample] = -a_line * b * stretch, -a_sample * a * stretch
-    out[0, UNKNOWN.line], out[1, UNKNOWN.line] = -a_line * d, -a_sample * b
-    s_line, s_sample = a_line * c[CAMERA.unit], a_sample * c[CAMERA.unit]
+    out[0, UNKNOWN.focal], out[1, UNKNOWN.focal] = a_line * ray[1], a_sample * ray[0]
+    out[0, UNKNOWN.sample], out[1, UNKNOWN.sample] = a_line * b * stretch, a_sample * a * stretch
+    out[0, UNKNOWN.line], out[1, UNKNOWN.line] = a_line * d, a_sample * b
+    s_line, s_sample = -a_line * c[CAMERA.unit], -a_sample * c[CAMERA.unit]
     for k in range(3):
         power = r ** (k + 1)
         out[0, UNKNOWN.k1 + k], out[1, UNKNOWN.k1 + k] = s_line * y * power, s_sample * x * power

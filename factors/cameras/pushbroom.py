@@ -15,10 +15,10 @@ attitude, M a constant mounting of the line; psi_x, psi_y are look angles plus `
 Angles (DIMAP v1): a = file + correction, M = I, R_OG follows the corrected P and V. Quaternions
 (DIMAP v2): a = correction, M = R_OG^T R_q with R_OG of the metadata: R_OG R_UY(a) R_OG^T R_q.
 
-A = S^-1 J^-1, J = dF/d(line, sample), S the pixel sigmas: a unit is one sigma of a pixel coordinate. V enters through
-V x P only: ``dF/dV . V = dF/dV . P = 0``; the rest is a yaw. Everything is formed as reference (metadata) plus
-difference (``d_...``), so that rounding is relative to the correction and not to the orbit radius: 1e-13 instead of
-1e-9 sigma.
+A = -S^-1 J^-1, J = dF/d(line, sample), S the pixel sigmas: to first order r is adjusted minus observed pixel, in
+sigmas. V enters through V x P only: ``dF/dV . V = dF/dV . P = 0``; the rest is a yaw. Everything is formed as
+reference (metadata) plus difference (``d_...``), so that rounding is relative to the correction and not to the orbit
+radius: 1e-13 instead of 1e-9 sigma.
 """
 
 from __future__ import annotations

@@ -286,7 +286,7 @@ class Problem:
     def pixel_residuals(self, state: State) -> Array:
         """Residuals v = adjusted - observed (n, 2): line, sample in pixels."""
         o = self.observations
-        return -residuals(self, state) * np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
+        return residuals(self, state) * np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
 
 
 def compile_problem(block: Block, like: Problem | None = None) -> Problem:

@@ -381,7 +381,7 @@ def _result(built: Built, engine: Any, found: LoopResult[Array], which: Index, o
         tuple(interiors), tuple(rotations), tuple(centres), built.ids, points,
         None if m0 is None else m0 * np.sqrt(spread),
         tuple(of_variables(network.variables[k].name, [k]) for k in built.figure_variables),
-        -rows.residual[: 2 * len(of)].reshape(-1, 2) * sigma, state, tuple(network.labels), cofactors, m0,
+        rows.residual[: 2 * len(of)].reshape(-1, 2) * sigma, state, tuple(network.labels), cofactors, m0,
         network.redundancy, len(found.log), engine.name,
         quality_of(built, rows, whole, rotations, found.log),
     )  # fmt: skip

@@ -214,7 +214,7 @@ def _adjusted(
     away[:3, :3] = turned[CAMERA.jacobian].reshape(3, 3)
     moved = centre + turned[CAMERA.centre]
     photo = Photo.of(name, interior, rotation, moved)
-    residuals = -minimum.residual.reshape(-1, 2)[:, ::-1] * sigma * interior.focal * [1.0, interior.sign]
+    residuals = minimum.residual.reshape(-1, 2)[:, ::-1] * sigma * interior.focal * [1.0, interior.sign]
     redundancy = len(minimum.residual) - 6
     m0 = unit_weight(minimum.squares, redundancy)
     return Resection(

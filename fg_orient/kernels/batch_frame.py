@@ -51,7 +51,7 @@ def rows_of_model(
             camera = row_of(table, i)
             ray = direction(camera, ground[p, 0], ground[p, 1], ground[p, 2])
             line, sample = pixel(camera, ray[0], ray[1])
-            line, sample = o_line - line, o_sample - sample
+            line, sample = line - o_line, sample - o_sample
         else:
             cam = table[i]
             ray = direction(cam, ground[p, 0], ground[p, 1], ground[p, 2])

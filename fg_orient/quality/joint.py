@@ -154,11 +154,10 @@ def _of_observation(problem: Problem, state: State, row: int, kind: str) -> _Row
     k, j = int(o.image[row]), int(o.point[row])
     _, d_image, d_ground = image_rows(problem, state, k, np.array([row]), jacobian=True)
     sigma = np.array([[o.sigma_line_px[row]], [o.sigma_sample_px[row]]])
-    # the whitened residual is observed minus adjusted: derivatives of the adjusted pixel have the other sign
     where = f"{block.images[k].id}/{block.points.ids[j]}"
     prefix = "v_" if kind == "residual" else ""
     return _Rows(
-        (f"{where}.{prefix}line", f"{where}.{prefix}sample"), ("px", "px"), {k: -sigma * d_image[0]},
-        {j: -sigma * d_ground[0]} if problem.active[j] else {},
+        (f"{where}.{prefix}line", f"{where}.{prefix}sample"), ("px", "px"), {k: sigma * d_image[0]},
+        {j: sigma * d_ground[0]} if problem.active[j] else {},
         ((row, 0), (row, 1)) if kind == "residual" else ((-1, 0),) * 2,
     )  # fmt: skip

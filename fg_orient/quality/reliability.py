@@ -161,7 +161,7 @@ def reliability(
     sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
     eop = rays.on_image
     image = _reliability(
-        cofactors.image, -residuals(problem, state), sigma, rays.response, rays.points[o.point], eop, alpha, power
+        cofactors.image, residuals(problem, state), sigma, rays.response, rays.points[o.point], eop, alpha, power
     )
     q, whitened, own, response, points = _control(problem, state, cofactors)
     control = _reliability(q, whitened, own, response, points, np.full(own.shape, np.nan), alpha, power)

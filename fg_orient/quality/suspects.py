@@ -111,11 +111,11 @@ def suspects(
     o, given = problem.observations, np.flatnonzero(problem.observed)
     rows = np.arange(len(o))
     scale = np.zeros((len(o), 2, 2))
-    scale[:, 0, 0], scale[:, 1, 1] = 1.0 / o.sigma_line_px, 1.0 / o.sigma_sample_px
+    scale[:, 0, 0], scale[:, 1, 1] = -1.0 / o.sigma_line_px, -1.0 / o.sigma_sample_px  # v: adjusted minus observed
     image = (o.point, rows, residuals(problem, state), found.image)
     w = problem.control_weights(given)
     at = problem.control_records[given, POINT.place]
-    columns = -w @ np.swapaxes(problem.axes(at + problem.origin_m), 1, 2)  # the residual is adjusted minus observed
+    columns = -w @ np.swapaxes(problem.axes(at + problem.origin_m), 1, 2)
     v = problem.control_residuals(state, given)
     control = (given, np.full(len(given), -1), v, found.control)
     east, north, up = problem.axis_names

@@ -39,7 +39,7 @@ class ImageModel(Protocol):
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
         """Whitened constants (n, d) of image points of this image; the equation's residual is then in sigmas.
 
-        To first order it is minus ``v / sigma``; v = adjusted - observed is the residual of all results. ``ground_m``
+        To first order it is ``v / sigma``; v = adjusted - observed is the residual of all results. ``ground_m``
         (n, 3) ECEF m near the observed points; ``origin_m`` (3,): local origin of the ground unknowns.
         """
         ...

@@ -359,12 +359,12 @@ class PushbroomModel:
         self.n_curves = options.curve_intervals if max(self.parameters.codes) >= CURVE else 0
 
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
-        """Whiten with ``S^-1 J^-1``, J = dF/d(line, sample) of the metadata orientation."""
+        """Whiten with ``-S^-1 J^-1``, J = dF/d(line, sample) of the metadata orientation."""
         line, sample, small = points.line, points.sample, self.small_angle
         out = self.sensor.records(line, sample, ground_m, origin_m, small_angle=small)
         j = projection.pixel_derivative(self.sensor, line, sample, ground_m, Correction(small_angle=small))
         sigma = np.stack([points.sigma_line_px, points.sigma_sample_px], axis=1)
-        out[:, RECORD.whitening] = (np.linalg.inv(j) / sigma[:, :, None]).reshape(-1, 4)
+        out[:, RECORD.whitening] = (-np.linalg.inv(j) / sigma[:, :, None]).reshape(-1, 4)
         return np.hstack([out, polynomials.curves(out[:, RECORD.tau], self.n_curves)]) if self.n_curves else out
 
     def correction(self, x: Array) -> Correction:

@@ -250,9 +250,9 @@ class RpcImageModel:
         self.parameters = compensation_parameters(options, sensor.file)
 
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
-        """Whiten with the pixel sigmas; minus, because the equation gives adjusted minus observed."""
+        """Whiten with the pixel sigmas."""
         out = self.sensor.records(points.line, points.sample, ground_m, origin_m)
-        out[:, RECORD.a11], out[:, RECORD.a22] = -1.0 / points.sigma_line_px, -1.0 / points.sigma_sample_px
+        out[:, RECORD.a11], out[:, RECORD.a22] = 1.0 / points.sigma_line_px, 1.0 / points.sigma_sample_px
         return out
 
     def correction(self, x: Array) -> Array:

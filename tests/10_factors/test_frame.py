@@ -56,7 +56,7 @@ def test_residual_equals_the_printed_formulas() -> None:
         sample = f * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)) + cx
         line = f * (y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y) + cy
         found = frame.residual(e.record, e.setup, *e.unknowns)
-        expected = weight * (observed - [line, sample])
+        expected = weight * ([line, sample] - observed)
         assert np.abs(found - expected).max() < 1e-11 * max(1.0, float(np.abs([line, sample]).max() * weight.max()))
 
 
