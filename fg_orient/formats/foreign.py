@@ -18,10 +18,10 @@ import numpy.typing as npt
 
 from fg_orient.formats.exchange.convert import Fill, filled, read_survey
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.observations import ObservationFile, remarks_on_sigmas
+from fg_orient.formats.observations import PLAUSIBLE_SIGMA_PX, ObservationFile
 from fg_orient.formats.points import PointFile, Record, located, point_file
 from fg_orient.formats.registry import Holds, Settings, format_named
-from fg_orient.formats.tables import Faults, did_you_mean
+from fg_orient.formats.tables import Faults, did_you_mean, sigma_remarks
 from fg_orient.model.block import Coordinates, GroundPoints, ImagePoints
 from fg_orient.model.errors import Finding, InputError
 from fg_orient.model.names import Role
@@ -174,7 +174,9 @@ def read_foreign_observations(
     o, row = survey.observed, np.array([place[name] for name in survey.ids], np.intp)
     found = ImagePoints(image[o.image], row[o.point], o.line, o.sample, o.sigma_line_px, o.sigma_sample_px)
     sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
-    remarks = remarks_on_sigmas(faults.file, sigma, lambda k: f"point {survey.ids[o.point[k]]}")
+    remarks = sigma_remarks(
+        "remark.sigma_image", faults.file, sigma, PLAUSIBLE_SIGMA_PX, lambda k: f"point {survey.ids[o.point[k]]}"
+    )
     return ObservationFile(table.path, sha256_of(table.absolute), found, remarks), points
 
 

@@ -47,10 +47,10 @@ def read_navigation(path: Path, crs: str) -> tuple[tuple[Fix, ...], str]:
     layouts = [position, (*position, *ANGLES, *ANGLE_SIGMAS)]
     values, table = read_numbers(path, layouts, ("image", "strip"))
     faults, columns = Faults(str(path)), layouts[-1][2:]
-    for k, j in np.argwhere(~(values > 0.0)).tolist():
-        if columns[j].startswith("sigma_"):
-            row = table.row(k)
-            faults.add("navigation.sigma", place=row.place(columns[j]), value=row.cells[columns[j]])
+    for name, column in zip(columns, values.T, strict=False):
+        if name.startswith("sigma_"):
+            table.refuse(column <= 0.0, "navigation.sigma", name)
+    table.report(faults)
     faults.raise_if_any()
     ecef = to_ecef(crs, *values[:, 1:4].T)
     ids = zip(table.cells["image"], table.cells["strip"], strict=True)

@@ -2,8 +2,8 @@
 
 A table is UTF-8 (a byte order mark is fine) with commas, one header line that names the
 columns, and one record per line. Lines starting with ``#`` and blank lines are skipped.
-Ids stay text: ``01`` is not ``1``. Faults are collected, so that a user sees all of them
-at once, each with file, line, column, value and remedy; see ``docs/file-formats.md``.
+Ids stay text: ``01`` is not ``1``. Faults are collected and listed together in the order of
+the lines, each with file, line, column, value and remedy; see ``docs/file-formats.md``.
 """
 
 from __future__ import annotations
@@ -11,11 +11,13 @@ from __future__ import annotations
 import csv
 import difflib
 import hashlib
+import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
+from itertools import compress
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +25,8 @@ import numpy.typing as npt
 from fg_orient.model.errors import Finding, InputError, finding
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
 
 #: Faults listed per file; the rest is counted.
 MAX_FAULTS: Final = 20
@@ -63,19 +67,26 @@ class Faults:
         """Note one fault from the message catalogue."""
         self.take(finding(code, file=self.file, place=place, value=value, **fields))
 
-    def take(self, *found: Finding) -> None:
+    def take(self, *faults: Finding) -> None:
         """Note faults built elsewhere."""
-        self.codes.update(p.code for p in found)
         room = MAX_FAULTS - len(self._problems)
-        self._problems.extend(found[:room])
-        self._dropped += max(0, len(found) - room)
+        self._problems.extend(faults[:room])
+        for fault in faults[:room]:
+            self.codes.add(fault.code)
+        for fault in faults[room:]:
+            self.count(fault.code, 1)
+
+    def count(self, code: str, n: int) -> None:
+        """Count ``n`` faults that are not listed."""
+        self.codes.add(code)
+        self._dropped += n
 
     def __bool__(self) -> bool:
         return bool(self._problems)
 
     @property
     def problems(self) -> tuple[Finding, ...]:
-        """The faults noted, and one line that counts those left out."""
+        """Listed faults, and one line that counts the others."""
         if not self._dropped:
             return tuple(self._problems)
         more = finding("table.more_faults", file=self.file, value=f"{self._dropped} more")
@@ -101,7 +112,7 @@ class Row:
     cells: dict[str, str]
 
     def place(self, column: str = "") -> str:
-        """Say where this record, or a cell of it, stands."""
+        """Place of this record, or of one of its cells, for messages."""
         return f"line {self.line}, column {column}" if column else f"line {self.line}"
 
 
@@ -126,6 +137,7 @@ class Table:
     cells: dict[str, Sequence[str]]
     lines: npt.NDArray[np.int64]
     sha256: str
+    _refused: list[tuple[Index, str, str, dict[str, Any]]] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -136,22 +148,76 @@ class Table:
 
     @property
     def rows(self) -> tuple[Row, ...]:
-        """All records, each made anew: for small tables, and to say what is wrong with a large one."""
+        """All records, each made anew: for small tables."""
         return tuple(self.row(k) for k in range(len(self)))
 
-    def numbers(self, *columns: str, rows: npt.NDArray[np.intp] | None = None) -> Array | None:
-        """Columns as finite numbers (n, k), of all records or some.
+    def where(self, column: str, text: str) -> Mask:
+        """Records (n,) whose cell is this text."""
+        return np.fromiter((cell == text for cell in self.cells[column]), bool, len(self))
 
-        None if a cell is no finite number; :func:`number` then says which.
-        """
-        out = np.empty((len(self) if rows is None else len(rows), len(columns)))
-        for k, name in enumerate(columns):
-            cells = self.cells[name] if rows is None else [self.cells[name][j] for j in rows.tolist()]
+    def numbers(self, *columns: str, rows: Mask | None = None) -> Array:
+        """Columns as finite numbers (n, k); nan where a cell, then refused, is not a number, and in other ``rows``."""
+        out = np.full((len(self), len(columns)), np.nan)
+        wanted = np.ones(len(self), bool) if rows is None else rows
+        for j, name in enumerate(columns):
+            cells = self.cells[name] if rows is None else list(compress(self.cells[name], rows.tolist()))
             values = finite(cells)
             if values is None:
-                return None
-            out[:, k] = values
+                codes = np.array([_number_fault(cell) for cell in self.cells[name]])
+                for code in sorted(set(codes[wanted].tolist()) - {""}):
+                    self.refuse(
+                        wanted & (codes == code), code, name, value=lambda row, name=name: repr(row.cells[name])
+                    )
+                values = np.array([np.nan if _number_fault(cell) else float(cell) for cell in cells])
+            out[wanted, j] = values
         return out
+
+    def positions(self, column: str, known: Sequence[str] | None, code: str) -> Index:
+        """Position (n,) of each cell in ``known``; other cells get positions beyond it, and are refused.
+
+        Nothing is refused if ``known`` is None.
+        """
+        cells, place = self.cells[column], {name: k for k, name in enumerate(known or ())}
+        try:
+            return np.fromiter(map(place.__getitem__, cells), np.intp, len(cells))
+        except KeyError:
+            out = np.array([place.setdefault(cell, len(place)) for cell in cells], np.intp)
+        if known is not None:
+            self.refuse(
+                out >= len(known), code, column, value=lambda row: repr(row.cells[column]),
+                hint=lambda row: did_you_mean(row.cells[column], list(known)),
+            )  # fmt: skip
+        return out
+
+    def refuse(self, wrong: npt.ArrayLike, code: str, column: str, **fields: Any) -> None:
+        """Refuse records (n,) for the text of a cell, which is the value of the message by default.
+
+        ``fields`` of the message are constants, arrays (n,), or functions of the :class:`Row`.
+        """
+        rows = np.flatnonzero(np.asarray(wrong, bool))
+        if len(rows):
+            self._refused.append((rows, code, column, {"value": lambda row: row.cells[column], **fields}))
+
+    def refuse_repeated(self, keys: Sequence[Hashable] | Index, code: str, column: str, **fields: Any) -> None:
+        """Refuse records whose key an earlier record has; field ``first`` is the line of that record."""
+        distinct = np.diff(np.sort(keys)).all() if isinstance(keys, np.ndarray) else len(set(keys)) == len(keys)
+        if not distinct:
+            place: dict[Hashable, int] = {}
+            first = np.array([place.setdefault(key, k) for k, key in enumerate(keys)])
+            self.refuse(first < np.arange(len(keys)), code, column, first=self.lines[first], **fields)
+
+    def report(self, faults: Faults) -> None:
+        """Note the refused records in the order of their lines."""
+        for k, n in sorted((k, n) for n, (rows, *_) in enumerate(self._refused) for k in rows[:MAX_FAULTS].tolist()):
+            (_, code, column, fields), row = self._refused[n], self.row(k)
+            made = {
+                name: value(row) if callable(value) else value[k] if isinstance(value, np.ndarray) else value
+                for name, value in fields.items()
+            }
+            faults.add(code, place=row.place(column), **made)
+        for rows, code, *_ in self._refused:
+            faults.count(code, max(0, len(rows) - MAX_FAULTS))
+        self._refused.clear()
 
 
 def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> Table | None:
@@ -208,9 +274,8 @@ def read_numbers(path: Path, layouts: Sequence[Sequence[str]], words: Sequence[s
     layout = next(one for one in layouts if set(one) == set(table.columns))
     columns = [name for name in layout if name not in words]
     values = table.numbers(*columns)
-    if values is None:
-        values = np.array([[number(row, name, faults) for name in columns] for row in table.rows])
-        faults.raise_if_any()
+    table.report(faults)
+    faults.raise_if_any()
     return values, table
 
 
@@ -224,21 +289,24 @@ def read_text(path: Path, faults: Faults) -> str | None:
 def number(row: Row, column: str, faults: Faults) -> float:
     """Read a cell as a finite number; nan, with the fault noted, if it is not a number."""
     text = row.cells[column]
-    code = ""
-    if not text:
-        code = "table.cell_empty"
-    elif not NUMBER.fullmatch(text):
-        code = "table.decimal_comma" if DECIMAL_COMMA.fullmatch(text) else "table.not_a_number"
-    elif float(text) in (float("inf"), float("-inf")):
-        code = "table.number_too_large"
+    code = _number_fault(text)
     if code:
         faults.add(code, place=row.place(column), value=repr(text))
         return float("nan")
     return float(text)
 
 
+def _number_fault(text: str) -> str:
+    """Message code of a text that is not a finite number, "" if it is one."""
+    if not text:
+        return "table.cell_empty"
+    if not NUMBER.fullmatch(text):
+        return "table.decimal_comma" if DECIMAL_COMMA.fullmatch(text) else "table.not_a_number"
+    return "table.number_too_large" if math.isinf(float(text)) else ""
+
+
 def finite(cells: Sequence[str]) -> Array | None:
-    """Texts as finite numbers (n,), at once; None if one is not a number."""
+    """All texts as finite numbers (n,); None if one is not a number."""
     if "".join(cells).encode().translate(None, _OF_NUMBERS):
         return None
     try:
@@ -248,8 +316,20 @@ def finite(cells: Sequence[str]) -> Array | None:
     return values if np.isfinite(values).all() else None
 
 
+def sigma_remarks(
+    code: str, file: str, sigma: Array, limits: tuple[float, float], place_of: Callable[[int], str]
+) -> tuple[Finding, ...]:
+    """Remark on standard deviations (n, k) outside plausible limits; ``place_of`` gives the place of a row."""
+    low, high = limits
+    odd = np.flatnonzero(((sigma < low) | (sigma > high)).any(axis=1))
+    if not len(odd):
+        return ()
+    place, value = f"{place_of(int(odd[0]))}, sigma", " ".join(f"{s:g}" for s in sigma[odd[0]])
+    return (finding(code, file=file, place=place, value=value, low=low, high=high, count=len(odd)),)
+
+
 def did_you_mean(word: str, known: Sequence[str]) -> str:
-    """Give "did you mean X?", or the list of what is known (shortened)."""
+    """Hint "did you mean X?", or the known words (shortened)."""
     if not known:
         return "there is none"
     close = difflib.get_close_matches(word, known, n=1)

@@ -14,12 +14,8 @@ import pytest
 from factors.cameras.rfm import permutation
 from fg_orient.formats.registry import formats
 from fg_orient.formats.rpc import dimap as rpc_dimap
-from fg_orient.formats.rpc import gdal as rpc_raster
-from fg_orient.formats.rpc import geom as rpc_geom
 from fg_orient.formats.rpc import read_rpc, rpc_format, write_rpc
-from fg_orient.formats.rpc import rpb as rpc_rpb
-from fg_orient.formats.rpc import text as rpc_text
-from fg_orient.formats.rpc.fields import POLYNOMIALS
+from fg_orient.formats.rpc.fields import FIRST_PIXEL, POLYNOMIALS
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
@@ -239,7 +235,7 @@ def test_list_of_numbers_needs_the_origin(tmp_path: Path, model: RpcModel) -> No
 @pytest.mark.behaviour
 def test_pixel_origins_are_those_of_the_table() -> None:
     """First pixel's centre: docs/rpc.md says how each was decided."""
-    assert rpc_text.FIRST_PIXEL == rpc_rpb.FIRST_PIXEL == rpc_raster.FIRST_PIXEL == rpc_geom.FIRST_PIXEL == 0.0
+    assert FIRST_PIXEL == 0.0
     assert rpc_dimap.FIRST_PIXEL == {"PHR": (1, 1), "S6": (0, 1), "S7": (0, 1), "PNEO": (0, 0)}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,6 @@ from hypothesis import strategies as st
 from fg_orient.adjustment.problem import State, compile_problem
 from fg_orient.adjustment.rows import image_rows, linearised, residuals, rows_by_image
 from fg_orient.formats import observations as observation_files
-from fg_orient.formats import points as point_files
 from fg_orient.formats.observations import read_observations
 from fg_orient.formats.points import read_points
 from fg_orient.formats.tables import Faults
@@ -75,10 +75,9 @@ CELLS = st.sampled_from(["1.5", "7", "-0.4", "-2", "1e3", "", "x", "1,5", " 2 ",
 @pytest.mark.consistency
 @quiet
 @given(st.lists(st.tuples(st.integers(0, 5), CELLS), max_size=2), st.booleans())
-def test_observations_refused_at_once_are_those_refused_row_by_row(
+def test_observations_are_refused_if_and_only_if_a_fault_is_listed(
     tmp_path: Path, changes: list[tuple[int, str]], twice: bool
 ) -> None:
-    """Whatever the columns refuse has a fault in some row, and the other way round."""
     rows = [["left", "a", "1", "2", "0.5", "0.5"], ["left", "b", "3.25", "4", "0.5", "0.4"]]
     rows += [["right", "b", "1", "2", "0.5", "0.5"]] * (1 + twice)
     for column, cell in changes:
@@ -91,29 +90,33 @@ def test_observations_refused_at_once_are_those_refused_row_by_row(
     assert (found is None) == bool(faults)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @quiet
-@given(st.lists(st.tuples(st.integers(0, 2), st.integers(1, 7), CELLS), max_size=2))
-def test_points_converted_at_once_are_those_checked_row_by_row(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: list[tuple[int, int, str]]
+@given(st.lists(st.tuples(st.integers(0, 2), st.integers(2, 7), CELLS), max_size=2))
+def test_points_without_faults_have_the_numbers_of_their_cells(
+    tmp_path: Path, changes: list[tuple[int, int, str]]
 ) -> None:
+    """In Earth-fixed coordinates, which are not transformed; cells converted here, one by one."""
     rows = [["c", "control", "30", "40", "5", "1", "1", "2"], ["k", "check", "31", "40.5", "6", "1", "1", "2"],
             ["t", "tie", "", "", "", "", "", ""]]  # fmt: skip
     for row, column, cell in changes:
         rows[row] = [*rows[row][:column], cell, *rows[row][column + 1 :]]
-    header = "id,role,lon_deg,lat_deg,height_m,sigma_east_m,sigma_north_m,sigma_up_m"
+    header = "id,role,x_m,y_m,z_m,sigma_east_m,sigma_north_m,sigma_up_m"
     (tmp_path / "p.csv").write_text("\n".join([header, *(",".join(row) for row in rows)]), "utf-8")
-    outcomes = []
-    for shortcut in (True, False):
-        faults = Faults("p.csv")
-        with monkeypatch.context() as patched:
-            if not shortcut:
-                patched.setattr(point_files, "_converted", lambda *_: None)
-            found = read_points(tmp_path / "p.csv", "EPSG:4979", faults)
-        known = None if found is None else found.points.known
-        arrays = [] if known is None else [known.ecef_m.tolist(), known.sigma_enu_m.tolist(), known.fixed.tolist()]
-        outcomes.append((faults.problems, repr(arrays)))
-    assert outcomes[0] == outcomes[1]
+    faults = Faults("p.csv")
+    found = read_points(tmp_path / "p.csv", "EPSG:4978", faults)
+    cells = [[cell.strip().strip('"') for cell in row] for row in rows]
+    fixed = cells[0][5:] == ["fixed"] * 3
+    numbers = [*cells[0][2 : 5 if fixed else 8], *cells[1][2:]]
+    sound = all(re.fullmatch(r"-?[0-9.]+(e[0-9]+)?", cell) for cell in numbers) and not any(cells[2][2:])
+    sound = sound and all(float(cell) > 0.0 for cell in [*([] if fixed else cells[0][5:]), *cells[1][5:]])
+    assert bool(faults) != sound
+    if sound:
+        assert found is not None
+        known = found.points.known
+        assert known.ecef_m[0].tolist() == [float(cell) for cell in cells[0][2:5]] and known.fixed[0] == fixed
+        assert fixed or known.sigma_enu_m[0].tolist() == [float(cell) for cell in cells[0][5:]]
+        assert np.isnan(known.ecef_m[1:]).all()
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -28,6 +29,7 @@ from fg_orient.formats.rpc.fields import (
     build,
     printed,
     require_order,
+    texts_of,
     validity,
 )
 from fg_orient.formats.xml import XmlNode, read_xml
@@ -37,21 +39,30 @@ from fg_orient.sensors.rpc import RpcModel
 Array = npt.NDArray[np.float64]
 
 #: Profile -> pixel coordinate of the first pixel's centre in the model and in its validity domain. The
-#: readers of other programs disagree on SPOT 6/7 and Pléiades Neo; docs/rpc.md says how this was decided.
+#: readers of other programs disagree on SPOT 6/7 and Pléiades Neo; docs/rpc.md gives the reasons for these values.
 FIRST_PIXEL: Final = {"PHR": (1.0, 1.0), "S6": (0.0, 1.0), "S7": (0.0, 1.0), "PNEO": (0.0, 0.0)}
 #: Vendors fit both directions to 0.03 px.
 AGREEMENT_PX: Final = 0.5
-#: Elements of the two models, and those of their validity, by version.
-DIRECT: Final = {"2": "Direct_Model", "3": "ImagetoGround_Values"}
-INVERSE: Final = {"2": "Inverse_Model", "3": "GroundtoImage_Values"}
-DOMAINS: Final = {
-    "2": ("Direct_Model_Validity_Domain", "Inverse_Model_Validity_Domain"),
-    "3": ("ImagetoGround_Validity_Domain", "GroundtoImage_Validity_Domain"),
-}
-#: Stems of the model to the ground, longitude before latitude.
-DIRECT_STEMS: Final = {
-    "2": ("SAMP_NUM", "SAMP_DEN", "LINE_NUM", "LINE_DEN"),
-    "3": ("LON_NUM", "LON_DEN", "LAT_NUM", "LAT_DEN"),
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Elements of the models to the ground and to the image, and the stems of the first, longitude before latitude."""
+
+    direct: str
+    inverse: str
+    stems: tuple[str, ...]
+
+    @property
+    def domains(self) -> tuple[str, str]:
+        """Elements of the validity in the image and on the ground."""
+        image, ground = (name.removesuffix("_Values") for name in (self.direct, self.inverse))
+        return f"{image}_Validity_Domain", f"{ground}_Validity_Domain"
+
+
+LAYOUTS: Final = {
+    "2": _Layout("Direct_Model", "Inverse_Model", ("SAMP_NUM", "SAMP_DEN", "LINE_NUM", "LINE_DEN")),
+    "3": _Layout("ImagetoGround_Values", "GroundtoImage_Values", ("LON_NUM", "LON_DEN", "LAT_NUM", "LAT_DEN")),
 }
 #: PHR_DIMAP: elements of offset and scale, and those of the polynomial pairs.
 V1_AXES: Final = {"LINE": "Row", "SAMP": "Col", "LONG": "Lon", "LAT": "Lat", "HEIGHT": "Alt"}
@@ -73,21 +84,22 @@ def read_rpc_dimap(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     if order is not None:
         require_order(root.file, order.place, order.text(), reading)
     model = rfm.one("Global_RFM")
-    v = "2" if model.maybe(INVERSE["2"]) is not None else "3"
+    layout = LAYOUTS["2" if model.maybe(LAYOUTS["2"].inverse) is not None else "3"]
     ranges, fields = model.one("RFM_Validity"), RpcFields(root.file)
     for axis in AXES:
         for word in ("OFF", "SCALE"):
             node = ranges.one(f"{axis}_{word}")
             fields.add(f"{axis}_{word}", node.text(), node.place)
-    _add_coefficients(fields, model.one(INVERSE[v]))
-    first, domain_first, notes = _origin(profile, ranges.one(DOMAINS[v][0]))
-    direct = model.maybe(DIRECT[v])
+    _add_coefficients(fields, model.one(layout.inverse))
+    first, domain_first, notes = _origin(profile, ranges.one(layout.domains[0]))
     extra: dict[str, Any] = {"notes": notes}
+    direct = model.maybe(layout.direct)
     if direct is not None:
-        extra["direct"] = _direct(direct, DIRECT_STEMS[v], reading)
-    return _with_domain(
-        build(fields, reading, f"DIMAP {version} {profile}", first, extra), ranges, DOMAINS[v], domain_first
-    )
+        coefficients = RpcFields(root.file)
+        _add_coefficients(coefficients, direct)
+        extra["direct"] = _direct(np.stack([coefficients.group(stem) for stem in layout.stems]), direct, reading)
+    read = build(fields, reading, f"DIMAP {version} {profile}", first, extra)
+    return _with_domain(read, ranges, layout.domains, domain_first)
 
 
 def _add_coefficients(fields: RpcFields, node: XmlNode) -> None:
@@ -97,17 +109,9 @@ def _add_coefficients(fields: RpcFields, node: XmlNode) -> None:
             fields.add(child.tag, child.text(), child.place)
 
 
-def _direct(node: XmlNode, stems: tuple[str, ...], reading: Reading) -> Array:
-    """Coefficients to longitude and latitude: (4, 20), constants of denominators 1."""
-    fields = RpcFields(node.file)
-    _add_coefficients(fields, node)
-    order = permutation(reading.order, USUAL_ORDER)
-    rows = np.stack([fields.group(stem) for stem in stems])[:, order]
-    return _of_unit_constant(rows, node)
-
-
-def _of_unit_constant(rows: Array, node: XmlNode) -> Array:
-    """Scale both pairs so that the denominators' constants are 1; some programs leave 0.9996."""
+def _direct(rows: Array, node: XmlNode, reading: Reading) -> Array:
+    """Coefficients to longitude and latitude (4, 20) in our order; scaled to denominators whose constant is 1."""
+    rows = rows[:, permutation(reading.order, USUAL_ORDER)]
     for k in (0, 2):
         if rows[k + 1, 0] == 0.0:
             raise InputError.of("rpc.denominator_constant", file=node.file, place=node.place, value="0")
@@ -116,7 +120,7 @@ def _of_unit_constant(rows: Array, node: XmlNode) -> Array:
 
 
 def _origin(profile: str, domain: XmlNode) -> tuple[float, float, tuple[Finding, ...]]:
-    """First pixel of the model and of its domain, and what to say about it."""
+    """First pixel of the model and of its domain; a note if they are assumed."""
     for prefix, (model, of_domain) in FIRST_PIXEL.items():
         if profile.upper().startswith(prefix):
             return model, of_domain, ()
@@ -126,7 +130,7 @@ def _origin(profile: str, domain: XmlNode) -> tuple[float, float, tuple[Finding,
 
 
 def _with_domain(model: RpcModel, ranges: XmlNode, names: tuple[str, str], first: float) -> RpcModel:
-    """Give the model its stated validity; some SPOT 6 files have longitude and latitude exchanged."""
+    """Model with its stated validity; some SPOT 6 files have longitude and latitude exchanged."""
     image, ground = ranges.one(names[0]), ranges.one(names[1])
     domain = {
         ours: (image.one(f"FIRST_{tag}").number() - first, image.one(f"LAST_{tag}").number() - first)
@@ -145,7 +149,7 @@ def _with_domain(model: RpcModel, ranges: XmlNode, names: tuple[str, str], first
 
 
 def _contradiction(model: RpcModel) -> tuple[Finding, ...]:
-    """Say by how much the file's two models disagree inside the image, if that can be seen in pixels."""
+    """Note of the largest disagreement of the file's two models inside the image, if it exceeds the limit."""
     if model.direct is None:
         return ()
     v = model.validity
@@ -174,104 +178,92 @@ def read_rpc_dimap1(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     for axis, name in V1_PAIRS.items():
         node = model.one(f"Inverse_Model/{name}")
         words = node.text().split()
-        fields.add_group(f"{axis}_NUM", words[:20], node.place)
-        fields.add_group(f"{axis}_DEN", words[20:], node.place)
-    order = permutation(reading.order, USUAL_ORDER)
+        fields.take(f"{axis}_NUM_COEFF", " ".join(words[:20]), node.place)
+        fields.take(f"{axis}_DEN_COEFF", " ".join(words[20:]), node.place)
     direct = model.one("Direct_Model")
-    rows = np.vstack([direct.one(name).vector(40).reshape(2, 20) for name in V1_DIRECT])[:, order]
+    rows = np.vstack([direct.one(name).vector(40).reshape(2, 20) for name in V1_DIRECT])
     first, domain_first = FIRST_PIXEL["PHR"]
-    read = build(fields, reading, V1_NAME, first, {"direct": _of_unit_constant(rows, direct)})
-    return _with_domain(read, ranges, DOMAINS["2"], domain_first)
+    read = build(fields, reading, V1_NAME, first, {"direct": _direct(rows, direct, reading)})
+    return _with_domain(read, ranges, LAYOUTS["2"].domains, domain_first)
 
 
 # --- writing -------------------------------------------------------------------------------------
 
 
 def format_rpc_dimap(model: RpcModel) -> bytes:
-    """Give a model as a DIMAP file of the version and profile it was read from, else of Pléiades.
+    """Text of a model as DIMAP file of the version and profile it was read from, else of Pléiades, with all digits.
 
-    Coefficients to the ground are written if the model has them; all digits are kept.
+    The model to the ground is written if it is known.
     """
-    if model.format == V1_NAME:
-        return _format_1(model)
     words = model.format.split()
     version, profile = words[1:3] if words[:1] == ["DIMAP"] else USUAL
     prefix = next((p for p in FIRST_PIXEL if profile.upper().startswith(p)), None)
     if prefix is None:
         (version, profile), prefix = USUAL, "PHR"
-    v, (first, domain_first) = version[0], FIRST_PIXEL[prefix]
-    root = etree.Element("Dimap_Document")
-    head = etree.SubElement(root, "Metadata_Identification")
-    etree.SubElement(head, "METADATA_FORMAT", version=version).text = "DIMAP"
-    _texts(head, METADATA_PROFILE=profile, METADATA_SUBPROFILE="RPC", METADATA_LANGUAGE="en")
-    rfm = etree.SubElement(root, "Rational_Function_Model")
-    reference = etree.SubElement(rfm, "Resource_Reference")
-    etree.SubElement(reference, "RESOURCE_TITLE", version="2.1").text = "NITF"
-    _texts(reference, RESOURCE_ID=USUAL_ORDER)
-    body = etree.SubElement(rfm, "Global_RFM")
-    if model.direct is not None:
-        _coefficients(etree.SubElement(body, DIRECT[v]), model.direct, DIRECT_STEMS[v])
-    _coefficients(etree.SubElement(body, INVERSE[v]), model.coefficients, POLYNOMIALS)
-    ranges = etree.SubElement(body, "RFM_Validity")
-    _domains(ranges, model, DOMAINS[v], domain_first)
-    for k, axis in enumerate(AXES):
-        shift = first if k < 2 else 0.0
-        _texts(ranges, **{
-            f"{axis}_SCALE": printed(model.scales[k]), f"{axis}_OFF": printed(model.offsets[k] + shift),
-        })  # fmt: skip
-    return _bytes(root)
-
-
-def _texts(parent: etree._Element, **texts: str) -> None:
-    for tag, text in texts.items():
-        etree.SubElement(parent, tag).text = text
-
-
-def _coefficients(parent: etree._Element, rows: Array, stems: tuple[str, ...]) -> None:
-    for stem, row in zip(stems, rows, strict=True):
-        _texts(parent, **{f"{stem}_COEFF_{k}": printed(value) for k, value in enumerate(row, 1)})
-
-
-def _domains(parent: etree._Element, model: RpcModel, names: tuple[str, str], first: float) -> None:
-    v = model.validity
-    image, ground = (etree.SubElement(parent, name) for name in names)
-    for k, end in enumerate(("FIRST", "LAST")):
-        _texts(image, **{f"{end}_ROW": printed(v.line[k] + first), f"{end}_COL": printed(v.sample[k] + first)})
-        _texts(ground, **{f"{end}_LON": printed(v.lon_deg[k]), f"{end}_LAT": printed(v.lat_deg[k])})
-
-
-def _format_1(model: RpcModel) -> bytes:
-    """Give the RPC part of a PHR_DIMAP file."""
-    first, domain_first = FIRST_PIXEL["PHR"]
-    root = etree.Element("PHR_Dimap_Document")
-    head = etree.SubElement(root, "Metadata_Identification")
-    etree.SubElement(head, "METADATA_PROFILE", version="1.4").text = "PHR_SYSTEM_RECTIFIED_PRODUCT"
-    _texts(head, METADATA_FORMAT="DIMAP_PHR")
-    body = root
-    for tag in ("Geoposition", "Rational_Sensor_Model", "Global_RFM"):
-        body = etree.SubElement(body, tag)
-    if model.direct is not None:
-        _pairs(etree.SubElement(body, "Direct_Model"), V1_DIRECT, model.direct)
-    _pairs(etree.SubElement(body, "Inverse_Model"), tuple(V1_PAIRS.values()), model.coefficients)
-    ranges = etree.SubElement(body, "RFM_Validity")
-    _domains(ranges, model, DOMAINS["2"], domain_first)
-    for k, axis in enumerate(AXES):
-        pair = etree.SubElement(ranges, V1_AXES[axis])
-        _texts(pair, A=printed(model.scales[k]), B=printed(model.offsets[k] + (first if k < 2 else 0.0)))
-    return _bytes(root)
-
-
-def _pairs(parent: etree._Element, tags: tuple[str, ...], rows: Array) -> None:
-    for tag, pair in zip(tags, rows.reshape(2, 40), strict=True):
-        _texts(parent, **{tag: " ".join(printed(value) for value in pair)})
-
-
-def _bytes(root: etree._Element) -> bytes:
+    if model.format == V1_NAME:
+        body = _body(model, replace(LAYOUTS["2"], stems=V1_DIRECT), tuple(V1_PAIRS.values()), *FIRST_PIXEL["PHR"])
+        head = {"METADATA_PROFILE 1.4": "PHR_SYSTEM_RECTIFIED_PRODUCT", "METADATA_FORMAT": "DIMAP_PHR"}
+        content: dict[str, Any] = {"Geoposition": {"Rational_Sensor_Model": {"Global_RFM": body}}}
+        root = _element("PHR_Dimap_Document", {"Metadata_Identification": head, **content})
+    else:
+        body = _body(model, LAYOUTS[version[0]], POLYNOMIALS, *FIRST_PIXEL[prefix])
+        head = {
+            f"METADATA_FORMAT {version}": "DIMAP", "METADATA_PROFILE": profile, "METADATA_SUBPROFILE": "RPC",
+            "METADATA_LANGUAGE": "en",
+        }  # fmt: skip
+        reference = {"RESOURCE_TITLE 2.1": "NITF", "RESOURCE_ID": USUAL_ORDER}
+        content = {"Rational_Function_Model": {"Resource_Reference": reference, "Global_RFM": body}}
+        root = _element("Dimap_Document", {"Metadata_Identification": head, **content})
     return bytes(etree.tostring(root, encoding="UTF-8", xml_declaration=True, pretty_print=True))
 
 
+def _element(name: str, content: Mapping[str, Any] | str) -> etree._Element:
+    """Element with children or text; a word after its name is the attribute ``version``."""
+    tag, _, version = name.partition(" ")
+    made = etree.Element(tag, {"version": version} if version else {})
+    if isinstance(content, str):
+        made.text = content
+    else:
+        made.extend([_element(*child) for child in content.items()])
+    return made
+
+
+def _body(
+    model: RpcModel, layout: _Layout, stems: tuple[str, ...], first: float, domain_first: float
+) -> dict[str, Any]:
+    """Contents of ``Global_RFM``: both models, of which PHR_DIMAP has pairs of polynomials, domains and ranges."""
+    v, texts = model.validity, texts_of(model, first)
+    body: dict[str, Any] = (
+        {layout.direct: _coefficients(model.direct, layout.stems)} if model.direct is not None else {}
+    )
+    image, ground = dict[str, str](), dict[str, str]()
+    for k, end in enumerate(("FIRST", "LAST")):
+        image |= {
+            f"{end}_ROW": printed([v.line[k] + domain_first]),
+            f"{end}_COL": printed([v.sample[k] + domain_first]),
+        }
+        ground |= {f"{end}_LON": printed([v.lon_deg[k]]), f"{end}_LAT": printed([v.lat_deg[k]])}
+    ranges: dict[str, Any] = dict(zip(layout.domains, (image, ground), strict=True))
+    for axis, tag in V1_AXES.items():
+        scale, offset = texts[f"{axis}_SCALE"], texts[f"{axis}_OFF"]
+        pair = {f"{axis}_SCALE": scale, f"{axis}_OFF": offset}
+        ranges |= {tag: {"A": scale, "B": offset}} if layout.stems == V1_DIRECT else pair
+    return {**body, layout.inverse: _coefficients(model.coefficients, stems), "RFM_Validity": ranges}
+
+
+def _coefficients(rows: Array, stems: tuple[str, ...]) -> dict[str, str]:
+    """Elements of four polynomials: one for each coefficient, or one for each of two pairs."""
+    if len(stems) == 2:
+        return {tag: printed(pair) for tag, pair in zip(stems, rows.reshape(2, 40), strict=True)}
+    return {
+        f"{stem}_COEFF_{k}": printed([value])
+        for stem, row in zip(stems, rows, strict=True)
+        for k, value in enumerate(row, 1)
+    }
+
+
 def is_rpc(head: str) -> bool:
-    """Tell whether a file that begins with ``head`` is a DIMAP RPC file of version 2 or 3."""
+    """True if a file that begins with ``head`` is a DIMAP RPC file of version 2 or 3."""
     if xml_root(head) != "Dimap_Document":
         return False
     sub = re.search(r"<METADATA_SUBPROFILE>\s*(\w+)", head)

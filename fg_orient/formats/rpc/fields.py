@@ -1,7 +1,8 @@
-"""Shared parts of all RPC readers: the fields of a file by their ``_RPC.TXT`` names, and the model made from them.
+"""Shared parts of all RPC readers and writers: texts by their names in ``_RPC.TXT``, and the model that they describe.
 
-A reader collects texts with their places; :func:`build` makes numbers of them, moves the pixel
-origin to ours, (0, 0) = centre of the first pixel, and coefficients to RPC00B order.
+A reader collects texts with their places. :func:`build` converts them to numbers, moves the pixel origin to ours,
+(0, 0) = centre of the first pixel, and the coefficients to RPC00B order. A writer arranges the texts of
+:func:`texts_of`.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -19,6 +20,7 @@ import numpy.typing as npt
 from factors.cameras.rfm import EXPONENTS, N_TERMS, permutation
 from factors.cameras.rfm_project import RANGE
 from fg_orient.formats.registry import read_bytes
+from fg_orient.formats.tables import NUMBER
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 
@@ -28,20 +30,26 @@ Array = npt.NDArray[np.float64]
 AXES: Final = ("LINE", "SAMP", "LONG", "LAT", "HEIGHT")
 #: The order of ``RpcModel.coefficients``.
 POLYNOMIALS: Final = ("LINE_NUM", "LINE_DEN", "SAMP_NUM", "SAMP_DEN")
-UNITS: Final = ("pixels", "pixels", "degrees", "degrees", "meters")
+#: Estimated errors, m.
+ERRORS: Final = ("ERR_BIAS", "ERR_RAND")
+#: RPC00B counts from the centre of the first pixel.
+FIRST_PIXEL: Final = 0.0
 #: Coefficient order where a file does not name one.
 USUAL_ORDER: Final = "RPC00B"
 #: No RPC text is longer.
 MAX_BYTES: Final = 16 * 2**20
 
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+#: Names of ``_RPC.TXT``, and those of all coefficients of a polynomial.
+NAMES: Final = re.compile(
+    rf"(?:{'|'.join(AXES)})_(?:OFF|SCALE)|{'|'.join(ERRORS)}|(?:{'|'.join(POLYNOMIALS)})_COEFF(?:_[^_]*)?"
+)
 
 
 @dataclass(frozen=True)
 class Reading:
     """Conventions of a file: the order of its coefficients, and its pixel coordinate of the first pixel.
 
-    ``first_pixel`` None is the format's own (docs/rpc.md).
+    ``first_pixel`` None: the convention of the format (docs/rpc.md).
     """
 
     order: str = USUAL_ORDER
@@ -71,37 +79,43 @@ class RpcFields:
             raise InputError.of("rpc.doubled", file=self.file, place=place, field=name)
         self.cells[name] = (text, place)
 
-    def add_group(self, stem: str, texts: list[str], place: str) -> None:
-        """Take the coefficients of one polynomial, ``LINE_NUM`` and so on."""
-        for k, text in enumerate(texts):
-            self.add(f"{stem}_COEFF_{k + 1}", text, place)
+    def take(self, name: str, text: str, place: str) -> bool:
+        """Take a text of a name of ``_RPC.TXT``, or all texts of ``LINE_NUM_COEFF`` etc.; False for other names."""
+        if not NAMES.fullmatch(name):
+            return False
+        texts = (
+            {f"{name}_{k}": one for k, one in enumerate(text.split(), 1)} if name.endswith("_COEFF") else {name: text}
+        )
+        for each, one in texts.items():
+            self.add(each, one, place)
+        return True
 
     def number(self, name: str) -> float:
-        """Give a finite number.
+        """Finite number of a name.
 
         Raises
         ------
         InputError
-            It is missing or no number.
+            It is missing or not a number.
         """
         if name not in self.cells:
             raise InputError.of("rpc.missing", file=self.file, field=name)
         text, place = self.cells[name]
-        if not _NUMBER.fullmatch(text) or not math.isfinite(float(text)):
+        if not NUMBER.fullmatch(text) or not math.isfinite(float(text)):
             raise InputError.of("rpc.not_a_number", file=self.file, place=f"{place}, {name}", value=text)
         return float(text)
 
     def maybe(self, name: str) -> float | None:
-        """Give a finite number, or None where the file has none."""
+        """Finite number, or None if the file does not have the name."""
         return self.number(name) if name in self.cells else None
 
     def group(self, stem: str) -> Array:
-        """Give the coefficients of one polynomial: (20,), in the order of the file.
+        """Coefficients of one polynomial: (20,), in the order of the file.
 
         Raises
         ------
         InputError
-            There are not exactly 20, or one is no number.
+            There are not exactly 20, or one is not a number.
         """
         wanted = [f"{stem}_COEFF_{k}" for k in range(1, N_TERMS + 1)]
         given = [name for name in self.cells if name.startswith(f"{stem}_COEFF_")]
@@ -110,47 +124,63 @@ class RpcFields:
         return np.array([self.number(name) for name in wanted])
 
 
-def require_order(file: str, place: str, found: str, reading: Reading) -> None:
-    """Refuse coefficients in another order than the one asked for.
+def require_order(file: str, place: str, stated: str, reading: Reading) -> None:
+    """Refuse coefficients in another order than the requested one.
 
     Raises
     ------
     InputError
-        Names both orders and how to ask for the file's.
+        Names both orders and how to request the order of the file.
     """
-    if found != reading.order:
-        known = found if found in EXPONENTS else f"{found}, which is not known"
-        raise InputError.of("rpc.order", file=file, place=place, value=found, found=known, asked=reading.order)
+    if stated != reading.order:
+        known = stated if stated in EXPONENTS else f"{stated}, which is not known"
+        raise InputError.of("rpc.order", file=file, place=place, value=stated, found=known, asked=reading.order)
 
 
 def build(
-    fields: RpcFields, reading: Reading, form: str, first_pixel: float, extra: Mapping[str, Any] | None = None
-) -> RpcModel:
+    fields: RpcFields, reading: Reading, form: str, first_pixel: float = FIRST_PIXEL,
+    extra: Mapping[str, Any] | None = None,
+) -> RpcModel:  # fmt: skip
     """Make the model from the fields of a file.
 
     Parameters
     ----------
     fields : RpcFields
     reading : Reading
-        Its ``first_pixel`` wins over the argument.
+        Its ``first_pixel`` has priority over the argument.
     form : str
         Name of the format.
     first_pixel : float
-        Pixel coordinate that the format gives the centre of the first pixel.
+        Pixel coordinate of the centre of the first pixel in the format.
     extra : mapping, optional
         Further fields of ``RpcModel``; pixels 0-based.
 
     Raises
     ------
     InputError
-        A field is missing or no number, or the model is not sound.
+        A field is missing or not a number, or the model is not sound.
     """
-    offsets = np.array([fields.number(f"{axis}_OFF") for axis in AXES])
-    scales = np.array([fields.number(f"{axis}_SCALE") for axis in AXES])
+    offsets, scales = (np.array([fields.number(f"{axis}_{word}") for axis in AXES]) for word in ("OFF", "SCALE"))
     coefficients = np.stack([fields.group(stem) for stem in POLYNOMIALS])[:, permutation(reading.order, USUAL_ORDER)]
     offsets[RANGE.image] -= first_pixel if reading.first_pixel is None else reading.first_pixel
-    more = {"err_bias_m": fields.maybe("ERR_BIAS"), "err_rand_m": fields.maybe("ERR_RAND"), **(extra or {})}
-    return RpcModel(offsets, scales, coefficients, file=fields.file, format=form, **more)
+    bias, rand = (fields.maybe(name) for name in ERRORS)
+    return RpcModel(
+        offsets, scales, coefficients, file=fields.file, format=form, err_bias_m=bias, err_rand_m=rand, **(extra or {})
+    )
+
+
+def texts_of(model: RpcModel, first_pixel: float = FIRST_PIXEL) -> dict[str, str]:
+    """Texts of a model by their names in ``_RPC.TXT``, with all digits; the 20 of ``LINE_NUM_COEFF`` are one text.
+
+    ``first_pixel`` is the pixel coordinate of the centre of the first pixel. Unknown errors are left out.
+    """
+    offsets = model.offsets.copy()
+    offsets[RANGE.image] += first_pixel
+    values: dict[str, Any] = {f"{axis}_OFF": value for axis, value in zip(AXES, offsets, strict=True)}
+    values |= {f"{axis}_SCALE": value for axis, value in zip(AXES, model.scales, strict=True)}
+    values |= {f"{stem}_COEFF": row for stem, row in zip(POLYNOMIALS, model.coefficients, strict=True)}
+    values |= zip(ERRORS, (model.err_bias_m, model.err_rand_m), strict=True)
+    return {name: printed(np.atleast_1d(value)) for name, value in values.items() if value is not None}
 
 
 def validity(model_offsets: Array, model_scales: Array, domain: Mapping[str, tuple[float, float]]) -> RpcValidity:
@@ -167,10 +197,10 @@ def validity(model_offsets: Array, model_scales: Array, domain: Mapping[str, tup
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Give a text file; bytes beyond ASCII can only be remarks."""
+    """Contents of a text file; bytes beyond ASCII can only be remarks."""
     return read_bytes(path, MAX_BYTES).decode("latin-1")
 
 
-def printed(value: float) -> str:
-    """Shortest text that reads back as the same number."""
-    return repr(float(value))
+def printed(values: Iterable[float]) -> str:
+    """Shortest texts that read back as the same numbers, separated by blanks."""
+    return " ".join(repr(float(value)) for value in values)

@@ -1,7 +1,7 @@
 """RPC of GDAL: GeoTIFF tag 50844, or files beside the image (extra ``geo``); metadata domain ``RPC`` of .vrt, .aux.xml.
 
-The XML of a virtual raster is read, not the raster: it can name any file or address as its source. RPC count from the
-centre of the first pixel, as RPC00B does.
+Only the XML of a virtual raster is read, not its raster, which can be any file or address. RPC count from the centre
+of the first pixel, as in RPC00B.
 """
 
 from __future__ import annotations
@@ -11,22 +11,32 @@ import re
 import secrets
 import shutil
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from factors.cameras.rfm_project import RANGE
+import numpy as np
+
 from fg_orient.formats.gdal import rasterio_of
 from fg_orient.formats.registry import Format, xml_root
-from fg_orient.formats.rpc.fields import AXES, POLYNOMIALS, Reading, RpcFields, build, printed
+from fg_orient.formats.rpc.fields import NAMES, Reading, RpcFields, build, printed, texts_of
 from fg_orient.formats.xml import read_xml
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel
 
-FIRST_PIXEL: Final = 0.0
 NAME: Final = "GeoTIFF RPC"
 VRT_NAME: Final = "GDAL RPC metadata"
-_SCALARS: Final = {f"{axis}_{word}" for axis in AXES for word in ("OFF", "SCALE")} | {"ERR_BIAS", "ERR_RAND"}
 _TIFF: Final = ("II*\0", "MM\0*", "II+\0", "MM\0+")
+
+
+@contextmanager
+def _opened(rasterio: Any, path: str | os.PathLike[str], mode: str = "r") -> Iterator[Any]:
+    """Open an image without GDAL's warning that it has no map coordinates."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        with rasterio.open(path, mode) as image:
+            yield image
 
 
 def read_rpc_raster(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
@@ -35,30 +45,21 @@ def read_rpc_raster(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     Raises
     ------
     InputError
-        rasterio is missing, GDAL cannot read the image, or it holds no RPC.
+        rasterio is missing, GDAL cannot read the image, or it contains no RPC.
     """
-    file = os.fspath(path)
-    rasterio = rasterio_of(file, "rpc.no_rasterio")
+    fields = RpcFields(os.fspath(path))
+    rasterio = rasterio_of(fields.file, "rpc.no_rasterio")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-            with rasterio.open(path) as source:
-                rpcs, size = source.rpcs, source.shape
+        with _opened(rasterio, path) as source:
+            rpcs, size = source.rpcs, source.shape
     except (rasterio.errors.RasterioError, ValueError, KeyError) as error:  # the latter two: damaged tags
-        raise InputError.of("rpc.unreadable", file=file, value=error) from error
+        raise InputError.of("rpc.unreadable", file=fields.file, value=error) from error
     if rpcs is None:
-        raise InputError.of("rpc.no_tags", file=file)
-    fields = RpcFields(file)
-    for axis in AXES:
-        for word in ("OFF", "SCALE"):
-            fields.add(f"{axis}_{word}", printed(getattr(rpcs, f"{axis}_{word}".lower())), "RPC tags")
-    for name in ("ERR_BIAS", "ERR_RAND"):
-        value = getattr(rpcs, name.lower())
-        if value is not None:
-            fields.add(name, printed(value), "RPC tags")
-    for stem in POLYNOMIALS:
-        fields.add_group(stem, [printed(v) for v in getattr(rpcs, f"{stem}_COEFF".lower())], "RPC tags")
-    return build(fields, reading, NAME, FIRST_PIXEL, {"n_lines": size[0], "n_samples": size[1]})
+        raise InputError.of("rpc.no_tags", file=fields.file)
+    for name, values in rpcs.to_dict().items():
+        if values is not None:
+            fields.take(name.upper(), printed(np.atleast_1d(values)), "RPC tags")
+    return build(fields, reading, NAME, extra={"n_lines": size[0], "n_samples": size[1]})
 
 
 def write_rpc_raster(path: str | os.PathLike[str], model: RpcModel) -> None:
@@ -73,21 +74,11 @@ def write_rpc_raster(path: str | os.PathLike[str], model: RpcModel) -> None:
     rasterio = rasterio_of(file, "rpc.no_rasterio")
     if not target.is_file():
         raise InputError.of("rpc.tags_target", file=file)
-    offsets = model.offsets.copy()
-    offsets[RANGE.image] += FIRST_PIXEL
-    values: dict[str, Any] = {"err_bias": model.err_bias_m, "err_rand": model.err_rand_m}
-    for k, axis in enumerate(AXES):
-        values[f"{axis}_OFF".lower()] = float(offsets[k])
-        values[f"{axis}_SCALE".lower()] = float(model.scales[k])
-    for stem, row in zip(POLYNOMIALS, model.coefficients, strict=True):
-        values[f"{stem}_COEFF".lower()] = [float(v) for v in row]
     copy = target.with_name(f".{secrets.token_hex(4)}.tmp.tif")
     try:
         shutil.copyfile(target, copy)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-            with rasterio.open(copy, "r+") as image:
-                image.rpcs = rasterio.rpc.RPC(**values)
+        with _opened(rasterio, copy, "r+") as image:
+            image.rpcs = rasterio.rpc.RPC.from_gdal(texts_of(model))
         copy.replace(target)
     except (OSError, rasterio.errors.RasterioError) as error:
         raise InputError.of("output.unwritable", file=file, value=error) from error
@@ -101,7 +92,7 @@ def read_rpc_vrt(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     Raises
     ------
     InputError
-        There is no RPC domain, or a field is missing or no number.
+        There is no RPC domain, or a field is missing or not a number.
     """
     root = read_xml(path)
     domain = next((n for n in root.every("Metadata", 0) if n.element.get("domain") == "RPC"), None)
@@ -110,15 +101,13 @@ def read_rpc_vrt(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     fields = RpcFields(root.file)
     for node in domain.every("MDI"):
         key = node.element.get("key", "")
-        if key in _SCALARS:
-            fields.add(key, node.text(), node.place)
-        elif key.removesuffix("_COEFF") in POLYNOMIALS:
-            fields.add_group(key.removesuffix("_COEFF"), node.text().split(), node.place)
+        if NAMES.fullmatch(key):
+            fields.take(key, node.text(), node.place)
     extra: dict[str, Any] = {}
     for name, attribute in (("n_lines", "rasterYSize"), ("n_samples", "rasterXSize")):
         text = root.element.get(attribute, "")
         extra[name] = int(text) if re.fullmatch(r"[1-9][0-9]{0,6}", text) else None
-    return build(fields, reading, VRT_NAME, FIRST_PIXEL, extra)
+    return build(fields, reading, VRT_NAME, extra=extra)
 
 
 FORMAT = Format(

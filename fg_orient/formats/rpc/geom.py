@@ -7,20 +7,18 @@ import re
 from typing import Any, Final
 
 from fg_orient.formats.registry import Format, has_line
-from fg_orient.formats.rpc.fields import AXES, Reading, RpcFields, build, read_text, require_order
+from fg_orient.formats.rpc.fields import FIRST_PIXEL, Reading, RpcFields, build, read_text, require_order
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.rpc import RpcModel
 
-#: OSSIM counts from the centre of the first pixel, and has taken 1 off the offsets of Pléiades.
-FIRST_PIXEL: Final = 0.0
-#: Newer versions take 1 off the offsets of SPOT 6/7, too, which count from 0 (docs/rpc.md).
+#: OSSIM counts from the centre of the first pixel, and has subtracted 1 from the offsets of Pléiades. Newer versions
+#: also subtract 1 from the offsets of SPOT 6/7, which count from 0 (docs/rpc.md).
 SPOT_FIRST_PIXEL: Final = -1.0
 NAME: Final = "OSSIM .geom"
 _LINE = re.compile(r"([\w.]+):[ \t]*(.*)")
 _PARAMETER = re.compile(r"adjustment_\d+\.adj_param_\d+\.parameter")
 _COEFFICIENT = re.compile(r"(line|samp)_(num|den)_coeff_(\d+)")
-_SCALAR = {f"{axis}_{word}".lower(): f"{axis}_{word}" for axis in AXES for word in ("OFF", "SCALE")}
-_SCALAR |= {"bias_error": "ERR_BIAS", "rand_error": "ERR_RAND"}
+_ERRORS = {"bias_error": "ERR_BIAS", "rand_error": "ERR_RAND"}
 
 
 def read_rpc_geom(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
@@ -32,12 +30,10 @@ def read_rpc_geom(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
             continue
         key, text, place = match[1], match[2].strip(), f"line {number}"
         coefficient = _COEFFICIENT.fullmatch(key)
+        name = _ERRORS.get(key, key.upper())
         if coefficient:
-            name = f"{coefficient[1]}_{coefficient[2]}".upper()
-            fields.add(f"{name}_COEFF_{int(coefficient[3]) + 1}", text, place)
-        elif key in _SCALAR:
-            fields.add(_SCALAR[key], text, place)
-        else:
+            name = f"{coefficient[1]}_{coefficient[2]}_coeff_{int(coefficient[3]) + 1}".upper()
+        if not fields.take(name, text, place):
             other[key] = (text, place)
     if "polynomial_format" in other:
         text, place = other["polynomial_format"]
@@ -46,7 +42,7 @@ def read_rpc_geom(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     extra: dict[str, Any] = {"notes": notes + _adjustment(other)}
     for name, key in (("n_lines", "number_lines"), ("n_samples", "number_samples")):
         extra[name] = _count(fields.file, other, key)
-    return build(fields, reading, NAME, FIRST_PIXEL if shift is None else shift, extra)
+    return build(fields, reading, NAME, shift, extra)
 
 
 def _count(file: str, other: dict[str, tuple[str, str]], key: str) -> int | None:
@@ -58,13 +54,13 @@ def _count(file: str, other: dict[str, tuple[str, str]], key: str) -> int | None
     return int(text)
 
 
-def _spot_origin(fields: RpcFields, other: dict[str, tuple[str, str]]) -> tuple[float | None, tuple[Finding, ...]]:
-    """First pixel of SPOT 6/7: the vendor's offsets equal the scales; one less was taken off by OSSIM."""
-    if other.get("type", ("", ""))[0] != "ossimSpot6Model":
-        return None, ()
-    if all(fields.number(f"{axis}_OFF") == fields.number(f"{axis}_SCALE") - 1.0 for axis in ("LINE", "SAMP")):
+def _spot_origin(fields: RpcFields, other: dict[str, tuple[str, str]]) -> tuple[float, tuple[Finding, ...]]:
+    """First pixel of SPOT 6/7: the vendor's offsets equal the scales; OSSIM has subtracted 1 if they are 1 less."""
+    if other.get("type", ("", ""))[0] == "ossimSpot6Model" and all(
+        fields.number(f"{axis}_OFF") == fields.number(f"{axis}_SCALE") - 1.0 for axis in ("LINE", "SAMP")
+    ):
         return SPOT_FIRST_PIXEL, (finding("rpc.offsets_put_back"),)
-    return None, ()
+    return FIRST_PIXEL, ()
 
 
 def _adjustment(other: dict[str, tuple[str, str]]) -> tuple[Finding, ...]:

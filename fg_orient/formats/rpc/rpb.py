@@ -6,16 +6,13 @@ import os
 import re
 from typing import Final
 
-from factors.cameras.rfm_project import RANGE
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.formats.registry import Format, has_line, xml_root
-from fg_orient.formats.rpc.fields import AXES, POLYNOMIALS, Reading, RpcFields, build, printed, read_text, require_order
+from fg_orient.formats.rpc.fields import Reading, RpcFields, build, read_text, require_order, texts_of
 from fg_orient.formats.xml import read_xml
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel
 
-#: RPC00B counts from the centre of the first pixel.
-FIRST_PIXEL: Final = 0.0
 NAME: Final = "RPB"
 ISD_NAME: Final = "DigitalGlobe ISD"
 _AXES = {"line": "LINE", "samp": "SAMP", "lat": "LAT", "long": "LONG", "height": "HEIGHT"}
@@ -24,8 +21,9 @@ _KEYS = {
     "errBias": "ERR_BIAS", "errRand": "ERR_RAND",
     **{f"{short}Offset": f"{name}_OFF" for short, name in _AXES.items()},
     **{f"{short}Scale": f"{name}_SCALE" for short, name in _AXES.items()},
+    "lineNumCoef": "LINE_NUM_COEFF", "lineDenCoef": "LINE_DEN_COEFF",
+    "sampNumCoef": "SAMP_NUM_COEFF", "sampDenCoef": "SAMP_DEN_COEFF",
 }  # fmt: skip
-_GROUPS = dict(zip(("lineNumCoef", "lineDenCoef", "sampNumCoef", "sampDenCoef"), POLYNOMIALS, strict=True))
 _ENTRY = re.compile(r'^[ \t]*(\w+)[ \t]*=\s*(\([^)]*\)|"[^"\n]*"|[^;\n("]*);', re.MULTILINE)
 
 
@@ -37,26 +35,20 @@ def read_rpc_rpb(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
         key, value = match[1], match[2].strip()
         place = f"line {text.count(chr(10), 0, match.start(1)) + 1}"
         if key in _KEYS:
-            fields.add(_KEYS[key], value, place)
-        elif key in _GROUPS:
-            fields.add_group(_GROUPS[key], value.strip("()").replace(",", " ").split(), place)
+            listed = value.strip("()").replace(",", " ") if key.endswith("Coef") else value
+            fields.take(_KEYS[key], listed, place)
         elif key.lower() == "specid":
             require_order(fields.file, f"{place}, SpecId", value.strip('"'), reading)
-    return build(fields, reading, NAME, FIRST_PIXEL)
+    return build(fields, reading, NAME)
 
 
 def format_rpc_rpb(model: RpcModel) -> str:
-    """Give a model as the text of an RPB file; all digits are kept, unknown errors are 0."""
-    offsets = model.offsets.copy()
-    offsets[RANGE.image] += FIRST_PIXEL
-    values = dict(zip([f"{name}_OFF" for name in AXES], offsets, strict=True))
-    values |= zip([f"{name}_SCALE" for name in AXES], model.scales, strict=True)
-    values |= {"ERR_BIAS": model.err_bias_m or 0.0, "ERR_RAND": model.err_rand_m or 0.0}
+    """Text of a model as RPB file, with all digits; unknown errors are 0."""
+    texts = {"ERR_BIAS": "0.0", "ERR_RAND": "0.0", **texts_of(model)}
     lines = ['satId = "";', 'bandId = "";', 'SpecId = "RPC00B";', "BEGIN_GROUP = IMAGE"]
-    lines += [f"\t{key} = {printed(values[name])};" for key, name in _KEYS.items()]
-    for key, row in zip(_GROUPS, model.coefficients, strict=True):
-        body = ",\n".join(f"\t\t\t{printed(value)}" for value in row)
-        lines.append(f"\t{key} = (\n{body});")
+    for key, name in _KEYS.items():
+        words = ",\n\t\t\t".join(texts[name].split())
+        lines.append(f"\t{key} = (\n\t\t\t{words});" if key.endswith("Coef") else f"\t{key} = {words};")
     return "\n".join([*lines, "END_GROUP = IMAGE", "END;"]) + "\n"
 
 
@@ -70,17 +62,15 @@ def read_rpc_isd(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     require_order(root.file, spec.place, spec.text(), reading)
     fields, image = RpcFields(root.file), section.one("IMAGE")
     for key, name in _KEYS.items():
-        node = image.maybe(key.upper())
+        tag = key.upper()
+        node = image.one(f"{tag}List/{tag}") if key.endswith("Coef") else image.maybe(tag)
         if node is not None:
-            fields.add(name, node.text(), node.place)
-    for key, stem in _GROUPS.items():
-        node = image.one(f"{key.upper()}List/{key.upper()}")
-        fields.add_group(stem, node.text().split(), node.place)
+            fields.take(name, node.text(), node.place)
     extra = {}
     for name, tag in (("n_lines", "NUMROWS"), ("n_samples", "NUMCOLUMNS")):
         size = root.maybe(f"IMD/{tag}")
         extra[name] = None if size is None else size.integer(1, 10**7)
-    return build(fields, reading, ISD_NAME, FIRST_PIXEL, extra)
+    return build(fields, reading, ISD_NAME, extra=extra)
 
 
 FORMAT = Format(
