@@ -1,18 +1,15 @@
-"""A synthetic block of SPOT-5-like scenes of any size, for cost and accuracy studies.
+"""Synthetic block of SPOT-5-like scenes of any size, for cost and accuracy studies.
 
-Ground centres lie on a grid of rows x columns around the twin's centre; each is seen by a
-pass of its own, rolled alternately to one side and the other like the fields of a
-checkerboard, so that neighbouring scenes (60 km wide, by default 28 km apart) overlap and
-intersect at 24 degrees. Ground points are uniform over the block; a point is kept if at
-least two scenes see it. About 2.7 (2 x 2 scenes) to 4 (10 x 10) image points come per
-ground point. Geometry on the real ellipsoid.
+Ground centres lie on a grid of rows x columns around the twin's centre. Each scene has its own pass. The scenes are
+rolled to both sides in turn, like the fields of a checkerboard, so that the rays of neighbouring scenes (60 km wide, by
+default 28 km apart) intersect at 24 degrees. Ground points are uniform over the block; a point is kept if it is in two
+scenes or more. A ground point has about 2.7 (2 x 2 scenes) to 4 (10 x 10) image points. The geometry is that of the
+real ellipsoid.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +18,9 @@ import numpy.typing as npt
 from factors._contract import Array
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Block
-from fg_orient.model.names import Progress, Role
+from fg_orient.model.names import Progress
 from fg_orient.sensors.correction import Correction
-from fg_orient.simulate.files import DIMAP, images_of, simulate_to
+from fg_orient.simulate.files import simulate_to
 from fg_orient.simulate.options import LEAST_CONTROL
 from fg_orient.simulate.options import BlockOptions as BlockOptions
 from fg_orient.simulate.orbit import find_pass
@@ -34,19 +31,21 @@ from fg_orient.simulate.simulation import (
     Truth,
     draw_errors,
     ground_points,
+    numbered,
     observe,
     random_streams,
+    roles_in_order,
 )
 from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
 
 #: First day of the images; each image has its own pass on its own day.
 FIRST_DAY = np.datetime64("2004-07-05")
 HALF_MINUTES = 1041
-#: Points this close to a border are not measured there: noise never leaves the image.
+#: Points closer to the border of an image are not measured in it: with noise they could leave the image.
 MARGIN_PX = 200.0
-#: Closer to that limit than this, the exact projection decides.
+#: Distance from that limit below which the exact projection decides.
 DOUBT_PX = 1.0
-#: The box of points reaches this far beyond the outer ground centres.
+#: Distance of the border of the box of points from the outer ground centres.
 BORDER_M = 25e3
 
 
@@ -74,9 +73,8 @@ def simulate_block(
         See :func:`fg_orient.simulate.files.simulate_to`.
     """
     chosen = options or BlockOptions()
-    writer = DIMAP if progress is None else replace(DIMAP, images=partial(images_of, progress=progress))
     return simulate_to(
-        out, lambda: simulate(chosen, progress), chosen, "simulate block", overwrite=overwrite, writer=writer
+        out, lambda: simulate(chosen, progress), chosen, "simulate block", overwrite=overwrite, progress=progress
     )
 
 
@@ -88,19 +86,19 @@ def grid_block(options: BlockOptions | None = None) -> tuple[Block, Truth]:
 
 def simulate(options: BlockOptions, progress: Progress | None = None) -> Simulation:
     """Draw the block of these options."""
-    streams = random_streams(options.seed)
-    centres = _centres(options)
+    streams, n = random_streams(options.seed), options.points
     tell = progress or (lambda done, total, text: None)
-    scenes = _scenes(options, centres, tell)
+    scenes = _scenes(options, _centres(options), tell)
     lon_lat_height, visible = _points(options, scenes, streams["points"], tell)
-    roles = _roles(options, streams["roles"])
-    width = len(str(options.points))
-    ids = tuple(f"{k + 1:0{width}d}" for k in range(options.points))
-    ground = ground_points(ids, roles, lon_lat_height, options.ground_noise_m, streams["ground_noise"])
+    control = max(LEAST_CONTROL, round(options.control_share * n))
+    check = min(round(options.check_share * n), n - control)
+    roles = roles_in_order(np.argsort(streams["roles"].permutation(n)), control, check)
+    ground = ground_points(numbered(n), roles, lon_lat_height, options.ground_noise_m, streams["ground_noise"])
     errors = draw_errors(options.errors, streams["orientation"], len(scenes))
-    name, noise = f"block of {len(scenes)} images", options.image_noise_px
-    look, image_noise = np.zeros((2, 0)), streams["image_noise"]
-    return observe(name, scenes, ground, visible, errors, look, noise, image_noise, options.max_height_m, progress)
+    return observe(
+        f"block of {len(scenes)} images", scenes, ground, visible, errors, np.zeros((2, 0)), options.image_noise_px,
+        streams["image_noise"], options.max_height_m, progress,
+    )  # fmt: skip
 
 
 def _centres(options: BlockOptions) -> Array:
@@ -136,20 +134,20 @@ def _scenes(options: BlockOptions, centres: Array, tell: Progress) -> tuple[Scen
 def _points(
     options: BlockOptions, scenes: tuple[Scene, ...], rng: np.random.Generator, tell: Progress
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Points seen twice or more: longitude, latitude (degrees), height (m), (n, 3); who sees them (m, n)."""
+    """Points in two images or more: longitude, latitude (degrees), height (m), (n, 3); whether in image (m, n)."""
     sensors = [as_read(scene.metadata()) for scene in scenes]
     cameras = [QuickProjection(sensor, Correction(), options.max_height_m) for sensor in sensors]
     half = BORDER_M + options.spacing_m * (np.array([options.columns, options.rows]) - 1) / 2.0
-    found, visible = np.empty((0, 3)), np.empty((len(scenes), 0), bool)
-    while len(found) < options.points:
-        tell(len(found), options.points, "ground points")
+    points, visible = np.empty((0, 3)), np.empty((len(scenes), 0), bool)
+    while len(points) < options.points:
+        tell(len(points), options.points, "ground points")
         unit = rng.random((options.points + 100, 3))
         lon_lat = _shifted((2.0 * unit[:, :2] - 1.0) * half)
         drawn = np.column_stack([lon_lat, options.max_height_m * unit[:, 2]])
         seen = _visible(cameras, geodetic_to_ecef(*drawn.T), drawn[:, 2])
         kept = seen.sum(axis=0) >= 2
-        found, visible = np.vstack([found, drawn[kept]]), np.hstack([visible, seen[:, kept]])
-    return found[: options.points], visible[:, : options.points]
+        points, visible = np.vstack([points, drawn[kept]]), np.hstack([visible, seen[:, kept]])
+    return points[: options.points], visible[:, : options.points]
 
 
 def _visible(cameras: list[QuickProjection], ecef_m: Array, height_m: Array) -> npt.NDArray[np.bool_]:
@@ -163,13 +161,3 @@ def _visible(cameras: list[QuickProjection], ecef_m: Array, height_m: Array) -> 
         pixels[doubt] = camera.project(ecef_m[near[doubt]], height_m[near[doubt]])
         out[k, near] = ((pixels >= MARGIN_PX) & (pixels <= last - MARGIN_PX)).all(axis=1)
     return out
-
-
-def _roles(options: BlockOptions, rng: np.random.Generator) -> tuple[Role, ...]:
-    """Control, check and tie points, drawn."""
-    n = options.points
-    control = max(LEAST_CONTROL, round(options.control_share * n))
-    check = min(round(options.check_share * n), n - control)
-    order = rng.permutation(n)
-    of_rank = [Role.CONTROL] * control + [Role.CHECK] * check + [Role.TIE] * (n - control - check)
-    return tuple(of_rank[k] for k in np.argsort(order))

@@ -9,7 +9,7 @@ prior sigmas of the adjustment; truth is exact in the model of each sensor (:mod
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -18,11 +18,8 @@ import numpy as np
 
 from factors._contract import Array
 from factors.cameras import frame_camera
-from fg_orient.formats.metadata.frame import write_camera, write_frame_file
-from fg_orient.formats.rpc import write_rpc
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.model.block import Block, Image, ImagePoints, Index, Options
-from fg_orient.model.names import Role
+from fg_orient.model.block import Block, Image, Index, Options
 from fg_orient.rpc.virtual_grid import fit_sensor
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.frame import HALF_TURN, UNKNOWNS, FrameCamera, FrameSensor
@@ -31,18 +28,19 @@ from fg_orient.sensors.metadata import AngleAttitude, Ephemeris, LineTiming, Loo
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.rpc import RpcModel
 from fg_orient.sensors.rpc_sensor import RpcSensor
-from fg_orient.simulate.files import ImageWriter, eop_rows, simulate_to, write_dimaps
+from fg_orient.simulate.files import simulate_to
 from fg_orient.simulate.options import MixedOptions as MixedOptions
 from fg_orient.simulate.orbit import find_pass
 from fg_orient.simulate.scene import Scene, as_read
 from fg_orient.simulate.simulation import (
-    NOMINAL_IMAGE_SIGMA_PX,
     Simulation,
     Truth,
     draw_errors,
     ground_points,
-    points_of,
+    numbered,
     random_streams,
+    roles_in_order,
+    with_noise,
 )
 from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
 
@@ -74,7 +72,6 @@ FRAME_SIGMA: Final = {
     "focal": 2.0, "principal_sample": 1.0, "principal_line": 1.0,
 }  # fmt: skip
 CAMERA: Final = "camera"
-CAMERA_FILE: Final = "camera.toml"
 #: Points are not measured closer than this to a border of a frame: noise never leaves the image.
 MARGIN_PX: Final = 50.0
 #: Options of the adjustment for the unknowns; those of the images are in their files.
@@ -83,68 +80,39 @@ OPTIONS: Final = Options(
 )
 
 
-@dataclass(frozen=True)
-class MixedSimulation(Simulation):
-    """Everything the files of a mixed block are made of; ``metadata`` are those of the SPOT-5 images.
-
-    Parameters
-    ----------
-    images : tuple of Image
-        All images, with the sensors that reading the files gives.
-    interior : Interior
-        Of the frames, as written.
-    """
-
-    images: tuple[Image, ...]
-    interior: Interior
-
-    def block(self) -> Block:
-        """Block that reading the written files gives (without sources and notes)."""
-        points, withheld = points_of(self.ground)
-        observations = ImagePoints(self.image, self.point, *self.observed.T, *np.transpose(self.sigma_px))
-        return Block(self.name, self.images, points, observations, withheld, OPTIONS)
-
-
 def mixed_block(options: MixedOptions | None = None) -> tuple[Block, Truth]:
     """Block in memory as reading its files gives it, and its truth."""
     simulation = simulate(options or MixedOptions())
     return simulation.block(), simulation.truth
 
 
-def simulate(options: MixedOptions) -> MixedSimulation:
+def simulate(options: MixedOptions) -> Simulation:
     """Draw the mixed block of these options."""
-    streams = random_streams(options.seed)
-    ground = ground_points(
-        tuple(f"{k + 1:0{len(str(options.points))}d}" for k in range(options.points)),
-        _roles(options, streams["roles"]), _lon_lat_height(options.points, streams["points"]),
-        options.ground_noise_m, streams["ground_noise"],
-    )  # fmt: skip
+    streams, n = random_streams(options.seed), options.points
+    roles = roles_in_order(streams["roles"].permutation(n), options.control, options.check)
+    place = _lon_lat_height(n, streams["points"])
+    ground = ground_points(numbered(n), roles, place, options.ground_noise_m, streams["ground_noise"])
     size = 1.0 if options.errors == "prior" else 0.0
     metadata, of_spot = _spot(size, streams["orientation"])
     of_rpc = _compensations(size, streams["orientation"])
     interior, frames, of_frame = _frames(size, streams["orientation"])
-    images = (
-        *(Image(m.file.removesuffix(".DIM"), as_read(m)) for m in metadata),
+    spot = tuple(Image(m.file.removesuffix(".DIM"), as_read(m)) for m in metadata)
+    others = (
         *(Image(f"pleiades{k + 1}", RpcSensor(model)) for k, model in enumerate(rpc_models())),
         *(Image(f"frame{k + 1}", sensor) for k, sensor in enumerate(frames)),
     )
-    noise = (options.spot_noise_px,) * 2 + (options.rpc_noise_px,) * 2 + (options.frame_noise_px,) * 4
     corrections = (*of_spot, *of_rpc, *of_frame)
-    image, point, pixels = _measured(images, corrections, ground.ecef_m)
-    sigma = np.array(noise)[image][:, None] * np.ones(2)
-    observed = pixels + sigma * streams["image_noise"].standard_normal(pixels.shape)
-    truth = Truth(
-        tuple(i.id for i in images), corrections, ground.ids, ground.lon_lat_height, ground.ecef_m, pixels
-    )  # fmt: skip
-    given = np.where(sigma > 0.0, sigma, NOMINAL_IMAGE_SIGMA_PX)
-    name = "mixed block"
-    return MixedSimulation(name, metadata, ground, image, point, observed, given, truth, images, interior)
+    image, point, pixels = _measured((*spot, *others), corrections, ground.ecef_m)
+    noise = (options.spot_noise_px,) * 2 + (options.rpc_noise_px,) * 2 + (options.frame_noise_px,) * 4
+    observed, sigma = with_noise(pixels, np.array(noise)[image][:, None], streams["image_noise"])
+    truth = Truth.of(ground, [i.id for i in (*spot, *others)], corrections, pixels)
+    return Simulation("mixed block", metadata, ground, image, point, observed, sigma, truth, others, interior, OPTIONS)
 
 
 def _measured(
     images: tuple[Image, ...], corrections: tuple[Any, ...], ecef_m: Array
 ) -> tuple[Index, Index, Array]:  # fmt: skip
-    """Image, ground point and true pixels (k, 2) of everything that lies inside an image."""
+    """Image, ground point and true pixels (k, 2) of all points inside each image."""
     parts = []
     for k, (image, correction) in enumerate(zip(images, corrections, strict=True)):
         line, sample = image.sensor.project(ecef_m, correction)
@@ -153,12 +121,6 @@ def _measured(
         parts.append((np.full(len(inside), k), inside, np.stack([line, sample], axis=1)[inside]))
     image_, point, pixels = (np.concatenate(part) for part in zip(*parts, strict=True))
     return image_.astype(np.intp), point.astype(np.intp), pixels
-
-
-def _roles(options: MixedOptions, rng: np.random.Generator) -> tuple[Role, ...]:
-    tie = options.points - options.control - options.check
-    roles = [Role.CONTROL] * options.control + [Role.CHECK] * options.check + [Role.TIE] * tie
-    return tuple(roles[k] for k in rng.permutation(options.points))
 
 
 def _lon_lat_height(n: int, rng: np.random.Generator) -> Array:
@@ -171,12 +133,12 @@ def _lon_lat_height(n: int, rng: np.random.Generator) -> Array:
 
 
 def _at(enu_m: Array) -> Array:
-    """ECEF m (n, 3) of places given by East, North, Up (m) from the centre of the window."""
+    """ECEF m (n, 3) of East, North, Up (m) from the centre of the window."""
     return np.asarray(geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0) + enu_m @ enu_from_ecef(*CENTRE_LON_LAT_DEG)[0])
 
 
 def _spot(size: float, rng: np.random.Generator) -> tuple[tuple[PushbroomMetadata, ...], tuple[Correction, ...]]:
-    """Metadata with errors of position and attitude, the unknowns of the set, and what corrects them."""
+    """Metadata with errors of position and attitude (unknowns of the EOP set), and their corrections."""
     errors = size * draw_errors("prior", rng, len(SPOT))
     errors[:, 3:6] = 0.0
     metadata = []
@@ -226,7 +188,7 @@ def _metre_sensor(pitch_rad: float, centre_s: float) -> PushbroomSensor:
 
 
 def _frames(size: float, rng: np.random.Generator) -> tuple[Interior, list[FrameSensor], list[Array]]:
-    """The camera and its images with errors, and what corrects them (15,)."""
+    """The camera and its images with errors, and their corrections (15,)."""
     sigma = np.array(list(FRAME_SIGMA.values()))
     common = size * sigma[6:] * rng.standard_normal(3)
     true = Interior(
@@ -254,12 +216,6 @@ def true_orientations() -> list[tuple[Array, Array]]:
     return out
 
 
-#: Compensation of an RPC image in the order of its codes, as far as it is simulated.
-COMPENSATION: Final = ("line_0", "sample_0", "line_l1", "sample_l1")
-#: Units of a frame's unknowns by the first part of their names.
-UNITS: Final = {"rotation": "rad", "centre": "m", "focal": "px", "principal": "px"}
-
-
 def simulate_mixed(out: str | Path, options: MixedOptions | None = None, *, overwrite: bool = False) -> Path:
     """Write a mixed block: metadata, RPC, camera and frame files, points, observations, project file and ``truth/``.
 
@@ -280,34 +236,4 @@ def simulate_mixed(out: str | Path, options: MixedOptions | None = None, *, over
         See :func:`fg_orient.simulate.files.simulate_to`.
     """
     chosen = options or MixedOptions()
-    form = ImageWriter(_write_images, _orientation, OPTIONS)
-    return simulate_to(out, lambda: simulate(chosen), chosen, "simulate mixed", overwrite=overwrite, writer=form)
-
-
-def _write_images(folder: Path, simulation: MixedSimulation) -> list[tuple[str, str]]:
-    """Write one metadata file for each image, and the camera of the frames; give ids and file names."""
-    write_dimaps(folder, simulation.name, simulation.metadata)
-    write_camera(folder / CAMERA_FILE, simulation.interior)
-    out = []
-    for image in simulation.images:
-        sensor = image.sensor
-        if isinstance(sensor, RpcSensor):
-            write_rpc(folder / sensor.file, sensor.model)
-        elif isinstance(sensor, FrameSensor):
-            write_frame_file(folder / sensor.file, sensor, CAMERA_FILE)
-        out.append((image.id, sensor.file))
-    return out
-
-
-def _orientation(truth: Truth) -> list[list[str]]:
-    """True minus metadata of what is unknown of each image; of an RPC its compensation."""
-    rows: list[list[str]] = []
-    for image, correction in zip(truth.image_ids, truth.corrections, strict=True):
-        if isinstance(correction, Correction):
-            rows += eop_rows(replace(truth, image_ids=(image,), corrections=(correction,)))
-            continue
-        names = COMPENSATION if len(correction) == 6 else tuple(FRAME_SIGMA)
-        for name, value in zip(names, correction.tolist(), strict=False):
-            unit = "px" if len(correction) == 6 else UNITS[name.split("_")[0]]
-            rows.append([image, name, name, "", unit, repr(value)])
-    return rows
+    return simulate_to(out, lambda: simulate(chosen), chosen, "simulate mixed", overwrite=overwrite)

@@ -1,20 +1,19 @@
-"""Simulated scenes, points and image points with their truth, as a block or as files; fast projection of many points.
+"""Simulated images, ground points and image points with their truth; fast projection of many points.
 
-Truth is exact in the model of the adjustment: image coordinates are the projection of the
-true points by the sensor **as read from the metadata file** with the correction *true minus
-metadata*; noise is added afterwards. So with true unknowns every noise-free condition
-vanishes.
+Truth is exact in the model of the adjustment: the sensor **as read from the metadata file**, with the correction *true
+minus metadata*, projects the true points, and noise is added afterwards. With true unknowns every noise-free condition
+is therefore zero.
 
-``PushbroomSensor.project`` needs some 25 evaluations of the conditions per point: it starts at the image centre and
-forms derivatives by differences at each step. :class:`QuickProjection` starts from polynomials of the ground
-coordinates, which give line and sample within a fraction of a pixel and the derivatives of the conditions. From there
-the same conditions are brought to zero with fixed derivatives, two or three evaluations per point. Points that do not
-converge in this way are projected by the sensor.
+``PushbroomSensor.project`` needs about 25 evaluations of the conditions per point: it starts at the image centre and
+computes derivatives by differences at each step. :class:`QuickProjection` starts from polynomials of the ground
+coordinates, which give line and sample within a fraction of a pixel, and the derivatives of the conditions. Iteration
+with these fixed derivatives then needs two or three evaluations of the same conditions per point. The sensor projects
+the points that do not converge in this way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -36,12 +35,13 @@ from fg_orient.model.block import (
 )
 from fg_orient.model.names import Progress, Role
 from fg_orient.sensors.correction import Correction
+from fg_orient.sensors.interior import Interior
 from fg_orient.sensors.metadata import PushbroomMetadata
 from fg_orient.sensors.projection import STEP_PX, conditions, pixel_derivative
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.scene import Scene, as_read
 
-#: Nodes of the fit along line and sample, and its heights; powers East and North together, and of the height.
+#: Numbers of nodes of the fit along line and sample, and in height; largest sum of the powers of East and North.
 NODES = 9
 HEIGHTS = 3
 DEGREE = 5
@@ -58,7 +58,7 @@ class QuickProjection:
     sensor : PushbroomSensor
     correction : Correction
     max_height_m : float
-        Ellipsoidal heights of the points, 0 to this; those outside are projected as well, less quickly.
+        Largest ellipsoidal height of the points, whose smallest height is 0. Points outside this range take longer.
     """
 
     def __init__(self, sensor: PushbroomSensor, correction: Correction, max_height_m: float) -> None:
@@ -86,7 +86,7 @@ class QuickProjection:
         difference = np.abs(terms @ self._coefficients - wanted).max(axis=0)
         self.error_px = float(difference[:2].max())
         slopes = np.abs(wanted[:, 2:]).max()
-        # of a step with these derivatives, this share is left; the change across error_px is far smaller
+        # share of the distance that remains after a step with these derivatives
         self._rest = max(float(difference[2:].max() / slopes), 1e-7)
 
     def _east_north(self, ground_m: Array) -> Array:
@@ -104,22 +104,21 @@ class QuickProjection:
         return np.column_stack([*plane, *(h * p for p in low), *(h * h * p for p in low[:1])])
 
     def near(self, ground_m: Array) -> npt.NDArray[np.intp]:
-        """Points (n,) that may lie in the image, out of ECEF points (N, 3) of the same side of the Earth."""
+        """Indices (n,) of those ECEF points (N, 3), all on this side of the Earth, that may lie in the image."""
         e = self._east_north(ground_m)
         return np.flatnonzero(((e > self._low - BORDER_M) & (e < self._high + BORDER_M)).all(axis=1))
 
     def estimate(self, ground_m: Array, height_m: Array) -> Array:
-        """Line and sample (n, 2) of the polynomials, ``error_px`` or less away at the nodes."""
+        """Line and sample (n, 2) of the polynomials; the error at the nodes is at most ``error_px``."""
         return np.asarray(self._terms(self._east_north(ground_m), height_m) @ self._coefficients[:, :2])
 
     def project(self, ground_m: Array, height_m: Array) -> Array:
         """Line and sample (n, 2) of ECEF points (n, 3) with ellipsoidal heights (n,) m.
 
-        The zero of the conditions, as ``PushbroomSensor.project`` finds it: both agree to the rounding of a time of
-        day (1e-8 px).
+        They agree with ``PushbroomSensor.project`` to the rounding of a time of day (1e-8 px).
         """
-        found = self._terms(self._east_north(ground_m), height_m) @ self._coefficients
-        pixels, inverse = np.ascontiguousarray(found[:, :2]), found[:, 2:].reshape(-1, 2, 2)
+        start = self._terms(self._east_north(ground_m), height_m) @ self._coefficients
+        pixels, inverse = np.ascontiguousarray(start[:, :2]), start[:, 2:].reshape(-1, 2, 2)
         todo = np.flatnonzero(self.sensor.is_inside(pixels[:, 0], pixels[:, 1]))
         left = np.setdiff1d(np.arange(len(pixels)), todo)
         for _ in range(MAX_STEPS):
@@ -139,13 +138,13 @@ class QuickProjection:
 
 
 def _nodes(low: float, high: float, n: int) -> Array:
-    """Chebyshev points with the ends: a polynomial through them is good up to the border."""
+    """Chebyshev points including both ends: a polynomial through them is accurate up to the border."""
     return np.asarray(low + (high - low) * (0.5 - 0.5 * np.cos(np.pi * np.arange(n) / (n - 1))))
 
 
-#: Sigma of image points given to the adjustment when the simulated noise is zero.
+#: Sigma of image points for the adjustment if the simulated noise is zero.
 NOMINAL_IMAGE_SIGMA_PX = 0.3
-#: Sigmas East, North, Up of ground points given to the adjustment when their noise is zero.
+#: Sigmas East, North, Up of ground points for the adjustment if their noise is zero.
 NOMINAL_GROUND_SIGMA_M = (0.06, 0.06, 1.0)
 
 #: Independent random streams of a simulation; the order is part of the definition of a seed.
@@ -155,7 +154,7 @@ CONSTANT_ATTITUDE_RAD = 20e-6
 
 
 def random_streams(seed: int) -> dict[str, np.random.Generator]:
-    """Independent generators by name: drawing more from one changes nothing in the others."""
+    """Independent generators by name: the numbers of one do not depend on how many another one draws."""
     children = np.random.SeedSequence(seed).spawn(len(STREAMS))
     return {name: np.random.default_rng(child) for name, child in zip(STREAMS, children, strict=True)}
 
@@ -163,8 +162,8 @@ def random_streams(seed: int) -> dict[str, np.random.Generator]:
 def draw_errors(kind: str, rng: np.random.Generator, n_images: int) -> Array:
     """True minus metadata of the EOP coefficients of n images: (n, 9, 3), physical units.
 
-    "constant": plus or minus 5 m per ECEF axis of the position, 20 microrad per angle, signs
-    drawn; "prior": every coefficient normal with the default prior sigma; "none": zero.
+    "constant": 5 m per ECEF axis of the position and 20 microrad per angle, with random signs; "prior": every
+    coefficient normal with the default prior sigma; "none": zero.
     """
     out = np.zeros((n_images, 9, 3))
     if kind == "constant":
@@ -190,7 +189,7 @@ class Truth:
     ----------
     image_ids : tuple of str
     corrections : tuple of Correction or arrays
-        True minus metadata, per image, as its sensor takes it; the look-angle part is what the files do not contain.
+        True minus metadata, per image, in the form of its sensor. The files do not contain the look-angle part.
     point_ids : tuple of str
     lon_lat_height : (n, 3) array
         Degrees, degrees, m.
@@ -206,13 +205,26 @@ class Truth:
     ecef_m: Array
     pixels: Array
 
+    @classmethod
+    def of(cls, ground: Ground, image_ids: Iterable[str], corrections: tuple[Any, ...], pixels: Array) -> Truth:
+        """Truth of ground points and images."""
+        return cls(tuple(image_ids), corrections, ground.ids, ground.lon_lat_height, ground.ecef_m, pixels)
+
 
 @dataclass(frozen=True)
 class Ground:
-    """Ground points of a simulation before they are measured.
+    """Ground points of a simulation.
 
-    ``lon_lat_height`` (n, 3) degrees, m: true; ``noise_enu_m`` (n, 3) of the measured
-    coordinates; ``sigma_enu_m`` (3,) given to the adjustment.
+    Parameters
+    ----------
+    ids : tuple of str
+    roles : tuple of Role
+    lon_lat_height : (n, 3) array
+        True coordinates: degrees, degrees, m.
+    noise_enu_m : (n, 3) array
+        Noise of the measured coordinates.
+    sigma_enu_m : (3,) tuple
+        Sigmas that the adjustment uses.
     """
 
     ids: tuple[str, ...]
@@ -228,7 +240,7 @@ class Ground:
 
     @cached_property
     def known(self) -> npt.NDArray[np.bool_]:
-        """Points with measured coordinates: all except the tie points, (n,)."""
+        """Whether a point has measured coordinates (n,): all except the tie points."""
         return np.array([role is not Role.TIE for role in self.roles])
 
     @cached_property
@@ -240,21 +252,27 @@ class Ground:
 
 @dataclass(frozen=True)
 class Simulation:
-    """A simulated block: everything its files are made of.
+    """Simulated block: the content of its files.
 
     Parameters
     ----------
     name : str
     metadata : tuple of PushbroomMetadata
-        As written to the files.
+        Of the images with DIMAP files, as written. These images are the first ones.
     ground : Ground
     image, point : (k,) arrays
         Image and ground point of each observation.
     observed : (k, 2) array
         Line and sample with noise.
-    sigma_px : float or (k, 2) array
-        Sigma of line and of sample, given to the adjustment.
+    sigma_px : array
+        Sigmas of the image coordinates that the adjustment uses; its shape broadcasts to (k, 2).
     truth : Truth
+    others : tuple of Image
+        Images with other files, with the sensors that reading these files gives.
+    interior : Interior or None
+        Interior orientation of the frame images, as written.
+    options : Options or None
+        Options of the project file; None: all at their defaults.
     """
 
     name: str
@@ -263,24 +281,28 @@ class Simulation:
     image: Index
     point: Index
     observed: Array
-    sigma_px: float | Array
+    sigma_px: Array
     truth: Truth
+    others: tuple[Image, ...] = ()
+    interior: Interior | None = None
+    options: Options | None = None
+
+    @property
+    def images(self) -> tuple[Image, ...]:
+        """All images, with the sensors that reading the files gives."""
+        of_dimap = zip(self.truth.image_ids, self.metadata, strict=False)
+        return (*(Image(name, as_read(metadata)) for name, metadata in of_dimap), *self.others)
 
     def block(self) -> Block:
         """Block that reading the written files gives (without sources and notes)."""
         sigma = np.broadcast_to(self.sigma_px, self.observed.shape)
-        points, withheld = points_of(self.ground)
-        return Block(
-            name=self.name,
-            images=tuple(Image(i, as_read(m)) for i, m in zip(self.truth.image_ids, self.metadata, strict=True)),
-            points=points,
-            observations=ImagePoints(self.image, self.point, *self.observed.T, *sigma.T),
-            withheld=withheld,
-        )
+        points, check = points_of(self.ground)
+        observations = ImagePoints(self.image, self.point, *self.observed.T, *sigma.T)
+        return Block(self.name, self.images, points, observations, check, self.options or Options())
 
 
 def points_of(ground: Ground) -> tuple[GroundPoints, WithheldCoordinates]:
-    """Control points with coordinates, the others without; check coordinates sealed."""
+    """Control points with coordinates, other points without; sealed coordinates of the check points."""
     has = {role: np.array([r is role for r in ground.roles]) for role in Role}
     ecef = geodetic_to_ecef(*ground.measured.T)
     control = has[Role.CONTROL][:, None]
@@ -294,32 +316,24 @@ def points_of(ground: Ground) -> tuple[GroundPoints, WithheldCoordinates]:
 
 
 def observe(
-    name: str,
-    scenes: Sequence[Scene],
-    ground: Ground,
-    visible: npt.NDArray[np.bool_],
-    errors: Array,
-    look: Array,
-    image_noise_px: float,
-    rng: np.random.Generator,
-    max_height_m: float | None = None,
-    progress: Progress | None = None,
-) -> Simulation:
-    """Take the images: metadata with errors, true pixels through them, noise.
+    name: str, scenes: Sequence[Scene], ground: Ground, visible: npt.NDArray[np.bool_], errors: Array, look: Array,
+    noise_px: float, rng: np.random.Generator, max_height_m: float | None = None, progress: Progress | None = None,
+) -> Simulation:  # fmt: skip
+    """Simulate pushbroom images: metadata with errors, true pixels of this metadata with its corrections, noise.
 
     Parameters
     ----------
     visible : (n_images, n_points) bool array
-        Which point is measured in which image.
+        Points that are measured in each image.
     errors : (n_images, 9, 3) array
         True minus metadata.
     look : (2, k) array
         True look-angle polynomial of every image, not in the files.
-    image_noise_px : float
+    noise_px : float
         Sigma of the noise of line and of sample.
     max_height_m : float, optional
-        Heights lie between 0 and this: the images are projected by polynomials and a few steps on the same conditions,
-        which pays from some thousand points per image. Without it each sensor projects.
+        Largest height of the points, whose smallest height is 0. If given, :class:`QuickProjection` projects, which is
+        faster from some thousand points per image on.
     progress : callable, optional
         Called with (done, of, text) before each image.
     """
@@ -337,21 +351,32 @@ def observe(
         else:
             camera = QuickProjection(sensor, correction, max_height_m)
             pixels[rows] = camera.project(ground.ecef_m[seen], ground.lon_lat_height[seen, 2])
-    observed = pixels + image_noise_px * rng.standard_normal(pixels.shape)
-    ids = tuple(scene.id for scene in scenes)
-    truth = Truth(ids, corrections, ground.ids, ground.lon_lat_height, ground.ecef_m, pixels)
-    sigma = image_noise_px or NOMINAL_IMAGE_SIGMA_PX
-    return Simulation(name, metadata, ground, image, point, observed, sigma, truth)
+    truth = Truth.of(ground, [scene.id for scene in scenes], corrections, pixels)
+    return Simulation(name, metadata, ground, image, point, *with_noise(pixels, noise_px, rng), truth)
+
+
+def with_noise(pixels: Array, noise_px: npt.ArrayLike, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Pixels (k, 2) with noise of a sigma that broadcasts to them; sigma that the adjustment uses."""
+    sigma = np.asarray(noise_px)
+    observed = pixels + sigma * rng.standard_normal(pixels.shape)
+    return observed, np.where(sigma > 0.0, sigma, NOMINAL_IMAGE_SIGMA_PX)
 
 
 def ground_points(
-    ids: tuple[str, ...],
-    roles: tuple[Role, ...],
-    lon_lat_height: Array,
-    noise_enu_m: tuple[float, float, float],
+    ids: tuple[str, ...], roles: tuple[Role, ...], lon_lat_height: Array, noise_enu_m: tuple[float, float, float],
     rng: np.random.Generator,
-) -> Ground:
+) -> Ground:  # fmt: skip
     """Ground points with drawn noise; sigmas are those of the noise, or nominal where it is zero."""
     noise = np.array(noise_enu_m) * rng.standard_normal(lon_lat_height.shape)
     east, north, up = (s or nominal for s, nominal in zip(noise_enu_m, NOMINAL_GROUND_SIGMA_M, strict=True))
     return Ground(ids, roles, lon_lat_height, noise, (east, north, up))
+
+
+def numbered(count: int) -> tuple[str, ...]:
+    """Ids of points: numbers from 1 with leading zeros."""
+    return tuple(f"{k + 1:0{len(str(count))}d}" for k in range(count))
+
+
+def roles_in_order(order: npt.NDArray[np.intp], control: int, check: int) -> tuple[Role, ...]:
+    """Roles of points of these ranks (n,): the first ranks are control points, then come check and tie points."""
+    return tuple(Role.CONTROL if k < control else Role.CHECK if k < control + check else Role.TIE for k in order)

@@ -5,11 +5,10 @@ opposite sides; points lie in the overlap at 0 to 1800 m. Source of the geometry
 and Terlemezoğlu (2019) as specified in docs/file-formats.md and in its options. Truth is a model truth, see
 :mod:`fg_orient.simulate.simulation`.
 
-Point sets of the published experiments choose the check points. H-n ("homogeneous"): n check points drawn at random,
-nested, so that the check points of H-10 are check points of H-20, too. G-A, G-B, G-C ("grouped"): the control points
-leave a part of the image empty: of the scan line (G-A: those of one side by column), of the strip (G-B: by line), of
-the border (G-C: those nearest to the centre of the block). Sizes: Topan & Maktav 2010 and the authors' programs;
-memberships were never published.
+The point sets of the published experiments differ in their check points. H-n ("homogeneous"): n random check points,
+nested, so that the check points of H-10 are check points of H-20, too. G-A, G-B, G-C ("grouped"): a part of the image
+has no control points: one side of the scan line (G-A), one end of the strip (G-B), or the border of the block (G-C).
+Sizes: Topan & Maktav 2010 and the authors' programs; the points of each set were never published.
 """
 
 from __future__ import annotations
@@ -36,6 +35,7 @@ from fg_orient.simulate.simulation import (
     Truth,
     draw_errors,
     ground_points,
+    numbered,
     observe,
     random_streams,
 )
@@ -54,10 +54,9 @@ def roles_of(point_set: PointSet, pixels: Array, rng: np.random.Generator) -> tu
     ----------
     point_set : str
     pixels : (n, 2) array
-        Line and sample in the first image; only the grouped sets look at them.
+        Line and sample in the first image; only the grouped sets use them.
     rng : np.random.Generator
-        Draws the permutation of the H sets and the side of G-A and G-B; both are drawn
-        whatever the set.
+        Draws the permutation of the H sets and the side of G-A and G-B, for every set both.
     """
     order, side = rng.permutation(len(pixels)), rng.choice([-1.0, 1.0])
     if point_set == "G-A":
@@ -74,7 +73,7 @@ CENTRE_LON_LAT_DEG = (31.85, 41.3)
 #: Image id, mirror angle (degrees), day, half minutes of the day.
 IMAGES = (("left", -18.0, "2004-07-05", 1041), ("right", 20.0, "2004-07-06", 1003))
 HEIGHT_RANGE_M = (0.0, 1800.0)
-#: Points keep this distance from the border of both images: noise and distortion never leave it.
+#: Least distance of the points from the border of both images: noise and distortion do not move them out.
 MARGIN_PX = 300.0
 #: Box of the overlap in which points are drawn, degrees around the centre.
 _BOX_DEG = (0.55, 0.40)
@@ -123,13 +122,13 @@ def simulate(options: ZonguldakOptions) -> Simulation:
     scenes = _scenes(options)
     lon_lat_height, pixels = _points(scenes, streams["points"])
     roles = roles_of(options.point_set, pixels, streams["roles"])
-    ids = tuple(f"{k + 1:02d}" for k in range(N_POINTS))
-    ground = ground_points(ids, roles, lon_lat_height, options.ground_noise_m, streams["ground_noise"])
+    ground = ground_points(numbered(N_POINTS), roles, lon_lat_height, options.ground_noise_m, streams["ground_noise"])
     errors = draw_errors(options.errors, streams["orientation"], len(scenes))
     bend = np.array([[0.0, 0.0, options.distortion_rad]] * 2) if options.distortion_rad else np.zeros((2, 0))
     visible = np.ones((len(scenes), N_POINTS), bool)
-    noise = options.image_noise_px
-    return observe("zonguldak twin", scenes, ground, visible, errors, bend, noise, streams["image_noise"])
+    return observe(
+        "zonguldak twin", scenes, ground, visible, errors, bend, options.image_noise_px, streams["image_noise"]
+    )
 
 
 def _scenes(options: ZonguldakOptions) -> tuple[Scene, ...]:
@@ -147,18 +146,17 @@ def _scenes(options: ZonguldakOptions) -> tuple[Scene, ...]:
 def _points(scenes: tuple[Scene, ...], rng: np.random.Generator) -> tuple[Array, Array]:
     """Points uniform in the overlap, longitude, latitude (degrees), height (m); pixels in the first image.
 
-    Where they lie is decided by the true orbits and the camera of the files, so errors,
-    noise and distortion do not change them.
+    They depend on the true orbits and the camera of the files only, not on errors, noise and distortion.
     """
     sensors = [as_read(scene.metadata()) for scene in scenes]
-    found, pixels = np.empty((0, 3)), np.empty((0, 2))
+    points, pixels = np.empty((0, 3)), np.empty((0, 2))
     size, low_m, high_m = np.array([N_LINES, N_SAMPLES]), *HEIGHT_RANGE_M
-    while len(found) < N_POINTS:
+    while len(points) < N_POINTS:
         unit = rng.random((4 * N_POINTS, 3))
         lon_lat = np.array(CENTRE_LON_LAT_DEG) + (2.0 * unit[:, :2] - 1.0) * _BOX_DEG
         drawn = np.column_stack([lon_lat, low_m + (high_m - low_m) * unit[:, 2]])
         ecef = geodetic_to_ecef(*drawn.T)
         seen = np.stack([np.stack(sensor.project(ecef), axis=1) for sensor in sensors])
         inside = ((seen >= MARGIN_PX) & (seen <= size - 1 - MARGIN_PX)).all(axis=(0, 2))
-        found, pixels = np.vstack([found, drawn[inside]]), np.vstack([pixels, seen[0, inside]])
-    return found[:N_POINTS], pixels[:N_POINTS]
+        points, pixels = np.vstack([points, drawn[inside]]), np.vstack([pixels, seen[0, inside]])
+    return points[:N_POINTS], pixels[:N_POINTS]
