@@ -55,7 +55,8 @@ def bounds_of(size: int) -> tuple[float, float, float, float]:
 
 def ours(folder: Path, size: int, out: Path) -> dict[str, Any]:
     from fg_orient.formats.sensor import read_sensor
-    from fg_orient.rectification.ortho import OrthoOptions, orthorectify
+    from fg_orient.rectification.options import OrthoOptions
+    from fg_orient.rectification.ortho import orthorectify
     from fg_orient.rectification.ortho_models import SensorModel
     from fg_orient.sensors.surface import RasterDem
 

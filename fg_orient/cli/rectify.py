@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -14,6 +15,7 @@ from fg_orient.cli.log import session
 from fg_orient.cli.output import answer, note, number, say, table, tell, tell_findings
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.errors import InputError
+from fg_orient.rectification.options import AccuracyOptions, OrthoOptions, PointOptions, StudyOptions
 
 if TYPE_CHECKING:
     from fg_orient.rectification.grid import Bounds
@@ -28,45 +30,22 @@ Points = Annotated[
         help="CSV: id,line,sample,easting_m,northing_m (or lon_deg,lat_deg); height_m, role, sigmas if wanted.",
     ),
 ]  # fmt: skip
-Crs = Annotated[str, typer.Option("--crs", metavar="EPSG", help="Projected coordinate system of the map, EPSG:n.")]
 #: Exit code of a map that fails a standard.
 FAILED: Final = 4
 
 
 @app.command("fit")
-@command()
+@command(PointOptions)
 def fit(
     points: Points,
-    model: Annotated[
-        str | None,
-        typer.Option(help="polynomial, affine, helmert, projective; affine-3d, parallel, dlt (ground to image)."),
-    ] = None,
-    degree: Annotated[int | None, typer.Option(metavar="Q", help="Degree of the polynomial, 1 to 5.")] = None,
-    direction: Annotated[
-        str | None, typer.Option(help="image-to-map (usual for plane models) or map-to-image.")
-    ] = None,
-    crs: Crs = "",
-    pixel_size: Annotated[
-        float | None, typer.Option("--pixel-size", metavar="M", help="Compare pairwise distances, image with map.")
-    ] = None,
-    prune_to: Annotated[
-        float | None, typer.Option("--prune-to", metavar="RMSE", help="Leave out the worst point until this is met.")
-    ] = None,
-    prune_by: Annotated[
-        Literal["residual", "test"], typer.Option("--prune-by", help="Worst by residual, or by the F test.")
-    ] = "residual",
+    options: Mapping[str, Any],
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder of the results.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Fit a transformation between image and map to points, with check points and outlier tests."""
     from fg_orient.rectification.job import rectify_fit
-    from fg_orient.rectification.transformation import find_model
 
-    chosen = find_model(model or ("affine" if degree is None else "polynomial"), degree)
-    record = rectify_fit(
-        points, chosen, direction=direction, crs=crs, pixel_size_m=pixel_size, prune_to=prune_to,
-        prune_by=prune_by, out=out, overwrite=overwrite, command=command_line(),
-    )  # fmt: skip
+    record = rectify_fit(points, PointOptions(**options), out=out, overwrite=overwrite, command=command_line())
     answer(record, _show_fit)
 
 
@@ -93,20 +72,18 @@ def _show_fit(record: dict[str, Any]) -> None:
 
 
 @app.command("study")
-@command()
+@command(StudyOptions)
 def study(
     points: Points,
     counts: Annotated[str, typer.Option(metavar="N,N", help="Numbers of control points.", show_default=False)],
+    options: Mapping[str, Any],
     degrees: Annotated[str, typer.Option(metavar="Q,Q", help="Degrees of the polynomial.")] = "1,2,3",
-    layouts: Annotated[int, typer.Option(metavar="N", help="Random choices of the points.")] = 30,
-    seed: Annotated[int, typer.Option(help="Seed of these choices.")] = 1,
-    crs: Crs = "",
 ) -> None:
     """Plan a rectification: RMSE at the check points by number of control points and degree."""
     from fg_orient.rectification.job import study_points
 
-    cells = study_points(points, _numbers("counts", counts), _numbers("degrees", degrees), layouts=layouts,
-                         seed=seed, crs=crs)  # fmt: skip
+    chosen = StudyOptions(**options)
+    cells = study_points(points, _numbers("counts", counts), _numbers("degrees", degrees), chosen)
     answer({"cells": [asdict(cell) for cell in cells]}, _show_study, cells)
 
 
@@ -127,7 +104,7 @@ def _numbers(option: str, text: str) -> list[int]:
 
 
 @app.command("check")
-@command()
+@command(AccuracyOptions)
 def check(
     points: Annotated[
         Path,
@@ -138,32 +115,22 @@ def check(
             "residual_northing_m; or a result folder of rectify fit.",
         ),
     ],
-    scale: Annotated[float | None, typer.Option(metavar="N", help="Judge the scale 1:N.")] = None,
-    class_m: Annotated[float | None, typer.Option("--class-m", metavar="M", help="Judge this class (ASPRS).")] = None,
-    standard: Annotated[
-        str, typer.Option(help="NMAS, CMAS, NSSDA, ASPRS-1990, ASPRS-2014, ASPRS-2023; usual: all.")
-    ] = "",
-    check_point_rmse: Annotated[
-        float, typer.Option("--check-point-rmse", metavar="M", help="Radial RMSE of the check points themselves.")
-    ] = 0.0,
+    options: Mapping[str, Any],
 ) -> None:
-    """Judge the accuracy of a map by tested points; ends with 4 if a standard is not met."""
+    """Assess the accuracy of a map by tested points; exit code 4 if a standard is not met."""
     from fg_orient.rectification.fit import plain_rmse
     from fg_orient.rectification.job import read_differences
-    from fg_orient.rectification.standards import NAMES, check_accuracy
+    from fg_orient.rectification.standards import check_accuracy
 
-    wanted = tuple(word.strip() for word in standard.split(",")) if standard else NAMES
     differences, words = read_differences(points)
-    found = check_accuracy(differences, scale=scale, class_m=class_m, check_point_rmse_m=check_point_rmse,
-                           standards=wanted)  # fmt: skip
+    assessed = check_accuracy(differences, **options)
     x, y, radial = plain_rmse(differences)
     record = {
-        "points": words, "n": len(differences), "scale": scale, "class_m": class_m,
-        "rmse_m": {"easting": x, "northing": y, "radial": radial},
-        "standards": [asdict(verdict) for verdict in found],
+        "points": words, "n": len(differences), "scale": options.get("scale"), "class_m": options.get("class_m"),
+        "rmse_m": {"easting": x, "northing": y, "radial": radial}, "standards": [asdict(one) for one in assessed],
     }  # fmt: skip
     answer(record, _show_check)
-    if any(verdict.passed is False for verdict in found):
+    if any(one.passed is False for one in assessed):
         raise typer.Exit(FAILED)
 
 
@@ -187,7 +154,7 @@ def _show_check(record: dict[str, Any]) -> None:
 
 
 @app.command("ortho")
-@command()
+@command(OrthoOptions, only=("resampling", "allow_holes", "cog"))
 def ortho(
     image: Annotated[Path, typer.Argument(metavar="IMAGE", show_default=False, help="Raster in sensor geometry.")],
     model: Annotated[
@@ -199,6 +166,7 @@ def ortho(
         ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="TIF", help="GeoTIFF to write.", show_default=False)],
+    options: Mapping[str, Any],
     dem: Annotated[Path | None, typer.Option("--dem", help="DEM of ellipsoidal heights, m.")] = None,
     height: Annotated[float | None, typer.Option(metavar="M", help="One height instead of a DEM.")] = None,
     result: Result = None,
@@ -208,39 +176,30 @@ def ortho(
         float | None, typer.Option(metavar="SIZE", help="Size of a map pixel; default: about an image pixel.")
     ] = None,
     bounds: Annotated[
-        str, typer.Option(metavar="L,B,R,T", help="Left,bottom,right,top; usual: all that is covered.")
+        str, typer.Option(metavar="L,B,R,T", help="Left,bottom,right,top; default: the whole common area.")
     ] = "",
-    resampling: Annotated[
-        str, typer.Option(metavar="NAME", help="nearest, bilinear, cubic (a = -0.5), cubic-sharp (a = -1).")
-    ] = "bilinear",
-    allow_holes: Annotated[
-        bool, typer.Option("--allow-holes", help="Leave pixels empty where the DEM has no height.")
-    ] = False,
-    cog: Annotated[bool, typer.Option("--cog", help="Cloud optimised GeoTIFF, with overviews.")] = False,
     extrapolate_attitude: Extrapolate = 0.0,
     overwrite: Overwrite = False,
 ) -> None:
     """Rectify an image on a DEM (or a plane) to a GeoTIFF: by its sensor, adjusted or not, or by points."""
-    from fg_orient.rectification.ortho import OrthoOptions
     from fg_orient.rectification.ortho_job import rectify_image
 
-    options = OrthoOptions(resampling, allow_holes, cog)
     limits = _bounds(bounds) if bounds else None
     if dem is not None and height is not None:
         raise InputError.of("options.two_ways", option="dem, height")
     with progress_bar("rectifying") as progress:
         record = rectify_image(
             image, model, out, dem=dem, height_m=height, result=result, image_id=image_id, crs=crs,
-            resolution=resolution, bounds=limits, options=options, overwrite=overwrite, progress=progress,
-            extrapolate_attitude_s=extrapolate_attitude,
+            resolution=resolution, bounds=limits, options=OrthoOptions(**options), overwrite=overwrite,
+            progress=progress, extrapolate_attitude_s=extrapolate_attitude,
         )  # fmt: skip
-    answer(record, _show_ortho, record, resampling)
+    answer(record, _show_ortho)
 
 
-def _show_ortho(record: dict[str, Any], resampling: str) -> None:
+def _show_ortho(record: dict[str, Any]) -> None:
     say(f"{record['rows']} x {record['columns']} pixels of {record['resolution']:g}, "
-        f"{100 * record['filled']:.1f} % filled, {resampling}")  # fmt: skip
-    say(f"model asked every {record['knots']} pixels, at most {record['error_px']:.1g} px wrong between")
+        f"{100 * record['filled']:.1f} % filled, {record['resampling']}")  # fmt: skip
+    say(f"model evaluated every {record['knots']} pixels, interpolation error at most {record['error_px']:.1g} px")
     say(f"written: {record['out']}")
 
 

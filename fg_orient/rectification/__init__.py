@@ -10,7 +10,8 @@ from fg_orient.model.public import names_of, on_first_use
 
 _HOME = names_of(__name__, {
     "fit": "Observations TransformationFit",
-    "ortho": "OrthoOptions orthorectify",
+    "options": "AccuracyOptions OrthoOptions PointOptions",
+    "ortho": "orthorectify",
     "outliers": "PointTests point_tests",
     "points": "MapPoints PointFit fit_points read_map_points",
     "standards": "check_accuracy nmas_limit_m nssda_m",

@@ -16,9 +16,9 @@ from fg_orient.formats.atomic import require_free, staged_folder, writing
 from fg_orient.formats.tables import Faults, read_table
 from fg_orient.model.errors import InputError
 from fg_orient.model.installation import versions
-from fg_orient.rectification.arguments import positive
 from fg_orient.rectification.folder import CONTENTS, write_folder
-from fg_orient.rectification.outliers import Rule, pair_distances, prune
+from fg_orient.rectification.options import PointOptions, StudyOptions
+from fg_orient.rectification.outliers import pair_distances, prune
 from fg_orient.rectification.points import (
     DIRECTIONS,
     compared,
@@ -31,33 +31,21 @@ from fg_orient.rectification.points import (
 )
 from fg_orient.rectification.record import record_of
 from fg_orient.rectification.study import Cell, design_study
-from fg_orient.rectification.transformation import TransformationModel, find_model
+from fg_orient.rectification.transformation import find_model
 
 Array = npt.NDArray[np.float64]
 
 
 def rectify_fit(
-    path: Path, model: TransformationModel, *, direction: str | None = None, crs: str = "",
-    pixel_size_m: float | None = None, prune_to: float | None = None, prune_by: Rule = "residual",
-    out: Path | None = None, overwrite: bool = False, command: Sequence[str] = (),
-) -> dict[str, Any]:  # fmt: skip
+    path: Path, options: PointOptions, *, out: Path | None = None, overwrite: bool = False, command: Sequence[str] = ()
+) -> dict[str, Any]:
     """Fit a transformation to a table of points and write the result folder.
 
     Parameters
     ----------
     path : Path
         Table of points.
-    model : TransformationModel
-    direction : str, optional
-        "image-to-map" or "map-to-image".
-    crs : str
-        Projected coordinate system of the map.
-    pixel_size_m : float, optional
-        Compares pairwise distances of the image, scaled by it, with those of the map.
-    prune_to : float, optional
-        Leave out the worst point until the radial RMSE is at most this.
-    prune_by : "residual" or "test"
-        Rule of the worst point.
+    options : PointOptions
     out : Path, optional
         Folder to write.
     overwrite : bool
@@ -75,22 +63,20 @@ def rectify_fit(
     InputError, NoSolutionError
         See :func:`fg_orient.rectification.points.read_map_points` and ``fit``.
     """
-    for place, value, unit in (("<pixel_size>", pixel_size_m, "m"), ("<prune_to>", prune_to, "the target's unit")):
-        if value is not None:
-            positive(place, value, unit)
+    model = find_model(options.model or ("affine" if options.degree is None else "polynomial"), options.degree)
     if out is not None:
         require_free(out, overwrite=overwrite, contents=CONTENTS)
-    points, pruning, distances = read_map_points(path, crs), None, None
+    points, pruning, distances = read_map_points(path, options.crs or ""), None, None
     with one_blas_thread():
-        fitted = fit_points(points, model, direction)
-        if prune_to is not None:
+        fitted = fit_points(points, model, options.direction)
+        if options.prune_to is not None:
             way = fitted.direction
-            pruning = prune(fitted.fit.points, model, prune_to, rule=prune_by,
+            pruning = prune(fitted.fit.points, model, options.prune_to, rule=options.prune_by,
                             refit=lambda some: fit_control(points, some, model, way))  # fmt: skip
             fitted = compared(pruning.fit, observations(points, model, way), points.check, way)
-    if pixel_size_m is not None:
+    if options.pixel_size_m is not None:
         rows = np.isin(np.array(points.ids, dtype=object), np.array(fitted.fit.points.ids, dtype=object))
-        distances = pair_distances(points.image[rows] * pixel_size_m, points.ground[rows, :2])
+        distances = pair_distances(points.image[rows] * options.pixel_size_m, points.ground[rows, :2])
     record = record_of(fitted, pruning=pruning, distances=distances)
     record |= {
         "input": {"file": path.name, "sha256": points.sha256}, "versions": versions(),
@@ -148,9 +134,7 @@ def _of_folder(path: Path) -> tuple[Array, str]:
     return differences, "check points" if check else "control points, which say less: there are no check points"
 
 
-def study_points(
-    path: Path, counts: Sequence[int], degrees: Sequence[int], *, layouts: int, seed: int, crs: str = ""
-) -> tuple[Cell, ...]:
+def study_points(path: Path, counts: Sequence[int], degrees: Sequence[int], options: StudyOptions) -> tuple[Cell, ...]:
     """Design study over the control points of a table, compared at its check points.
 
     Raises
@@ -158,11 +142,10 @@ def study_points(
     InputError
         See :func:`fg_orient.rectification.points.read_map_points` and ``design_study``; no check points.
     """
-    points = read_map_points(path, crs)
+    points = read_map_points(path, options.crs or "")
     if not points.check.any() or points.check.all():
         raise InputError.of("rectify.no_check_points", file=path, place="column role")
     every = observations(points, find_model("affine"), DIRECTIONS[0])
+    control, test = every.take(~points.check), every.take(points.check)
     with one_blas_thread():
-        return design_study(
-            every.take(~points.check), every.take(points.check), counts, degrees, layouts=layouts, seed=seed
-        )
+        return design_study(control, test, counts, degrees, layouts=options.layouts, seed=options.seed)

@@ -9,7 +9,6 @@ Source: İpbüker 1994, sec. 5 (indirect method); Keys 1981 (cubic convolution).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +21,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.names import Progress
 from fg_orient.rectification.grid import CACHE_BYTES, TILE, Bounds, MapGrid, staged_file
 from fg_orient.rectification.lattice import Lattice, Surface, dem_outline, lattice
+from fg_orient.rectification.options import OrthoOptions
 from fg_orient.rectification.ortho_models import BORDER, MapModel
 from fg_orient.sensors.surface import RasterDem
 
@@ -31,59 +31,12 @@ Array = npt.NDArray[np.float64]
 RESAMPLING: Final = {
     "nearest": (NEAREST, 0.0), "bilinear": (BILINEAR, 0.0), "cubic": (CUBIC, -0.5), "cubic-sharp": (CUBIC, -1.0),
 }  # fmt: skip
-COMPRESSIONS: Final = ("deflate", "lzw", "zstd", "none")
-#: Edge of the windows, map pixels.
-WINDOW: Final = 1024
-
-
-@dataclass(frozen=True)
-class OrthoOptions:
-    """Options of filling a map raster.
-
-    Parameters
-    ----------
-    resampling : str
-        nearest, bilinear, cubic (a = -0.5) or cubic-sharp (a = -1).
-    allow_holes : bool
-        Leave map pixels empty where the DEM has no height, instead of refusing them.
-    cog : bool
-        Write a cloud optimised GeoTIFF with overviews.
-    compress : str
-        Of the file: deflate, lzw, zstd, none.
-    window : int
-        Edge of the windows, map pixels; the result does not depend on it.
-    nodata : float, optional
-        Value of empty pixels, which the type of the image must be able to store; default the nodata value of the image
-        if it can be stored, else 0 (whole numbers; grey values equal to it become the next value) or nan.
-
-    Raises
-    ------
-    InputError
-        No such resampling or compression, a window without pixels.
-    """
-
-    resampling: str = "bilinear"
-    allow_holes: bool = False
-    cog: bool = False
-    compress: str = "deflate"
-    window: int = WINDOW
-    nodata: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.resampling not in RESAMPLING:
-            raise InputError.of("ortho.resampling", option="resampling", value=self.resampling,
-                                known=", ".join(RESAMPLING))  # fmt: skip
-        if self.compress not in COMPRESSIONS:
-            raise InputError.of("options.value", place="compress", value=self.compress,
-                                expected=" or ".join(COMPRESSIONS))  # fmt: skip
-        if not (isinstance(self.window, int) and self.window > 0):
-            raise InputError.of("options.value", place="window", value=self.window, expected="a whole number above 0")
 
 
 def orthorectify(
     image: str | Path, model: MapModel, surface: Surface, out: str | Path, *, crs: str,
-    resolution: float | None = None, bounds: Bounds | None = None, options: OrthoOptions | None = None,
-    overwrite: bool = False, progress: Progress | None = None,
+    resolution: float | None = None, bounds: Bounds | None = None, nodata: float | None = None,
+    options: OrthoOptions | None = None, overwrite: bool = False, progress: Progress | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Rectify an image to a GeoTIFF.
 
@@ -102,6 +55,9 @@ def orthorectify(
         Size of a map pixel, units of the CRS; default about one pixel of the image.
     bounds : left, bottom, right, top, optional
         Default: common ground of image and surface.
+    nodata : float, optional
+        Value of empty pixels, which the type of the image must be able to store; default the nodata value of the image
+        if it can be stored, else 0 (whole numbers; grey values equal to it become the next value) or nan.
     options : OrthoOptions, optional
     overwrite : bool
         Replace an existing file once the new one is complete.
@@ -124,7 +80,7 @@ def orthorectify(
     with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES), _opened(rasterio, image) as source:
         size = (source.height, source.width)
         _require_fitting(source, model, image)
-        nodata = _nodata(source, chosen, image)
+        empty = _nodata(source, nodata, image)
         grid = _grid(model, surface, size, crs, resolution, bounds)
         limits = LIMITS.pack(
             first_line=-0.5, last_line=source.height - 0.5, first_sample=-0.5, last_sample=source.width - 0.5
@@ -135,7 +91,7 @@ def orthorectify(
         with staged_file(Path(out), overwrite=overwrite) as staged:
             target = staged.with_suffix(".work.tif") if chosen.cog else staged
             try:
-                seen, filled = _fill(rasterio, source, target, grid, knots, surface, limits, nodata, chosen, progress)
+                seen, filled = _fill(rasterio, source, target, grid, knots, surface, limits, empty, chosen, progress)
                 if not seen:
                     raise InputError.of("ortho.no_overlap", file=image, what=surface.path)
                 if chosen.cog:
@@ -148,7 +104,7 @@ def orthorectify(
     return {
         "out": str(out), "crs": grid.crs, "rows": grid.rows, "columns": grid.columns, "resolution": grid.resolution,
         "bounds": list(grid.bounds), "filled": filled / (grid.rows * grid.columns), "knots": knots.step,
-        "error_px": knots.error_px, "resampling": chosen.resampling, "nodata": nodata,
+        "error_px": knots.error_px, "resampling": chosen.resampling, "nodata": empty,
     }  # fmt: skip
 
 
@@ -171,16 +127,16 @@ def _require_fitting(source: Any, model: MapModel, image: str | Path) -> None:
                             lines=model.size[0], samples=model.size[1])  # fmt: skip
 
 
-def _nodata(source: Any, options: OrthoOptions, image: str | Path) -> float:
+def _nodata(source: Any, wanted: float | None, image: str | Path) -> float:
+    """Value of empty pixels."""
     kind = np.dtype(source.dtypes[0])
-    if options.nodata is not None and not _holds(kind, options.nodata):
+    if wanted is not None and not _holds(kind, wanted):
         limits = np.iinfo(kind) if kind.kind in "iu" else np.finfo(kind)
-        raise InputError.of("options.value", file=image, place="nodata", value=options.nodata,
+        raise InputError.of("options.value", file=image, place="nodata", value=wanted,
                             expected=f"a value of {kind}, {limits.min} to {limits.max}")  # fmt: skip
-    if options.nodata is not None:
-        return float(options.nodata)
-    if source.nodata is not None and _holds(kind, source.nodata):
-        return float(source.nodata)
+    for value in (wanted, source.nodata):
+        if value is not None and _holds(kind, value):
+            return float(value)
     return 0.0 if kind.kind in "iu" else math.nan
 
 

@@ -12,7 +12,8 @@ from fg_orient.model.names import Progress
 from fg_orient.rectification.adjusted import read_correction
 from fg_orient.rectification.grid import Bounds
 from fg_orient.rectification.lattice import LevelSurface, Surface
-from fg_orient.rectification.ortho import OrthoOptions, orthorectify
+from fg_orient.rectification.options import OrthoOptions
+from fg_orient.rectification.ortho import orthorectify
 from fg_orient.rectification.ortho_models import MapModel, SensorModel, point_model
 from fg_orient.rectification.transformation import read_transformation
 from fg_orient.sensors.base import Sensor

@@ -110,10 +110,8 @@ def design_study(
     for count in counts:
         if not 1 <= count <= most:
             raise InputError.of("rectify.counts", option="counts", value=count, most=most)
-    if seed < 0:
-        raise InputError.of("rectify.seed", option="seed", value=seed)
     whole("<layouts>", layouts, 1)
-    rng, out = np.random.default_rng(seed), list[Cell]()
+    rng, out = np.random.default_rng(whole("<seed>", seed, 0)), list[Cell]()
     for count in counts:
         n = 1 if count == most else layouts
         chosen = [np.sort(rng.permutation(most)[:count]) for _ in range(n)]

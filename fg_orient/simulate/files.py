@@ -118,6 +118,7 @@ def _write_images(folder: Path, simulation: Simulation, progress: Progress | Non
     from fg_orient.formats.metadata.frame import write_camera, write_frame_file
     from fg_orient.formats.rpc import write_rpc
     from fg_orient.sensors.frame import FrameSensor
+    from fg_orient.sensors.rpc_sensor import RpcSensor
 
     for k, metadata in enumerate(simulation.metadata):
         if progress is not None:
@@ -128,7 +129,7 @@ def _write_images(folder: Path, simulation: Simulation, progress: Progress | Non
     for sensor in (image.sensor for image in simulation.others):
         if isinstance(sensor, FrameSensor):
             write_frame_file(folder / sensor.file, sensor, CAMERA_FILE)
-        else:
+        elif isinstance(sensor, RpcSensor):
             write_rpc(folder / sensor.file, sensor.model)
     files = [metadata.file for metadata in simulation.metadata] + [image.sensor.file for image in simulation.others]
     return list(zip(simulation.truth.image_ids, files, strict=True))

@@ -350,5 +350,5 @@ def test_design_study_compares_at_independent_points() -> None:
     assert cells[30, 1].median == pytest.approx(math.sqrt(np.mean(np.sum(errors**2, axis=1))), rel=1e-9)
     with pytest.raises(InputError):
         design_study(control, test, [31], [1])
-    with pytest.raises(InputError, match="not a seed"):
+    with pytest.raises(InputError, match="seed"):
         design_study(control, test, [30], [1], seed=-1)

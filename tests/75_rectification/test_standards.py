@@ -10,8 +10,8 @@ import pytest
 from scipy import stats
 
 from fg_orient.model.errors import InputError
+from fg_orient.rectification.options import STANDARDS
 from fg_orient.rectification.standards import (
-    NAMES,
     StandardCompliance,
     assess_rmse,
     check_accuracy,
@@ -113,7 +113,7 @@ def test_asprs() -> None:
 def test_all_standards_in_one_call_and_unequal_axes_are_remarked() -> None:
     rng = np.random.default_rng(1)
     found = check_accuracy(rng.normal(size=(40, 2)) * (1.0, 3.0), scale=10_000)
-    assert tuple(verdict.standard for verdict in found) == NAMES
+    assert tuple(verdict.standard for verdict in found) == STANDARDS
     assert all(any("circle" in text for text in by_name(found)[name].remarks) for name in ("CMAS", "NSSDA"))
     assert by_name(found)["NSSDA"].passed is None
 
@@ -123,8 +123,8 @@ def test_all_standards_in_one_call_and_unequal_axes_are_remarked() -> None:
     ("ask", "code"),
     [(lambda: check_accuracy([[1.0]]), "rectify.differences"),
      (lambda: check_accuracy([[np.nan, 1.0]]), "rectify.differences"),
-     (lambda: check_accuracy([[1.0, 1.0]], scale=0.0), "rectify.positive"),
-     (lambda: check_accuracy([[1.0, 1.0]], class_m=-1.0), "rectify.positive"),
+     (lambda: check_accuracy([[1.0, 1.0]], scale=0.0), "options.value"),
+     (lambda: check_accuracy([[1.0, 1.0]], class_m=-1.0), "options.value"),
      (lambda: check_accuracy([[1.0, 1.0]], check_point_rmse_m=-4.0), "options.value"),
      (lambda: check_accuracy([[1.0, 1.0]], check_point_rmse_m=np.nan, standards=("NMAS",)), "options.value"),
      (lambda: check_accuracy([[1.0, 1.0]], standards=("EMAS",)), "rectify.standard"),

@@ -16,7 +16,8 @@ from fg_orient.model.errors import InputError
 from fg_orient.rectification.adjusted import read_correction
 from fg_orient.rectification.grid import MapGrid
 from fg_orient.rectification.lattice import ERROR_PX, FIRST_STEP, LevelSurface, lattice
-from fg_orient.rectification.ortho import RESAMPLING, OrthoOptions, orthorectify
+from fg_orient.rectification.options import OrthoOptions
+from fg_orient.rectification.ortho import RESAMPLING, orthorectify
 from fg_orient.rectification.ortho_job import rectify_image
 from fg_orient.rectification.ortho_models import PointModel, SensorModel
 from fg_orient.rectification.transformation import Scaling, Transformation, find_model
@@ -201,7 +202,7 @@ def test_refusals(twin: Twin, tmp_path: Path, picture: Path) -> None:
     assert refused(rectified, picture=picture) == "ortho.size"
     assert refused(rectified, picture=tmp_path / "missing.tif") == "ortho.image"
     assert refused(RasterDem, altered_dem(twin, tmp_path / "none.tif", crs=None)) == "dem.no_crs"
-    assert refused(OrthoOptions, "sinc") == "ortho.resampling"
+    assert refused(OrthoOptions, "sinc") == "options.value"
     metadata = twin.folder / "left.DIM"
     assert refused(rectify_image, image, metadata, out) == "ortho.no_heights"
     assert refused(rectify_image, image, metadata, out, height_m=0.0) == "ortho.no_crs"

@@ -11,7 +11,8 @@ import rasterio
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.fit import Observations, fit
 from fg_orient.rectification.lattice import LevelSurface
-from fg_orient.rectification.ortho import OrthoOptions, orthorectify
+from fg_orient.rectification.options import OrthoOptions
+from fg_orient.rectification.ortho import orthorectify
 from fg_orient.rectification.ortho_job import rectify_image
 from fg_orient.rectification.ortho_models import PointModel, solved
 from fg_orient.rectification.transformation import find_model
@@ -39,9 +40,9 @@ def picture(path: Path, dtype: str = "uint8", **settings: object) -> Path:
     return path
 
 
-def mapped(image: Path, **options: object) -> dict[str, object]:
+def mapped(image: Path, nodata: float | None = None) -> dict[str, object]:
     return orthorectify(image, model(), LevelSurface(0.0), image.with_name("map.tif"), crs=CRS, resolution=30.0,
-                        options=OrthoOptions(**options), overwrite=True)  # fmt: skip
+                        nodata=nodata, overwrite=True)  # fmt: skip
 
 
 @pytest.mark.behaviour

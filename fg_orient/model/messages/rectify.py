@@ -94,14 +94,10 @@ ortho.over_input: the map would replace a file that it is made of
     -> give another <out>
 ortho.foreign: this file is not a raster, so <overwrite> may not replace it
     -> give another <out>, or move it
-rectify.seed: not a seed of random numbers
-    -> give a whole number from 0
 ortho.points_and_result: a transformation by points takes no orientation of an image
     -> give only one of {option} and the transformation
 ortho.no_heights: rectification through this model needs heights
     -> give <dem> or <height>
-ortho.resampling: no such resampling
-    -> choose one of {known}
 ortho.grid: no such map raster: sides {value} at a resolution of {resolution:g}, at most {most} pixels each
     -> check <bounds> (left bottom right top) and <resolution>, both in units of the map
 ortho.no_overlap: {what} and the image have no ground in common
