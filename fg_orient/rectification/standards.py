@@ -131,10 +131,8 @@ def check_accuracy(differences_m: npt.ArrayLike, **options: Any) -> tuple[Standa
     errors = np.sort(np.hypot(*d.T))
     beyond = int(np.floor(NMAS_SHARE * len(d) + 1e-9))
     remark = f"{beyond} of {len(d)} points may lie beyond the limit"
-    values = {
-        "NMAS": (float(errors[len(d) - 1 - beyond]), (remark,)),
-        **_values(x, y, chosen.check_point_rmse_m, len(d)),
-    }
+    values = _values(x, y, chosen.check_point_rmse_m, len(d))
+    values["NMAS"] = float(errors[len(d) - 1 - beyond]), (remark,)
     return tuple(_compliance(name, *values[name], chosen) for name in STANDARDS if name in chosen.standards)
 
 

@@ -3,15 +3,15 @@
     line   - line of the model   = c0 + c2 l + c4 s + v        (Grodecki & Dial 2003, eqs. 4-5)
     sample - sample of the model = c1 + c3 l + c5 s + v
 
-l, s are the model's own normalised coordinates. Ground coordinates are held; their errors in pixels belong to the
-sigmas of line and sample. Each point is tested as in ``fg_orient.quality.outliers``, both coordinates together.
-:func:`refine` is the work of the command ``rpc refine``: compensation, then its errors at check points.
+l, s are the model's own normalised coordinates. Ground coordinates are held fixed; the sigmas of line and sample must
+include their errors. Each point is tested as in ``fg_orient.quality.outliers``, both coordinates together.
+:func:`refine` does the work of the command ``rpc refine``: compensation, then its errors at check points.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -27,81 +27,79 @@ from fg_orient.quality.rejection import MOST, reject
 from fg_orient.rpc.points import MeasuredPoints, statistics
 from fg_orient.sensors.rpc import RpcModel, span
 
-#: Kinds as users name them, in the terms of the equation.
+#: Names of the kinds for users and in the equation.
 KINDS: Final = {"shift": "shift", "shift_drift": "drift", "affine": "affine"}
 NAMES: Final = ("line_0", "sample_0", "line_l1", "sample_l1", "line_s1", "sample_s1")
-#: Probability to suspect one good point (Baarda's usual choice).
+#: Probability of a false alarm for one point (Baarda's usual choice).
 LEVEL: Final = 0.001
-#: Below this ratio of singular values, columns of unit length, the points do not determine the terms.
+#: Ratio of singular values (columns of unit length) below which the points do not determine the terms.
 RANK: Final = 1e-8
 #: Redundancy number below which the other points do not check a coordinate.
 CHECKED: Final = 1e-6
 
 
-@dataclass(frozen=True)
-class Suspect:
-    """A grossly wrong point: statistic F, its limit, estimated error of line and sample (px)."""
-
-    id: str
-    statistic: float
-    limit: float
-    error_px: tuple[float, float]
-
-    def finding(self) -> Finding:
-        """Name the point, its error and the test."""
-        line, sample = self.error_px
-        return finding("rpc.gross_error", point=self.id, line_px=line, sample_px=sample, statistic=self.statistic,
-                       limit=self.limit)  # fmt: skip
-
-    def record(self) -> dict[str, Any]:
-        """As JSON."""
-        line, sample = self.error_px
-        return {"id": self.id, "statistic": self.statistic, "limit": self.limit, "error_line_px": line,
-                "error_sample_px": sample}  # fmt: skip
+#: Largest sigma0, pixels or given sigmas. A larger sigma0 means that the points were not measured in this image.
+LARGEST_SIGMA0: Final = 5.0
 
 
 @dataclass(frozen=True)
 class Compensation:
-    """An adjusted compensation.
+    """Adjusted compensation.
 
     Parameters
     ----------
     kind : str
-        Of ``KINDS``.
+        One of ``KINDS``.
+    points : MeasuredPoints
+        Points of the adjustment, n of them.
     values : (6,) array
         Pixels; zero where the kind has no term.
     cofactors : (6, 6) array
         Zero likewise.
-    sigma0 : float
-        Root of the variance of unit weight: pixels if no sigmas were given; nan without redundancy.
-    redundancy : int
     residuals_px : (n, 2) array
-        Adjusted minus observed, line and sample, of the points that took part.
-    left_out_px : (n, 2) array
-        The same with the compensation of the other points; nan where they do not determine it.
-    suspects : tuple of Suspect
-        Left out as grossly wrong, in the order in which they were found.
+        Adjusted minus observed, line and sample.
+    redundancy_numbers : (n, 2) array
+    outliers : tuple of dict
+        Points that were left out as grossly wrong, in this order: id, statistic F, limit, error_line_px,
+        error_sample_px.
     complete : bool
         False if there are too many suspects to be gross errors.
-    used : tuple of str
-        Ids of the points that took part.
     """
 
     kind: str
+    points: MeasuredPoints
     values: Array
     cofactors: Array
-    sigma0: float
-    redundancy: int
     residuals_px: Array
-    left_out_px: Array
-    suspects: tuple[Suspect, ...]
-    complete: bool
-    used: tuple[str, ...]
+    redundancy_numbers: Array
+    outliers: tuple[dict[str, Any], ...] = ()
+    complete: bool = True
 
     @property
     def codes(self) -> tuple[int, ...]:
         """Elements of ``values`` that the kind has."""
         return COMPENSATIONS[KINDS[self.kind]]
+
+    @property
+    def redundancy(self) -> int:
+        """Observations minus unknowns."""
+        return 2 * len(self.points) - len(self.codes)
+
+    @property
+    def weighted_squares(self) -> float:
+        """Sum of the squares of the residuals by their sigmas."""
+        return float(np.sum((self.residuals_px / self.points.sigma_px) ** 2))
+
+    @property
+    def sigma0(self) -> float:
+        """Root of the variance of unit weight: pixels if no sigmas were given; nan without redundancy."""
+        return float(np.sqrt(self.weighted_squares / self.redundancy)) if self.redundancy else float("nan")
+
+    @property
+    def left_out_px(self) -> Array:
+        """Residuals (n, 2) with the compensation of the other points; nan where these do not determine it."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.redundancy_numbers > CHECKED, self.residuals_px / self.redundancy_numbers, np.nan)
 
     @property
     def covariance(self) -> Array:
@@ -115,13 +113,13 @@ class Compensation:
 
 
 def compensate(model: RpcModel, control: MeasuredPoints, kind: str = "shift", *, level: float = LEVEL) -> Compensation:
-    """Adjust, test, leave out the worst point, again, until none is suspicious.
+    """Adjust and test; leave out the worst point and adjust again until none is suspicious.
 
     Parameters
     ----------
     model : RpcModel
     control : MeasuredPoints
-        All take part.
+        Roles are ignored.
     kind : str
         "shift" (1 point at least), "shift_drift" (2) or "affine" (3).
     level : float
@@ -141,17 +139,11 @@ def compensate(model: RpcModel, control: MeasuredPoints, kind: str = "shift", *,
     if kind not in KINDS:
         raise InputError.of("rpc.compensation_kind", option="compensation", value=kind, known=", ".join(KINDS))
 
-    def adjusted(out: Sequence[Suspect], _: object) -> tuple[dict[str, Any], Suspect | None]:
-        gone = {suspect.id for suspect in out}
-        return _adjusted(model, control.take(np.array([name not in gone for name in control.ids], bool)), kind, level)
+    def without(out: Sequence[dict[str, Any]], _: object) -> Compensation:
+        return _adjusted(model, control.take(~np.isin(control.ids, [outlier["id"] for outlier in out])), kind)
 
-    end = reject(adjusted((), None), adjusted, lambda found, _: found[1], int(MOST * len(control)))
-    return Compensation(**end.fit[0], suspects=end.out, complete=end.worst is None)
-
-
-def misclosures(model: RpcModel, measured: MeasuredPoints) -> Array:
-    """Right-hand side of the adjustment, observed minus projected pixels, line and sample: (n, 2)."""
-    return -residuals(model, measured)
+    end = reject(without((), None), without, lambda fit, _: _worst(fit, level), int(MOST * len(control)))
+    return replace(end.fit, outliers=end.out, complete=end.worst is None)
 
 
 def residuals(model: RpcModel, measured: MeasuredPoints, values: Array | None = None) -> Array:
@@ -174,11 +166,9 @@ def design(model: RpcModel, measured: MeasuredPoints, kind: str) -> Array:
     return columns[:, : len(COMPENSATIONS[KINDS[kind]]) // 2]
 
 
-def _adjusted(
-    model: RpcModel, measured: MeasuredPoints, kind: str, level: float
-) -> tuple[dict[str, Any], Suspect | None]:
-    """Fields of the compensation from these points, and the most suspicious of them."""
-    a, l = design(model, measured, kind), misclosures(model, measured)  # noqa: E741
+def _adjusted(model: RpcModel, points: MeasuredPoints, kind: str) -> Compensation:
+    """Compensation from these points: line and sample have no unknown in common."""
+    a, l = design(model, points, kind), -residuals(model, points)  # noqa: E741
     n, k = a.shape
     if n < k:
         raise InputError.of("rpc.few_control", place=f"<compensation> {kind}", value=n, least=k)
@@ -187,19 +177,9 @@ def _adjusted(
     for axis in (0, 1):
         codes = np.arange(axis, 2 * k, 2)
         values[codes], cofactors[np.ix_(codes, codes)], free[:, axis] = _least_squares(
-            a, l[:, axis], measured.sigma_px[:, axis], kind
+            a, l[:, axis], points.sigma_px[:, axis], kind
         )
-    v = a @ values.reshape(-1, 2)[:k] - l
-    redundancy = 2 * (n - k)
-    square = float(np.sum((v / measured.sigma_px) ** 2))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        left_out = np.where(free > CHECKED, v / free, np.nan)
-    fields = {
-        "kind": kind, "values": values, "cofactors": cofactors, "redundancy": redundancy, "residuals_px": v,
-        "sigma0": float(np.sqrt(square / redundancy)) if redundancy else float("nan"), "left_out_px": left_out,
-        "used": measured.ids,
-    }  # fmt: skip
-    return fields, _worst(measured, -left_out, free, square, redundancy, level)
+    return Compensation(kind, points, values, cofactors, a @ values.reshape(-1, 2)[:k] - l, free)
 
 
 def _least_squares(a: Array, l: Array, sigma: Array, kind: str) -> tuple[Array, Array, Array]:  # noqa: E741
@@ -213,27 +193,23 @@ def _least_squares(a: Array, l: Array, sigma: Array, kind: str) -> tuple[Array, 
     return inverse @ (left.T @ (l / sigma)), inverse @ inverse.T, 1.0 - np.sum(left**2, axis=1)
 
 
-def _worst(
-    measured: MeasuredPoints, error: Array, free: Array, square: float, redundancy: int, level: float
-) -> Suspect | None:
-    """The point with the largest F, if it is beyond its limit.
+def _worst(fit: Compensation, level: float) -> dict[str, Any] | None:
+    """Point with the largest F if it exceeds its limit.
 
     T = (v_l/sigma_l)^2/r_l + (v_s/sigma_s)^2/r_s with redundancy numbers r, because line and sample have no unknown in
-    common; F(2, f - 2) with the scale of the others.
+    common. F(2, f - 2) has the scale of the other points.
     """
+    error, redundancy = -fit.left_out_px, fit.redundancy
     if redundancy <= 2 or not np.isfinite(error).all():
         return None
-    t = np.sum((error / measured.sigma_px) ** 2 * free, axis=1)
+    t = np.sum((error / fit.points.sigma_px) ** 2 * fit.redundancy_numbers, axis=1)
     i = int(t.argmax())
-    statistic = float(f_statistics(t[i], 2, square, redundancy))
+    statistic = float(f_statistics(t[i], 2, fit.weighted_squares, redundancy))
     limit = float(f_quantile(2, redundancy - 2, 1.0 - level))
-    if statistic <= limit:
-        return None
-    return Suspect(measured.ids[i], statistic, limit, (float(error[i, 0]), float(error[i, 1])))
-
-
-#: Largest sigma0, pixels or given sigmas: what is worse is no measurement of points in this image.
-LARGEST_SIGMA0: Final = 5.0
+    line, sample = error[i].tolist()
+    record = {"id": fit.points.ids[i], "statistic": statistic, "limit": limit, "error_line_px": line,
+              "error_sample_px": sample}  # fmt: skip
+    return record if statistic > limit else None
 
 
 def refine(model: RpcModel, measured: MeasuredPoints, kind: str, *, extrapolate: bool = False) -> dict[str, Any]:
@@ -266,19 +242,18 @@ def refine(model: RpcModel, measured: MeasuredPoints, kind: str, *, extrapolate:
     if not extrapolate:
         require_inside(model, measured)
     control, check = measured.take(~measured.check), measured.take(measured.check)
-    found = compensate(model, control, kind)
-    used = control.take(np.isin(control.ids, found.used))
-    suspicious, height = _suspicious(model, used, check, found), height_dependence(model, used)
+    fit = compensate(model, control, kind)
+    suspicious, height = _suspicious(model, check, fit), height_dependence(model, fit.points)
     return {
-        **judged(_doubts(found) + _remarks(found, suspicious, height)),
-        "compensation": kind, "terms": found.terms(), "values_px": found.values.tolist(),
-        "covariance_px2": found.covariance[np.ix_(found.codes, found.codes)].tolist(),
-        "sigma0": found.sigma0, "redundancy": found.redundancy, "height_dependence": height,
-        "outliers": [suspect.record() for suspect in found.suspects],
-        "control": _both(model, used, found), "check": _both(model, check, found),
-        "leave_one_out": statistics(found.left_out_px[np.isfinite(found.left_out_px).all(axis=1)]),
+        **judged(_doubts(fit) + _remarks(fit, suspicious, height)),
+        "compensation": kind, "terms": fit.terms(), "values_px": fit.values.tolist(),
+        "covariance_px2": fit.covariance[np.ix_(fit.codes, fit.codes)].tolist(),
+        "sigma0": fit.sigma0, "redundancy": fit.redundancy, "height_dependence": height,
+        "outliers": list(fit.outliers),
+        "control": _both(model, fit.points, fit), "check": _both(model, check, fit) if len(check) else None,
+        "leave_one_out": statistics(fit.left_out_px[np.isfinite(fit.left_out_px).all(axis=1)]),
         "check_suspicious": suspicious,
-        "residuals": _residuals(model, measured, found),
+        "residuals": _residuals(model, measured, fit),
     }  # fmt: skip
 
 
@@ -299,35 +274,30 @@ def require_inside(model: RpcModel, measured: MeasuredPoints) -> None:
         )  # fmt: skip
 
 
-def _both(model: RpcModel, points: MeasuredPoints, found: Compensation) -> dict[str, Any] | None:
+def _both(model: RpcModel, points: MeasuredPoints, fit: Compensation) -> dict[str, Any]:
     """Statistics before and after."""
-    if not len(points):
-        return None
-    return {
-        "before": statistics(residuals(model, points)),
-        "after": statistics(residuals(model, points, found.values)),
-    }
+    before, after = residuals(model, points), residuals(model, points, fit.values)
+    return {"before": statistics(before), "after": statistics(after)}
 
 
-def _suspicious(model: RpcModel, used: MeasuredPoints, check: MeasuredPoints, found: Compensation) -> list[str]:
+def _suspicious(model: RpcModel, check: MeasuredPoints, fit: Compensation) -> list[str]:
     """Check points whose residuals the compensation does not explain: F(2, f) of the predicted residuals."""
-    if not len(check) or found.redundancy == 0:
+    if not len(check) or fit.redundancy == 0:
         return []
-    a = design(model, check, found.kind)
-    v = residuals(model, check, found.values)
+    a, v = design(model, check, fit.kind), residuals(model, check, fit.values)
     t = np.zeros(len(check))
     for axis in (0, 1):
         codes = np.arange(axis, 2 * a.shape[1], 2)
-        q = check.sigma_px[:, axis] ** 2 + np.einsum("ni,ij,nj->n", a, found.cofactors[np.ix_(codes, codes)], a)
+        q = check.sigma_px[:, axis] ** 2 + np.einsum("ni,ij,nj->n", a, fit.cofactors[np.ix_(codes, codes)], a)
         t += v[:, axis] ** 2 / q
-    limit = 2.0 * float(f_quantile(2, found.redundancy, 1.0 - LEVEL)) * found.sigma0**2
+    limit = 2.0 * float(f_quantile(2, fit.redundancy, 1.0 - LEVEL)) * fit.sigma0**2
     return [name for name, bad in zip(check.ids, t > limit, strict=True) if bad]
 
 
-def _residuals(model: RpcModel, measured: MeasuredPoints, found: Compensation) -> list[dict[str, Any]]:
-    """One record per point: role, whether it took part, residuals before and after."""
-    before, after = residuals(model, measured), residuals(model, measured, found.values)
-    used = set(found.used)
+def _residuals(model: RpcModel, measured: MeasuredPoints, fit: Compensation) -> list[dict[str, Any]]:
+    """One record per point: role, whether it was used, residuals before and after."""
+    before, after = residuals(model, measured), residuals(model, measured, fit.values)
+    used = set(fit.points.ids)
     return [
         {"id": name, "role": "check" if check else "control", "used": name in used,
          "before_line_px": float(b[0]), "before_sample_px": float(b[1]),
@@ -336,24 +306,24 @@ def _residuals(model: RpcModel, measured: MeasuredPoints, found: Compensation) -
     ]  # fmt: skip
 
 
-def _doubts(found: Compensation) -> list[Finding]:
+def _doubts(fit: Compensation) -> list[Finding]:
     """Findings that make a compensation unfit for use."""
-    out = [] if found.complete else [finding("rpc.too_many_left_out", n=len(found.suspects))]
-    return [*out, finding("rpc.no_fit", sigma0=found.sigma0)] if found.sigma0 > LARGEST_SIGMA0 else out
+    out = [] if fit.complete else [finding("rpc.too_many_left_out", n=len(fit.outliers))]
+    return [*out, finding("rpc.no_fit", sigma0=fit.sigma0)] if fit.sigma0 > LARGEST_SIGMA0 else out
 
 
 def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] | None:
-    """Change of the misclosures with the height in addition to an affine compensation, px per 1000 m.
+    """Change of observed minus projected pixels with the height in addition to an affine compensation, px per 1000 m.
 
-    No compensation has such a term: it is a sign of a wrong height system, or of the RPC of another image. F(2, f) of
-    one more column for each coordinate, f the redundancy with it; None where it is not significant or not determined.
+    No compensation has such a term: it is a sign of a wrong height system, or of the RPC of another image. The test is
+    F(2, f) of one more column for each coordinate, f the redundancy with it. None if not significant or not determined.
     """
     a = np.column_stack([design(model, used, "affine"), used.ground[:, 2] / 1000.0])
     n, k = a.shape
     if n <= k or np.linalg.matrix_rank(a / np.linalg.norm(a, axis=0), tol=RANK) < k:
         return None
     rows = a[None] / used.sigma_px.T[:, :, None]
-    observed = (misclosures(model, used) / used.sigma_px).T
+    observed = (-residuals(model, used) / used.sigma_px).T
     slopes, squares = [], np.zeros(2)
     for design_px, l in zip(rows, observed, strict=True):  # noqa: E741
         fits = [np.linalg.lstsq(design_px[:, :m], l, rcond=None)[0] for m in (k - 1, k)]
@@ -366,10 +336,14 @@ def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] |
     return {"line_px_per_km": slopes[0], "sample_px_per_km": slopes[1], "statistic": float(statistic)}
 
 
-def _remarks(found: Compensation, suspicious: list[str], height: dict[str, Any] | None) -> list[Finding]:
+def _remarks(fit: Compensation, suspicious: list[str], height: dict[str, Any] | None) -> list[Finding]:
     """Further findings for the user."""
-    out = [suspect.finding() for suspect in found.suspects]
-    if found.redundancy == 0:
+    out = [
+        finding("rpc.gross_error", point=one["id"], line_px=one["error_line_px"], sample_px=one["error_sample_px"],
+                statistic=one["statistic"], limit=one["limit"])
+        for one in fit.outliers
+    ]  # fmt: skip
+    if fit.redundancy == 0:
         out.append(finding("rpc.no_redundancy"))
     if height is not None:
         line, sample = height["line_px_per_km"], height["sample_px_per_km"]

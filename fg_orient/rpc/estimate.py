@@ -5,7 +5,7 @@ Sources: Tao & Hu 2001 (linear form, weights 1/f2); Terlemezoğlu 2019, section 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -20,16 +20,14 @@ from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.options import Penalty
 from fg_orient.rpc.rfm_points import ControlPoints, Scaling
 
-Estimator = Callable[[ControlPoints], RfmFit]
-
-#: QR works on A and so on the root of the condition number of N.
+#: QR of A: its condition number is the root of that of N.
 SOLVER: Final = "qr_scaled"
-#: With a penalty, and where plain steps of the true equations meet a design without full rank.
+#: Solver of systems with a penalty and of the weighted linear form, whose design may lack full rank.
 STEP_SOLVER: Final = "svd_scaled"
 MAX_ITERATIONS: Final = 100
-#: The iteration has ended when a step changes all unknowns by less than this share ...
+#: The iteration ends if a step changes all unknowns by less than this share ...
 END: Final = 1e-12
-#: ... or two steps in turn lower the sum of squares by less than this share: a residual by 1e-10.
+#: ... or if two consecutive steps reduce the sum of squares by less than this share: a residual by 1e-10.
 GAIN: Final = 1e-10
 #: Damping of Levenberg-Marquardt relative to the diagonal of N: start, change.
 DAMPING: Final = 1e-6
@@ -38,10 +36,10 @@ MAX_DAMPING: Final = 1e10
 
 
 def penalised_unknowns(form: RfmForm, penalty: Penalty) -> Array:
-    """Unknowns (u,) that a penalty holds near zero: all, or those that make the model more than affine.
+    """Indicator (u,) of the unknowns that a penalty holds near zero: all, or those beyond the affine ones.
 
-    A satellite image is affine within some pixels, so the second is the prior that fits; the first also pulls
-    the scale of the image to zero.
+    A satellite image is affine within some pixels, so the second choice is a suitable prior. The first choice also
+    pulls the scale of the image to zero.
 
     Raises
     ------
@@ -61,6 +59,12 @@ def linear_system(points: ControlPoints, form: RfmForm, scaling: Scaling) -> Lin
     return LinearSystem.from_design(*form.design(m, scaling.image(points.line, points.sample)))
 
 
+def _unfitted(points: ControlPoints, form: RfmForm, scaling: Scaling, kappa: float, penalty: Penalty) -> RfmFit:
+    """Fit before its estimation: all unknowns zero."""
+    require_points(points, form, kappa)
+    return RfmFit(form, scaling, points, np.zeros(len(form)), "", kappa, penalised_unknowns(form, penalty))
+
+
 def fit_linear(
     points: ControlPoints, form: RfmForm, *, normalise: bool = True, solver: str = SOLVER, kappa: float = 0.0,
     penalty: Penalty = "beyond_affine", allow_pole: bool = False,
@@ -74,13 +78,13 @@ def fit_linear(
     normalise : bool
         Coordinates to [-1, 1]; without it the system is singular within rounding (T, section 4.3).
     solver : str
-        Any of the registry of :mod:`fg_orient.adjustment.linear`.
+        A name in the registry of :mod:`fg_orient.adjustment.linear`.
     kappa : float
-        Adds kappa times the squares of the penalised unknowns.
+        Factor of the squares of the penalised unknowns, which are added to the squares of the residuals.
     penalty : "beyond_affine" or "identity"
         See :func:`penalised_unknowns`.
     allow_pole : bool
-        Give a model even if a denominator changes sign among the points.
+        Return a model even if a denominator changes sign among the points.
 
     Returns
     -------
@@ -93,15 +97,14 @@ def fit_linear(
     NoSolutionError
         The solver breaks down, or a denominator changes sign.
     """
-    scaling = Scaling.of(points, normalise=normalise)
-    require_points(points, form, kappa)
-    held = penalised_unknowns(form, penalty)
-    system = linear_system(points, form, scaling)
+    start = _unfitted(points, form, Scaling.of(points, normalise=normalise), kappa, penalty)
+    system = linear_system(points, form, start.scaling)
     if kappa > 0.0:
-        found = regularised(system, kappa, np.diag(held), solver=STEP_SOLVER if solver == SOLVER else solver)
+        used = STEP_SOLVER if solver == SOLVER else solver
+        solution = regularised(system, kappa, np.diag(start.penalised), solver=used)
     else:
-        found = solve(solver, system)
-    fit = RfmFit(form, scaling, points, found.x, f"linear form, {solver}", kappa, held, notes=found.notes)
+        solution = solve(solver, system)
+    fit = replace(start, x=solution.x, method=f"linear form, {solver}", notes=solution.notes)
     return fit if allow_pole else fit.without_pole()
 
 
@@ -109,9 +112,9 @@ def fit_weighted(
     points: ControlPoints, form: RfmForm, *, normalise: bool = True, kappa: float = 0.0,
     penalty: Penalty = "beyond_affine", allow_pole: bool = False,
 ) -> RfmFit:  # fmt: skip
-    """Fit the linear form with the weights 1/f2^2 of the last cycle until nothing changes (Tao & Hu 2001).
+    """Fit the linear form with the weights 1/f2^2 of the last cycle until convergence (Tao & Hu 2001).
 
-    Its fixed point makes A^T P v = 0 with weighted residuals that are the true ones, but A is not their Jacobian: it is
+    At convergence A^T P v = 0, and the weighted residuals are the true ones. But A is not their Jacobian: the result is
     close to the least-squares solution of the true equations, not equal to it.
 
     Raises
@@ -119,7 +122,7 @@ def fit_weighted(
     InputError
         See :func:`fit_linear`.
     NoSolutionError
-        A denominator changes sign, or the cycles do not end.
+        A denominator changes sign, or the cycles do not converge.
     """
     start = fit_linear(points, form, normalise=normalise, kappa=kappa, penalty=penalty, allow_pole=True)
     m = form.monomials(start.scaling.ground(points.ground))
@@ -133,9 +136,7 @@ def fit_weighted(
         system = LinearSystem.from_design(design * weight[:, None], observed * weight)
         previous, x = x, _solution(system, kappa * start.penalised)
         if np.abs(x - previous).max() <= 1e-10 * (1.0 + np.abs(x).max()):
-            fit = RfmFit(
-                form, start.scaling, points, x, "weighted linear form", kappa, start.penalised, True, iteration
-            )
+            fit = replace(start, x=x, method="weighted linear form", true=True, iterations=iteration, notes=())
             return fit if allow_pole else fit.without_pole()
     raise NoSolutionError.of("rfm.no_end", place="weighted linear form", value=f"{MAX_ITERATIONS} cycles")
 
@@ -151,7 +152,7 @@ def fit_true(
     points, form, normalise, kappa, penalty, allow_pole
         See :func:`fit_linear`.
     scaling : Scaling, optional
-        Instead of that of the points.
+        Replaces the scaling of the points.
 
     Returns
     -------
@@ -162,15 +163,13 @@ def fit_true(
     InputError
         See :func:`fit_linear`.
     NoSolutionError
-        The iteration does not end, or a denominator changes sign among the points.
+        The iteration does not converge, or a denominator changes sign among the points.
     """
-    scale = scaling or Scaling.of(points, normalise=normalise)
-    require_points(points, form, kappa)
-    held = penalised_unknowns(form, penalty)
-    m = form.monomials(scale.ground(points.ground))
-    image = scale.image(points.line, points.sample)
-    x, iterations = _minimise(form, m, image, _affine(form, m, image), kappa * held)
-    fit = RfmFit(form, scale, points, x, "true equations", kappa, held, True, iterations)
+    start = _unfitted(points, form, scaling or Scaling.of(points, normalise=normalise), kappa, penalty)
+    m = form.monomials(start.scaling.ground(points.ground))
+    image = start.scaling.image(points.line, points.sample)
+    x, iterations = _minimise(form, m, image, _affine(form, m, image), kappa * start.penalised)
+    fit = replace(start, x=x, method="true equations", true=True, iterations=iterations)
     return fit if allow_pole else fit.without_pole()
 
 
@@ -191,7 +190,7 @@ def _minimise(form: RfmForm, m: Array, image: Array, x: Array, penalty: Array) -
             if new_cost <= cost:
                 break
             damping *= DAMPING_CHANGE
-            if damping > MAX_DAMPING:  # no step lowers the sum of squares: rounding is all that is left
+            if damping > MAX_DAMPING:  # no step reduces the sum of squares by more than rounding
                 return x, iteration
         gain = cost - new_cost
         still = np.abs(step * length).max() <= END * (1.0 + np.abs(x * length).max())
@@ -213,7 +212,7 @@ def _misfit(form: RfmForm, m: Array, image: Array, x: Array, root: Array) -> tup
 
 
 def _affine(form: RfmForm, m: Array, image: Array) -> Array:
-    """Least squares of the unknowns that are left without denominators and higher terms."""
+    """Least squares of the affine unknowns; all others are zero."""
     x = np.zeros(len(form))
     plain = ~form.beyond_affine
     design, observed = form.design(m, image)
@@ -229,7 +228,7 @@ def _solution(system: LinearSystem, penalty: Array) -> Array:
 
 
 def require_points(points: ControlPoints, form: RfmForm, kappa: float) -> None:
-    """Refuse fewer equations than coefficients that no penalty holds."""
+    """Refuse fewer equations than coefficients if there is no penalty, and an invalid kappa."""
     if not (np.isfinite(kappa) and kappa >= 0.0):
         raise InputError.of("linear.kappa_value", place="kappa", value=kappa)
     equations = 2 * len(points)

@@ -1,19 +1,20 @@
 """Choice of the coefficients of a rational function model, or of a penalty on them.
 
-A selection is ``function(reduced: Reduced) -> Selection``: it gives the coefficients beyond the affine part that are
+A selection is ``function(reduced: Reduced) -> Selection``: it returns the coefficients beyond the affine part that are
 kept, or a kappa. :func:`fit_selected` then fits the true equations with them. The publications describe their methods
-in words; the method as it is done here is stated with each. A file that calls :func:`register_selection` adds one.
+in words only; each docstring states the implemented method. A file that calls :func:`register_selection` adds a method.
 
-Selections work on the linear form without its affine part. Its unknowns (constant and linear terms of the numerators)
-are never in doubt and are eliminated by QR. This leaves an ordinary regression A x = l in the coefficients beyond the
-affine part, with rows orthogonal to the affine columns, so that a penalty |x| is in standard form (Eldén 1977).
+Selections use the linear form without its affine part. The affine unknowns (constant and linear terms of the
+numerators) are always kept; they are eliminated by QR. The result is an ordinary regression A x = l in the coefficients
+beyond the affine part, with columns orthogonal to the affine columns, so that a penalty |x| is in standard form (Eldén
+1977).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -33,20 +34,20 @@ Indices = npt.NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Reduced:
-    """Regression of the coefficients in doubt.
+    """Regression of the coefficients that may be dropped.
 
     Parameters
     ----------
     design : (r, q) array
         Columns orthogonal to the affine ones.
     observed : (r,) array
-        Alike.
+        Observations, also orthogonal to the affine columns.
     unknowns : (q,) array of int
-        Their numbers in the form.
+        Numbers of these coefficients in the form.
     always : (k,) array of int
-        Unknowns that stay.
+        Numbers of the affine unknowns.
     affine : (r, k) array
-        Orthonormal basis of their columns.
+        Orthonormal basis of the affine columns.
     """
 
     design: Array
@@ -81,7 +82,7 @@ class Reduced:
 
     @property
     def freedom(self) -> int:
-        """Rows minus affine unknowns: the redundancy if no coefficient in doubt is taken."""
+        """Rows minus affine unknowns: the redundancy of the affine model."""
         return len(self.design) - len(self.always)
 
     def fit(self, chosen: Indices) -> tuple[Array, float, Array]:
@@ -112,15 +113,17 @@ LAMBDAS: Final = 40
 LEAST_LAMBDA: Final = 1e-3
 SWEEPS: Final = 10_000
 CONVERGED: Final = 1e-8
-#: Kappas of :func:`press`: from a model that is affine in practice to one that is not held.
+#: Kappas of :func:`press`: from a nearly free model to one that is affine in practice.
 KAPPAS: Final = np.geomspace(1e-6, 1e4, 61)
-#: Observations that a free coefficient must leave over.
+#: Smallest redundancy that remains.
 LEAST_FREEDOM: Final = 10
+#: Length of the orthogonal part of a column of length 1 from which on stepwise regression may take it.
+INDEPENDENT: Final = 1e-4
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Choice of a method.
+    """Result of a selection.
 
     Parameters
     ----------
@@ -137,11 +140,9 @@ class Selection:
 Function = Callable[[Reduced], Selection]
 
 
-@dataclass(frozen=True)
-class Method:
-    """A registered selection: name, label for tables, source, function."""
+class Method(NamedTuple):
+    """Registered selection: label for tables, source, function."""
 
-    name: str
     label: str
     source: str
     function: Function
@@ -163,7 +164,7 @@ def register_selection(name: str, label: str, *, source: str) -> Callable[[Funct
         present = _REGISTRY.get(name)
         if present is not None and present.function.__qualname__ != function.__qualname__:
             raise ValueError(f"a selection named {name!r} is registered already")
-        _REGISTRY[name] = Method(name, label, source, function)
+        _REGISTRY[name] = Method(label, source, function)
         return function
 
     return add
@@ -189,7 +190,7 @@ def fit_selected(points: ControlPoints, form: RfmForm, name: str, *, allow_pole:
     Returns
     -------
     RfmFit
-        ``choice`` says what was chosen.
+        Its ``choice`` names the kappa or the terms.
 
     Raises
     ------
@@ -201,14 +202,12 @@ def fit_selected(points: ControlPoints, form: RfmForm, name: str, *, allow_pole:
     if name not in _REGISTRY:
         raise InputError.of("rfm.selector", place="selection", value=name, known=", ".join(_REGISTRY))
     reduced = Reduced.of(points, form)
-    found = _REGISTRY[name].function(reduced)
-    chosen = RfmForm(form.degree, form.denominators, reduced.kept(found.chosen, form))
-    fit = fit_true(points, chosen, kappa=found.kappa, allow_pole=allow_pole)
-    kappa = {"kappa": f"{found.kappa:.3g}"} if found.kappa > 0.0 else {}
-    terms = (
-        {} if kappa else {"terms": " ".join(n for n, b in zip(chosen.names, chosen.beyond_affine, strict=True) if b)}
-    )
-    return replace(fit, method=_REGISTRY[name].label, choice=kappa | terms)
+    selection = _REGISTRY[name].function(reduced)
+    chosen = RfmForm(form.degree, form.denominators, reduced.kept(selection.chosen, form))
+    fit = fit_true(points, chosen, kappa=selection.kappa, allow_pole=allow_pole)
+    terms = " ".join(name for name, beyond in zip(chosen.names, chosen.beyond_affine, strict=True) if beyond)
+    choice = {"kappa": f"{selection.kappa:.3g}"} if selection.kappa > 0.0 else {"terms": terms}
+    return replace(fit, method=_REGISTRY[name].label, choice=choice)
 
 
 def _everything(reduced: Reduced) -> Indices:
@@ -313,41 +312,60 @@ def _bic(reduced: Reduced, chosen: Indices) -> float:
     return float(rows * np.log(reduced.fit(chosen)[1] / rows) + (len(chosen) + len(reduced.always)) * np.log(rows))
 
 
+def _explained(reduced: Reduced, chosen: Indices, least: float) -> Array:
+    """Square that each column (q,) explains in addition to the chosen columns; -1 for columns that depend on these.
+
+    ``least`` is the length of the part orthogonal to the chosen columns, of a column of length 1, from which on a
+    column is independent.
+    """
+    unit = reduced.design / np.linalg.norm(reduced.design, axis=0)
+    q = np.linalg.qr(unit[:, chosen])[0]
+    rest = unit - q @ (q.T @ unit)
+    rest -= q @ (q.T @ rest)
+    size = np.linalg.norm(rest, axis=0)
+    free = size > least
+    free[chosen] = False
+    gain = (rest.T @ (reduced.observed - q @ (q.T @ reduced.observed))) / np.where(free, size, 1.0)
+    return np.where(free, gain**2, -1.0)
+
+
+def _without_insignificant(reduced: Reduced, chosen: Indices, last: int = -1) -> Indices:
+    """Drop the least significant column (t test, 5 %) until all are significant or the column ``last`` is dropped."""
+    while len(chosen) and last in (-1, *chosen):
+        x, square, cofactors = reduced.fit(chosen)
+        freedom = reduced.freedom - len(chosen)
+        t = np.abs(x) / np.sqrt(square / freedom * cofactors)
+        weakest = int(t.argmin())
+        if t[weakest] >= t_quantile(freedom, 1.0 - 0.5 * SIGNIFICANCE):
+            break
+        chosen = np.delete(chosen, weakest)
+    return chosen
+
+
 @register_selection("nested", "nested regression", source="after Long & Jiao 2012; Tengfei et al. 2014 (NRBOS)")
 def nested(reduced: Reduced) -> Selection:
-    """Nested models by orthogonal least squares, each one more coefficient, until BIC rises.
+    """Nested models, each with one more coefficient, until BIC increases.
 
-    A column joins if, orthogonal to those before it, it explains most of what is left. (The least BIC of all lies far
-    behind: the linear form pays for denominators near zero.)
+    The next column is the one that explains most of the residuals, orthogonal to the columns before it. (The minimum of
+    BIC over all models has many more columns: the linear form prefers denominators near zero.)
     """
-    left, work = reduced.observed.copy(), reduced.design / np.linalg.norm(reduced.design, axis=0)
-    order: list[int] = []
-    best, best_bic = np.zeros(0, dtype=np.intp), _bic(reduced, np.zeros(0, dtype=np.intp))
-    while len(order) < work.shape[1] and reduced.freedom - len(order) > LEAST_FREEDOM:
-        size = np.linalg.norm(work, axis=0)
-        usable = size > np.sqrt(np.finfo(np.float64).eps)  # what is less is a combination of those before
-        usable[order] = False
-        if not usable.any():
+    best = np.zeros(0, dtype=np.intp)
+    while len(best) < reduced.design.shape[1] and reduced.freedom - len(best) > LEAST_FREEDOM:
+        gain = _explained(reduced, best, float(np.sqrt(np.finfo(np.float64).eps)))
+        longer = np.append(best, int(gain.argmax()))
+        if gain.max() < 0.0 or _bic(reduced, np.sort(longer)) >= _bic(reduced, np.sort(best)):
             break
-        gain = np.where(usable, np.abs(work.T @ left) / np.where(usable, size, 1.0), -1.0)
-        j = int(gain.argmax())
-        q = work[:, j] / size[j]
-        left = left - q * (q @ left)
-        work = work - np.outer(q, q @ work)
-        order.append(j)
-        bic = _bic(reduced, np.sort(order))
-        if bic >= best_bic:
-            break
-        best, best_bic = np.sort(order), bic
-    return Selection(best)
+        best = longer
+    return Selection(np.sort(best))
 
 
 @register_selection("uss", "uncorrelated and significant", source="after Moghaddam et al. 2018 (USS-RFM)")
 def uss(reduced: Reduced) -> Selection:
-    """Coefficients that duplicate no better one, then those that stay significant.
+    """Significant coefficients of those that do not duplicate a better one.
 
-    In the order of their correlation with what the affine model leaves, a coefficient is taken if its correlation with
-    each one taken before is at most 0.9; then the least significant (t test, 5 %) is dropped until all are significant.
+    In the order of their correlation with the residuals of the affine model, a coefficient is taken if its correlation
+    with each coefficient taken before is at most 0.9. Then the least significant one is dropped until all are
+    significant.
     """
     unit = reduced.design / np.linalg.norm(reduced.design, axis=0)
     correlation = np.abs(unit.T @ unit)
@@ -356,71 +374,25 @@ def uss(reduced: Reduced) -> Selection:
         if not taken or float(correlation[j, taken].max()) <= CORRELATION:
             taken.append(int(j))
     taken = taken[: reduced.freedom - LEAST_FREEDOM]
-    chosen = np.sort(np.array(taken, dtype=np.intp))
-    while len(chosen):
-        t = _t_values(reduced, chosen)
-        weakest = int(t.argmin())
-        if t[weakest] >= t_quantile(reduced.freedom - len(chosen), 1.0 - 0.5 * SIGNIFICANCE):
-            break
-        chosen = np.delete(chosen, weakest)
-    return Selection(chosen)
+    return Selection(_without_insignificant(reduced, np.sort(np.array(taken, dtype=np.intp))))
 
 
-def _t_values(reduced: Reduced, chosen: Indices) -> Array:
-    """|x|/sigma of least squares with some columns."""
-    x, square, cofactors = reduced.fit(chosen)
-    variance = square / (reduced.freedom - len(chosen))
-    return np.asarray(np.abs(x) / np.sqrt(variance * cofactors))
-
-
-@register_selection("scatter", "scatter-matrix elimination", source="after Zhang et al. 2012; Efroymson 1960")
+@register_selection("scatter", "stepwise regression", source="after Zhang et al. 2012; Efroymson 1960")
 def scatter(reduced: Reduced) -> Selection:
-    """Stepwise regression on the scatter matrix [A l]^T [A l] of unit columns by elimination transformations.
+    """Stepwise regression with F tests at 5 %.
 
-    The coefficient with the largest share of the remaining scatter enters if the F test holds at 5 %; then those for
-    which it no longer holds leave: the transformation applied twice restores the matrix.
+    The coefficient that explains most enters if it is significant. Then all coefficients leave that are no longer
+    significant.
     """
-    unit = np.column_stack([reduced.design / np.linalg.norm(reduced.design, axis=0), reduced.observed])
-    table = unit.T @ unit
-    q = len(table) - 1
-    inside = np.zeros(q, dtype=bool)
-    for _ in range(4 * q):  # Efroymson's rule cannot cycle; rounding could
-        entering = _entering(table, inside, reduced.freedom - int(inside.sum()) - 1)
-        if entering < 0:
+    chosen = np.zeros(0, dtype=np.intp)
+    for _ in range(4 * reduced.design.shape[1]):  # Efroymson's rule cannot cycle; rounding could
+        freedom = reduced.freedom - len(chosen) - 1
+        gain = _explained(reduced, chosen, INDEPENDENT)
+        j = int(gain.argmax())
+        left = reduced.fit(chosen)[1] - gain[j]
+        if freedom < LEAST_FREEDOM or gain[j] * freedom <= f_quantile(1, freedom, 1.0 - SIGNIFICANCE) * left:
             break
-        table, inside[entering] = eliminated(table, entering), True
-        while (leaving := _leaving(table, inside, reduced.freedom - int(inside.sum()))) >= 0:
-            table, inside[leaving] = eliminated(table, leaving), False
-            if leaving == entering:
-                return Selection(np.flatnonzero(inside))
-    return Selection(np.flatnonzero(inside))
-
-
-def eliminated(table: Array, k: int) -> Array:
-    """Elimination (sweep) transformation of a symmetric matrix on pivot k; twice restores it (Beaton 1964)."""
-    pivot, column, row = table[k, k], table[:, k].copy(), table[k].copy()
-    out = table - np.outer(column, row / pivot)
-    out[k], out[:, k] = row / pivot, -column / pivot
-    out[k, k] = 1.0 / pivot
-    return np.asarray(out)
-
-
-def _entering(table: Array, inside: npt.NDArray[np.bool_], freedom: int) -> int:
-    """Column outside that explains most, if the F test holds; else -1."""
-    diagonal = table.diagonal()[:-1]
-    usable = ~inside & (diagonal > 1e-8)  # what is less is a combination of those inside
-    if not usable.any() or freedom < LEAST_FREEDOM:
-        return -1
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gain = np.where(usable, table[:-1, -1] ** 2 / np.where(usable, diagonal, 1.0), -1.0)
-    best = int(gain.argmax())
-    left = table[-1, -1] - gain[best]
-    return best if gain[best] * freedom > f_quantile(1, freedom, 1.0 - SIGNIFICANCE) * left else -1
-
-
-def _leaving(table: Array, inside: npt.NDArray[np.bool_], freedom: int) -> int:
-    """Column inside that explains least, if the F test fails; else -1."""
-    loss = np.where(inside, table[:-1, -1] ** 2 / np.where(inside, np.abs(table.diagonal()[:-1]), 1.0), np.inf)
-    least = int(loss.argmin())
-    limit = f_quantile(1, freedom, 1.0 - SIGNIFICANCE) * table[-1, -1]
-    return least if inside.any() and loss[least] * freedom < limit else -1
+        chosen = _without_insignificant(reduced, np.sort(np.append(chosen, j)), j)
+        if j not in chosen:
+            break
+    return Selection(chosen)

@@ -13,7 +13,7 @@ from fg_orient.rpc import select
 from fg_orient.rpc.estimate import fit_linear, linear_system
 from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.rfm_points import ControlPoints, Scaling
-from fg_orient.rpc.select import Reduced, Selection, eliminated, fit_selected, lasso_solution, press_of, selections
+from fg_orient.rpc.select import Reduced, Selection, fit_selected, lasso_solution, press_of, selections
 
 Make = Callable[..., ControlPoints]
 TERMS = {"b100", "b001", "a110", "a002", "c200", "d010"}
@@ -104,17 +104,6 @@ def test_press_is_that_of_refits(make: Make) -> None:
         x = np.linalg.solve(a.T @ a + np.diag(penalty), a.T @ b)
         total += float(np.sum((design[~keep] @ x - reduced.observed[~keep]) ** 2))
     assert press_of(reduced, kappa) == pytest.approx(total, rel=1e-8)
-
-
-@pytest.mark.oracle
-def test_elimination_solves_and_undoes_itself(rng: np.random.Generator) -> None:
-    a = rng.standard_normal((20, 5))
-    table = a.T @ a
-    swept = eliminated(eliminated(table, 0), 2)
-    expected = np.linalg.lstsq(a[:, [0, 2]], a[:, 4], rcond=None)
-    np.testing.assert_allclose(swept[[0, 2], 4], expected[0], rtol=1e-12)
-    assert swept[4, 4] == pytest.approx(float(expected[1][0]), rel=1e-12)
-    np.testing.assert_allclose(eliminated(eliminated(swept, 2), 0), table, atol=1e-12)
 
 
 @pytest.mark.consistency

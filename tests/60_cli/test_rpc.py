@@ -436,7 +436,7 @@ def test_compensation_equals_the_bundle_of_one_image(kind: str) -> None:
     ids = tuple(map(str, at))
     points = MeasuredPoints(ids, np.zeros(len(ids), bool), image, ground, sigma)
     found = compensate(sensor.model, points, kind, level=1e-12)
-    assert found.suspects == ()
+    assert found.outliers == ()
     # the priors pull by (0.3/1e5)^2 of a value
     assert np.abs(found.values - solution.correction(block.images[0].id)).max() <= 1e-7
     ours = found.covariance[np.ix_(found.codes, found.codes)]
@@ -455,7 +455,7 @@ def test_false_alarms_are_as_rare_as_promised() -> None:
     for _ in range(runs):
         points = MeasuredPoints(ids, check, image + rng.normal(size=(n, 2)), ground, sigma)
         found = compensate(model, points, level=level)
-        alarms += bool(found.suspects)
+        alarms += bool(found.outliers)
     expected = n * level
     assert abs(alarms / runs - expected) <= 4.0 * np.sqrt(expected * (1.0 - expected) / runs)
     assert LEVEL == 0.001

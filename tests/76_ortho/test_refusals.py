@@ -68,7 +68,7 @@ def test_options_that_cannot_be(options: dict[str, object]) -> None:
     with pytest.raises(InputError) as caught:
         OrthoOptions(**options)  # type: ignore[arg-type]
     assert caught.value.problems[0].code == "options.value"
-    assert caught.value.problems[0].place in options
+    assert caught.value.problems[0].option in options
 
 
 @pytest.mark.behaviour
