@@ -1,8 +1,8 @@
 """Areas and lengths of outlines, and areas counted in pixels (İpbüker 1994, section 7.2).
 
-A pixel belongs to an outline if its centre lies inside. Over random positions and orientations of the grid the count is
-unbiased, with a standard deviation of about ``sqrt(0.0728 L h^3)`` for a perimeter L and pixels of size h (Kendall's
-problem of lattice points, for outlines without preferred direction).
+A pixel belongs to an outline if its centre lies inside. Over random positions and orientations of the grid the mean of
+the count is the area; its standard deviation is about ``sqrt(0.0728 L h^3)`` for a perimeter L and pixels of size h
+(Kendall's problem of lattice points, for outlines without preferred direction).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.model.errors import InputError
-from fg_orient.rectification.arguments import finite, number, positive, whole
+from fg_orient.rectification.arguments import finite, number, positive
 
 Array = npt.NDArray[np.float64]
 
@@ -97,59 +97,3 @@ def count_pixels(vertices: npt.ArrayLike, pixel_m: float, offset_m: npt.ArrayLik
     order = np.lexsort((crossing, row))
     columns = np.ceil(crossing[order]).astype(int)
     return int(np.sum(columns[1::2] - columns[::2]))
-
-
-def simulate_pixel_areas_m2(
-    vertices: npt.ArrayLike, pixel_m: float, n_placements: int, seed: int, *, turn: bool = True
-) -> Array:
-    """Pixel-count areas (n_placements,) on grids at random positions and, with ``turn``, orientations, m2.
-
-    The formula of :func:`pixel_area_sigma_m2` holds for all orientations. With a single orientation the standard
-    deviation for the coast of an island is 0.8 to 1.25 times that value.
-
-    Raises
-    ------
-    InputError
-        See :func:`count_pixels`; no placement, or a negative seed.
-    """
-    given, rng = outline(vertices), np.random.default_rng(whole("seed", seed, 0))
-    positive("pixel size", pixel_m, "m")
-    whole("placements", n_placements, 1)
-    angles = rng.uniform(0.0, 2.0 * np.pi, n_placements) if turn else np.zeros(n_placements)
-    offsets = rng.uniform(0.0, pixel_m, (n_placements, 2))
-    turns = np.stack([np.cos(angles), np.sin(angles), -np.sin(angles), np.cos(angles)], axis=1).reshape(-1, 2, 2)
-    counts = [count_pixels(given @ r, pixel_m, o) for r, o in zip(turns, offsets, strict=True)]
-    return np.array([pixel_area_m2(n, pixel_m) for n in counts])
-
-
-def synthetic_outline(area_m2: float, perimeter: float, n_vertices: int, seed: int) -> Array:
-    """Random coast (n_vertices, 2) of a given area and perimeter: a circle whose radius has random harmonics, m.
-
-    Raises
-    ------
-    InputError
-        An area that is not above 0, fewer than three vertices, a negative seed; a perimeter shorter than the circle of
-        this area, or too long for such an outline.
-    """
-    positive("area", area_m2, "m2")
-    positive("perimeter", perimeter, "m")
-    whole("seed", seed, 0)
-    whole("vertices", n_vertices, 3)
-    rng, angle = np.random.default_rng(seed), np.linspace(0.0, 2.0 * np.pi, n_vertices, endpoint=False)
-    order = np.arange(2, 24)
-    waves = np.cos(np.outer(angle, order) + rng.uniform(0.0, 2.0 * np.pi, len(order))) @ (
-        rng.normal(size=len(order)) / order
-    )
-    waves /= np.abs(waves).max()
-
-    def shape(size: float) -> Array:
-        plane = (1.0 + size * waves)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-        return np.asarray(plane * np.sqrt(area_m2 / planar_area_m2(plane)))
-
-    low, high = 0.0, 0.95
-    if not perimeter_m(shape(low)) < perimeter < perimeter_m(shape(high)):
-        raise InputError.of("rectify.outline", place="perimeter", value=f"{perimeter:g} m")
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if perimeter_m(shape(middle)) < perimeter else (low, middle)
-    return shape(0.5 * (low + high))

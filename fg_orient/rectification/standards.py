@@ -19,7 +19,7 @@ import numpy.typing as npt
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import number, positive
 from fg_orient.rectification.fit import plain_rmse
-from fg_orient.rectification.options import STANDARDS, AccuracyOptions
+from fg_orient.rectification.options import AccuracyOptions
 
 Array = npt.NDArray[np.float64]
 
@@ -127,60 +127,26 @@ def check_accuracy(differences_m: npt.ArrayLike, **options: Any) -> tuple[Standa
     d = np.atleast_2d(np.asarray(differences_m, float))
     if d.ndim != 2 or d.shape[1:] != (2,) or not len(d) or not np.isfinite(d).all():
         raise InputError.of("rectify.differences", value=f"shape {d.shape}")
-    chosen, (x, y, _) = AccuracyOptions(**options), plain_rmse(d)
-    errors = np.sort(np.hypot(*d.T))
-    beyond = int(np.floor(NMAS_SHARE * len(d) + 1e-9))
-    remark = f"{beyond} of {len(d)} points may lie beyond the limit"
-    values = _values(x, y, chosen.check_point_rmse_m, len(d))
-    values["NMAS"] = float(errors[len(d) - 1 - beyond]), (remark,)
-    return tuple(_compliance(name, *values[name], chosen) for name in STANDARDS if name in chosen.standards)
-
-
-def assess_rmse(
-    rmse_x_m: float, rmse_y_m: float, *, n_points: int | None = None, **options: Any
-) -> tuple[StandardCompliance, ...]:
-    """Assess the RMSEs alone, without NMAS, which needs the points; CMAS replaces it.
-
-    Parameters
-    ----------
-    rmse_x_m, rmse_y_m : float
-        0 or more.
-    n_points : int, optional
-        Number of tested points, for remarks.
-    **options
-        Fields of :class:`fg_orient.rectification.options.AccuracyOptions`.
-
-    Raises
-    ------
-    InputError
-        An RMSE below 0 or not finite, or invalid options.
-    """
-    for rmse in (rmse_x_m, rmse_y_m):
-        number("RMSE", rmse, "m", least=0.0)
-    chosen = AccuracyOptions(**options)
-    values = _values(rmse_x_m, rmse_y_m, chosen.check_point_rmse_m, n_points)
-    return tuple(_compliance(name, *value, chosen) for name, value in values.items() if name in chosen.standards)
-
-
-def _values(x: float, y: float, own: float, n_points: int | None) -> dict[str, tuple[float, tuple[str, ...]]]:
-    """Compared value (m) and remarks of each standard except NMAS."""
+    chosen, (x, y, _), n = AccuracyOptions(**options), plain_rmse(d), len(d)
+    own = chosen.check_point_rmse_m
 
     def few(least: int) -> tuple[str, ...]:
-        words = f"{n_points} points; the standard asks for {least}"
-        return (words,) if n_points is not None and n_points < least else ()
+        return (f"{n} points; the standard asks for {least}",) if n < least else ()
 
-    low, high = sorted((x, y))
+    errors, beyond = np.sort(np.hypot(*d.T)), int(np.floor(NMAS_SHARE * n + 1e-9))
     unequal = f"RMSEs {x:.3g} and {y:.3g} m: too different for a circle"
-    circle = () if low >= CIRCULAR_RATIO * high else (unequal,)
+    circle = () if min(x, y) >= CIRCULAR_RATIO * max(x, y) else (unequal,)
     exact = ("the error of the check points is taken as 0",) if own == 0.0 else ()
     no_limit = "reported, not passed: the standard has no limit"
-    return {
+    values: dict[str, tuple[float, tuple[str, ...]]] = {
+        "NMAS": (float(errors[n - 1 - beyond]), (f"{beyond} of {n} points may lie beyond the limit",)),
         "CMAS": (cmas_m(x, y), circle),
         "NSSDA": (nssda_m(x, y), (no_limit, *circle, *few(NSSDA_POINTS))),
-        "ASPRS-1990": (high, ()),
-        "ASPRS-2014": (high, few(NSSDA_POINTS)),
+        "ASPRS-1990": (max(x, y), ()),
+        "ASPRS-2014": (max(x, y), few(NSSDA_POINTS)),
         "ASPRS-2023": (float(np.sqrt(x * x + y * y + own * own)), (*few(ASPRS_2023_POINTS), *exact)),
     }
+    return tuple(_compliance(name, *value, chosen) for name, value in values.items() if name in chosen.standards)
 
 
 def _compliance(name: str, value: float, remarks: tuple[str, ...], options: AccuracyOptions) -> StandardCompliance:

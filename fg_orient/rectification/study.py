@@ -1,7 +1,7 @@
 """Studies of numbers of control points and degrees (İpbüker 1994, tables 6.1 and 7.1), checks of m0, simulations.
 
-Two checks of printed m0s need no points. Least squares over the same points cannot give a larger sum of squares with
-more terms: ``m0^2 (2n - 2p)`` must not grow with the degree. An F test decides whether a degree improves the last one.
+One check of printed m0s needs no points. Least squares over the same points cannot give a larger sum of squares with
+more terms: ``m0^2 (2n - 2p)`` must not grow with the degree.
 
 The simulations replace figures of İpbüker 1994 that no formula gives: digitised sheets, distances compared with m0. The
 points of that work are not published; these are simulated from its description.
@@ -12,12 +12,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.model.distributions import f_tail
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import finite, positive, whole
 from fg_orient.rectification.fit import Observations, fit, plain_rmse
@@ -180,43 +179,11 @@ def admissible_points(m0_by_degree: Mapping[int, float], most: int = 200) -> tup
     return tuple(n for n in range(least, most + 1) if not growing_degrees(m0_by_degree, n))
 
 
-def improvement_test(
-    m0_low: float, degree_low: int, m0_high: float, degree_high: int, n_points: int
-) -> tuple[float, float]:
-    """F test of a higher degree against a lower one, from their m0s over the same points.
+class Ratios(NamedTuple):
+    """Simulated runs of a scene with noise only, (runs,) arrays.
 
-    Returns
-    -------
-    float, float
-        F, and the probability of such an F if the added terms are zero; nan if the squares grow.
-
-    Raises
-    ------
-    InputError
-        The higher degree has no redundancy or is not the higher one, or an m0 is not above 0.
-    """
-    if degree_high <= degree_low:
-        raise InputError.of("options.value", place="higher degree", value=degree_high, expected=f"above {degree_low}")
-    growing_degrees({degree_low: m0_low, degree_high: m0_high}, n_points)  # refuses without redundancy
-    f_low, f_high = (2 * (n_points - terms(q)) for q in (degree_low, degree_high))
-    squares_low, squares_high = m0_low**2 * f_low, m0_high**2 * f_high
-    if squares_high > squares_low:
-        return np.nan, np.nan
-    added = f_low - f_high
-    statistic = (squares_low - squares_high) / added / m0_high**2
-    return float(statistic), float(f_tail(added, f_high, statistic))
-
-
-@dataclass(frozen=True)
-class Ratios:
-    """Simulated runs of a scene with noise only.
-
-    Parameters
-    ----------
-    ratio : (runs,) array
-        Standard deviation of the pairwise distance differences, divided by m0 of the affine transformation.
-    spread_m : (runs,) array
-        Standard deviation of the distances themselves: the effect of a scale error of 1.
+    ``ratio``: standard deviation of the pairwise distance differences, divided by m0 of the affine transformation;
+    ``spread_m``: standard deviation of the distances themselves, the effect of a scale error of 1.
     """
 
     ratio: Array
@@ -225,7 +192,7 @@ class Ratios:
 
 @cache
 def distance_ratios(runs: int = RUNS, seed: int = 1) -> Ratios:
-    """Pairwise distances against m0 for 30 points with noise alone; InputError without runs or seed."""
+    """Pairwise distances compared with m0 for 30 points with noise alone; InputError without runs or seed."""
     whole("runs", runs, 2)
     rng, model = np.random.default_rng(whole("seed", seed, 0)), find_model("affine")
     ratio, spread = np.empty(runs), np.empty(runs)
@@ -237,17 +204,8 @@ def distance_ratios(runs: int = RUNS, seed: int = 1) -> Ratios:
     return Ratios(ratio, spread)
 
 
-@dataclass(frozen=True)
-class Digitised:
-    """Simulated runs of a digitised sheet.
-
-    Parameters
-    ----------
-    affine_m0, distance_sd, helmert_point_error : (runs,) array
-        m.
-    determinant : (runs,) array
-        Of the affine transformation: its scale of areas.
-    """
+class Digitised(NamedTuple):
+    """Simulated runs of a digitised sheet, (runs,) arrays in m; ``determinant``: area scale of the affine fit."""
 
     affine_m0: Array
     distance_sd: Array

@@ -1,8 +1,8 @@
-"""Strips of frame images with a receiver and an inertial unit on board, whose errors drift along each strip.
+"""Strips of frame images with GNSS and an inertial unit on board, whose errors drift along each strip.
 
-Parallel strips, flown to and fro, 1500 m above rough ground, pixels of 0.15 m. Everything that the adjustment is told
-has a prior sigma, and the truth is drawn from it: start values of the orientation, shift and drift of position and
-attitude of each strip, lever arm, boresight.
+Parallel strips in alternating directions, 1500 m above rough ground, pixels of 0.15 m. All unknowns have prior sigmas,
+and their true values are drawn from these sigmas: orientation, shift and drift of position and attitude of each strip,
+lever arm, boresight.
 """
 
 from __future__ import annotations
@@ -17,12 +17,11 @@ from factors._contract import Array
 from factors.cameras.frame_camera import rotated
 from factors.conditions.navigation import UNKNOWN
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.model.block import Block, Image, ImagePoints, Options
-from fg_orient.model.names import Role
+from fg_orient.model.block import Block, Image, Options
 from fg_orient.sensors.frame import NAVIGATION, UNKNOWNS, FrameCamera, FrameSensor
 from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitude, with_navigation
 from fg_orient.simulate.options import require
-from fg_orient.simulate.simulation import ground_points, points_of, random_streams
+from fg_orient.simulate.simulation import Simulation, Truth, ground_points, random_streams, roles_in_order, with_noise
 from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
 
 #: Flying height, distance of exposures and of strips, range of the ground's heights, m; seconds between exposures.
@@ -36,7 +35,7 @@ FOCAL_PX: Final = 10000.0
 MARGIN_PX: Final = 50.0
 #: Prior sigmas of the exterior orientation: errors of its start values.
 EXTERIOR: Final = dict(zip(UNKNOWNS[:6], (5e-3,) * 3 + (2.0,) * 3, strict=True))
-#: Sigmas of what is observed on board (m, rad) and of image points (px).
+#: Sigmas of the observations on board (m, rad) and of image points (px).
 POSITION_SIGMA_M: Final = np.array([0.05, 0.05, 0.08])
 ATTITUDE_SIGMA_RAD: Final = np.array([5e-5, 5e-5, 1e-4])
 IMAGE_SIGMA_PX: Final = 0.4
@@ -49,7 +48,7 @@ MOUNTED: Final = Mounting(
 
 @dataclass(frozen=True)
 class StripOptions:
-    """Options: strips of so many images each, ground points, of them control points, seed.
+    """Options: seed, numbers of strips, of images of each strip, of ground points, and of control points among them.
 
     Raises
     ------
@@ -131,7 +130,7 @@ def _exposures(options: StripOptions) -> tuple[Array, list[Array]]:
 
 
 def _cameras(place_m: Array, body: Array, error: Array) -> tuple[FrameCamera, FrameCamera]:
-    """The true camera of an exposure, and the one given, with the errors of its start values."""
+    """True camera of an exposure, and camera with the errors of its start values."""
     principal = np.full(2, (SIDE_PX - 1) / 2.0)
     rotation, start_m = MOUNTED.camera_from_body @ body.T, place_m - error[UNKNOWN.centre]
     true = FrameCamera(rotation, place_m, FOCAL_PX, principal)
@@ -176,30 +175,29 @@ def _enu(place_m: Array) -> Array:
 def _block(
     options: StripOptions, cameras: list[tuple[FrameCamera, FrameCamera]], streams: dict[str, np.random.Generator]
 ) -> tuple[Block, Array]:  # fmt: skip
-    """Images, points seen twice or more, and their true coordinates."""
+    """Images, points in two images or more, and true coordinates of the points."""
     sensors = [FrameSensor(true, SIDE_PX, SIDE_PX) for true, _ in cameras]
     lon_lat_height, pixels, seen = _points(options, sensors, streams["points"])
-    control = streams["roles"].permutation(options.points) < options.control
-    roles = tuple(Role.CONTROL if yes else Role.TIE for yes in control)
+    roles = roles_in_order(streams["roles"].permutation(options.points), options.control, 0)
     ids = tuple(str(j + 1) for j in range(options.points))
     ground = ground_points(ids, roles, lon_lat_height, GROUND_SIGMA_M, streams["ground_noise"])
     image, point = (a.astype(np.intp) for a in np.nonzero(seen))
-    noisy = pixels[image, point] + IMAGE_SIGMA_PX * streams["image_noise"].standard_normal((len(image), 2))
-    sigma = np.full(len(image), IMAGE_SIGMA_PX)
+    true = pixels[image, point]
     images = tuple(
         Image(_name(k), FrameSensor(given, SIDE_PX, SIDE_PX, file=_name(k))) for k, (_, given) in enumerate(cameras)
     )
-    known, withheld = points_of(ground)
-    observations = ImagePoints(image, point, noisy[:, 0], noisy[:, 1], sigma, sigma)
-    datum = "control" if options.control else "priors"
-    made = Options(datum="priors") if datum == "priors" else Options()
-    return Block("strips", images, known, observations, withheld, made), ground.ecef_m
+    simulation = Simulation(
+        "strips", (), ground, image, point, *with_noise(true, IMAGE_SIGMA_PX, streams["image_noise"]),
+        Truth.of(ground, [i.id for i in images], (), true), images,
+        options=Options() if options.control else Options(datum="priors"),
+    )  # fmt: skip
+    return simulation.block(), ground.ecef_m
 
 
 def _points(
     options: StripOptions, sensors: list[FrameSensor], rng: np.random.Generator
 ) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """Points seen twice or more: longitude, latitude, height (n, 3); pixels (M, n, 2); who sees them (M, n)."""
+    """Points in two images or more: longitude, latitude, height (n, 3); pixels (M, n, 2); whether in image (M, n)."""
     half = 0.5 * np.array([BASE_M * options.images, SPACING_M * options.strips]) + 300.0
     enu, middle = enu_from_ecef(*CENTRE_LON_LAT_DEG)[0], geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0)
     unit = rng.random((20 * options.points + 100, 3))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fg_orient.model.errors import InputError
-from fg_orient.rectification.areas import pixel_area_sigma_m2, simulate_pixel_areas_m2, synthetic_outline
+from fg_orient.rectification.areas import pixel_area_sigma_m2
 from fg_orient.rectification.fit import Observations, fit
 from fg_orient.rectification.projections import project, space_oblique_mercator
 from fg_orient.rectification.study import (
@@ -16,12 +16,12 @@ from fg_orient.rectification.study import (
     admissible_points,
     distance_ratios,
     growing_degrees,
-    improvement_test,
     without_redundancy,
 )
 from fg_orient.rectification.transformation import find_model
 from fg_orient.studies.reproduce.ipbuker1994 import area_ratio, lambert_polar
 from fg_orient.studies.reproduce.reproduction import Row
+from tests.support.coasts import simulate_pixel_areas_m2, synthetic_outline
 
 Rows = dict[tuple[str, str, str], Row]
 #: m0 (m) of degree 1, 2, 3 in table 7.1 of İpbüker 1994.
@@ -188,23 +188,3 @@ def test_table_7_1_given_5_points_refuses_degrees_2_and_3() -> None:
     assert without_redundancy((1, 2, 3), 5) == (2, 3)
     with pytest.raises(InputError, match="degree 2"):
         growing_degrees(by_degree(TM_5), 5)
-
-
-@pytest.mark.truth
-@pytest.mark.parametrize(
-    ("row", "low", "high", "f", "p"),
-    [(TM_20, 1, 2, 8.3, 4e-6), (TM_5, 1, 2, 7.0, 2e-5), (TM_10, 1, 2, 2.9, 0.02), (SPOT, 1, 2, 0.7, None),
-     (TM_10, 2, 3, None, 0.054)],
-)  # fmt: skip
-def test_table_7_1_degrees_compared(
-    row: tuple[float, float, float], low: int, high: int, f: float | None, p: float | None
-) -> None:
-    """To the digits of the description."""
-    statistic, probability = improvement_test(row[low - 1], low, row[high - 1], high, 30)
-    assert f is None or round(statistic, 1) == f
-    assert p is None or float(f"{probability:.{2 if p == 0.054 else 1}g}") == p
-
-
-@pytest.mark.behaviour
-def test_squares_that_grow_have_no_f_test() -> None:
-    assert np.isnan(improvement_test(TM_5[1], 2, TM_5[2], 3, 30)).all()
