@@ -24,14 +24,13 @@ from fg_orient.rectification.points import (
     compared,
     fit_control,
     fit_points,
-    numbers_of,
     observations,
-    read_ids,
     read_map_points,
 )
 from fg_orient.rectification.record import record_of
 from fg_orient.rectification.study import Cell, design_study
 from fg_orient.rectification.transformation import find_model
+from fg_orient.rpc.points import ids_and_checks
 
 Array = npt.NDArray[np.float64]
 
@@ -109,10 +108,12 @@ def _of_table(path: Path) -> Array:
     residual = ("residual_easting_m", "residual_northing_m")
     faults = Faults(str(path))
     table = read_table(path, [("id", *measured, *true), ("id", *residual)], faults)
-    rows = () if table is None else table.rows
-    names = residual if table is not None and residual[0] in table.columns else (*measured, *true)
-    values = numbers_of(rows, names, faults)
-    read_ids(rows, faults)
+    faults.raise_if_any()
+    assert table is not None  # else there is a fault
+    names = residual if residual[0] in table.columns else (*measured, *true)
+    values = table.numbers(*names)
+    ids_and_checks(table)
+    table.report(faults)
     faults.raise_if_any()
     return values if len(names) == 2 else values[:, :2] - values[:, 2:]
 

@@ -15,11 +15,12 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.tables import Faults, Row, number, read_table
+from fg_orient.formats.tables import Faults, Row, Table, number, read_table
 from fg_orient.geodesy import crs_kind, from_geographic
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.fit import Observations, TransformationFit, fit, plain_rmse, require_redundancy
 from fg_orient.rectification.transformation import TransformationModel
+from fg_orient.rpc.points import ids_and_checks, positive_numbers
 
 Array = npt.NDArray[np.float64]
 Direction = Literal["image-to-map", "map-to-image"]
@@ -87,20 +88,23 @@ def read_map_points(path: Path, crs: str = "") -> MapPoints:
         raise InputError.of("rectify.crs_not_projected", option="crs", value=crs)
     faults = Faults(str(path))
     table = read_table(path, _layouts(), faults)
-    rows = () if table is None else table.rows
-    columns = () if table is None else table.columns
-    geographic = GEOGRAPHIC[0] in columns
+    geographic = table is not None and GEOGRAPHIC[0] in table.columns
     if geographic and not crs:
         faults.add("rectify.no_crs", option="crs")
-    plane = GEOGRAPHIC if geographic else MAP
-    heights = ("height_m",) if "height_m" in columns else ()
-    image, ground = numbers_of(rows, IMAGE, faults), numbers_of(rows, (*plane, *heights), faults)
-    sigmas = [_sigmas(rows, names, faults) if names[0] in columns else None for names in (SIGMA_MAP, SIGMA_IMAGE)]
-    ids, check = read_ids(rows, faults), check_roles(rows, faults)
+    faults.raise_if_any()
+    assert table is not None  # else there is a fault
+    heights = ("height_m",) if "height_m" in table.columns else ()
+    image = table.numbers(*IMAGE)
+    ground = table.numbers(*(GEOGRAPHIC if geographic else MAP), *heights)
+    sigmas = [
+        positive_numbers(table, names) if names[0] in table.columns else None for names in (SIGMA_MAP, SIGMA_IMAGE)
+    ]
+    ids, check = ids_and_checks(table)
+    table.report(faults)
     faults.raise_if_any()
     if geographic:
-        ground[:, :2] = _projected(path, crs, rows, ground)
-    return MapPoints(ids, check, image, ground, sigmas[0], sigmas[1], crs, table.sha256 if table else "")
+        ground[:, :2] = _projected(path, crs, table, ground)
+    return MapPoints(ids, check, image, ground, sigmas[0], sigmas[1], crs, table.sha256)
 
 
 def _layouts() -> list[tuple[str, ...]]:
@@ -115,28 +119,6 @@ def numbers_of(rows: Sequence[Row], names: Sequence[str], faults: Faults) -> Arr
     return np.array(values, float).reshape(len(rows), len(names))
 
 
-def _sigmas(rows: Sequence[Row], names: Sequence[str], faults: Faults) -> Array:
-    values = numbers_of(rows, names, faults)
-    for row, pair in zip(rows, values, strict=True):
-        for name, value in zip(names, pair, strict=True):
-            if value <= 0.0:
-                faults.add("rectify.positive", place=row.place(name), value=value, unit=name.rpartition("_")[2])
-    return values
-
-
-def read_ids(rows: Sequence[Row], faults: Faults) -> tuple[str, ...]:
-    """Ids of the points; empty and repeated ids are noted as errors."""
-    ids: list[str] = []
-    for row in rows:
-        name = row.cells["id"]
-        if not name:
-            faults.add("rectify.no_id", place=row.place("id"))
-        elif name in ids:
-            faults.add("rectify.id_twice", place=row.place("id"), value=name)
-        ids.append(name)
-    return tuple(ids)
-
-
 def check_roles(rows: Sequence[Row], faults: Faults) -> npt.NDArray[np.bool_]:
     """Whether the role of a point is "check" (n,), by default "control"; other roles are noted as errors."""
     roles = [row.cells.get("role", _ROLES[0]) for row in rows]
@@ -146,12 +128,12 @@ def check_roles(rows: Sequence[Row], faults: Faults) -> npt.NDArray[np.bool_]:
     return np.array([role == _ROLES[1] for role in roles], bool)
 
 
-def _projected(path: Path, crs: str, rows: Sequence[Row], ground: Array) -> Array:
+def _projected(path: Path, crs: str, table: Table, ground: Array) -> Array:
     """Easting and northing (n, 2) of WGS84 longitudes and latitudes."""
     plane = np.column_stack(from_geographic(crs, ground[:, 0], ground[:, 1]))
     bad = ~np.isfinite(plane).all(axis=1)
     if bad.any():
-        row = rows[int(np.argmax(bad))]
+        row = table.row(int(np.argmax(bad)))
         raise InputError.of("rectify.outside", file=path, place=row.place(), value=row.cells["id"])
     return plane
 

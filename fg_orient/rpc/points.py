@@ -6,8 +6,8 @@ if wanted, role (control or check), sigma_line_px, sigma_sample_px.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain, combinations
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,14 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Array
-from fg_orient.formats.tables import Faults, number, read_table
+from fg_orient.formats.tables import Faults, Table, read_table
 from fg_orient.model.names import Role
 from fg_orient.rpc.rfm_points import ControlPoints
 
 COLUMNS: Final = ("id", "line", "sample", "lon_deg", "lat_deg", "height_m")
 _SIGMAS: Final = ("sigma_line_px", "sigma_sample_px")
-_EXTRAS: Final = (("role",), _SIGMAS)
-_NUMBERS: Final = COLUMNS[1:]
 AXES: Final = ("line", "sample")
 
 
@@ -34,7 +32,7 @@ class MeasuredPoints:
     ----------
     ids : tuple of str
     check : (n,) bool array
-        Those that take no part in an estimation.
+        Points that are not used in an estimation.
     image : (n, 2) array
         Line and sample, pixels.
     ground : (n, 3) array
@@ -59,7 +57,7 @@ class MeasuredPoints:
 
     @property
     def points(self) -> ControlPoints:
-        """As the estimators take them; there must be one."""
+        """The same for the estimators; at least one point."""
         return ControlPoints(self.image[:, 0], self.image[:, 1], self.ground)
 
 
@@ -72,31 +70,44 @@ def read_measured(path: Path) -> MeasuredPoints:
         All errors of the file: columns, numbers, roles, ids used twice, invalid coordinates.
     """
     faults = Faults(str(path))
-    some = chain.from_iterable(combinations(_EXTRAS, k) for k in range(len(_EXTRAS) + 1))
-    table = read_table(path, [(*COLUMNS, *chain.from_iterable(extra)) for extra in some], faults)
-    rows = () if table is None else table.rows
-    values = np.array([[number(row, name, faults) for name in _NUMBERS] for row in rows]).reshape(-1, 5)
-    sigma, check = np.ones((len(rows), 2)), np.zeros(len(rows), dtype=bool)
-    first: dict[str, int] = {}
-    for k, row in enumerate(rows):
-        name, (lon, lat), role = row.cells["id"], values[k, 2:4], row.cells.get("role", Role.CONTROL)
-        if abs(lat) > 90.0:
-            code = "points.swapped_range" if abs(lon) <= 90.0 and abs(lat) <= 180.0 else "points.latitude"
-            faults.add(code, place=row.place("lat_deg"), value=f"{lat:g}")
-        if abs(lon) > 180.0:
-            faults.add("points.longitude", place=row.place("lon_deg"), value=f"{lon:g}")
-        if role not in (Role.CONTROL, Role.CHECK):
-            faults.add("rpc.role", place=row.place("role"), value=role)
-        check[k] = role == Role.CHECK
-        for axis, column in enumerate(_SIGMAS if _SIGMAS[0] in row.cells else ()):
-            sigma[k, axis] = number(row, column, faults)
-            if sigma[k, axis] <= 0.0:
-                faults.add("rpc.sigma", place=row.place(column), value=f"{sigma[k, axis]:g}")
-        if name in first:
-            faults.add("points.id_twice", place=row.place("id"), value=name, first=first[name])
-        first.setdefault(name, row.line)
+    layouts = [(*COLUMNS, *role, *sigmas) for role in ((), ("role",)) for sigmas in ((), _SIGMAS)]
+    table = read_table(path, layouts, faults)
     faults.raise_if_any()
-    return MeasuredPoints(tuple(row.cells["id"] for row in rows), check, values[:, :2], values[:, 2:], sigma)
+    assert table is not None  # else there is a fault
+    values = table.numbers(*COLUMNS[1:])
+    lon, lat = np.abs(values[:, 2:4]).T
+    swapped = (lon <= 90.0) & (lat <= 180.0)
+    table.refuse((lat > 90.0) & swapped, "points.swapped_range", "lat_deg")
+    table.refuse((lat > 90.0) & ~swapped, "points.latitude", "lat_deg")
+    table.refuse(lon > 180.0, "points.longitude", "lon_deg")
+    ids, check = ids_and_checks(table)
+    sigma = positive_numbers(table, _SIGMAS) if _SIGMAS[0] in table.columns else np.ones((len(table), 2))
+    table.report(faults)
+    faults.raise_if_any()
+    return MeasuredPoints(ids, check, values[:, :2], values[:, 2:], sigma)
+
+
+def ids_and_checks(table: Table) -> tuple[tuple[str, ...], npt.NDArray[np.bool_]]:
+    """Ids of the points, and whether their role is "check" (n,), by default "control".
+
+    Empty and repeated ids and other roles are refused.
+    """
+    ids = tuple(table.cells["id"])
+    table.refuse([not name for name in ids], "points.id_missing", "id")
+    table.refuse_repeated([name or k for k, name in enumerate(ids)], "points.id_twice", "id")
+    if "role" not in table.columns:
+        return ids, np.zeros(len(table), bool)
+    check = table.where("role", Role.CHECK)
+    table.refuse(~check & ~table.where("role", Role.CONTROL), "rectify.role", "role")
+    return ids, check
+
+
+def positive_numbers(table: Table, columns: Sequence[str]) -> Array:
+    """Columns (n, k) as numbers; those that are not above 0 are refused."""
+    values = table.numbers(*columns)
+    for name, column in zip(columns, values.T, strict=True):
+        table.refuse(column <= 0.0, "rectify.positive", name, unit=name.rpartition("_")[2])
+    return values
 
 
 def statistics(residuals_px: Array) -> dict[str, Any] | None:

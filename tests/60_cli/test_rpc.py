@@ -528,7 +528,7 @@ HEAD = "id,line,sample,lon_deg,lat_deg,height_m"
      (f"{HEAD}\na,1,2,231.8,41.4,0", ["points.longitude"]),
      (f"{HEAD}\na,1,2,31.8,41.4,0\na,1,2,31.8,41.4,0", ["points.id_twice"]),
      (f"{HEAD},role,sigma_line_px,sigma_sample_px\na,1,2,31.8,41.4,0,tie,1,1\nb,1,2,31.8,41.4,0,check,0,1",
-      ["rpc.role", "rpc.sigma"])],
+      ["rectify.role", "rectify.positive"])],
 )  # fmt: skip
 def test_bad_points(run: Run, file: Path, tmp_path: Path, table: str, codes: list[str]) -> None:
     (tmp_path / "p.csv").write_text(f"{table}\n")

@@ -144,7 +144,7 @@ def test_sigmas_weight_and_are_refused_on_the_other_side(tmp_path: Path, rng: np
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
-        ("P2,", "P1,", "occurs twice"),
+        ("P2,", "P1,", "used twice"),
         ("control", "tie", "no such role"),
         ("line,", "row,", "row"),
         ("P1,", "P1,x", "line 2"),

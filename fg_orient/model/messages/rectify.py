@@ -38,8 +38,6 @@ rectify.sigmas: sigmas of the side that is given, not of the side whose residual
     -> with {direction} give {columns}, or turn the direction
 rectify.role: no such role of a point
     -> give control (takes part) or check (compared only)
-rectify.no_id: the point has no id
-    -> give each point one of its own
 rectify.id_twice: the point occurs twice
     -> give each point one row
 rectify.no_check_points: a design study compares at independent points, and the table has no check points

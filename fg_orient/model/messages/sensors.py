@@ -136,10 +136,6 @@ rpc.target_name: no such format to write
     -> choose one of {known}
 rpc.sidecar: an RPC file next to the image would hide its tags: GDAL prefers the file
     -> move it away, or write it instead of the tags
-rpc.role: unknown role
-    -> write control or check
-rpc.sigma: a sigma must be positive
-    -> give the standard deviation of the measurement, pixels
 rpc.heights: this is no range of heights
     -> give the lower and the higher one, m above the ellipsoid
 rpc.no_overlap: the two models see no common part of the image
