@@ -1,8 +1,8 @@
 """Observation equations and elementary maps: value and analytic Jacobian together.
 
-The ground floor of fg_orient: numpy and numba only (``factors.graph`` adds GTSAM). One
-relation per file; the calling convention is in ``factors._contract``.
+Lowest room of fg_orient: it imports numpy and numba only (``factors.graph`` also GTSAM). Each relation is in one file;
+the calling convention is in ``factors._contract``.
 """
 
-#: Marker by which ``fg_orient`` recognises its own ``factors`` package: the version that both have.
+#: Version of both packages, by which ``fg_orient`` recognises its own ``factors`` package.
 FG_ORIENT_FACTORS = "0.2.0"

@@ -1,11 +1,11 @@
-"""Compilation with numba: each function when it is called, and kept on disk with what it was made of.
+"""Compilation with numba: at the first call, with a cache on disk that is checked against all sources.
 
-numba trusts compiled code on disk as long as the one file of a function is unchanged; here it is trusted as long as
-nothing changed that was compiled into it (``factors._sources``). Where no folder can be written, kernels are compiled
-for the run alone.
+numba uses compiled code on disk as long as the file of the function is unchanged. Here it is used only while everything
+that was compiled into it is unchanged (``factors._sources``). If no folder can be written, kernels are compiled for the
+run only.
 
-Whether products and sums may fuse, and whether a function is put into its caller, is said for each one: numba lets a
-function that says nothing take it from whatever caller is compiled first, and its last bits would depend on that.
+Each function states whether products and sums may fuse and whether it is inlined into its caller. A function without
+these options would take them from the caller that is compiled first, and its last bits would depend on that caller.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ def compiled(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """As :func:`compiled`, and always put into its caller: a loop that calls it can become vector instructions."""
+    """As :func:`compiled`, and always inlined into its caller: a loop that calls it can become vector instructions."""
     return _kernel(function, fastmath=False, forceinline=True)
 
 
 def exact(function: F) -> F:
-    """Compile so that threads run side by side and loops over equations become vectors; nothing is fused."""
+    """Compile for parallel threads; loops over equations become vector instructions, nothing is fused."""
     return _kernel(function, nogil=True, fastmath=False, forceinline=False, vectorised=True)
 
 
 def threaded(function: F) -> F:
-    """Compile so that threads run side by side; products and sums may fuse, sums keep their order."""
+    """Compile for parallel threads; products and sums may fuse, sums keep their order."""
     return _kernel(function, nogil=True, fastmath={"contract"}, forceinline=False)
 
 
 def cache_folder() -> Path | None:
-    """Folder where compiled kernels of this package are kept, or None where no place is writable."""
+    """Folder of the compiled kernels of this package, or None if no folder is writable."""
     opened = _nothing.open_cache() if isinstance(_nothing, Kernel) else None
     return None if opened is None else Path(opened.cache_path)
 
@@ -59,4 +59,4 @@ def _kernel(
 
 @compiled
 def _nothing() -> None:
-    """Stands for all kernels of this package."""
+    """Empty kernel, from which :func:`cache_folder` gets the folder."""

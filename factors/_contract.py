@@ -1,16 +1,17 @@
-"""The calling convention of every observation equation, and the registry.
+"""Calling convention of all observation equations, and their registry.
 
 An equation is one pure scalar kernel::
 
     value, jacobian_1, ..., jacobian_n = kernel(record, setup, x_1, ..., x_n, want)
 
 ``record`` (d,) holds the constants of one observation, by the names of ``factors.records``, ``setup`` (2, k) what
-all observations of a group share, ``x_i`` (k_i,) the unknowns, all float64 in C order.
+all observations of a group have in common, ``x_i`` (k_i,) the unknowns, all float64 in C order.
 ``value`` (m,) is the whitened residual, ``jacobian_i`` (m, k_i) its derivative. With
 ``want`` False the Jacobians are (0, 0) arrays; the value never depends on ``want``.
 ``residual(record, setup, x_1, ...)`` gives the value alone and accepts complex unknowns,
 so that every Jacobian can be checked by complex step. What is called for each observation is compiled with numba:
-``fill`` of an equation of image points, ``residual``, or the kernel itself (:func:`compiled`).
+``fill`` of an equation of image points, ``residual``, or the kernel itself (:func:`compiled`). A kernel that takes
+many records at once is plain numpy.
 
 Factors and batches call the same kernel. Observations run along axis 0.
 """
@@ -33,7 +34,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Argument:
-    """One unknown of an equation: name, unit of one step, and whether GTSAM holds it as a Point3."""
+    """One unknown of an equation: name, unit of one step, and whether it is a Point3 in GTSAM."""
 
     name: str
     unit: str
@@ -68,7 +69,9 @@ class Equation:
     fill : callable, optional
         ``fill(records, row, setup, x_1, ..., out, want) -> bool`` writes the value of one row of (N, d)
         records into column 0 of ``out`` and the Jacobians into the following ones; False if sizes do not
-        fit or a value is not finite. The same numbers without allocation, used by factors when given.
+        fit or a value is not finite. It gives the same numbers without allocation; factors use it if it exists.
+    arrays : bool, optional
+        Kernel and residual are plain numpy and also take N records (N, d) at once: (N, m), (N, m, k).
     """
 
     name: str
@@ -78,11 +81,12 @@ class Equation:
     example: Callable[[np.random.Generator], Example]
     source: str
     fill: Callable[..., bool] | None = None
+    arrays: bool = False
 
 
 @compiled
 def is_finite(out: Array, columns: int) -> bool:
-    """Whether the first columns of what a ``fill`` wrote are finite."""
+    """Whether the first columns that a ``fill`` wrote are finite."""
     total = 0.0
     for j in range(columns):
         total += 0.0 * out[0, j] + 0.0 * out[1, j]
@@ -92,7 +96,7 @@ def is_finite(out: Array, columns: int) -> bool:
 def kernel_of(fill: Callable[..., bool]) -> Callable[..., tuple[Array, Array, Array]]:
     """Kernel of an equation of an image and a ground point, from its ``fill``; its arrays are nan if sizes do not fit.
 
-    It is plain Python: a compiled one for each equation would be one more to compile.
+    It is plain Python, so that not one more kernel is compiled for each equation.
     """
 
     def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> tuple[Array, Array, Array]:
@@ -140,7 +144,7 @@ def register_condition(
 
 
 def registered() -> dict[str, Equation]:
-    """Give a copy of the registry, name to equation."""
+    """Copy of the registry: name to equation."""
     return dict(_REGISTRY)
 
 
@@ -166,18 +170,18 @@ def evaluate(
 
 
 class NotFiniteError(ValueError):
-    """A residual or Jacobian is nan or inf: the state is impossible, not the code."""
+    """A residual or Jacobian is nan or inf: the equation has no value at this state."""
 
 
 def check_blocks(name: str, label: str, blocks: tuple[Any, ...], sizes: tuple[int, ...], n_residuals: int) -> None:
-    """Refuse a kernel result of wrong shape, type or with values that are not finite.
+    """Refuse a kernel result of wrong shape or type, or with values that are not finite.
 
-    GTSAM 4.3.0 accepts all of these silently (docs/equations.md 9), so nothing passes unseen.
+    GTSAM 4.3.0 accepts all of these silently (docs/equations.md 9).
 
     Raises
     ------
     ValueError
-        Names the equation, the observation and the fault.
+        Names the equation, the observation and the error.
     """
     expected = [(n_residuals,)] + [(n_residuals, size) for size in sizes]
     if len(blocks) != len(expected):

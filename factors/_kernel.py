@@ -1,10 +1,10 @@
-"""Kernels: functions that numba compiles once, whole, when they are called, and that are kept with their sources.
+"""Kernels: functions that numba compiles as a whole at their first call, cached with a digest of their sources.
 
-numba by itself optimises each function that a kernel calls alone, turns it into machine code that nobody calls, and
-does all that again inside each caller: half of the first run's time. Here a function that kernels call is a *part*:
-translated once and linked into kernels. A kernel is optimised once, together with its parts, and becomes machine code.
+Plain numba optimises each function that a kernel calls, turns it into machine code that is never called, and repeats
+this inside each caller: half the time of a first run. Here a function that kernels call is a *part*: it is translated
+once and linked into kernels. A kernel is optimised once, together with its parts, and becomes machine code.
 
-Classes of numba are extended at places that it does not promise to keep: pyproject.toml bounds its version.
+This module extends internal classes of numba, which may change: pyproject.toml bounds the version of numba.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.runtime.nrt import rtsys
 
 from factors._libraries import Flags, KernelLibrary, PartLibrary, Result, Steps, signatures_kept
-from factors._preparation import preparing, tell
+from factors._preparation import preparing, report_compilation
 from factors._sources import stamp
 
 
 class _Part(NamedTuple):
-    """A function as other kernels call it."""
+    """Function in the form in which other kernels call it."""
 
     key: object
     result: Any
@@ -34,7 +34,7 @@ class _Part(NamedTuple):
 
 @cache
 def _flags(fastmath: str, forceinline: bool) -> Flags:
-    """Options of a part; functions with the same ones share what numba compiles for its own."""
+    """Options of a part; one object for equal options, so that numba's own compiled functions are shared."""
     flags = Flags()
     options = {"nopython": True, "error_model": "numpy", "forceinline": forceinline,
                "fastmath": {fastmath} if fastmath else False}  # fmt: skip
@@ -52,7 +52,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
         self.vectorised = False
 
     def part(self, args: tuple[Any, ...]) -> _Part:
-        """Function for one tuple of argument types, to be linked into others."""
+        """Part for one tuple of argument types, to be linked into kernels."""
         if args not in self.parts:
             context, options = self.targetdescr.target_context, self.targetoptions
             library = PartLibrary(context.codegen(), self.py_func.__qualname__)
@@ -67,7 +67,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
         return self.parts[args]
 
     def _compile_core(self, args: tuple[Any, ...], return_type: Any) -> Any:
-        tell(self.py_func.__name__)
+        report_compilation(self.py_func.__name__)
         result = self.part(tuple(args)).result
         context = result.target_context  # with the options of the part
         library = KernelLibrary(context.codegen(), result.fndesc.qualname)
@@ -83,13 +83,13 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]
-    """Kernels on disk; what cannot be read or written is compiled, and the run goes on."""
+    """Kernels on disk; if a file cannot be read or written, the kernel is compiled and the run continues."""
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        try:  # with numba's memory management, but without the registries of what it can compile: half the time
+        try:  # with numba's memory management, without its registries of compilable functions: half the time
             rtsys.initialize(context)
             return self._load_overload(signature, context)
-        except Exception:  # a damaged file may fail in any way, and is written anew
+        except Exception:  # a damaged file may fail in any way; it is written again
             with suppress(OSError):
                 self.flush()
             return None
@@ -97,7 +97,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
     def save_overload(self, signature: Any, result: Any) -> None:
         try:
             super().save_overload(signature, result)
-        except OSError:  # the disk is full, or its rights have changed
+        except OSError:  # the disk is full, or the permissions have changed
             self.disable()
 
 
@@ -117,16 +117,16 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
             return super().compile(signature)
 
     def open_cache(self) -> _Cache | None:
-        """Files of this kernel, or None where no place is writable; opened late, since numba tries each place."""
+        """Files of this kernel, or None if no folder is writable; opened late, because numba tries each folder."""
         if not self._opened:
             self._opened = True
-            with suppress(RuntimeError):  # no place is writable
+            with suppress(RuntimeError):  # no folder is writable
                 self._cache = _Cache(self.py_func)
                 self._cache._cache_file._source_stamp = stamp(self.py_func, self.targetoptions)
         return self._cache if isinstance(self._cache, _Cache) else None
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Type of the part that a call by another kernel takes."""
+        """Type of the part for a call by another kernel."""
         signature, types = self._compiler.fold_argument_types(args, kws)
         result = self._compiler.part(tuple(types)).result
         name = self.py_func.__name__

@@ -1,6 +1,6 @@
-"""numba's compiler, extended: options compared by identity, types kept, and libraries of code to be linked or run.
+"""Extended classes of numba's compiler: options compared by identity, cached types, code to be linked or run.
 
-See ``factors._kernel``, which makes kernels of them.
+``factors._kernel`` makes kernels with them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numba.core import codegen, compiler, typed_passes, types, untyped_passes
 
 
 class Flags(compiler.Flags):  # type: ignore[misc]
-    """Options of the compiler that are equal only if they are the same; numba compares them thousands of times."""
+    """Options of the compiler, equal only if they are the same object: numba compares them thousands of times."""
 
     __slots__ = ()
     __hash__ = object.__hash__
@@ -26,13 +26,13 @@ class Flags(compiler.Flags):  # type: ignore[misc]
         return self
 
 
-#: Signatures of operations on numbers, by the identity of operation and types, with these.
+#: Signatures of operations on numbers by the identities of operation and types; operation and types are kept, too.
 _SIGNATURES: Final[dict[tuple[int, ...], tuple[Any, ...]]] = {}
 
 
 @contextmanager
 def signatures_kept(context: Any) -> Iterator[None]:
-    """Keep the types of operations on numbers: numba tries all its templates for each product of two floats again."""
+    """Cache the types of operations on numbers: numba would try all its templates for each product of two floats."""
     if "resolve_function_type" in vars(context):
         yield
         return
@@ -54,8 +54,9 @@ def signatures_kept(context: Any) -> Iterator[None]:
         del context.resolve_function_type
 
 
-#: Steps of the compiler for what no function of this package holds: closures, ``with``, expressions of whole arrays,
-#: loops over tuples of several types. Each walks over the whole function, and most count the uses of all variables.
+#: Steps of the compiler for constructs that no function of this package contains: closures, ``with``, expressions of
+#: whole arrays, loops over tuples of several types. Each step visits the whole function, and most count the uses of all
+#: variables.
 _NOT_NEEDED: Final = frozenset({
     typed_passes.InlineOverloads, typed_passes.NopythonRewrites, untyped_passes.FindLiterallyCalls,
     untyped_passes.InlineClosureLikes, untyped_passes.InlineInlinables, untyped_passes.LiteralUnroll,
@@ -74,21 +75,21 @@ class Steps(compiler.Compiler):  # type: ignore[misc]
         return managers
 
 
-#: Begin of the names under which a function keeps its Python constants.
+#: Beginning of the names of a function's Python constants.
 _CONSTANTS: Final = "_ZN08NumbaEnv"
 
 
 class Result(compiler.CompileResult):  # type: ignore[misc]
-    """A compiled kernel; on disk goes what it needs itself, and nothing of its parts."""
+    """Compiled kernel; its file contains only what it needs itself, nothing of its parts."""
 
     __slots__ = ()
 
     def _find_referenced_environments(self) -> list[Any]:
-        return []  # its own is kept apart
+        return []  # its own environment is stored separately
 
 
 class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
-    """Code that is only linked into kernels: neither optimised nor turned into machine code by itself."""
+    """Code that is only linked into kernels; it is not optimised or turned into machine code alone."""
 
     def _optimize_functions(self, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
@@ -97,7 +98,7 @@ class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
         self._finalized = True
 
     def own_module(self) -> Any:
-        """Code to be linked; each kernel has a place for constants of its own, or a later one would find it empty."""
+        """Code to be linked; each kernel has its own place for constants, which would be empty in a later kernel."""
         if self._shared_module is None:
             module = super()._get_module_for_linking()
             for variable in module.global_variables:
@@ -106,7 +107,7 @@ class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
         return self._shared_module
 
     def _get_module_for_linking(self) -> Any:
-        """The same with all that it calls, for a function that numba compiles by itself."""
+        """The same code with everything it calls, for a function that plain numba compiles."""
         module = self.own_module().clone()
         for part in _reached(self._linking_libraries):
             module.link_in(part._get_module_for_linking(), preserve=True)
@@ -114,25 +115,25 @@ class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
 
 
 class _Alone:
-    """A part without what it calls, which its kernel links itself, once."""
+    """A part without the parts that it calls: the kernel links each of them once."""
 
     def __init__(self, part: PartLibrary) -> None:
         self._reload_init, self._get_module_for_linking = part._reload_init, part.own_module
 
 
 def _reached(libraries: list[Any]) -> list[Any]:
-    """Libraries, and all that the parts among them call; each once."""
-    found, waiting = dict[Any, None](), list(libraries)
+    """Libraries and everything that the parts among them call, each once."""
+    reached, waiting = dict[Any, None](), list(libraries)
     while waiting:
         library = waiting.pop()
-        if library not in found:
-            found[library] = None
+        if library not in reached:
+            reached[library] = None
             waiting += library._linking_libraries if isinstance(library, PartLibrary) else ()
-    return [_Alone(library) if isinstance(library, PartLibrary) else library for library in found]
+    return [_Alone(library) if isinstance(library, PartLibrary) else library for library in reached]
 
 
 class KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
-    """A kernel with all its parts, optimised once."""
+    """Kernel with all its parts, optimised once."""
 
     def _optimize_functions(self, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
@@ -140,8 +141,8 @@ class KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
     vectorised: bool = False
 
     def _optimize_final_module(self) -> None:
-        # a loop over observations that calls a whole equation becomes vector instructions only if all is put into one
-        # and simplified first; for other kernels that brings nothing and costs a tenth of the first run (measured)
+        # a loop over observations that calls a whole equation becomes vector instructions only if everything is inlined
+        # and simplified first; other kernels gain nothing, and a first run would take a tenth longer (measured)
         first: dict[str, Any] = {"opt": 1, "loop_vectorize": False, "slp_vectorize": False}
         for options in (first, {}) if self.vectorised else ({},):
             passes, builder = self._codegen._module_pass_manager(**options)
@@ -152,7 +153,7 @@ class KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
         super().finalize()
 
     def serialize_using_object_code(self) -> Any:
-        """Machine code, and of the intermediate one only that the functions are there: parts are never loaded."""
+        """Machine code; of the intermediate code only empty functions, because parts are never loaded."""
         names = [function.name for function in self.get_defined_functions()]
         text = "".join(f'define void @"{name}"() {{ ret void }}\n' for name in names)
         return self.name, "object", (self._get_compiled_object(), binding.parse_assembly(text).as_bitcode())

@@ -1,9 +1,9 @@
-"""Kernels as plain Python, for the few rows where compiling costs a second and a loop of Python a millisecond.
+"""Kernels as plain Python, for few rows: compiling takes a second, a loop in Python a millisecond.
 
-The same functions run, with the same operations in the same order, and give the same bits (tests): results depend
-neither on the number of rows nor on what is compiled already.
+The same functions run with the same operations in the same order and give the same bits (tests). Results do not depend
+on the number of rows or on the kernels that are compiled already.
 
-Maps on scalars that have no branches take arrays as well, a number for each row (:func:`plain`).
+Maps on scalars without branches also take arrays with one number per row (:func:`plain`).
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from factors._sources import LIBRARIES, names_of
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-#: Numbers up to which a loop runs in Python, and rows up to which arrays go through a map on scalars.
+#: Largest number of elements for which a loop runs in Python; of rows for which arrays are passed to a map on scalars.
 FEW: Final = 256
 FEW_ARRAYS: Final = 1024
-#: Calls after which the compiled loop serves few numbers, too: a program that calls so often is worth compiling for.
+#: Number of calls after which the compiled loop is also used for few numbers: frequent calls repay the compilation.
 OFTEN: Final = 24
 _ON_ARRAYS: dict[str, Any] = {}
 
 
 def on_arrays(other: Any) -> Callable[[F], F]:
-    """Say what takes the place of a function with a branch where its arguments are arrays."""
+    """Declare the function that replaces a function with a branch if its arguments are arrays."""
 
     def note(function: F) -> F:
         _ON_ARRAYS[f"{function.__module__}.{function.__qualname__}"] = other
@@ -41,7 +41,7 @@ def on_arrays(other: Any) -> Callable[[F], F]:
 
 @cache
 def plain(function: Any) -> Any:
-    """Form of a kernel in Python; so are the kernels that it calls."""
+    """Plain Python form of a kernel; the kernels that it calls are plain Python, too."""
     inner = getattr(function, "py_func", function)
     if (replaced := _ON_ARRAYS.get(f"{inner.__module__}.{inner.__qualname__}")) is not None:
         return replaced
@@ -52,7 +52,7 @@ def plain(function: Any) -> Any:
 
 
 def few_in_python(kernel: F) -> F:
-    """Run a kernel as plain Python the first times, where none of its arrays has more than :data:`FEW` numbers."""
+    """Run the first calls of a kernel as plain Python if none of its arrays has more than :data:`FEW` numbers."""
     calls = count()
 
     @wraps(getattr(kernel, "py_func", kernel))
@@ -66,7 +66,7 @@ def few_in_python(kernel: F) -> F:
 
 
 class _Members:
-    """A module whose kernels are plain Python."""
+    """Module with its kernels as plain Python."""
 
     def __init__(self, module: ModuleType) -> None:
         self._module = module
@@ -76,7 +76,7 @@ class _Members:
 
 
 def _plain_member(value: Any) -> Any:
-    """What a name is bound to, as the form in Python needs it."""
+    """Value of a name for the plain Python form."""
     if isinstance(value, ModuleType):
         return _Members(value) if _is_ours(value.__name__) else value
     function = getattr(value, "py_func", value)
@@ -84,5 +84,5 @@ def _plain_member(value: Any) -> Any:
 
 
 def _is_ours(module: str | None) -> bool:
-    """Whether a module is none of the libraries: kernels may lie in any package."""
+    """Whether a module is not a library: kernels may be defined in any package."""
     return (module or "").partition(".")[0] not in LIBRARIES

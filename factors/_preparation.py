@@ -1,6 +1,6 @@
-"""Compiling and loading of kernels, as a run sees it: who is told of it, and how long it takes.
+"""Compiling and loading of kernels during a run: callbacks and times.
 
-A module without numba, so that a command can ask to be told before anything is imported.
+This module does not import numba, so that a command can register a callback before anything is imported.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ _LISTENERS: list[Callable[[str], None]] = []
 
 
 class _Spent:
-    """Seconds of this process, and how many kernels are being prepared inside each other."""
+    """Seconds of this process, and number of nested preparations."""
 
     seconds: float = 0.0
     depth: int = 0
 
 
-def tell(name: str) -> None:
-    """A kernel is not on disk and is being compiled."""
+def report_compilation(name: str) -> None:
+    """Call the listeners: this kernel is not on disk and is being compiled."""
     for listener in _LISTENERS:
         listener(name)
 
 
 @contextmanager
-def told_of_compilation(listener: Callable[[str], None]) -> Iterator[None]:
+def on_compilation(listener: Callable[[str], None]) -> Iterator[None]:
     """Call ``listener`` with the name of each kernel that is compiled inside the block."""
     _LISTENERS.append(listener)
     try:
@@ -40,8 +40,8 @@ def told_of_compilation(listener: Callable[[str], None]) -> Iterator[None]:
 def preparing() -> Iterator[None]:
     """Count the time of a block; one thread at a time.
 
-    The garbage collector rests: the compiler makes a million objects that live on, and walking over them again and
-    again takes a fifth of its time.
+    The garbage collector is disabled: the compiler makes a million permanent objects, and repeated visits of all of
+    them take a fifth of its time.
     """
     begin, collects = time.perf_counter(), gc.isenabled()
     _Spent.depth += 1
@@ -57,10 +57,10 @@ def preparing() -> Iterator[None]:
 
 
 def preparing_seconds() -> float:
-    """Seconds that this process has spent on compiling and loading kernels."""
+    """Seconds in which this process has compiled and loaded kernels."""
     return _Spent.seconds
 
 
 def working_clock() -> float:
-    """Seconds on a clock that stands still while kernels are compiled or loaded."""
+    """Seconds on a clock that stops while kernels are compiled or loaded."""
     return time.perf_counter() - _Spent.seconds

@@ -1,8 +1,8 @@
-"""Digest of everything that a kernel is compiled from: its own code, that of all it calls, and the constants they use.
+"""Digest of everything that a kernel is compiled from: its code, the code of all called functions, their constants.
 
-Names are followed by what they are bound to, in whatever way they were imported: ``import factors.x``,
-``from factors.sub import x as y``, an import inside ``if`` or ``try``. A function counts with its byte code, a module
-with those of its members that the code names, everything else with its value. Libraries end the way.
+Names are followed to their values, however they were imported: ``import factors.x``,
+``from factors.sub import x as y``, an import inside ``if`` or ``try``. The digest contains the byte code of a function,
+the members of a module that the code names, and the value of everything else. Libraries are not followed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ LIBRARIES: Final = frozenset({"numba", "llvmlite", "numpy", "scipy", *sys.stdlib
 
 
 def stamp(function: FunctionType, options: object = None) -> bytes:
-    """Digest of a function, of all that it calls and of the constants that they use; ``options`` counts as well."""
+    """Digest of a function, of all functions that it calls, of the constants that they use, and of ``options``."""
     digest, seen, waiting = hashlib.sha256(_own() + repr(options).encode()), set[int](), [function]
     while waiting:
         current = waiting.pop()
@@ -37,7 +37,7 @@ def stamp(function: FunctionType, options: object = None) -> bytes:
 
 @cache
 def _own() -> bytes:
-    """Digest of the modules that say how is compiled."""
+    """Digest of the modules that define the compilation."""
     here = Path(__file__)
     return hashlib.sha256(
         b"".join(here.with_name(f"_{n}.py").read_bytes() for n in ("compile", "kernel", "libraries"))
@@ -46,7 +46,7 @@ def _own() -> bytes:
 
 @cache
 def _read(function: FunctionType) -> tuple[bytes, list[FunctionType]]:
-    """Digest of one function with the constants it names, and the functions that it names."""
+    """Digest of one function and of the constants that it names; the functions that it names."""
     digest, callees = hashlib.sha256(_code(function.__code__)), []
     for name, value in _bound(function):
         callee = _function_of(value)
@@ -60,7 +60,7 @@ def _read(function: FunctionType) -> tuple[bytes, list[FunctionType]]:
 
 
 def _bound(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """Names of a function's code and what they are bound to: globals, members of modules, variables of a closure."""
+    """Names in a function's code with their values: globals, members of modules, variables of a closure."""
     names = names_of(function.__code__)
     for cell, name in zip(function.__closure__ or (), function.__code__.co_freevars, strict=True):
         yield name, cell.cell_contents
@@ -92,12 +92,12 @@ def _code(code: CodeType) -> bytes:
     """Byte code and constants, without file name, line numbers and docstring."""
     constants = [_literal(c) for c in code.co_consts]
     if code.co_consts and isinstance(code.co_consts[0], str):
-        constants[0] = ""  # a docstring changes nothing
+        constants[0] = ""  # a docstring has no effect
     return repr((code.co_code, constants, code.co_names, code.co_varnames, code.co_freevars)).encode()
 
 
 def _literal(constant: Any) -> str:
-    """Constant of a code in words that do not change between two runs: sets have no order."""
+    """Text of a constant that is the same in every run: sets have no order."""
     if isinstance(constant, CodeType):
         return _code(constant).hex()
     if isinstance(constant, tuple | frozenset):
@@ -119,7 +119,7 @@ def _is_followed(function: FunctionType) -> bool:
 
 
 def _constant(value: Any) -> str:
-    """Value of a constant in words that do not change between two runs."""
+    """Text of a value that is the same in every run."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()}"
     if value is None or isinstance(value, bool | int | float | complex | str | bytes | slice | np.generic):

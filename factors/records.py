@@ -1,4 +1,4 @@
-"""Records of constants: flat arrays whose numbers have names, for kernels, for batches and for those who write them."""
+"""Records of constants: flat arrays whose numbers have names, for kernels, batches and the code that writes them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ class Record(ModuleType):
     """Names of the fields of a flat record, from one list.
 
     ``RECORD.tau`` is the index of a field of one number, ``RECORD.mounting`` the slice of a longer field, and
-    ``RECORD.size`` the size of the record. In arrays whose entries lie n apart, observation i has a field of one number
-    at ``i + RECORD.tau * n``; a longer field begins at ``i + RECORD.mounting.start * n``. A record is a module because
+    ``RECORD.size`` the size of the record. In arrays with steps of n, observation i has a field of one number at
+    ``i + RECORD.tau * n``; a longer field begins at ``i + RECORD.mounting.start * n``. A record is a module because
     numba takes attributes of modules as compile-time constants.
 
     Parameters
     ----------
     **fields : int or str
-        Fields in the order of the record: how many numbers, or the names of the numbers.
+        Fields in the order of the record: number of their numbers, or the names of these numbers.
     """
 
     def __init__(self, **fields: int | str) -> None:
@@ -44,7 +44,7 @@ class Record(ModuleType):
         Raises
         ------
         ValueError
-            A field is missing, unknown or of another size, or leading axes do not fit together.
+            A field is missing, unknown or of another size, or leading axes do not match.
         """
         if values.keys() != self.sizes.keys():
             raise ValueError(f"missing or unknown fields: {sorted(values.keys() ^ self.sizes.keys())}")

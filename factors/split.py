@@ -1,4 +1,4 @@
-"""An argument of an equation whose elements stand in several vectors of unknowns."""
+"""Argument of an equation whose elements are in several vectors of unknowns."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ Index = npt.NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Split:
-    """A vector argument whose elements stand in several GTSAM vectors: an image's own and what images have in common.
+    """Vector argument whose elements are in several GTSAM vectors: an image's own unknowns and shared unknowns.
 
     Parameters
     ----------
     keys : tuple of int
     columns : tuple of (k,) int arrays
-        Where the argument has the elements ``places`` of each vector.
+        Places in the argument of the elements ``places`` of each vector.
     places : tuple of (k,) int arrays
     sizes : tuple of int
         Lengths of the vectors.
@@ -33,7 +33,7 @@ class Split:
     sizes: tuple[int, ...]
 
     def gathered(self, values: Any, size: int) -> Array:
-        """The argument (size,)."""
+        """Argument (size,) from the values."""
         out = np.empty(size)
         for key, columns, places in zip(self.keys, self.columns, self.places, strict=True):
             out[columns] = values.atVector(key)[places]

@@ -4,8 +4,9 @@
     dy = a8 xy + a9 x^2 + a10 x^2 y + a11 x y^2 + a12 x^2 y^2 + y s + a20 + a21 y/c
     s  = [a13 (x^2 - y^2) + a14 x^2 y^2 + a15 (x^4 - y^4)]/c + a16 r^2 + a17 r^4 + a18 r^6
 
-(Brown 1976, as Ayhan 1996, eq. 2 quotes it.) x, y are reduced to the principal point, c is a nominal principal distance
-and held. a16 to a18 are k1 to k3, a19 to a21 move the interior orientation: an adjustment that has those holds these.
+(Brown 1976, quoted by Ayhan 1996, eq. 2.) x, y are reduced to the principal point; c is a nominal, fixed principal
+distance. a16 to a18 are k1 to k3, a19 to a21 change the interior orientation: an adjustment with unknown k1 to k3 or
+interior orientation holds them fixed.
 """
 
 from __future__ import annotations
@@ -24,23 +25,15 @@ NAMES: Final = tuple(f"a{j + 1}" for j in range(AT.size))
 @compiled
 def terms(x: Any, y: Any, c: float) -> Any:
     """Derivatives of dx and dy with respect to the parameters: array (2, 21)."""
-    xx, yy, xy = x * x, y * y, x * y
+    xx, yy, xy, o, one = x * x, y * y, x * y, 0.0 * x, 1.0 + 0.0 * x
     r = xx + yy
-    out = np.zeros((2, 21), np.array([x]).dtype)
-    out[0, 0], out[0, 1], out[0, 2], out[0, 3] = x, y, xy, yy
-    out[0, 4], out[0, 5], out[0, 6] = xx * y, x * yy, xx * yy
-    out[1, 7], out[1, 8], out[1, 9], out[1, 10], out[1, 11] = xy, xx, xx * y, x * yy, xx * yy
-    s = (xx - yy) / c
-    for j in range(12, 18):
-        if j == 13:
-            s = xx * yy / c
-        elif j == 14:
-            s = (xx * xx - yy * yy) / c
-        elif j > 14:
-            s = r if j == 15 else s * r
-        out[0, j], out[1, j] = x * s, y * s
-    out[0, 18], out[1, 19], out[0, 20], out[1, 20] = 1.0, 1.0, x / c, y / c
-    return out
+    a, b, d, r4 = (xx - yy) / c, xx * yy / c, (xx * xx - yy * yy) / c, r * r
+    return np.array([
+        [x, y, xy, yy, xx * y, x * yy, xx * yy, o, o, o, o, o,
+         x * a, x * b, x * d, x * r, x * r4, x * (r4 * r), one, o, x / c],
+        [o, o, o, o, o, o, o, xy, xx, xx * y, x * yy, xx * yy,
+         y * a, y * b, y * d, y * r, y * r4, y * (r4 * r), o, one, y / c],
+    ])  # fmt: skip
 
 
 @compiled

@@ -2,12 +2,12 @@
 
     e = (c X/Z - x' - dx,  s c Y/Z - y' - dy) Z^p,    (X, Y, Z) = R (P - O),    x' = x - x0,  y' = y - y0
 
-(Ayhan 1996, eqs. 76-77, with the derivatives that print has wrong corrected.) dx, dy:
-``factors.cameras.image_corrections``, ``factors.cameras.additional_parameters`` and ``factors.cameras.image_variants``.
-Camera axes X right, Y down, Z along the view; s = -1 where image y points up. With p = 0 the residual is one of the
-image, with p = 1 the thesis' F with the other sign, in image units times metres.
+(Ayhan 1996, eqs. 76-77; misprinted derivatives are corrected.) dx, dy: ``factors.cameras.image_corrections``,
+``factors.cameras.additional_parameters`` and ``factors.cameras.image_variants``. Camera axes X right, Y down, Z along
+the view; s = -1 where image y points up. With p = 0 the unit of the residual is the image's, with p = 1 image units
+times metres (F of the thesis with the other sign).
 
-Unknowns: an image's own camera parameters, those it shares with others (photo-variant and block-invariant
+Unknowns: an image's own camera parameters, parameters shared with other images (photo-variant and block-invariant
 calibration), the rotation vector w of R = exp([w]x) R_0 in rad, the projection centre O and the point P, m.
 """
 
@@ -23,15 +23,15 @@ from factors.cameras import image_corrections as lens
 from factors.cameras import image_variants as variants
 from factors.cameras.frame_camera import CAMERA as TURN
 from factors.cameras.frame_camera import by_turn, rotate, rotate_back, turned
-from factors.geometry.rotations import Vector
+from factors.geometry.rotations import Vector, random_rotation
 from factors.records import Record
 
-#: Camera parameters by code: principal distance, principal point, then those of the three modules.
+#: Camera parameters by code: principal distance, principal point, coefficients of the three modules.
 CAMERA: Final = Record(
     c=1, principal="x0 y0", lens=lens.AT.size, brown=brown.AT.size, variants=variants.AT.size,
 )  # fmt: skip
 NAMES: Final = ("c", "x0", "y0", *lens.NAMES, *brown.NAMES, *variants.NAMES)
-#: Whitening w11 w12 w22, power p, sign s, held c of Brown's terms, camera, R_0, held radius of the orthogonal
+#: Whitening w11 w12 w22, power p, sign s, fixed c of Brown's terms, camera, R_0, fixed radius of the orthogonal
 #: polynomials.
 RECORD: Final = Record(
     x=1, y=1, w11=1, w12=1, w22=1, power=1, sign=1, held_c=1, camera=CAMERA.size, rotation=9, radius=1,
@@ -40,7 +40,7 @@ RECORD: Final = Record(
 
 @compiled
 def camera(record: Any, setup: Any, own: Any, shared: Any) -> Any:
-    """Camera parameters (40,): the record's plus steps times the unknowns; own ones stand first in the setup."""
+    """Camera parameters (40,): the record's plus steps times unknowns; the setup lists own parameters first."""
     out = record[RECORD.camera] + 0.0 * (own.sum() + shared.sum())
     n = own.shape[0]
     for j in range(setup.shape[1]):
@@ -50,7 +50,7 @@ def camera(record: Any, setup: Any, own: Any, shared: Any) -> Any:
 
 @compiled
 def _seen(record: Any, w: Any, centre: Any, point: Any) -> Any:
-    """Rotation and J (29,), point in camera axes (3,)."""
+    """Turn with R and J, and point in camera axes (3,)."""
     turn = np.empty(TURN.size, w.dtype)
     turned(w, record[RECORD.rotation], turn)
     return turn, np.array(rotate(turn, point - centre))
@@ -92,23 +92,19 @@ def _by_camera(record: Array, setup: Array, c: Array, q: Array, scale: float) ->
     ax, ay, bx, by = brown.slopes(c[CAMERA.brown], x, y, record[RECORD.held_c])
     ux, uy, vx, vy = variants.slopes(c[CAMERA.variants], x, y, record[RECORD.radius])
     ax, ay, bx, by = ax + ux, ay + uy, bx + vx, by + vy
-    terms, others = brown.terms(x, y, record[RECORD.held_c]), variants.terms(x, y, record[RECORD.radius])
+    # columns (2, 40): derivatives of the ideal minus the computed coordinates
+    every, at = np.empty((2, CAMERA.size)), CAMERA.lens.start
+    every[0, CAMERA.c], every[1, CAMERA.c] = -q[0] / q[2], -record[RECORD.sign] * q[1] / q[2]
+    every[0, CAMERA.x0], every[1, CAMERA.x0] = -(xx + ax), -(yx + bx)
+    every[0, CAMERA.y0], every[1, CAMERA.y0] = -(xy + ay), -(yy + by)
+    for j in range(lens.AT.size):
+        every[0, at + j], every[1, at + j] = lens.by_coefficient(j, x, y)
+    every[:, CAMERA.brown] = brown.terms(x, y, record[RECORD.held_c])
+    every[:, CAMERA.variants] = variants.terms(x, y, record[RECORD.radius])
     out = np.empty((2, setup.shape[1]))
     for j in range(setup.shape[1]):
-        code = int(setup[0, j])  # u, v: derivatives of the ideal minus the computed coordinates
-        if code == CAMERA.c:
-            u, v = -q[0] / q[2], -record[RECORD.sign] * q[1] / q[2]
-        elif code == CAMERA.x0:
-            u, v = -(xx + ax), -(yx + bx)
-        elif code == CAMERA.y0:
-            u, v = -(xy + ay), -(yy + by)
-        elif code < CAMERA.lens.stop:
-            u, v = lens.by_coefficient(code - CAMERA.lens.start, x, y)
-        elif code < CAMERA.brown.stop:
-            u, v = terms[0, code - CAMERA.brown.start], terms[1, code - CAMERA.brown.start]
-        else:
-            u, v = others[0, code - CAMERA.variants.start], others[1, code - CAMERA.variants.start]
-        out[0, j], out[1, j] = -scale * setup[1, j] * u, -scale * setup[1, j] * v
+        code = int(setup[0, j])
+        out[0, j], out[1, j] = -scale * setup[1, j] * every[0, code], -scale * setup[1, j] * every[1, code]
     return out
 
 
@@ -121,9 +117,7 @@ def _by_place(record: Array, c: Array, q: Array, turn: Array, scale: float) -> t
     spin, point = np.empty((2, 3)), np.empty((2, 3))
     for i in range(2):
         g = by_q[i]
-        # q moves by (J dw) x q, and g . (e x q) = e . (q x g)
-        t = (q[1] * g[2] - q[2] * g[1], q[2] * g[0] - q[0] * g[2], q[0] * g[1] - q[1] * g[0])
-        spin[i, 0], spin[i, 1], spin[i, 2] = by_turn(turn, t)
+        spin[i, 0], spin[i, 1], spin[i, 2] = by_turn(turn, q, g)
         point[i, 0], point[i, 1], point[i, 2] = rotate_back(turn, g)
     return spin, point
 
@@ -157,8 +151,7 @@ def whitened_rows(record: Array, rows: Array) -> Array:
 
 
 def _example(rng: np.random.Generator) -> Example:
-    start, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    start *= np.sign(np.linalg.det(start))
+    start = random_rotation(rng)
     centre, seen = rng.normal(size=3), np.append(rng.normal(scale=0.4, size=2), 1.0) * rng.uniform(3.0, 9.0)
     codes = rng.permutation(CAMERA.size)[: rng.integers(2, CAMERA.size + 1)]
     n = int(rng.integers(1, len(codes)))

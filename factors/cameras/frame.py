@@ -1,11 +1,18 @@
-"""Collinearity of a frame image with Brown's distortion from ideal to measured: the observation equation.
+"""Collinearity of a frame image with Brown's distortion: the observation equation.
 
-    r = A (pixel of the ground point - observed pixel)          (Brown 1966; maps: ``factors.cameras.frame_camera``)
+For an image point measured at (line, sample) of ground point G (docs/equations.md 11; ``frame_camera`` has the maps)::
 
-Unknown 1 is the orientation of the image in prior sigmas, exterior and interior, any of them; unknown 2 the ground
-point (m, local origin). The projection centre is the unknown, not the translation ``-R C``: it is what a receiver on
-board measures, and a rotation does not move it. The rotation is ``exp([w]x) R_0`` with the three unknowns w about the
-axes of the camera; w is the accumulated vector, not the last step's, so a state means the same all through a run.
+    1 camera       R = exp([w]x) R_0,  C = C_0 + dC,  interior orientation = metadata + correction
+    2 collinearity (x, y, 1) ~ R (G - C)
+    3 difference   from ideal to measured coordinates: d = p_0 + f Brown(x, y) - observed pixel
+                   from measured to ideal coordinates: d = f (x, y) - unit Brown(u, v), u, v of the observed pixel
+    4 whitening    r = A d
+
+Derivatives are carried back from map 4 to map 1. Unknown 1 is the orientation of the image in prior sigmas, exterior
+and interior, any of them; unknown 2 the ground point (m, local origin). The projection centre is the unknown, not the
+translation ``-R C``: a receiver on board measures it, and a rotation does not move it. w are rotations about the axes
+of the camera; w is the accumulated vector, not the last step, so that a state has the same meaning throughout a run.
+A of a polynomial that corrects applies to the corrected image: a sigma of 1 px is 1 px there.
 """
 
 from __future__ import annotations
@@ -15,35 +22,116 @@ from typing import Any, Final
 import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, compiled, kernel_of, register
-from factors.cameras.frame_camera import CAMERA, brown_derivatives, brown_ideal_to_measured, direction, pixel, turned
+from factors.cameras import frame_camera
+from factors.cameras.frame_camera import CAMERA, brown, brown_slopes, by_turn, direction, rotate_back
+from factors.geometry.rotations import Vector, random_rotation
 from factors.records import Record
 
 #: Observed pixel; A, 1/px, for line and sample; the camera without corrections, its centre minus the local origin, m.
-RECORD: Final = Record(line=1, sample=1, a_line=1, a_sample=1, rotation=9, centre=3, focal=1, principal=2, distortion=5)
+#: The unit is 0 where the polynomial leads from ideal to measured coordinates.
+RECORD: Final = Record(line=1, sample=1, a_line=1, a_sample=1, rotation=9, centre=3, focal=1, principal=2, distortion=5,
+                       aspect=1, unit=1)  # fmt: skip
 #: Setup: codes of the unknowns, which are their places here, and their prior sigmas: rotation about the camera's X, Y,
-#: Z rad, projection centre m, interior orientation px; the aspect is that of ``factors.cameras.frame_measured``, which
-#: no pixel here feels.
+#: Z rad, projection centre m, interior orientation px; the aspect acts only where the polynomial corrects.
 UNKNOWN: Final = Record(
     rotation="w1 w2 w3", centre="x y z", focal=1, principal="sample line", distortion="k1 k2 k3 p1 p2", aspect=1,
 )  # fmt: skip
 N_UNKNOWNS: Final = UNKNOWN.size
-#: Columns of derivatives: the unknowns, the ground point, and one that stays zero, for unknowns of an image that no
-#: pixel feels: codes from N_UNKNOWNS on (``factors.conditions.navigation``).
+#: Columns of derivatives: the unknowns, the ground point, and a column of zeros for unknowns of an image on which no
+#: pixel depends: codes from N_UNKNOWNS on (``factors.conditions.navigation``).
 COLUMN: Final = Record(**UNKNOWN.fields, ground="g1 g2 g3", silent=1)
 GROUND: Final = COLUMN.ground.start
 
 
 @compiled
 def camera(record: Any, setup: Any, x: Any) -> Any:
-    """Camera (29,) of unknowns (k,) in prior sigmas; see ``factors.cameras.frame_camera``."""
+    """Map 1: camera, as ``CAMERA``, of unknowns (k,) in prior sigmas."""
     d, out = np.zeros(N_UNKNOWNS, x.dtype), np.empty(CAMERA.size, x.dtype)
     for j in range(setup.shape[1]):
         if setup[0, j] < N_UNKNOWNS:
             d[int(setup[0, j])] += setup[1, j] * x[j]
-    turned(d[UNKNOWN.rotation], record[RECORD.rotation], out)
-    for k in range(UNKNOWN.aspect - UNKNOWN.centre.start):
+    frame_camera.turned(d[UNKNOWN.rotation], record[RECORD.rotation], out)
+    for k in range(N_UNKNOWNS - UNKNOWN.centre.start):
         out[CAMERA.centre.start + k] = record[RECORD.centre.start + k] + d[UNKNOWN.centre.start + k]
+    out[CAMERA.unit] = record[RECORD.unit]
     return out
+
+
+@compiled
+def difference(c: Any, line: Any, sample: Any, x: Any, y: Any) -> Any:
+    """Map 3: adjusted minus observed line and sample (px) of a direction x, y."""
+    if c[CAMERA.unit] == 0.0:
+        computed = frame_camera.pixel(c, x, y)
+        return computed[0] - line, computed[1] - sample
+    u, v = frame_camera.polynomial_arguments(c, line, sample)
+    u, v = brown(c, u, v)
+    return c[CAMERA.focal] * y - c[CAMERA.unit] * v, c[CAMERA.focal] * x - c[CAMERA.unit] * u
+
+
+@compiled
+def derivatives(c: Any, observed: Any, ray: Vector, out: Array) -> float:
+    """Write the whitened derivatives into ``out`` (2, 19), columns ``COLUMN``; 0 if they are finite.
+
+    ``observed`` are the first four numbers of the record, ``ray`` is what
+    :func:`factors.cameras.frame_camera.direction` gives.
+    """
+    o_line, o_sample, a_line, a_sample = observed
+    x, y, _ = ray
+    s_line, s_sample = a_line * c[CAMERA.focal], a_sample * c[CAMERA.focal]
+    if c[CAMERA.unit] == 0.0:  # d = p_0 + f Brown(x, y) - observed pixel
+        u, v = x, y
+        xx, xy, yy = brown_slopes(c, u, v)
+        by_focal = brown(c, u, v)
+        total = _carry_back(c, ray, s_line * xy, s_line * yy, out, 0)
+        total += _carry_back(c, ray, s_sample * xx, s_sample * xy, out, 1)
+        out[0, UNKNOWN.sample], out[0, UNKNOWN.line], out[0, UNKNOWN.aspect] = 0.0, a_line, 0.0
+        out[1, UNKNOWN.sample], out[1, UNKNOWN.line], out[1, UNKNOWN.aspect] = a_sample, 0.0, 0.0
+    else:  # d = f (x, y) - unit Brown(u, v)
+        u, v = frame_camera.polynomial_arguments(c, o_line, o_sample)
+        xx, xy, yy = brown_slopes(c, u, v)
+        by_focal = x, y
+        total = _carry_back(c, ray, 0.0, s_line, out, 0) + _carry_back(c, ray, s_sample, 0.0, out, 1)
+        stretch, wide = 1.0 + c[CAMERA.aspect], (o_sample - c[CAMERA.sample]) / c[CAMERA.unit]
+        s_line, s_sample = -a_line * c[CAMERA.unit], -a_sample * c[CAMERA.unit]
+        out[0, UNKNOWN.sample], out[0, UNKNOWN.line] = a_line * xy * stretch, a_line * yy
+        out[1, UNKNOWN.sample], out[1, UNKNOWN.line] = a_sample * xx * stretch, a_sample * xy
+        out[0, UNKNOWN.aspect], out[1, UNKNOWN.aspect] = s_line * xy * wide, s_sample * xx * wide
+    out[0, UNKNOWN.focal], out[1, UNKNOWN.focal] = a_line * by_focal[1], a_sample * by_focal[0]
+    r, uv, k_line, k_sample = u * u + v * v, 2.0 * u * v, s_line * v, s_sample * u
+    for k in range(UNKNOWN.k1, UNKNOWN.k3 + 1):
+        k_line, k_sample = k_line * r, k_sample * r
+        out[0, k], out[1, k] = k_line, k_sample
+    out[0, UNKNOWN.p1], out[0, UNKNOWN.p2] = s_line * (r + 2.0 * v * v), s_line * uv
+    out[1, UNKNOWN.p1], out[1, UNKNOWN.p2] = s_sample * uv, s_sample * (r + 2.0 * u * u)
+    return float(0.0 * (total + (xx + xy + yy) + (k_line + k_sample)))
+
+
+@compiled
+def _carry_back(c: Any, ray: Vector, by_x: float, by_y: float, out: Array, row: int) -> float:
+    """Map 2 backwards: write the derivatives by rotation, centre and ground of a row from those by x, y; their sum."""
+    x, y, inverse = ray
+    by_z = -(by_x * x + by_y * y)  # with q = R (G - C) = Z (x, y, 1), derivatives by q are (by_x, by_y, by_z)/Z
+    w1, w2, w3 = by_turn(c, (x, y, 1.0), (by_x, by_y, by_z))
+    g1, g2, g3 = rotate_back(c, (by_x * inverse, by_y * inverse, by_z * inverse))
+    out[row, COLUMN.w1], out[row, COLUMN.w2], out[row, COLUMN.w3] = w1, w2, w3
+    out[row, COLUMN.x], out[row, COLUMN.y], out[row, COLUMN.z] = -g1, -g2, -g3
+    out[row, COLUMN.g1], out[row, COLUMN.g2], out[row, COLUMN.g3] = g1, g2, g3
+    return float((w1 + w2) + (w3 + g1) + (g2 + g3))
+
+
+@compiled
+def evaluated(c: Any, observed: Any, ground: Vector, out: Array, want: bool) -> Any:
+    """Maps 2 to 4, for a factor and for a batch: whitened line and sample, and 0 if all is finite.
+
+    Derivatives are written into ``out`` (2, 19) with ``want``.
+    """
+    ray = direction(c, ground[0], ground[1], ground[2])
+    line, sample = difference(c, observed[0], observed[1], ray[0], ray[1])
+    line, sample = observed[2] * line, observed[3] * sample
+    zero = 0.0 * (line + sample)
+    if want:
+        zero += derivatives(c, observed, ray, out)
+    return line, sample, zero
 
 
 @compiled
@@ -57,79 +145,12 @@ def columns_of(setup: Any) -> Any:
 
 
 @compiled
-def misclosure(record: Any, line: Any, sample: Any) -> Any:
-    """Whitened computed minus observed pixel: two numbers."""
-    line, sample = line - record[RECORD.line], sample - record[RECORD.sample]
-    return record[RECORD.a_line] * line, record[RECORD.a_sample] * sample
-
-
-@compiled
 def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
     """Whitened residual (2,); accepts complex unknowns."""
     c = camera(record, setup, x)
     u, v, _ = direction(c, ground[0], ground[1], ground[2])
-    line, sample = pixel(c, u, v)
-    return np.array(misclosure(record, line, sample))
-
-
-@compiled
-def sight_row(c: Any, own: float, direction: Any, u: float, v: float, weight: float, out: Array, row: int) -> float:
-    """Write the derivatives of one pixel coordinate; 0 if they are finite.
-
-    ``own`` is the coordinate of the direction (x, y, 1/Z) that the pixel coordinate follows, ``u`` and ``v`` are the
-    derivatives of its measured one.
-    """
-    x, y, inverse = direction
-    s = weight * c[CAMERA.focal]
-    m0, m1 = s * u, s * v
-    m2 = -(m0 * x + m1 * y)
-    # a turn by the small angle e moves the point q = Z (x, y, 1) by e x q
-    w0, w1, w2 = y * m2 - m1, m0 - x * m2, x * m1 - y * m0
-    m0, m1, m2 = m0 * inverse, m1 * inverse, m2 * inverse
-    g0 = m0 * c[CAMERA.r11] + m1 * c[CAMERA.r21] + m2 * c[CAMERA.r31]
-    g1 = m0 * c[CAMERA.r12] + m1 * c[CAMERA.r22] + m2 * c[CAMERA.r32]
-    g2 = m0 * c[CAMERA.r13] + m1 * c[CAMERA.r23] + m2 * c[CAMERA.r33]
-    out[row, COLUMN.w1] = w0 * c[CAMERA.j11] + w1 * c[CAMERA.j21] + w2 * c[CAMERA.j31]
-    out[row, COLUMN.w2] = w0 * c[CAMERA.j12] + w1 * c[CAMERA.j22] + w2 * c[CAMERA.j32]
-    out[row, COLUMN.w3] = w0 * c[CAMERA.j13] + w1 * c[CAMERA.j23] + w2 * c[CAMERA.j33]
-    out[row, COLUMN.x], out[row, COLUMN.y], out[row, COLUMN.z] = -g0, -g1, -g2
-    out[row, COLUMN.g1], out[row, COLUMN.g2], out[row, COLUMN.g3] = g0, g1, g2
-    r = x * x + y * y
-    k1 = s * own * r
-    out[row, UNKNOWN.k1], out[row, UNKNOWN.k2], out[row, UNKNOWN.k3] = k1, k1 * r, k1 * r * r
-    return float(0.0 * ((w0 + w1) + (w2 + g0) + (g1 + g2) + k1 * r * r))
-
-
-@compiled
-def derivatives(c: Any, ray: Any, a_line: float, a_sample: float, out: Array) -> float:
-    """Write the whitened derivatives of the residual into ``out`` (2, 19); 0 if they are finite.
-
-    ``c`` is the camera, an array or a tuple; ``ray`` what :func:`factors.cameras.frame_camera.direction` gives;
-    ``a_line`` and ``a_sample`` are the weights, 1/px. Columns: the 15 unknowns in physical units, then the ground
-    point; columns 14 and 18 are left as they are.
-    """
-    x, y, _ = ray
-    mx, my = brown_ideal_to_measured(c, x, y)
-    a, b, d = brown_derivatives(c, x, y)
-    zero = sight_row(c, y, ray, b, d, a_line, out, 0) + sight_row(c, x, ray, a, b, a_sample, out, 1)
-    r, xy = x * x + y * y, 2.0 * x * y
-    out[0, UNKNOWN.focal], out[0, UNKNOWN.sample], out[0, UNKNOWN.line] = a_line * my, 0.0, a_line
-    out[1, UNKNOWN.focal], out[1, UNKNOWN.sample], out[1, UNKNOWN.line] = a_sample * mx, a_sample, 0.0
-    s_line, s_sample = a_line * c[CAMERA.focal], a_sample * c[CAMERA.focal]
-    out[0, UNKNOWN.p1], out[0, UNKNOWN.p2] = s_line * (r + 2.0 * y * y), s_line * xy
-    out[1, UNKNOWN.p1], out[1, UNKNOWN.p2] = s_sample * xy, s_sample * (r + 2.0 * x * x)
-    return float(zero)
-
-
-@compiled
-def spread(d: Array, setup: Array, out: Array) -> None:
-    """Write the Jacobians of the unknowns in prior sigmas and of the ground point behind the values in ``out``."""
-    column = columns_of(setup)
-    for i in range(2):
-        for j in range(len(column)):
-            out[i, 1 + j] = d[i, column[j]] * setup[1, j]
-        for j in range(3):
-            out[i, 1 + len(column) + j] = d[i, GROUND + j]
+    line, sample = difference(c, record[RECORD.line], record[RECORD.sample], u, v)
+    return np.array([record[RECORD.a_line] * line, record[RECORD.a_sample] * sample])
 
 
 @compiled
@@ -138,40 +159,41 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
     k, record, d = setup.shape[1], records[row], np.zeros((2, COLUMN.size))
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
         return False
-    c = camera(record, setup, x)
-    ray = direction(c, ground[0], ground[1], ground[2])
-    line, sample = pixel(c, ray[0], ray[1])
-    out[0, 0], out[1, 0] = misclosure(record, line, sample)
-    zero = 0.0 * (out[0, 0] + out[1, 0])
+    observed = record[RECORD.line], record[RECORD.sample], record[RECORD.a_line], record[RECORD.a_sample]
+    out[0, 0], out[1, 0], zero = evaluated(camera(record, setup, x), observed, ground, d, want)
     if want:
-        zero += derivatives(c, ray, record[RECORD.a_line], record[RECORD.a_sample], d)
-        spread(d, setup, out)
+        column = columns_of(setup)
+        for i in range(2):
+            for j in range(k):
+                out[i, 1 + j] = d[i, column[j]] * setup[1, j]
+            for j in range(3):
+                out[i, 1 + k + j] = d[i, GROUND + j]
     return bool(zero == 0.0)
 
 
 def example(rng: np.random.Generator) -> Example:
-    """Build an observation of a wide-angle camera; small and large rotation vectors occur, and subsets of unknowns."""
-    start, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    start *= np.sign(np.linalg.det(start))
+    """Build an observation of a wide-angle camera; both directions, small and large rotations, subsets of unknowns."""
+    start = random_rotation(rng)
     centre, depth = rng.normal(scale=100.0, size=3), rng.uniform(50.0, 500.0)
     ground = centre + start.T @ (depth * np.array([*rng.uniform(-0.4, 0.4, 2), 1.0]))
     focal, principal = rng.uniform(500.0, 5e3), rng.uniform(-50.0, 50.0, 2)
     distortion, (line, sample) = rng.normal(size=5) * np.repeat([0.05, 1e-3], [3, 2]), rng.uniform(-1e3, 1e3, 2)
     a_line, a_sample = 1.0 / rng.uniform(0.2, 2.0, 2)
-    record = RECORD.pack(line=line, sample=sample, a_line=a_line, a_sample=a_sample, rotation=start.ravel(),
-                         centre=centre, focal=focal, principal=principal, distortion=distortion)  # fmt: skip
-    sigma = np.repeat([rng.choice([1e-5, 1e-3, 0.1]), 0.3, 3.0, 2.0, 1e-2, 1e-4], [3, 3, 1, 2, 3, 2])
-    codes = np.sort(rng.permutation(14)[: rng.integers(1, 15)])
+    sigma = np.repeat([rng.choice([1e-5, 1e-3, 0.1]), 0.3, 3.0, 2.0, 1e-2, 1e-4, 1e-3], [3, 3, 1, 2, 3, 2, 1])
+    codes = np.sort(rng.permutation(N_UNKNOWNS)[: rng.integers(1, N_UNKNOWNS + 1)])
     setup = np.stack([codes.astype(float), sigma[codes]])
     if rng.random() < 0.3:
-        codes = np.append(codes, N_UNKNOWNS + 2)
-        setup = np.column_stack([setup, [codes[-1], 1.0]])
-    setup = np.ascontiguousarray(setup)
-    return Example(record, setup, (rng.normal(size=len(codes)), ground + rng.normal(scale=1.0, size=3)))
+        setup = np.column_stack([setup, [N_UNKNOWNS + 2.0, 1.0]])
+    aspect, unit = (rng.normal(scale=1e-3), focal * rng.uniform(0.5, 2.0)) if rng.random() < 0.5 else (0.0, 0.0)
+    record = RECORD.pack(line=line, sample=sample, a_line=a_line, a_sample=a_sample, rotation=start.ravel(),
+                         centre=centre, focal=focal, principal=principal, distortion=distortion, aspect=aspect,
+                         unit=unit)  # fmt: skip
+    x = rng.normal(size=len(setup[0]))
+    return Example(record, np.ascontiguousarray(setup), (x, ground + rng.normal(scale=1.0, size=3)))
 
 
-FRAME_BROWN_IDEAL_TO_MEASURED = register(Equation(
-    "frame_brown_ideal_to_measured", kernel_of(fill), residual,
+FRAME_COLLINEARITY = register(Equation(
+    "frame_collinearity", kernel_of(fill), residual,
     (Argument("image", "prior sigma"), Argument("ground", "m", is_point=True)), example,
-    "Brown 1966; OpenCV and COLMAP camera models; BAL (Agarwal et al. 2010)", fill,
+    "Brown 1966, 1971; OpenCV and COLMAP camera models; BAL (Agarwal et al. 2010); Ayhan 1996; DBAT", fill,
 ))  # fmt: skip

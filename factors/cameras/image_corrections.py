@@ -1,12 +1,12 @@
-"""Corrections that lead measured image coordinates to ideal ones: radial, decentring, affinity.
+"""Corrections from measured to ideal image coordinates: radial and decentring distortion, affinity.
 
     K = k1 r^2 + k2 r^4 + k3 r^6,   r^2 = x^2 + y^2      (x, y reduced to the principal point)
     x' = x + x K + P1 (r^2 + 2 x^2) + 2 P2 x y + A y
     y' = y + y K + P2 (r^2 + 2 y^2) + 2 P1 x y + B y
 
-Brown 1966; Ayhan 1996, eqs. 48, 53 and 71-73, with a slip of print corrected (eq. 71 repeats "x"). The direction is
+Brown 1966; Ayhan 1996, eqs. 48, 53 and 71-73, with a corrected misprint (eq. 71 repeats "x"). The direction is
 **measured to ideal**, the opposite of ``factors.cameras.frame_camera``. Coefficients (7,) are k1 k2 k3 P1 P2 A B, in
-the unit of the coordinates: mm^-2, mm^-4, mm^-6, mm^-1, mm^-1, 1, 1 where these are mm.
+the unit of the coordinates: mm^-2, mm^-4, mm^-6, mm^-1, mm^-1, 1, 1 for coordinates in mm.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Array, compiled, inlined
+from factors._contract import Array, inlined
+from factors._plain import plain
 from factors.records import Record
 
 AT: Final = Record(k1=1, k2=1, k3=1, p1=1, p2=1, affinity_a=1, affinity_b=1)
@@ -24,7 +25,7 @@ NAMES: Final = tuple(AT.fields)
 
 @inlined
 def ideal(c: Any, x: Any, y: Any) -> Any:
-    """Ideal coordinates (2 numbers) of measured ones."""
+    """Ideal coordinates (2 numbers) of measured coordinates."""
     xx, yy, xy = x * x, y * y, x * y
     r = xx + yy
     radial = 1.0 + r * (c[AT.k1] + r * (c[AT.k2] + r * c[AT.k3]))
@@ -62,10 +63,6 @@ def by_coefficient(j: int, x: Any, y: Any) -> Any:
     return 0.0 * y, y
 
 
-@compiled
 def ideal_points(c: Array, reduced: Array) -> Array:
     """Ideal coordinates (N, 2) of N measured points (N, 2), both about the principal point."""
-    out = np.empty_like(reduced)
-    for i in range(len(reduced)):
-        out[i, 0], out[i, 1] = ideal(c, reduced[i, 0], reduced[i, 1])
-    return out
+    return np.stack(plain(ideal)(c, *reduced.T), axis=1)

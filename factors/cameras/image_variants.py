@@ -1,27 +1,19 @@
-"""Further forms of radial distortion and of film deformation, as corrections added to measured coordinates.
+"""Alternative terms of radial distortion and film deformation: corrections added to measured coordinates.
 
-    radial_j        dr = radial_j r^j                     j = 1, 2, 4, 6: what k1 to k3 (r^3, r^5, r^7) leave out
+    radial_j        dr = radial_j r^j                     j = 1, 2, 4, 6: k1 to k3 have r^3, r^5, r^7
     orthogonal_i    dr = orthogonal_i R_n(r/R),           n = 3, 5, 7: Zernike's radial polynomials of order 1
     film_xx         dx = film_xx x
     film_yx         dy = film_yx x
 
     R_3 = 3 u^3 - 2 u,  R_5 = 10 u^5 - 12 u^3 + 3 u,  R_7 = 35 u^7 - 60 u^5 + 30 u^3 - 4 u
 
-(Ayhan 1996, eqs. 44 to 46, 49 to 55, which names no family of orthogonal polynomials; Born, Wolf 1999, section 9.2.)
+(Ayhan 1996, eqs. 44 to 46 and 49 to 52, which names no family of orthogonal polynomials; Born, Wolf 1999, section 9.2.)
 The displacements of R_3, R_5, R_7 and of a change of scale (R_1 = u) are orthogonal over the disk of radius R, and
 R_n(1) = 1: an ``orthogonal_i`` is the displacement at the rim. ``radial_1`` is a scale, as the principal distance is.
 ``image_corrections`` has dx = affinity_a y and dy = affinity_b y.
 
-x, y are reduced to the principal point and r^2 = x^2 + y^2; R is held. In the unit of the coordinates radial_j has its
-power 1 - j, orthogonal_i its power 1, film_xx and film_yx none.
-
-Film deformation as two scales, a skew and a turn, and as a matrix (Ayhan 1996, eqs. 49, 51, 53 to 55)::
-
-    (x', y') = A (x, y),    A = [ cos a, sin(a + b); -sin a, cos(a + b)] diag(lx, ly)
-
-a turns the image, b is what the angle between its axes lacks of 90 degrees, lx and ly are their scales. Without
-fiducial marks a is taken up by kappa (a = 0) and lx by the principal distance (lx = 1); then A - I = [0, A_p; 0, B_p],
-the coefficients ``affinity_a`` and ``affinity_b``. b = 0 leaves two scales.
+x, y are reduced to the principal point and r^2 = x^2 + y^2; R is held. The unit of radial_j is that of the coordinates
+to the power 1 - j, of orthogonal_i that of the coordinates; film_xx and film_yx have no unit.
 """
 
 from __future__ import annotations
@@ -69,54 +61,9 @@ def slopes(c: Array, x: float, y: float, radius: float) -> tuple[float, float, f
     r, v, radial = np.sqrt(rr), rr / radius**2, _factors(x, y, radius)
     for j in range(7):
         own += c[j] * radial[j]
-    # (d own/dr)/r; r itself has no slope at 0, where it is multiplied by x and y
+    # (d own/dr)/r; r has no derivative at 0, where it is multiplied by x and y
     slope = (c[AT.radial_2] / r if r > 0.0 else 0.0) + 3.0 * c[AT.radial_4] * r + 5.0 * c[AT.radial_6] * r * rr
     by_v = 3.0 * c[AT.orthogonal_1] + (20.0 * v - 12.0) * c[AT.orthogonal_2]
     by_v = by_v + ((105.0 * v - 120.0) * v + 30.0) * c[AT.orthogonal_3]
     slope += 2.0 * by_v / radius**3
     return own + x * x * slope + c[AT.film_xx], x * y * slope, x * y * slope + c[AT.film_yx], own + y * y * slope
-
-
-#: Parameters of the film matrix in order: rad, rad, 1, 1.
-FILM: Final = ("turn", "skew", "scale_x", "scale_y")
-
-
-def film_matrix(parameters: Any) -> Any:
-    """Matrix (2, 2) of turn, skew and scales; accepts complex numbers."""
-    turn, skew, across, up = parameters
-    return np.array([
-        [across * np.cos(turn), up * np.sin(turn + skew)],
-        [-across * np.sin(turn), up * np.cos(turn + skew)],
-    ])  # fmt: skip
-
-
-def film_matrix_derivatives(parameters: Array) -> Array:
-    """Derivatives (2, 2, 4) of the film matrix."""
-    turn, skew, across, up = parameters
-    out = np.zeros((2, 2, 4))
-    out[:, 0, 0] = -across * np.sin(turn), -across * np.cos(turn)
-    out[:, 0, 2] = np.cos(turn), -np.sin(turn)
-    for j in (0, 1):
-        out[:, 1, j] = up * np.cos(turn + skew), -up * np.sin(turn + skew)
-    out[:, 1, 3] = np.sin(turn + skew), np.cos(turn + skew)
-    return out
-
-
-def film_parameters(film: Array) -> Array:
-    """Turn, skew and scales (4,) of a matrix (2, 2)."""
-    (xx, xy), (yx, yy) = film
-    turn = np.arctan2(-yx, xx)
-    return np.array([turn, np.arctan2(xy, yy) - turn, np.hypot(xx, yx), np.hypot(xy, yy)])
-
-
-def film_parameter_derivatives(film: Array) -> Array:
-    """Derivatives (4, 2, 2) of :func:`film_parameters`, for their covariance."""
-    (xx, xy), (yx, yy) = film
-    across, up = np.hypot(xx, yx), np.hypot(xy, yy)
-    out = np.zeros((4, 2, 2))
-    out[0, :, 0] = yx / across**2, -xx / across**2
-    out[1, :, 1] = yy / up**2, -xy / up**2
-    out[1] -= out[0]
-    out[2, :, 0] = xx / across, yx / across
-    out[3, :, 1] = xy / up, yy / up
-    return out

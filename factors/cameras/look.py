@@ -1,8 +1,8 @@
-"""Look angles of a sample: table or polynomial, and the direction they stand for.
+"""Look angles of a sample from a table or polynomials, and their viewing direction.
 
-The viewing direction is ``u1 = (-tan psi_y, tan psi_x, -1)`` in the body frame: x right of
-flight, y forward, z outward (docs/equations.md 2; the printed +1 sends the ray into space).
-Tangents, not angles, are linear between detectors.
+The viewing direction is ``u1 = (-tan psi_y, tan psi_x, -1)`` in the body frame: x right of flight, y forward, z outward
+(docs/equations.md 2; the printed third component +1 points into space). Tangents, not angles, are linear between
+detectors.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from factors._contract import Array
 
 
 def from_table(sample_grid: Array, psi_x_rad: Array, psi_y_rad: Array, sample: Array) -> tuple[Array, Array]:
-    """Look angles psi_x, psi_y (rad) at N samples; beyond the table the end segments continue."""
+    """Look angles psi_x, psi_y (rad) at N samples; beyond the table the first and last segments are continued."""
     s = np.asarray(sample, float)
     k = np.clip(np.searchsorted(sample_grid, s, side="right") - 1, 0, len(sample_grid) - 2)
     f = (s - sample_grid[k]) / (sample_grid[k + 1] - sample_grid[k])

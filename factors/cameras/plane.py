@@ -1,23 +1,38 @@
-"""Transformations between two planes: polynomial (affine if of degree 1), Helmert, projective.
+"""Transformations by points: plane polynomial, Helmert, projective; images of line scanners without orientation data.
 
-An observation is a point in both planes: source coordinates x, y and a third that planes do not use, target
-coordinates U, V, and the upper triangle w11, w12, w22 of the whitening matrix. The residual is
-``W (computed - given)``, the sign of İpbüker 1994. Coordinates should be centred and scaled to about 1: with the full
-metres of a map projection the normal equations of degree 2 and 3 have no correct digit left.
+    plane_polynomial     U = sum a_jk x^j y^k, V alike                                          (İpbüker 1994)
+    plane_helmert        U = c + a x - b y,  V = d + b x + a y
+    plane_projective     U = (a0 + a1 x + a2 y)/(1 + c1 x + c2 y),  V = (b0 + b1 x + b2 y)/(the same)
+    affine_projection    U = a0 + a1 x + a2 y + a3 z,  V = q = b0 + b1 x + b2 y + b3 z
+    parallel_projection  U as affine,  V = q/(1 + t q)
+    line_scanner_dlt     U as affine,  V = q/(1 + c1 x + c2 y + c3 z)
+
+The source x, y, z is a plane, or the ground in a plane coordinate system; the target U, V is the other plane, or line
+and sample. A line scanner is central along its lines only: the line is affine in the ground coordinates. The residual
+is ``W (computed - given)`` with the upper triangle w11, w12, w22, the sign of İpbüker 1994. Coordinates should be
+centred and scaled to about 1: with the full metres of a map projection the normal equations of degree 2 and 3 have no
+correct digit left. All families except the polynomial keep their form under such a scaling.
+
+The functions are plain numpy and take one record (8,) or many (N, 8): nothing is compiled.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors._contract import Argument, Array, Equation, Example, register
 from factors.records import Record
 
 RECORD: Final = Record(source="x y z", target="u v", w11=1, w12=1, w22=1)
 #: Highest degree of the polynomial: that of İpbüker 1994.
 MAX_DEGREE = 5
+#: Linear form: pairs of an unknown's place and its factor; the factor is a number or an array over points.
+Form = list[tuple[int, Any]]
+#: Numerators of U and V, denominators minus 1 of U and V.
+Forms = tuple[Form, Form, Form, Form]
 
 
 def polynomial_setup(degree: int) -> Array:
@@ -26,97 +41,94 @@ def polynomial_setup(degree: int) -> Array:
     return np.ascontiguousarray(np.array(pairs, float).T)
 
 
-@compiled
-def whitened(record: Any, u: Any, v: Any) -> Any:
-    """``W (computed - given)`` (2,) of a computed target u, v."""
-    d_u, d_v = u - record[RECORD.u], v - record[RECORD.v]
-    return np.array([record[RECORD.w11] * d_u + record[RECORD.w12] * d_v, record[RECORD.w22] * d_v])
+def _linear(first: int, *factors: Any) -> Form:
+    """Form with unknowns from ``first`` on."""
+    return list(enumerate(factors, first))
 
 
-@compiled
-def whiten_rows(record: Array, jacobian: Array) -> Array:
-    """W times a Jacobian (2, k), in place."""
-    for j in range(jacobian.shape[1]):
-        jacobian[0, j] = record[RECORD.w11] * jacobian[0, j] + record[RECORD.w12] * jacobian[1, j]
-        jacobian[1, j] *= record[RECORD.w22]
-    return jacobian
-
-
-@compiled
-def _power(base: float, exponent: int) -> float:
+def _power(base: Any, exponent: float) -> Any:
     out = 1.0
-    for _ in range(exponent):
-        out *= base
+    for _ in range(int(exponent)):
+        out = out * base
     return out
 
 
-@compiled
-def residual_polynomial(record: Any, setup: Any, c: Any) -> Any:
-    """Polynomial of U and of V with the exponents of ``setup`` (2, p); c = p coefficients of U, then of V."""
-    p = setup.shape[1]
-    u, v = c[0] * 0.0, c[0] * 0.0
-    for k in range(p):
-        term = _power(record[RECORD.x], int(setup[0, k])) * _power(record[RECORD.y], int(setup[1, k]))
-        u += c[k] * term
-        v += c[p + k] * term
-    return whitened(record, u, v)
+def value_of(form: Form, c: Any, first: float = 0.0) -> Any:
+    """``first`` plus the sum of unknowns times factors."""
+    total: Any = first
+    for k, factor in form:
+        total = total + c[k] * factor
+    return total
 
 
-@compiled
-def kernel_polynomial(record: Array, setup: Array, c: Array, want: bool) -> tuple[Array, Array]:
-    """Residual (2,) and Jacobian (2, 2p)."""
-    value = residual_polynomial(record, setup, c)
-    if not want:
-        return value, np.empty((0, 0))
-    p = setup.shape[1]
-    jacobian = np.zeros((2, 2 * p))
-    for k in range(p):
-        term = _power(record[RECORD.x], int(setup[0, k])) * _power(record[RECORD.y], int(setup[1, k]))
-        jacobian[0, k] = term
-        jacobian[1, p + k] = term
-    return value, whiten_rows(record, jacobian)
+def whitened(record: Any, u: Any, v: Any) -> Any:
+    """``W (computed - given)`` (..., 2) of a computed target u, v."""
+    d_u, d_v = u - record[..., RECORD.u], v - record[..., RECORD.v]
+    first = record[..., RECORD.w11] * d_u + record[..., RECORD.w12] * d_v
+    return np.stack([first, record[..., RECORD.w22] * d_v], axis=-1)
 
 
-@compiled
-def residual_helmert(record: Any, setup: Any, x: Any) -> Any:
-    """``U = c + a x - b y, V = d + b x + a y``; unknowns c, d, a, b."""
-    u = x[0] + x[2] * record[RECORD.x] - x[3] * record[RECORD.y]
-    v = x[1] + x[3] * record[RECORD.x] + x[2] * record[RECORD.y]
-    return whitened(record, u, v)
+def whiten_rows(record: Array, rows: Array) -> Array:
+    """W times a Jacobian (..., 2, k), in place."""
+    rows[..., 0, :] = record[..., [RECORD.w11]] * rows[..., 0, :] + record[..., [RECORD.w12]] * rows[..., 1, :]
+    rows[..., 1, :] *= record[..., [RECORD.w22]]
+    return rows
 
 
-@compiled
-def kernel_helmert(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
-    """Residual (2,) and Jacobian (2, 4)."""
-    value = residual_helmert(record, setup, x)
-    if not want:
-        return value, np.empty((0, 0))
-    rows = np.array([[1.0, 0.0, record[RECORD.x], -record[RECORD.y]], [0.0, 1.0, record[RECORD.y], record[RECORD.x]]])
-    return value, whiten_rows(record, rows)
+def _polynomial(x: Any, y: Any, z: Any, setup: Array, c: Any) -> Forms:
+    terms = [_power(x, j) * _power(y, k) for j, k in setup.T]
+    return _linear(0, *terms), _linear(len(terms), *terms), [], []
 
 
-@compiled
-def residual_projective(record: Any, setup: Any, x: Any) -> Any:
-    """``U = (a0 + a1 x + a2 y)/(1 + c1 x + c2 y)``, V alike; unknowns a0 a1 a2 b0 b1 b2 c1 c2."""
-    s, t = record[RECORD.x], record[RECORD.y]
-    below = 1.0 + x[6] * s + x[7] * t
-    return whitened(record, (x[0] + x[1] * s + x[2] * t) / below, (x[3] + x[4] * s + x[5] * t) / below)
+def _helmert(x: Any, y: Any, z: Any, setup: Array, c: Any) -> Forms:
+    return [(0, 1.0), (2, x), (3, -y)], [(1, 1.0), (3, x), (2, y)], [], []
 
 
-@compiled
-def kernel_projective(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
-    """Residual (2,) and Jacobian (2, 8)."""
-    value = residual_projective(record, setup, x)
-    if not want:
-        return value, np.empty((0, 0))
-    s, t = record[RECORD.x], record[RECORD.y]
-    g = 1.0 / (1.0 + x[6] * s + x[7] * t)
-    u, v = (x[0] + x[1] * s + x[2] * t) * g, (x[3] + x[4] * s + x[5] * t) * g
-    jacobian = np.array([
-        [g, s * g, t * g, 0.0, 0.0, 0.0, -u * s * g, -u * t * g],
-        [0.0, 0.0, 0.0, g, s * g, t * g, -v * s * g, -v * t * g],
-    ])  # fmt: skip
-    return value, whiten_rows(record, jacobian)
+def _projective(x: Any, y: Any, z: Any, setup: Array, c: Any) -> Forms:
+    below = _linear(6, x, y)
+    return _linear(0, 1.0, x, y), _linear(3, 1.0, x, y), below, below
+
+
+def _affine(x: Any, y: Any, z: Any, setup: Array, c: Any) -> Forms:
+    return _linear(0, 1.0, x, y, z), _linear(4, 1.0, x, y, z), [], []
+
+
+def _parallel(x: Any, y: Any, z: Any, setup: Array, c: Any) -> Forms:
+    line, q = _linear(0, 1.0, x, y, z), _linear(4, 1.0, x, y, z)
+    return line, q, [], [(8, value_of(q, c))]
+
+
+def _line_scanner_dlt(x: Any, y: Any, z: Any, setup: Array, c: Any) -> Forms:
+    return _linear(0, 1.0, x, y, z), _linear(4, 1.0, x, y, z), [], _linear(8, x, y, z)
+
+
+#: Forms of each transformation, by the name of its equation.
+_FORMS: Final[dict[str, Callable[..., Forms]]] = {
+    "plane_polynomial": _polynomial, "plane_helmert": _helmert, "plane_projective": _projective,
+    "affine_projection": _affine, "parallel_projection": _parallel, "line_scanner_dlt": _line_scanner_dlt,
+}  # fmt: skip
+
+
+def targets(name: str, source: Any, setup: Array, c: Any) -> tuple[Any, Any]:
+    """Target coordinates U, V (...,) of source coordinates (..., 3) by a transformation, named as its equation."""
+    u, v, below_u, below_v = _FORMS[name](source[..., 0], source[..., 1], source[..., 2], setup, c)
+    return value_of(u, c) / value_of(below_u, c, 1.0), value_of(v, c) / value_of(below_v, c, 1.0)
+
+
+def _rows(name: str, source: Array, setup: Array, c: Array) -> Array:
+    """Derivatives (..., 2, k) of the targets with respect to the unknowns."""
+    u, v, below_u, below_v = _FORMS[name](source[..., 0], source[..., 1], source[..., 2], setup, c)
+    out = np.zeros((*source.shape[:-1], 2, len(c)))
+    for row, (numerator, denominator) in enumerate(((u, below_u), (v, below_v))):
+        g = 1.0 / value_of(denominator, c, 1.0)
+        target = value_of(numerator, c) * g
+        # the denominator of V of the parallel projection contains its numerator
+        by_numerator = g * g if name == "parallel_projection" and row == 1 else g
+        for k, factor in numerator:
+            out[..., row, k] = factor * by_numerator
+        for k, factor in denominator:
+            out[..., row, k] = -target * factor * g
+    return out
 
 
 def example_record(rng: np.random.Generator) -> Array:
@@ -126,29 +138,36 @@ def example_record(rng: np.random.Generator) -> Array:
     return RECORD.pack(source=source, target=target, w11=w11, w12=w12, w22=w22)
 
 
-def _example_polynomial(rng: np.random.Generator) -> Example:
-    setup = polynomial_setup(int(rng.integers(1, MAX_DEGREE + 1)))
-    return Example(example_record(rng), setup, (rng.normal(size=2 * setup.shape[1]),))
+def _register(name: str, source: str, unit: str, n_linear: int, n_quotient: int = 0) -> Equation:
+    """Register a transformation of ``n_linear`` numerator and ``n_quotient`` denominator unknowns; 0: a polynomial."""
+
+    def residual(record: Any, setup: Any, c: Any) -> Any:
+        return whitened(record, *targets(name, record, setup, c))
+
+    def kernel(record: Array, setup: Array, c: Array, want: bool) -> tuple[Array, Array]:
+        rows = whiten_rows(record, _rows(name, record[..., RECORD.source], setup, c)) if want else np.empty((0, 0))
+        return residual(record, setup, c), rows
+
+    def example(rng: np.random.Generator) -> Example:
+        setup = np.zeros((2, 0)) if n_linear else polynomial_setup(int(rng.integers(1, MAX_DEGREE + 1)))
+        c = rng.normal(size=n_linear or 2 * setup.shape[1])
+        return Example(example_record(rng), setup, (np.concatenate([c, rng.uniform(-0.1, 0.1, n_quotient)]),))
+
+    return register(Equation(name, kernel, residual, (Argument("coefficients", unit),), example, source, arrays=True))
 
 
-def _example_helmert(rng: np.random.Generator) -> Example:
-    return Example(example_record(rng), np.zeros((2, 0)), (rng.normal(size=4),))
-
-
-def _example_projective(rng: np.random.Generator) -> Example:
-    x = np.concatenate([rng.normal(size=6), rng.uniform(-0.3, 0.3, 2)])
-    return Example(example_record(rng), np.zeros((2, 0)), (x,))
-
-
-POLYNOMIAL = register(Equation(
-    "plane_polynomial", kernel_polynomial, residual_polynomial, (Argument("coefficients", "target unit"),),
-    _example_polynomial, "İpbüker 1994, section 4.2.1 and appendix EK 2",
-))  # fmt: skip
-HELMERT = register(Equation(
-    "plane_helmert", kernel_helmert, residual_helmert, (Argument("coefficients", "target unit"),), _example_helmert,
-    "İpbüker 1994, section 7.2 (names the transformation; the equations are the usual ones)",
-))  # fmt: skip
-PROJECTIVE = register(Equation(
-    "plane_projective", kernel_projective, residual_projective, (Argument("coefficients", "target unit"),),
-    _example_projective, "the homography of two planes, its last element 1",
-))  # fmt: skip
+POLYNOMIAL = _register("plane_polynomial", "İpbüker 1994, section 4.2.1 and appendix EK 2", "target unit", 0)
+HELMERT = _register(
+    "plane_helmert", "İpbüker 1994, section 7.2 (names it; the equations are the usual ones)", "target unit", 4
+)  # fmt: skip
+PROJECTIVE = _register(
+    "plane_projective", "the homography of two planes, its last element 1", "target unit", 6, 2
+)  # fmt: skip
+AFFINE_PROJECTION = _register("affine_projection", "Okamoto 1981; Fraser & Yamakawa 2004", "pixel", 8)
+PARALLEL_PROJECTION = _register(
+    "parallel_projection", "Morgan 2004: parallel projection with the perspective-to-parallel term of the scan line",
+    "pixel", 8, 1,
+)  # fmt: skip
+LINE_SCANNER_DLT = _register(
+    "line_scanner_dlt", "Gupta & Hartley 1997: the linear pushbroom camera", "pixel", 8, 3
+)  # fmt: skip

@@ -50,7 +50,7 @@ from factors.geometry.sines import sine_cosine
 
 @inlined
 def _in_frame(observation: Any, changes: Any, ground: Any) -> Any:
-    """Coordinates w of the ground point in the corrected orbital frame, and their difference; the frame, its scales."""
+    """Map 1: ground point w in the orbital frame of the metadata, its difference; corrected frame and scales."""
     position, velocity, _, _, _, _, follows, reference, from_position = observation
     dp, dv, _, _ = changes
     frame, lengths = orbital.reference(position, velocity)
@@ -66,7 +66,7 @@ def _in_frame(observation: Any, changes: Any, ground: Any) -> Any:
 
 @inlined
 def _tangent(psi: Any, d_psi: Any) -> Any:
-    """Tangent of psi, and its exact difference to that of psi + d_psi."""
+    """Tangent of psi and exact difference tan(psi + d_psi) - tan(psi)."""
     s, less = sine_cosine(psi)
     t = s / (1.0 + less)
     s, less = sine_cosine(d_psi)
@@ -120,7 +120,7 @@ def derivatives(observation: Any, maps: Any) -> Any:
 
 @inlined
 def _row(a: Any, b: Any, mounting: Any, follows: Any, maps: Any) -> Any:
-    """Derivatives of ``r = a F_y + b F_x``: the row dr/df is carried back through the maps, last to first."""
+    """Derivatives of ``r = a F_y + b F_x``: dr/df is carried back through the maps, from last to first."""
     w, frame, scales, attitude, by_angles, at, t_x, t_y = maps
     by_look = b * (1.0 + t_x * t_x), -a * (1.0 + t_y * t_y)
     f1, f2 = a * at[2], b * at[2]
@@ -167,7 +167,7 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
 
 
 def example(rng: np.random.Generator) -> Example:
-    """Build a SPOT-like observation; both kinds of files and both attitude forms occur, and curves."""
+    """Build a SPOT-like observation; both kinds of files, both attitude forms and curves occur."""
     p = rng.normal(size=3)
     p *= 7.2e6 / np.linalg.norm(p)
     v = np.cross(p, rng.normal(size=3))

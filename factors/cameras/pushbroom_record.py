@@ -1,8 +1,8 @@
-"""Arrays of the look-angle collinearity: constants, corrections, derivatives; what each coefficient corrects.
+"""Arrays of the look-angle collinearity: constants, corrections, derivatives, codes of the coefficients.
 
-A factor and a batch (``fg_orient.kernels.batch_pushbroom``) read the same arrays: entry k of observation i stands at
-``i + k n`` of a flat array. Everything is a map on scalars without branches or calls, so that a loop over observations
-becomes vector instructions, and every operation is rounded as written: both get the same bits.
+A factor and a batch (``fg_orient.kernels.batch_pushbroom``) read the same arrays: entry k of observation i is at ``i +
+k n`` of a flat array. All functions are maps on scalars without branches or calls, so that a loop over observations
+becomes vector instructions. Every operation is rounded as written: both get the same bits.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from factors._contract import compiled, inlined
 from factors.records import Record
 
 #: P m, V m/s, angles rad, M row-major; tau, look angles rad, s; A row-major; whether the frame follows P and V and the
-#: attitude has the small-angle form (1/0); reference ground point m (local), the same minus P m (ECEF axes).
+#: attitude has the small-angle form (1/0); reference ground point m (local), the same point minus P m (ECEF axes).
 RECORD: Final = Record(
     position=3, velocity=3, angles=3, mounting="m11 m12 m13 m21 m22 m23 m31 m32 m33", tau=1, look="psi_x psi_y", s=1,
     whitening="a11 a12 a21 a22", follows=1, small_angle=1, reference=3, from_position=3,
@@ -24,11 +24,11 @@ RECORD: Final = Record(
 CORRECTION: Final = Record(position=3, velocity=3, angles=3, look="psi_x psi_y")
 #: Derivatives of one condition.
 ROW: Final = Record(position=3, velocity=3, angles=3, ground=3, look="psi_x psi_y")
-#: What :func:`store` writes: whitened conditions, their derivatives, the sum of all.
+#: Results written by :func:`store`: whitened conditions, their derivatives, the sum of all.
 STORED: Final = Record(line=1, sample=1, line_row=ROW.size, sample_row=ROW.size, total=1)
 #: Setup: codes and prior sigmas of the unknowns. Code 3 component + degree for EOP (X Y Z VX VY VZ roll
 #: pitch yaw); 27 + 2 k for psi_x and 28 + 2 k for psi_y, coefficient of s^k; CURVE + CURVES component + k for the curve
-#: whose value at the observation stands behind the record, at RECORD.size + k.
+#: whose value at the observation follows the record, at RECORD.size + k.
 N_EOP = 27
 CURVE, CURVES = 64, 32
 
@@ -45,7 +45,7 @@ def corrections(record: Any, setup: Any, x: Any) -> Any:
 
 @inlined
 def slot(code: int) -> int:
-    """Which of the 9 EOP and 2 look angles a coefficient adds to."""
+    """Number of the EOP (0 to 8) or look angle (9, 10) to which a coefficient adds."""
     if code < N_EOP:
         return code // 3
     return CORRECTION.psi_x + (code - N_EOP) % 2 if code < CURVE else (code - CURVE) // CURVES
@@ -53,7 +53,7 @@ def slot(code: int) -> int:
 
 @inlined
 def basis(record: Any, code: int) -> Any:
-    """Power of tau or of the sample, or value of the curve, that a coefficient belongs to."""
+    """Factor of a coefficient: power of tau or of the sample, or value of the curve."""
     if code < N_EOP:
         tau, degree = record[RECORD.tau], code % 3
         return 1.0 if degree == 0 else tau if degree == 1 else tau * tau
@@ -64,14 +64,14 @@ def basis(record: Any, code: int) -> Any:
 
 @inlined
 def three(a: Any, i: Any, n: Any) -> Any:
-    """Entry ``i`` and the next two, which lie ``n`` apart."""
+    """Entry ``i`` and the next two, in steps of ``n``."""
     j = i + n
     return a[i], a[j], a[j + n]
 
 
 @inlined
 def observation(record: Any, i: Any, n: Any) -> Any:
-    """Constants of observation i: P, V, angles, M, look angles, A, whether the frame follows, G_0, G_0 - P."""
+    """Constants of observation i: P, V, angles, M, look angles, A, follows (1 or 0), G_0, G_0 - P."""
     a, b = three(record, i + RECORD.m11 * n, n), three(record, i + RECORD.m21 * n, n)
     return (
         three(record, i + RECORD.position.start * n, n), three(record, i + RECORD.velocity.start * n, n),
@@ -102,7 +102,7 @@ def _sum(y: Any) -> Any:
 
 @inlined
 def _write_three(a: Any, i: Any, n: Any, values: Any) -> None:
-    """Write entry ``i`` and the next two, which lie ``n`` apart."""
+    """Write entry ``i`` and the next two, in steps of ``n``."""
     j = i + n
     a[i], a[j], a[j + n] = values
 
@@ -120,7 +120,7 @@ def _write_row(out: Any, i: Any, n: Any, row: Any) -> None:
 
 @inlined
 def store(out: Any, i: Any, n: Any, value: Any, rows: Any) -> None:
-    """Write the numbers of an observation, as ``STORED``."""
+    """Write value and derivatives of an observation, as ``STORED``."""
     line, sample = rows
     out[i + STORED.line * n], out[i + STORED.sample * n] = value
     _write_row(out, i + STORED.line_row.start * n, n, line)

@@ -5,10 +5,10 @@
 with l, s the normalised line and sample and f cubic polynomials of the normalised longitude x, latitude y and height z,
 20 terms in RPC00B order. Coefficients move between orders by exponent triple (longitude, latitude, height), never by
 index: RPC00A is the order of older NITF files, T 2.54 the published one (with X = longitude, Y = latitude).
-``c`` (4, 20) holds line numerator, line denominator, sample numerator, sample denominator; both denominators have the
-constant 1. Where one changes its sign the model has a pole, unless the numerator has nearly the same zeros, as in some
-vendors' files: then values are good on both sides, but not near. Nothing is hidden here; ``fg_orient.sensors.rpc``
-looks for sign changes inside the image.
+``c`` (4, 20) are the coefficients of line numerator, line denominator, sample numerator, sample denominator; both
+denominators have the constant 1. Where a denominator changes its sign the model has a pole. If the numerator has nearly
+the same zeros, as in some vendors' files, values are correct on both sides but not near the pole. The functions return
+these values unchanged; ``fg_orient.sensors.rpc`` looks for sign changes inside the image.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Array, compiled
+from factors._plain import plain
 from factors.records import Record
 
 #: Terms in RPC00B order: products of longitude x, latitude y and height z.
@@ -80,36 +81,14 @@ def ground_derivatives(c: Any, x: float, y: float, z: float, l: float, s: float)
     )
 
 
-@compiled
 def values(c: Array, ground: Array) -> Array:
     """Normalised line and sample of N normalised ground points: (4, 20), (N, 3) -> (N, 2)."""
-    out = np.empty((len(ground), 2))
-    for i in range(len(ground)):
-        out[i, 0], out[i, 1] = value(c, ground[i, 0], ground[i, 1], ground[i, 2])
-    return out
+    return np.stack(plain(value)(c, *ground.T), axis=1)
 
 
-@compiled
-def ground_jacobian(c: Array, ground: Array) -> Array:
-    """Derivatives of normalised (line, sample) with respect to (x, y, z): (N, 3) -> (N, 2, 3)."""
-    out = np.empty((len(ground), 2, 3))
-    for i in range(len(ground)):
-        x, y, z = ground[i, 0], ground[i, 1], ground[i, 2]
-        l, s = value(c, x, y, z)  # noqa: E741
-        d_l, d_s = ground_derivatives(c, x, y, z, l, s)
-        for k in range(3):
-            out[i, 0, k], out[i, 1, k] = d_l[k], d_s[k]
-    return out
-
-
-@compiled
 def denominators(c: Array, ground: Array) -> Array:
     """Both denominators at N normalised ground points: (N, 3) -> (N, 2)."""
-    out = np.empty((len(ground), 2))
-    for i in range(len(ground)):
-        out[i, 0] = cubic(c, 1, ground[i, 0], ground[i, 1], ground[i, 2])
-        out[i, 1] = cubic(c, 3, ground[i, 0], ground[i, 1], ground[i, 2])
-    return out
+    return np.stack([plain(cubic)(c, k, *ground.T) for k in (1, 3)], axis=1)
 
 
 def permutation(source: str, target: str) -> npt.NDArray[np.intp]:
@@ -124,23 +103,7 @@ def permutation(source: str, target: str) -> npt.NDArray[np.intp]:
     return np.array([position[triple] for triple in EXPONENTS[target]], dtype=np.intp)
 
 
-def degree_mask(degree: int) -> npt.NDArray[np.bool_]:
-    """Terms of total degree <= ``degree`` in RPC00B order: (20,); 4, 10, 20 of them for 1, 2, 3."""
-    return np.array([sum(triple) <= degree for triple in EXPONENTS["RPC00B"]])
-
-
 def terms(ground: Array) -> Array:
     """Monomials of N normalised ground points in RPC00B order: (N, 3) -> (N, 20)."""
     power = np.asarray(ground, float)[:, :, None] ** np.arange(4)  # (N, 3, 4): each power once
     return np.ascontiguousarray(power[:, np.arange(3), np.array(EXPONENTS["RPC00B"])].prod(axis=2))
-
-
-def coefficient_jacobian(c: Array, ground: Array) -> Array:
-    """Derivatives of normalised (line, sample) with respect to their coefficients: (N, 3) -> (N, 2, 40).
-
-    Columns 0-19 belong to the numerator, 20-39 to the denominator of the row's own coordinate (column 20
-    is that of the constant, which the model holds at 1).
-    """
-    monomials, image, below = terms(ground), values(c, ground), denominators(c, ground)
-    numerator = monomials[:, None, :] / below[:, :, None]
-    return np.concatenate([numerator, -image[:, :, None] * numerator], axis=2)

@@ -1,10 +1,14 @@
 """Rational function with image-space compensation: the observation equation of an RPC image.
 
-    r = A (pixel of the ground point + compensation - observed pixel)       (Grodecki & Dial 2003, eqs. 4-5)
+For an image point measured at (line, sample) of ground point G (Grodecki & Dial 2003, eqs. 4-5; docs/rfm.md)::
 
-Unknown 1 is the compensation of the image in prior sigmas, unknown 2 the ground point (m, ECEF axes,
-local origin). The way from ECEF to longitude, latitude, height is part of the equation. Both are
-formed as reference plus difference (``factors.cameras.rfm_ground``): residuals repeat to 1e-11 pixels.
+    1 geodetic    longitude, latitude, height of G, normalised by offsets and scales: (x, y, z)
+    2 quotients   l = f1(x, y, z)/f2(x, y, z),  s = f3/f4                     (``factors.cameras.rfm``)
+    3 pixel       line = offset + scale l + compensation(l, s), sample alike  (``factors.cameras.rfm_project``)
+    4 whitening   r = A (line - observed line, sample - observed sample)
+
+Unknown 1 is the compensation of the image in prior sigmas, unknown 2 the ground point (m, ECEF axes, local origin).
+Map 1 is formed as reference plus difference (``factors.cameras.rfm_ground``): residuals repeat to 1e-11 pixels.
 """
 
 from __future__ import annotations
@@ -42,23 +46,6 @@ def compensation(setup: Any, x: Any) -> Any:
 
 
 @compiled
-def _normalised(record: Any, ground: Any) -> Any:
-    """Differences of longitude, latitude, height from the reference, and normalised coordinates."""
-    d = rfm_ground.differences(
-        record[RECORD.frame], ground[0] - record[RECORD.x], ground[1] - record[RECORD.y], ground[2] - record[RECORD.z]
-    )  # fmt: skip
-    lon = record[RECORD.lon] + d[0] / record[RECORD.lon_scale]
-    lat = record[RECORD.lat] + d[1] / record[RECORD.lat_scale]
-    return d, lon, lat, record[RECORD.height] + d[2] / record[RECORD.height_scale]
-
-
-@compiled
-def _coefficients(record: Any) -> Any:
-    """Coefficients (4, 20)."""
-    return record[RECORD.coefficients].reshape(4, 20)
-
-
-@compiled
 def _whitened(record: Any, line: Any, sample: Any) -> Any:
     """Product A (line, sample): a pair."""
     whitened_line = record[RECORD.a11] * line + record[RECORD.a12] * sample
@@ -66,46 +53,48 @@ def _whitened(record: Any, line: Any, sample: Any) -> Any:
 
 
 @compiled
-def _misclosure(record: Any, b: Any, l: Any, s: Any) -> Any:  # noqa: E741
-    """Whitened residual of a normalised pixel and a compensation: a pair."""
+def rational_function(record: Any, b: Any, ground: Any) -> Any:
+    """Whitened residual (a pair) under a compensation (6,), and the values of maps 1 and 2 for :func:`derivatives`."""
+    dx, dy, dz = ground[0] - record[RECORD.x], ground[1] - record[RECORD.y], ground[2] - record[RECORD.z]
+    d = rfm_ground.differences(record[RECORD.frame], dx, dy, dz)
+    x = record[RECORD.lon] + d[0] / record[RECORD.lon_scale]
+    y = record[RECORD.lat] + d[1] / record[RECORD.lat_scale]
+    z = record[RECORD.height] + d[2] / record[RECORD.height_scale]
+    l, s = rfm.value(record[RECORD.coefficients].reshape(4, 20), x, y, z)  # noqa: E741
     b_line, b_sample = compensated(b, l, s)
     line = (record[RECORD.line_offset] - record[RECORD.line]) + (record[RECORD.line_scale] * l + b_line)
     sample = (record[RECORD.sample_offset] - record[RECORD.sample]) + (record[RECORD.sample_scale] * s + b_sample)
-    return _whitened(record, line, sample)
+    return _whitened(record, line, sample), (d, (x, y, z), (l, s))
 
 
 @compiled
-def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
-    """Whitened residual (2,); accepts complex unknowns."""
-    _, lon, lat, h = _normalised(record, ground)
-    l, s = rfm.value(_coefficients(record), lon, lat, h)  # noqa: E741
-    r_line, r_sample = _misclosure(record, compensation(setup, x), l, s)
-    return np.array([r_line, r_sample])
-
-
-@compiled
-def _derivatives(record: Array, setup: Array, b: Array, point: Any, image: Any, out: Array) -> None:
-    """Write the Jacobians into columns 1.. of ``out`` (2, 1 + k + 3); ``point`` is that of :func:`_normalised`."""
-    k, (l, s) = setup.shape[1], image  # noqa: E741
-    d, lon, lat, h = point
-    d_l, d_s = rfm.ground_derivatives(_coefficients(record), lon, lat, h, l, s)
-    scales = record[RECORD.scales]
-    to_geodetic = rfm_ground.derivatives(record[RECORD.frame], d[0], d[1], d[2])
+def derivatives(record: Array, setup: Array, b: Array, maps: Any, out: Array) -> None:
+    """Write the derivatives by compensation and ground point into columns 1.. of ``out`` (2, 1 + k + 3)."""
+    (d, (x, y, z), (l, s)), k = maps, setup.shape[1]  # noqa: E741
     for j in range(k):
         code = int(setup[0, j])
         g = setup[1, j] * (1.0 if code < 2 else (l if code < 4 else s))
         is_line = code % 2 == 0
         out[0, 1 + j] = record[RECORD.a11 if is_line else RECORD.a12] * g
         out[1, 1 + j] = record[RECORD.a21 if is_line else RECORD.a22] * g
-    for c in range(3):
-        v_l, v_s = 0.0, 0.0
+    d_geodetic = rfm_ground.derivatives(record[RECORD.frame], d[0], d[1], d[2])
+    by_l, by_s = rfm.ground_derivatives(record[RECORD.coefficients].reshape(4, 20), x, y, z, l, s)
+    scales = record[RECORD.scales]
+    for c in range(3):  # derivatives by a coordinate of the ground point, from map 1 to map 4
+        d_l, d_s = 0.0, 0.0
         for a in range(3):
-            g = to_geodetic[a][c] / scales[a]
-            v_l += d_l[a] * g
-            v_s += d_s[a] * g
-        line = (record[RECORD.line_scale] + b[COMPENSATION.line_l]) * v_l + b[COMPENSATION.line_s] * v_s
-        sample = (record[RECORD.sample_scale] + b[COMPENSATION.sample_s]) * v_s + b[COMPENSATION.sample_l] * v_l
+            g = d_geodetic[a][c] / scales[a]
+            d_l += by_l[a] * g
+            d_s += by_s[a] * g
+        line = (record[RECORD.line_scale] + b[COMPENSATION.line_l]) * d_l + b[COMPENSATION.line_s] * d_s
+        sample = (record[RECORD.sample_scale] + b[COMPENSATION.sample_s]) * d_s + b[COMPENSATION.sample_l] * d_l
         out[0, 1 + k + c], out[1, 1 + k + c] = _whitened(record, line, sample)
+
+
+@compiled
+def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
+    """Whitened residual (2,); accepts complex unknowns."""
+    return np.array(rational_function(record, compensation(setup, x), ground)[0])
 
 
 @compiled
@@ -115,11 +104,9 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
         return False
     b = compensation(setup, x)
-    point = _normalised(record, ground)
-    image = rfm.value(_coefficients(record), point[1], point[2], point[3])
-    out[0, 0], out[1, 0] = _misclosure(record, b, image[0], image[1])
+    (out[0, 0], out[1, 0]), maps = rational_function(record, b, ground)
     if want:
-        _derivatives(record, setup, b, point, image, out)
+        derivatives(record, setup, b, maps, out)
     return is_finite(out, k + 4 if want else 1)
 
 

@@ -1,8 +1,8 @@
 """Geodetic coordinates of a point near a reference, as exact differences, and their derivatives.
 
-Longitude, latitude and height of an ECEF point have 16 digits, 1e-9 m to 1e-8 m; as differences from
-those of a reference point they have 16 digits of the difference. ``frame`` holds sines and cosines of the reference's
-longitude and latitude and its height, ``FRAME``. Accepts complex differences (complex-step tests).
+Longitude, latitude and height of an ECEF point have 16 digits, which is 1e-9 m to 1e-8 m; their differences to a
+reference point have 16 digits of the difference. ``frame`` holds sines and cosines of the reference's longitude and
+latitude and its height, ``FRAME``. Accepts complex differences (complex-step tests).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from factors.records import Record
 
 FRAME: Final = Record(sin_lon=1, cos_lon=1, sin_lat=1, cos_lat=1, height=1)
 
-#: Newton steps in the meridian plane: 100 km beside the reference the third one is exact.
+#: Newton steps in the meridian plane: at 100 km from the reference the third step is exact.
 STEPS: Final = 4
 
 

@@ -20,9 +20,9 @@ from factors.records import Record
 
 RANGE: Final = Record(image="line sample", ground="lon lat height")
 COMPENSATION: Final = Record(line=1, sample=1, line_l=1, sample_l=1, line_s=1, sample_s=1)
-#: Points of one pass: the four polynomials of a block stay in the cache, and each loop is vectorised.
+#: Points of one block: its four polynomials remain in the cache, and each loop is vectorised.
 BLOCK: Final = 256
-#: Newton ends below this, or where rounding stops it below LOCATE_PX.
+#: Newton's method ends below STEP_PX, or below LOCATE_PX if rounding prevents smaller misclosures.
 STEP_PX: Final = 1e-11
 LOCATE_PX: Final = 1e-7
 MAX_STEPS: Final = 40
@@ -83,7 +83,7 @@ def locate(c: Array, scales: Array, image: Array, z: Array, start: Array) -> Arr
     ----------
     c : (4, 20) array
     scales : (5,) array
-        Its line and sample scales turn misclosures into pixels.
+        Its line and sample scales convert misclosures to pixels.
     image : (N, 2) array
         Normalised line and sample, without compensation.
     z : (N,) array
@@ -93,7 +93,7 @@ def locate(c: Array, scales: Array, image: Array, z: Array, start: Array) -> Arr
     Returns
     -------
     (N, 2) array
-        nan where the iteration does not come within 1e-7 pixels.
+        nan where the misclosure does not fall below 1e-7 pixels.
     """
     out = np.empty((len(image), 2))
     for i in range(len(image)):

@@ -1,1 +1,1 @@
-"""Observations that are no image points: control, navigation, distances, planes, surfaces."""
+"""Observations other than image points: control, navigation, distances, planes, surfaces."""

@@ -1,4 +1,4 @@
-"""Circles and plumb lines as figures of points, and two cameras of equal attitude; see ``constraints``."""
+"""Points on circles and plumb lines, and two cameras with equal attitude; see ``constraints``."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ import numpy as np
 
 from factors._contract import Argument, Array, Example, register_condition
 from factors.cameras.frame_camera import CAMERA, turned
+from factors.geometry.rotations import random_rotation
 from factors.records import Record
 
 #: Factor s and the normal and axes of the circle's plane; s and rotations R_0 of both cameras, D, row-major.
 CIRCLE_RECORD: Final = Record(factor=1, normal=3, e_1=3, e_2=3)
 ATTITUDE_RECORD: Final = Record(factor=1, first=9, second=9, between=9)
-#: Of the others.
+#: Plumb line and horizontal circle.
 FACTOR: Final = Record(factor=1)
 
 
@@ -74,7 +75,7 @@ def jacobians_horizontal(record: Array, setup: Array, value: Array, x: Array, p:
 
 
 def _relative(record: Any, v: Any, w: Any) -> Any:
-    """Turns (29,) of both cameras; E = R_2 R_1^T D^T and R_2 R_1^T (3, 3)."""
+    """Turns of both cameras; E = R_2 R_1^T D^T and R_2 R_1^T (3, 3)."""
     first, second = np.empty(CAMERA.size, v.dtype), np.empty(CAMERA.size, w.dtype)
     turned(v, record[ATTITUDE_RECORD.first], first)
     turned(w, record[ATTITUDE_RECORD.second], second)
@@ -105,8 +106,7 @@ def _example_circle(rng: np.random.Generator) -> Example:
 
 
 def _example_attitude(rng: np.random.Generator) -> Example:
-    turns = [m * np.sign(np.linalg.det(m)) for m in (np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(3))]
-    first, second, between = (m.ravel() for m in turns)
+    first, second, between = (random_rotation(rng).ravel() for _ in range(3))
     record = ATTITUDE_RECORD.pack(factor=rng.uniform(0.5, 2.0), first=first, second=second, between=between)
     return Example(record, _NONE, (rng.normal(scale=0.3, size=3), rng.normal(scale=0.3, size=3)))
 

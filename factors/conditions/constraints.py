@@ -1,18 +1,18 @@
-"""Constraints between points, and between points and figures: zero where they hold, soft with a sigma or hard.
+"""Constraints between points, and between points and figures: zero if satisfied; soft with a sigma, or hard.
 
     distance          s (|q - p| - d)                                        eqs. 111 (base), 118
     parallel          s e_i . (q - p) x (t - r) / (|q - p| |t - r|)          i = 1, 2
     plane             s (n . (p - p_0) - x_2) / |n|,   n = n_0 + x_0 e_1 + x_1 e_2       eq. 116
     line              s (e_i . (p - p_0) - x_i - x_{2+i} n_0 . (p - p_0))    i = 1, 2; eq. 113
     plumb line        s (X - x_0, Y - x_1)                                   eq. 113
-    circle            that of the plane through its centre; s (|p - c| - a)  eqs. 115, 116
+    circle            residual of the plane through its centre; s (|p - c| - a)  eqs. 115, 116
     horizontal circle s (Z - x_2,  |(X, Y) - (x_0, x_1)| - x_3)              eq. 117
     observed element  s (x_j - value)                                        eqs. 81-89
 
 Equation numbers: Ayhan 1996. Residuals are metres times s (``parallel``: radians times s), so with s = 1/sigma they are
 whitened. Spheres and spheroids: ``factors.conditions.surfaces``. The first vector of a figure's frame is normal to its
-plane, or along its line; a figure is close to the frame, so no unknown grows without bound. Plain Python: constraints
-are few.
+plane, or along its line; the figure is close to this frame, so that its unknowns remain small. Plain Python: there are
+few constraints.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def jacobians_distance(record: Array, setup: Array, value: Array, p: Array, q: A
 
 
 def residual_parallel(record: Any, setup: Any, p: Any, q: Any, r: Any, t: Any) -> Any:
-    """Residual (2,); e_1 and e_2 lie across the lines."""
+    """Residual (2,); e_1 and e_2 are perpendicular to the lines."""
     a, b = q - p, t - r
     c, size = _cross(a, b), np.sqrt(_dot(a, a) * _dot(b, b))
     s = record[DIRECTION.factor]
@@ -98,7 +98,7 @@ def jacobians_plane(record: Array, setup: Array, value: Array, x: Array, p: Arra
 
 
 def residual_line(record: Any, setup: Any, x: Any, p: Any) -> Any:
-    """Residual (2,) of foot and slopes x (4,)."""
+    """Residual (2,) of foot point and slopes x (4,)."""
     d = p - record[FIGURE.place]
     along = _dot(record[FIGURE.normal], d)
     return np.array([
@@ -118,7 +118,7 @@ def jacobians_line(record: Array, setup: Array, value: Array, x: Array, p: Array
 
 
 def residual_element(record: Any, setup: Any, x: Any) -> Any:
-    """Residual (1,) of an element of x observed."""
+    """Residual (1,) of an observed element of x."""
     return np.array([record[ELEMENT.factor] * (x[int(record[ELEMENT.number])] - record[ELEMENT.value])])
 
 

@@ -6,12 +6,12 @@ the unknown by :func:`whitening`. ``observed_parameters``: residual ``(x - x_0) 
 with unknowns in prior sigmas this is the prior x = 0 with sigma 1 (docs/equations.md 7,
 stochastic weights: a ridge with physical units).
 
-``height_control``: a ground point's height observed from an elevation model, as a plane about the point's last place::
+``height_control``: height of a ground point observed in an elevation model, as a plane near the point::
 
     residual = n . (G - G_0) / sigma,   n = up - slope_east east - slope_north north
 
-G_0 is the model's point above or below the place at which it was read, so that the residual is the height of G
-above the plane. Adjusted on planes that are read anew until the points rest, the height is that above the model.
+G_0 is the point of the model above or below the place at which the model was read, so that the residual is the height
+of G above the plane. The planes are read again until the points have converged; the height then refers to the model.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors._contract import Argument, Array, Example, compiled, register_condition
 from factors.records import Record
 
 #: W row-major, G_0 m.
 POINT: Final = Record(whitening="w11 w12 w13 w21 w22 w23 w31 w32 w33", place="x y z")
-#: Of an observed height: n / sigma, G_0 m.
+#: Record of an observed height: n / sigma, G_0 m.
 HEIGHT: Final = Record(normal="n1 n2 n3", place="x y z")
 
 
@@ -57,13 +57,9 @@ def residual_point(record: Any, setup: Any, ground: Any) -> Any:
     ])  # fmt: skip
 
 
-@compiled
-def kernel_point(record: Array, setup: Array, ground: Array, want: bool) -> tuple[Array, Array]:
-    """Residual (3,) and Jacobian (3, 3) of an observed ground point."""
-    value = residual_point(record, setup, ground)
-    if not want:
-        return value, np.empty((0, 0))
-    return value, record[POINT.whitening].copy().reshape((3, 3))
+def jacobian_point(record: Array, setup: Array, value: Array, ground: Array) -> Array:
+    """Jacobian (3, 3) of an observed ground point."""
+    return np.array(record[POINT.whitening]).reshape((3, 3))
 
 
 @compiled
@@ -72,13 +68,9 @@ def residual_parameters(record: Any, setup: Any, x: Any) -> Any:
     return (x - setup[0]) / setup[1]
 
 
-@compiled
-def kernel_parameters(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
-    """Residual (k,) and Jacobian (k, k) of observed parameters."""
-    value = residual_parameters(record, setup, x)
-    if not want:
-        return value, np.empty((0, 0))
-    return value, np.diag(1.0 / setup[1])
+def jacobian_parameters(record: Array, setup: Array, value: Array, x: Array) -> Array:
+    """Jacobian (k, k) of observed parameters."""
+    return np.asarray(np.diag(1.0 / setup[1]))
 
 
 @compiled
@@ -88,13 +80,9 @@ def residual_height(record: Any, setup: Any, ground: Any) -> Any:
     return np.array([record[HEIGHT.n1] * d0 + record[HEIGHT.n2] * d1 + record[HEIGHT.n3] * d2])
 
 
-@compiled
-def kernel_height(record: Array, setup: Array, ground: Array, want: bool) -> tuple[Array, Array]:
-    """Residual (1,) and Jacobian (1, 3) of an observed height."""
-    value = residual_height(record, setup, ground)
-    if not want:
-        return value, np.empty((0, 0))
-    return value, record[HEIGHT.normal].copy().reshape((1, 3))
+def jacobian_height(record: Array, setup: Array, value: Array, ground: Array) -> Array:
+    """Jacobian (1, 3) of an observed height."""
+    return np.array(record[HEIGHT.normal]).reshape((1, 3))
 
 
 def _example_point(rng: np.random.Generator) -> Example:
@@ -108,16 +96,16 @@ def _example_parameters(rng: np.random.Generator) -> Example:
     return Example(np.zeros(0), setup, (rng.normal(size=5),))
 
 
-CONTROL_POINT = register(Equation(
-    "control_point", kernel_point, residual_point, (Argument("ground", "m", is_point=True),), _example_point,
-    "docs/equations.md 7, stochastic weights",
-))  # fmt: skip
-OBSERVED_PARAMETERS = register(Equation(
-    "observed_parameters", kernel_parameters, residual_parameters, (Argument("x", "prior sigma"),),
-    _example_parameters, "docs/equations.md 7, stochastic weights",
-))  # fmt: skip
-HEIGHT_CONTROL = register(Equation(
-    "height_control", kernel_height, residual_height, (Argument("ground", "m", is_point=True),),
-    lambda rng: Example(rng.normal(size=HEIGHT.size), np.zeros((2, 0)), (rng.normal(size=3),)),
-    "docs/equations.md 7, stochastic weights",
-))  # fmt: skip
+_GROUND: Final = Argument("ground", "m", is_point=True)
+_SOURCE: Final = "docs/equations.md 7, stochastic weights"
+CONTROL_POINT = register_condition(
+    "control_point", residual_point, jacobian_point, (_GROUND,), _example_point, _SOURCE
+)  # fmt: skip
+OBSERVED_PARAMETERS = register_condition(
+    "observed_parameters", residual_parameters, jacobian_parameters, (Argument("x", "prior sigma"),),
+    _example_parameters, _SOURCE,
+)  # fmt: skip
+HEIGHT_CONTROL = register_condition(
+    "height_control", residual_height, jacobian_height, (_GROUND,),
+    lambda rng: Example(rng.normal(size=HEIGHT.size), np.zeros((2, 0)), (rng.normal(size=3),)), _SOURCE,
+)  # fmt: skip

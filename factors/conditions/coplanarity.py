@@ -1,10 +1,10 @@
-"""Coplanarity of two rays and the base: the condition of relative orientation.
+"""Coplanarity of two rays and the base: condition of relative orientation.
 
-    r = s b . (d1 x R^T d2),   d_i = (x_i, y_i, 1)     (Ayhan 1996, eqs. 9-19; the essential matrix in other words)
+    r = s b . (d1 x R^T d2),   d_i = (x_i, y_i, 1)     (Ayhan 1996, eqs. 9-19; equivalent to the essential matrix)
 
-Camera axes X right, Y down, Z forward; x_i, y_i are tangents of the ideal directions. R = exp([w]x) R_0 leads from the
-first camera to the second, b = b_0 + y_1 n_1 + y_2 n_2 is the second projection centre seen from the first; its length
-stays free. Unknowns (5,): w, y. The second argument (4,) is x_1 y_1 x_2 y_2, the observed point.
+Camera axes X right, Y down, Z forward; x_i, y_i are tangents of the ideal directions. R = exp([w]x) R_0 rotates the
+first camera's axes to the second's, b = b_0 + y_1 n_1 + y_2 n_2 is the second projection centre relative to the first;
+its length is not determined. Unknowns (5,): w, y. The second argument (4,) is x_1 y_1 x_2 y_2, the observed point.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, compiled, register
 from factors.cameras.frame_camera import CAMERA, by_turn, rotate, rotate_back, turned
+from factors.geometry.rotations import cross, random_rotation
 from factors.records import Record
 
 #: Factor s, R_0 row-major, b_0, n_1, n_2.
@@ -48,13 +49,9 @@ def kernel(record: Array, setup: Array, x: Array, image: Array, want: bool) -> t
     s, u, v, p, q = record[RECORD.factor], image[0], image[1], image[2], image[3]
     e, f, g = rotate_back(turn, (p, q, 1.0))
     by_base = np.array([v * g - f, e - u * g, u * f - v * e])
-    # r = s d2 . (R n) with n = b x d1: its slope along the second ray; a turn by w moves R n by w x R n
-    n = np.array([b[1] - b[2] * v, b[2] * u - b[0], b[0] * v - b[1] * u])
-    m = rotate(turn, n)
-    # d2 . R n = n . R^T d2; R^T d2 moves by R^T (d2 x w), so the value by w . (m x d2)
-    t = np.array([m[1] - m[2] * q, m[2] * p - m[0], m[0] * q - m[1] * p])
+    m = rotate(turn, cross(b, (u, v, 1.0)))  # r = s d2 . (R n) with n = b x d1
     out, points = np.empty((1, 5)), np.empty((1, 4))
-    w1, w2, w3 = by_turn(turn, t)
+    w1, w2, w3 = by_turn(turn, m, (p, q, 1.0))  # r / s = d2 . R n
     out[0, 0], out[0, 1], out[0, 2] = s * w1, s * w2, s * w3
     for j, axis in enumerate((record[RECORD.n_1], record[RECORD.n_2])):
         out[0, 3 + j] = s * (axis[0] * by_base[0] + axis[1] * by_base[1] + axis[2] * by_base[2])
@@ -64,8 +61,7 @@ def kernel(record: Array, setup: Array, x: Array, image: Array, want: bool) -> t
 
 
 def _example(rng: np.random.Generator) -> Example:
-    start, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    start *= np.sign(np.linalg.det(start))
+    start = random_rotation(rng)
     axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     base, n_1, n_2 = axes.T
     record = RECORD.pack(factor=rng.uniform(0.5, 2.0), rotation=start.ravel(), base=base, n_1=n_1, n_2=n_2)

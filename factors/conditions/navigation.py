@@ -1,14 +1,14 @@
-"""A receiver's position and an inertial unit's attitude on board, as observations of a frame image's unknowns.
+"""Position of a receiver and attitude of an inertial unit on board, as observations of a frame image's unknowns.
 
     position:  r = W (X_obs - X_0 - dX + R^T B (l_0 + l) - S (b_0 + tau b_1))
     attitude:  r = W (log(A_obs R^T B) - s_0 - tau s_1)
 
 R (camera from ground) and X are the rotation and projection centre of ``factors.cameras.frame``, B = exp([beta]x) B_0
-the camera from the body, l the lever arm from the receiver to the projection centre (body axes), S the ground from the
-axes of the strip, A_obs the body from the ground. Shift and drift of the position stand in the axes of the strip, those
-of the attitude are turns about the axes of the body. tau runs from -1 to 1 over the strip.
+camera from body, l the lever arm from the receiver to the projection centre (body axes), S ground from the axes of the
+strip, A_obs body from ground. Shift and drift of the position are in the axes of the strip, shift and drift of the
+attitude are rotations about the axes of the body. tau is -1 to 1 over the strip.
 
-There is one of each per image, so the kernels are plain numpy: nothing to compile.
+An image has one observation of each, so the kernels are plain numpy and need no compilation.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SMALL_SQUARED: Final = 1e-6
 
 
 def _corrections(setup: Array, x: Any) -> Any:
-    """All unknowns (33,) in physical units; those that are none are zero."""
+    """Corrections (33,) in physical units; zero for elements that are not unknowns."""
     d = np.zeros(UNKNOWN.size, x.dtype)
     np.add.at(d, setup[0].astype(np.intp), setup[1] * x)
     return d

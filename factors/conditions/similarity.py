@@ -1,4 +1,4 @@
-"""Similarity of two sets of points in space, seven unknowns: absolute orientation.
+"""Similarity transformation between two sets of points in space, seven unknowns: absolute orientation.
 
     r = W (t_0 + t + e^m s_0 R x - X),   R = exp([w]x) R_0
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, compiled, register
 from factors.cameras.frame_camera import CAMERA, rotate, turned
-from factors.geometry.rotations import Vector
+from factors.geometry.rotations import Vector, random_rotation
 from factors.records import Record
 
 #: x, X, W row-major, R_0 row-major, s_0, t_0.
@@ -69,8 +69,7 @@ def kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Ar
 
 
 def _example(rng: np.random.Generator) -> Example:
-    start, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    start *= np.sign(np.linalg.det(start))
+    start = random_rotation(rng)
     model, ground, whitening = rng.normal(size=3), rng.normal(size=3), rng.normal(size=9)
     record = RECORD.pack(model=model, ground=ground, whitening=whitening, rotation=start.ravel(),
                          scale=rng.uniform(0.5, 2.0), shift=rng.normal(size=3))  # fmt: skip

@@ -1,11 +1,11 @@
-"""Points on a surface of the second degree: sphere, ellipsoid with any of its unknowns, general quadric.
+"""Points on surfaces of the second degree: sphere, ellipsoid with selected unknowns, general quadric.
 
     sphere     r = s (|p - c|^2 - a^2)                                       Ayhan 1996, eqs. 135 and 138
     ellipsoid  r = s (q1^2/a^2 + q2^2/b^2 + q3^2/c^2 - 1),  q = R (p - c)    Ayhan 1996, eq. 142 (R = I, a = c)
     quadric    r = s (A x^2 + B y^2 + C z^2 + 2 D xy + 2 E xz + 2 F yz + 2 G x + 2 H y + 2 I z + J)   eq. 125
 
 A spheroid is an ellipsoid with one unknown for two semi-axes. The rotation is ``exp([w]x) R_0``, as in
-``factors.cameras.frame``. All are conditions between unknowns and the observed point: Jacobians exist for both.
+``factors.cameras.frame``. The conditions connect unknowns and the observed point; they have Jacobians for both.
 """
 
 from __future__ import annotations
@@ -14,20 +14,21 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors._contract import Argument, Array, Example, compiled, register_condition
 from factors.cameras.frame_camera import CAMERA, by_turn, rotate, rotate_back, turned
+from factors.geometry.rotations import random_rotation
 from factors.records import Record
 
-#: Record of the ellipsoid, its rotation row-major; of the others: the factor s alone.
+#: Record of the ellipsoid, its rotation row-major; sphere and quadric have the factor s only.
 RECORD: Final = Record(factor=1, centre=3, rotation=9, semi_axes=3)
-#: Codes of the unknowns in the setup of the ellipsoid (codes; steps), ``others``: both semi-axes other than the first,
-#: second, third. Unknowns are corrections to the record.
+#: Codes of the unknowns in the setup of the ellipsoid (codes; steps). ``others``: the two semi-axes other than the
+#: first, second, third. Unknowns are corrections to the record.
 UNKNOWN: Final = Record(centre=3, rotation=3, semi_axes=3, others=3)
 
 
 @compiled
 def shape(record: Any, setup: Any, x: Any) -> Any:
-    """Centre (3,), camera (29,) that holds R and J, semi-axes (3,)."""
+    """Centre (3,), turn with R and J (``factors.cameras.frame_camera``), semi-axes (3,)."""
     d, turn = np.zeros(UNKNOWN.size, x.dtype), np.empty(CAMERA.size, x.dtype)
     for j in range(setup.shape[1]):
         d[int(setup[0, j])] += setup[1, j] * x[j]
@@ -51,52 +52,40 @@ def _local(centre: Any, turn: Any, point: Any) -> Any:
 def residual_ellipsoid(record: Any, setup: Any, x: Any, point: Any) -> Any:
     """Residual (1,); accepts complex unknowns."""
     centre, turn, semi = shape(record, setup, x)
-    # one type for both, whichever is complex
+    # the same type for all: unknowns or point may be complex
     q = _local(centre + 0.0 * point, turn + 0.0 * point[0], point + 0.0 * centre)
     size = (q[0] / semi[0]) ** 2 + (q[1] / semi[1]) ** 2 + (q[2] / semi[2]) ** 2
     return np.array([record[RECORD.factor] * (size - 1.0)])
 
 
 @compiled
-def kernel_ellipsoid(record: Array, setup: Array, x: Array, point: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (1,), Jacobians with respect to the unknowns (1, k) and the point (1, 3)."""
-    value = residual_ellipsoid(record, setup, x, point)
-    if not want:
-        return value, np.empty((0, 0)), np.empty((0, 0))
+def jacobians_ellipsoid(record: Array, setup: Array, value: Array, x: Array, point: Array) -> tuple[Array, Array]:
+    """Jacobians with respect to the unknowns (1, k) and the point (1, 3)."""
     centre, turn, semi = shape(record, setup, x)
     q = _local(centre, turn, point)
     d, g = np.zeros(UNKNOWN.size), 2.0 * record[RECORD.factor] * q / semi**2
-    turned_g = np.array([q[1] * g[2] - q[2] * g[1], q[2] * g[0] - q[0] * g[2], q[0] * g[1] - q[1] * g[0]])
     ground, by_semi = np.array(rotate_back(turn, g)).reshape((1, 3)), -g * q / semi
     d[UNKNOWN.centre] = -ground[0]
-    # q moves by (J dw) x q, and g . (e x q) = e . (q x g)
-    d[UNKNOWN.rotation] = np.array(by_turn(turn, turned_g))
+    d[UNKNOWN.rotation] = np.array(by_turn(turn, q, g))
     d[UNKNOWN.semi_axes], d[UNKNOWN.others] = by_semi, (by_semi[0] + by_semi[1] + by_semi[2]) - by_semi
     out = np.empty((1, setup.shape[1]))
     for j in range(setup.shape[1]):
         out[0, j] = setup[1, j] * d[int(setup[0, j])]
-    return value, out, ground
+    return out, ground
 
 
-@compiled
 def residual_sphere(record: Any, setup: Any, x: Any, point: Any) -> Any:
     """Residual (1,) of the unknowns centre, radius (4,)."""
-    return np.array(
-        [record[RECORD.factor] * ((point[0] - x[0]) ** 2 + (point[1] - x[1]) ** 2 + (point[2] - x[2]) ** 2 - x[3] ** 2)]
-    )
+    d = point - x[:3]
+    return np.array([record[RECORD.factor] * (d[0] * d[0] + d[1] * d[1] + d[2] * d[2] - x[3] * x[3])])
 
 
-@compiled
-def kernel_sphere(record: Array, setup: Array, x: Array, point: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (1,), Jacobians (1, 4) and (1, 3)."""
-    value = residual_sphere(record, setup, x, point)
-    if not want:
-        return value, np.empty((0, 0)), np.empty((0, 0))
+def jacobians_sphere(record: Array, setup: Array, value: Array, x: Array, point: Array) -> tuple[Array, Array]:
+    """Jacobians (1, 4) and (1, 3)."""
     d = 2.0 * record[RECORD.factor] * (point - x[:3])
-    return value, np.array([[-d[0], -d[1], -d[2], -2.0 * record[RECORD.factor] * x[3]]]), d.reshape((1, 3))
+    return np.array([[*-d, -2.0 * record[RECORD.factor] * x[3]]]), d.reshape((1, 3))
 
 
-@compiled
 def residual_quadric(record: Any, setup: Any, c: Any, p: Any) -> Any:
     """Residual (1,) of the ten coefficients; only their ratios are determined."""
     square = c[0] * p[0] * p[0] + c[1] * p[1] * p[1] + c[2] * p[2] * p[2]
@@ -105,24 +94,19 @@ def residual_quadric(record: Any, setup: Any, c: Any, p: Any) -> Any:
     return np.array([record[RECORD.factor] * (square + 2.0 * (mixed + linear) + c[9])])
 
 
-@compiled
-def kernel_quadric(record: Array, setup: Array, c: Array, p: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (1,), Jacobians (1, 10) and (1, 3)."""
-    value, s = residual_quadric(record, setup, c, p), record[RECORD.factor]
-    if not want:
-        return value, np.empty((0, 0)), np.empty((0, 0))
-    x, y, z = p[0], p[1], p[2]
+def jacobians_quadric(record: Array, setup: Array, value: Array, c: Array, p: Array) -> tuple[Array, Array]:
+    """Jacobians (1, 10) and (1, 3)."""
+    s, (x, y, z) = record[RECORD.factor], p
     terms = np.array([[x * x, y * y, z * z, 2.0 * x * y, 2.0 * x * z, 2.0 * y * z, 2.0 * x, 2.0 * y, 2.0 * z, 1.0]])
     slope = np.array([[
         c[0] * x + c[3] * y + c[4] * z + c[6], c[3] * x + c[1] * y + c[5] * z + c[7],
         c[4] * x + c[5] * y + c[2] * z + c[8],
     ]])  # fmt: skip
-    return value, s * terms, 2.0 * s * slope
+    return s * terms, 2.0 * s * slope
 
 
 def _example_ellipsoid(rng: np.random.Generator) -> Example:
-    start, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    start *= np.sign(np.linalg.det(start))
+    start = random_rotation(rng)
     record = RECORD.pack(factor=rng.uniform(0.5, 2.0), centre=rng.normal(size=3), rotation=start.ravel(),
                          semi_axes=rng.uniform(1.0, 3.0, 3))  # fmt: skip
     codes = np.sort(rng.permutation(UNKNOWN.size)[: rng.integers(1, UNKNOWN.size + 1)]).astype(float)
@@ -131,24 +115,19 @@ def _example_ellipsoid(rng: np.random.Generator) -> Example:
     return Example(record, setup, (x, record[RECORD.centre] + rng.normal(size=3)))
 
 
-def _example_sphere(rng: np.random.Generator) -> Example:
-    return Example(rng.uniform(0.5, 2.0, 1), np.zeros((2, 0)), (rng.normal(size=4), rng.normal(size=3)))
-
-
-def _example_quadric(rng: np.random.Generator) -> Example:
-    return Example(rng.uniform(0.5, 2.0, 1), np.zeros((2, 0)), (rng.normal(size=10), rng.normal(size=3)))
-
-
-_POINT = Argument("point", "m", is_point=True)
-SPHERE = register(Equation(
-    "surface_sphere", kernel_sphere, residual_sphere, (Argument("centre and radius", "m"), _POINT), _example_sphere,
+_NONE: Final = np.zeros((2, 0))
+_POINT: Final = Argument("point", "m", is_point=True)
+SPHERE = register_condition(
+    "surface_sphere", residual_sphere, jacobians_sphere, (Argument("centre and radius", "m"), _POINT),
+    lambda rng: Example(rng.uniform(0.5, 2.0, 1), _NONE, (rng.normal(size=4), rng.normal(size=3))),
     "Ayhan 1996, eqs. 135-141",
-))  # fmt: skip
-ELLIPSOID = register(Equation(
-    "surface_ellipsoid", kernel_ellipsoid, residual_ellipsoid, (Argument("corrections", "steps"), _POINT),
-    _example_ellipsoid, "Ayhan 1996, eqs. 142-154; free axes: the same in turned coordinates",
-))  # fmt: skip
-QUADRIC = register(Equation(
-    "surface_quadric", kernel_quadric, residual_quadric, (Argument("coefficients", "1"), _POINT), _example_quadric,
+)  # fmt: skip
+ELLIPSOID = register_condition(
+    "surface_ellipsoid", residual_ellipsoid, jacobians_ellipsoid, (Argument("corrections", "steps"), _POINT),
+    _example_ellipsoid, "Ayhan 1996, eqs. 142-154; free axes: the same in rotated coordinates",
+)  # fmt: skip
+QUADRIC = register_condition(
+    "surface_quadric", residual_quadric, jacobians_quadric, (Argument("coefficients", "1"), _POINT),
+    lambda rng: Example(rng.uniform(0.5, 2.0, 1), _NONE, (rng.normal(size=10), rng.normal(size=3))),
     "Ayhan 1996, eq. 125",
-))  # fmt: skip
+)  # fmt: skip

@@ -1,9 +1,9 @@
-"""Attitudes applied to vectors as reference plus exact difference.
+"""Attitudes applied to vectors, as reference plus exact difference.
 
-A vector of the orbital frame has 16 digits. Behind them, at 1e-16 of the orbit radius, lies noise of 1e-9 sigma,
-enough to make a sum of squares jitter in its 8th digit. So the attitude applied to ``v + dv`` under angles ``a + da``
-is split into its value at the reference (a, v) and the exact difference to it, formed from small quantities only. The
-sum equals the plain product to rounding; the difference keeps 16 digits of its own.
+A vector of the orbital frame has 16 digits. Its rounding, 1e-16 of the orbit radius, is noise of 1e-9 sigma, which
+changes a sum of squares in its 8th digit. Therefore the attitude applied to ``v + dv`` under angles ``a + da`` is split
+into its value at the reference (a, v) and the exact difference, computed from small quantities only. The sum equals the
+plain product to rounding; the difference has its own 16 digits.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from factors.geometry.sines import sine_cosine
 
 @inlined
 def _sines(a: Any, da: Any) -> Any:
-    """Sine and cosine of ``a``, and their differences to those of ``a + da``."""
+    """Sine and cosine of ``a``, and their changes from ``a`` to ``a + da``."""
     s, less = sine_cosine(a)
     ds, dc = sine_cosine(da)
     c = 1.0 + less

@@ -1,10 +1,9 @@
 """Ray and ellipsoid: intersection at an ellipsoidal height, geodetic coordinates.
 
-WGS84: a = 6378137 m, b = a (1 - 1/298.257223563); the sources print b to 0.1 mm, which would
-put geodetic coordinates 0.05 mm beside those of PROJ. The surface of height h is
-taken as the ellipsoid with semi-axes a + h, b + h (T 2.44-2.48 as corrected); it differs
-from the true surface by 2.5 mm at 1800 m, so :func:`intersect` repeats with the remaining
-height error until it is below 0.1 mm.
+WGS84: a = 6378137 m, b = a (1 - 1/298.257223563); the sources print b to 0.1 mm, which would change geodetic
+coordinates by 0.05 mm against PROJ. The surface of height h is approximated by the ellipsoid with semi-axes a + h, b +
+h (T 2.44-2.48 as corrected); it differs from the true surface by 2.5 mm at 1800 m, so :func:`intersect` repeats the
+intersection with the remaining height error until this is below 0.01 mm.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ def distance_to_height(p: Vector, u: Vector, h: float) -> float:
     d2 = 2.0 * ((p[0] * u[0] + p[1] * u[1]) / a2 + p[2] * u[2] / b2)
     d3 = (p[0] * p[0] + p[1] * p[1]) / a2 + p[2] * p[2] / b2 - 1.0
     if d3 <= 0.0:
-        return math.nan  # the sensor lies below that surface: nothing to see
+        return math.nan  # the sensor is below that surface
     inside = d2 * d2 - 4.0 * d1 * d3
     if inside < 0.0:
         return math.nan
@@ -64,9 +63,9 @@ def distance_to_height(p: Vector, u: Vector, h: float) -> float:
 @few_in_python
 @compiled
 def intersect(position_m: Array, direction: Array, height_m: Array) -> Array:
-    """Nearest point of N rays at ellipsoidal heights: (N, 3), (N, 3), (N,) -> (N, 3) ECEF m.
+    """Nearest points of N rays at ellipsoidal heights: (N, 3), (N, 3), (N,) -> (N, 3) ECEF m.
 
-    Rows are nan where the ray misses the ellipsoid or the surface lies behind the sensor.
+    Rows are nan where the ray misses the ellipsoid or the surface is behind the sensor.
     """
     out = np.empty_like(position_m)
     for i in range(len(position_m)):

@@ -9,14 +9,14 @@ import numpy as np
 
 from factors._contract import Array
 
-#: Samples that a Lagrange polynomial goes through.
+#: Samples interpolated by one Lagrange polynomial.
 MAX_SAMPLES = 8
-#: Times that are interpolated together: what is read and written stays near the processor.
+#: Times that are interpolated together: their data remain in the cache.
 AT_ONCE = 1024
 
 
 def lagrange(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
-    """Interpolate (n, c) samples of position and velocity at N times: -> (N, c); the samples nearest, up to eight.
+    """Interpolate (n, c) samples of position and velocity at N times: -> (N, c); the nearest samples, up to eight.
 
     Nothing is extrapolated: the caller checks the span. Exact for polynomials up to degree min(n, 8) - 1.
     """
@@ -46,7 +46,7 @@ def linear(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
 
 
 def sign_aligned(quaternion: Array) -> Array:
-    """Turn signs so that neighbours have a positive product: (n, 4) -> (n, 4), normalised.
+    """Change signs so that neighbours have a positive product: (n, 4) -> (n, 4), normalised.
 
     q and -q are the same rotation; a jump between them must not be interpolated.
     """
@@ -57,10 +57,10 @@ def sign_aligned(quaternion: Array) -> Array:
 
 
 def extended(sample_time_s: Array, samples: Array, before_s: float, after_s: float) -> tuple[Array, Array]:
-    """Samples (n, c), and one more at each end that is open for ``before_s`` or ``after_s``: the last rate held.
+    """Samples (n, c) and a further sample ``before_s`` and ``after_s`` beyond the ends at the last rate (0: none).
 
-    Of quaternions (aligned signs) the line through two neighbours is meant: over seconds the attitude turns by
-    less than 0.1 rad, and its normalised line differs from the constant rate by the cube of that angle.
+    Quaternions (with aligned signs) are extended along the line through two neighbours: in seconds the attitude changes
+    by less than 0.1 rad, and the normalised line differs from the constant rate by the cube of that angle.
     """
     times, rows = [sample_time_s], [samples]
     for end, neighbour, seconds, at in ((0, 1, -before_s, 0), (-1, -2, after_s, 2)):
@@ -74,7 +74,7 @@ def extended(sample_time_s: Array, samples: Array, before_s: float, after_s: flo
 def quaternion_linear(sample_time_s: Array, quaternion: Array, time_s: Array) -> Array:
     """Normalised linear interpolation of sampled quaternions: (n, 4), (N,) -> (N, 4).
 
-    The samples must be those of :func:`sign_aligned`: between q and a neighbour near -q lies nothing of use.
+    The samples must have the signs of :func:`sign_aligned`: values between q and a neighbour near -q are meaningless.
     """
     q = linear(sample_time_s, quaternion, time_s)
     return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))

@@ -1,9 +1,8 @@
 """Orbital frames of convention A, by position and velocity and by Kepler angles.
 
 Convention A: X forward, Y along the orbit normal (left of flight), Z outward. Convention B of
-``factors.geometry.rotations``
-(X right, Y forward) is ``A K`` with :data:`B_FROM_A` transposed. Attitude of convention A: ``Rx(roll) Ry(pitch)
-Rz(yaw)``, active and right-handed.
+``factors.geometry.rotations`` (X right, Y forward) is ``A K`` with :data:`B_FROM_A` transposed. Attitude of convention
+A: ``Rx(roll) Ry(pitch) Rz(yaw)``, active and right-handed.
 
 Source: Terlemezoğlu 2019, eqs. 2.7-2.21 as corrected: columns, four-quadrant angles, inertial velocity.
 """
@@ -23,7 +22,7 @@ B_FROM_A: Final = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 def kepler_angles(position_m: Array, velocity_m_s: Array) -> Array:
     """Inclination, node and argument of latitude (N, 3) rad of N states; ``velocity_m_s`` inertial, in the same axes.
 
-    Source: eqs. 2.11-2.16; node and argument of latitude by atan2, so that descending passes come out right.
+    Source: eqs. 2.11-2.16; node and argument of latitude by atan2, so that descending passes are correct.
     """
     c = np.cross(position_m, velocity_m_s)
     inclination = np.arccos(c[:, 2] / np.linalg.norm(c, axis=1))
@@ -48,8 +47,8 @@ def frames_from_kepler(angles_rad: Array) -> Array:
 def frames_from_state(position_m: Array, velocity_m_s: Array) -> Array:
     """Orbital frames (N, 3, 3) of positions and velocities (N, 3): eqs. 2.19-2.21.
 
-    With the Earth-fixed velocity the frame follows the ground track, with the inertial one the orbit: 3 degrees of yaw
-    lie between the two.
+    With the Earth-fixed velocity the frame follows the ground track, with the inertial velocity the orbit: the two
+    frames differ by 3 degrees of yaw.
     """
     z = position_m / np.linalg.norm(position_m, axis=1, keepdims=True)
     y = np.cross(z, velocity_m_s)

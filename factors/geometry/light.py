@@ -1,8 +1,8 @@
-"""What light does between ground and sensor: aberration, the Earth's turn during its travel, refraction.
+"""Effects on light between ground and sensor: aberration, Earth rotation during the light time, refraction.
 
-Each map takes the directions of N sights and gives the directions in which the ground points really lie, all in
-Earth-fixed axes at the time of exposure. Sizes on the ground from 700 km: aberration 18 m (v/c = 2.5e-5), light time
-1.1 m cos(latitude), refraction 1.8 m at a zenith angle of 30 degrees.
+Each map converts the directions of N lines of sight to the true directions of the ground points, in Earth-fixed axes at
+the time of exposure. Sizes on the ground from 700 km: aberration 18 m (v/c = 2.5e-5), light time 1.1 m cos(latitude),
+refraction 1.8 m at a zenith angle of 30 degrees.
 
 Sources: classical addition of velocities (Greslou et al. 2008, appendix); refraction by the bent ray over a plane
 layered atmosphere (Saastamoinen 1972; Noerdlinger 1999 for the direction of the shift).
@@ -23,7 +23,7 @@ EARTH_RATE_RAD_S: Final = 7.2921151467e-5
 #: this times the column of air, 101325 Pa / (1.225 kg/m3 x 9.80665 m/s2) = 8434 m.
 REFRACTIVITY: Final = 2.77e-4
 COLUMN_M: Final = 8434.5
-#: Beyond this zenith angle the layers may not be taken as plane (1 cm at 65 degrees).
+#: Least cosine of the zenith angle: beyond it the layers are not plane (error of 1 cm at 65 degrees).
 STEEPEST_COSINE: Final = 0.1
 
 
@@ -33,20 +33,20 @@ def unit(vectors: Array) -> Array:
 
 
 def without_aberration(direction: Array, velocity_m_s: Array) -> Array:
-    """Geometric directions of apparent ones.
+    """Geometric directions of apparent directions.
 
     Parameters
     ----------
     direction : (N, 3) array
-        Unit vectors towards where the sensor sees the point.
+        Unit vectors to the apparent place of the point.
     velocity_m_s : (N, 3) array
         Inertial velocity of the sensor, in the same axes.
 
     Returns
     -------
     (N, 3) array
-        Unit vectors u with ``c u + v`` along ``direction``: light and sensor add up as in a wind. The relativistic
-        sum differs in (v/c)^2 only, 0.3 mm on the ground.
+        Unit vectors u with ``c u + v`` along ``direction``: classical addition of velocities. The relativistic sum
+        differs by (v/c)^2 only, 0.3 mm on the ground.
     """
     beta = velocity_m_s / C_M_S
     along = np.einsum("ni,ni->n", direction, beta)
@@ -55,9 +55,9 @@ def without_aberration(direction: Array, velocity_m_s: Array) -> Array:
 
 
 def earth_turn(ground_m: Array, distance_m: Array) -> Array:
-    """How far (N, 3) m the ground has turned while its light travelled: from where it was seen to where it is.
+    """Displacement (N, 3) m of the ground by the Earth's rotation in the light time, from seen to true place.
 
-    A point at ``ground_m`` in the axes of exposure is where the Earth was ``distance_m / c`` earlier.
+    ``ground_m`` is the place, in the axes of exposure, ``distance_m / c`` before the exposure.
     """
     angle = EARTH_RATE_RAD_S * distance_m / C_M_S
     cosine, sine = -2.0 * np.sin(angle / 2.0) ** 2, np.sin(angle)  # cosine minus 1
@@ -72,14 +72,14 @@ def zenith_excess_m(height_m: Array) -> Array:
 
 
 def refraction_shift(direction: Array, up: Array, height_m: Array) -> Array:
-    """Shift (N, 3) m on the ground from the end of the straight sight to that of the bent one.
+    """Shift (N, 3) m on the ground from the end of the straight line of sight to the end of the bent line.
 
     Horizontal and towards the point below the sensor: ``D tan z / cos^2 z`` with D of :func:`zenith_excess_m`.
 
     Parameters
     ----------
     direction, up : (N, 3) arrays
-        Unit vectors of the sights, downwards, and ellipsoid normals where they end.
+        Unit vectors of the lines of sight, downwards, and ellipsoid normals at their ends.
     height_m : (N,) array
     """
     cosine = np.maximum(-np.einsum("ni,ni->n", direction, up), STEEPEST_COSINE)
@@ -88,7 +88,7 @@ def refraction_shift(direction: Array, up: Array, height_m: Array) -> Array:
 
 
 def turns(start: Array, end: Array) -> Array:
-    """Least rotations (N, 3, 3) from unit vectors (N, 3) to others nearby (Rodrigues)."""
+    """Smallest rotations (N, 3, 3) from unit vectors (N, 3) to others nearby (Rodrigues)."""
     v = np.cross(start, end)
     skew = np.zeros((len(v), 3, 3))
     skew[:, 0, 1], skew[:, 0, 2], skew[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]

@@ -1,4 +1,4 @@
-"""The orbital frame under corrections: its exact difference, and what a ground point's coordinates in it depend on.
+"""Orbital frame under corrections: its exact difference, and derivatives of a ground point's coordinates in it.
 
 With x, y, z the axes of convention B at position P and velocity V, w = (x, y, z)^T (G - P), v2 = V . y, v3 = V . z::
 
@@ -21,7 +21,7 @@ from factors.geometry.rotations import Matrix, Vector, ecef_from_orbital
 
 @inlined
 def reference(position: Vector, velocity: Vector) -> tuple[Matrix, Vector]:
-    """Orbital frame of P and V, and with it |P| (m), V . y and V . z (m/s)."""
+    """Orbital frame of P and V; |P| (m), V . y and V . z (m/s)."""
     px, py, pz = position
     vx, vy, vz = velocity
     f = ecef_from_orbital(px, py, pz, vx, vy, vz)
@@ -31,16 +31,17 @@ def reference(position: Vector, velocity: Vector) -> tuple[Matrix, Vector]:
 
 @inlined
 def turned(lengths: Vector, dp: Vector, dv: Vector) -> tuple[Matrix, Vector]:
-    """Difference of the orbital frame when P and V change, all in coordinates of the frame before.
+    """Difference of the orbital frame when P and V change, in coordinates of the frame before the change.
 
-    Exact, not linearised: as that frame is the unit matrix and V x z = (v2, 0, 0), nothing cancels.
+    Exact, not linearised: in its own coordinates that frame is the unit matrix and V x z = (v2, 0, 0), so no digits
+    cancel.
 
     Parameters
     ----------
     lengths : tuple
-        |P|, v2, v3 of the frame before.
+        |P|, v2, v3 before the change.
     dp, dv : tuples
-        Changes of P (m) and V (m/s), in its coordinates.
+        Changes of P (m) and V (m/s), in coordinates of that frame.
 
     Returns
     -------
@@ -73,8 +74,7 @@ def turned(lengths: Vector, dp: Vector, dv: Vector) -> tuple[Matrix, Vector]:
 def row_derivatives(c: Vector, w: Vector, frame: Matrix, scales: Vector, follows: Any) -> tuple[Vector, Vector, Vector]:
     """Derivatives of ``c . w`` with respect to P, V and G, c constant: three 3-tuples, ECEF.
 
-    ``frame`` and ``scales`` (see :func:`turned`) are those of w; ``follows`` 1.0, or 0.0 if the frame is
-    constant.
+    ``frame`` and ``scales`` (see :func:`turned`) belong to w; ``follows`` is 1.0, or 0.0 if the frame is constant.
     """
     x1, y1, _, x2, y2, _, x3, y3, _ = frame
     turn = (c[1] * w[0] - c[0] * w[1]) * scales[1] * follows

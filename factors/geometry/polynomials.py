@@ -1,17 +1,17 @@
 """Polynomials in the normalised line tau and the normalised sample s, and curves over tau.
 
-``tau = (line - c)/c`` with ``c = (n_lines - 1)/2``, ``s`` alike for samples: the first
-pixel is -1, the last +1. EOP corrections are ``c0 + c1 tau + c2 tau^2`` (T 2.34, T-Table
-4.1, with tau instead of the line number for conditioning). The published per-line form
-``q0 + q1 l + q2 l^2``, ``l = line - c``, follows by a diagonal transformation.
+``tau = (line - c)/c`` with ``c = (n_lines - 1)/2``, and ``s`` in the same way for samples: the first pixel is -1, the
+last +1. EOP corrections are ``c0 + c1 tau + c2 tau^2`` (T 2.34, T-Table 4.1, with tau instead of the line number for
+conditioning). The published per-line form ``q0 + q1 l + q2 l^2``, ``l = line - c``, follows by a diagonal
+transformation.
 
 Smooth curves over an image are uniform cubic B-splines with a prior on their third differences.
 
 A curve of tau in [-1, 1] is ``B(tau) W x``: B are the ``k + 3`` cubic B-splines over ``k`` equal intervals, x the ``k``
-unknowns, each N(0, 1). ``W`` is the pseudo-inverse of the third differences D of the coefficients, so that x is what D
-gives: independent x are the random walk of third order that penalised splines stand for (Eilers & Marx 1996), and
-quadratics, which D does not see and degree-2 coefficients hold, are not in the curves. W is scaled so that the
-prior standard deviation of a curve is 1 in the mean square over the image.
+unknowns, each N(0, 1). ``W`` is the pseudo-inverse of the third differences D of the coefficients, so that x are the
+third differences: independent x are the random walk of third order of penalised splines (Eilers & Marx 1996). The
+curves contain no quadratics: their third differences are zero, and they are covered by the degree-2 coefficients. W is
+scaled so that the prior standard deviation of a curve is 1 in the mean square over the image.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ import numpy as np
 
 from factors._contract import Array
 
-#: Coefficients beyond the number of intervals, and differences taken: the degree of the pieces.
+#: Degree of the pieces: number of coefficients minus number of intervals, and order of the differences.
 DEGREE: Final = 3
-#: Intervals that a curve may have.
+#: Smallest and largest number of intervals of a curve.
 FEWEST, MOST = 2, 32
 
 
@@ -57,15 +57,15 @@ def fit(argument: Array, values: Array, degree: int) -> tuple[Array, Array]:
 def per_line_from_tau(n_lines: int) -> Array:
     """Diagonal of the transformation of c0, c1, c2 of tau to q0, q1, q2 per line about the same line.
 
-    ``q_k = c_k / c^k`` with ``c = (n_lines - 1)/2``; it is also its own Jacobian, so the
-    covariance follows by scaling rows and columns.
+    ``q_k = c_k / c^k`` with ``c = (n_lines - 1)/2``; this is also the Jacobian, so the
+    covariance is obtained by scaling rows and columns.
     """
     centre = (n_lines - 1) / 2.0
     return np.asarray(centre ** -np.arange(3.0))
 
 
 def basis(tau: Array, n_intervals: int) -> Array:
-    """Values (N, n_intervals + 3) of the B-splines at N times; the outer pieces go on beyond -1 and 1."""
+    """Values (N, n_intervals + 3) of the B-splines at N times; the outer pieces are continued beyond -1 and 1."""
     u = 0.5 * n_intervals * (np.asarray(tau, float) + 1.0)
     piece = np.clip(np.floor(u).astype(int), 0, n_intervals - 1)
     f = u - piece
@@ -87,5 +87,5 @@ def _from_unknowns(n_intervals: int) -> Array:
 
 
 def curves(tau: Array, n_intervals: int) -> Array:
-    """Values (N, n_intervals) of the curves that each unknown of 1 stands for."""
+    """Values (N, n_intervals) of the curves of unit unknowns."""
     return np.asarray(basis(tau, n_intervals) @ _from_unknowns(n_intervals))

@@ -1,11 +1,11 @@
 """Rotations of the pushbroom chain, as scalar maps on 9-tuples in row-major order.
 
-Frames: *body* (payload), *orbital* of convention B (X = V x Z right of flight, Y = Z x X
-forward, Z radial outward) and *ECEF*. Names read target_from_source. Active elementary
-rotations; roll turns about Y, pitch about X, yaw about Z of the orbital frame.
+Frames: *body* (payload), *orbital* of convention B (X = V x Z right of flight, Y = Z x X forward, Z radial outward) and
+*ECEF*. Names read target_from_source. Active elementary rotations; roll turns about Y, pitch about X, yaw about Z of
+the orbital frame.
 
-Source: Terlemezoğlu 2019, eqs. 2.23-2.27 as corrected in docs/equations.md 2 (columns, not
-rows; X = V x Z); quaternions: eq. 2.36.
+Source: Terlemezoğlu 2019, eqs. 2.23-2.27 as corrected in docs/equations.md 2 (columns, not rows; X = V x Z);
+quaternions: eq. 2.36.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from factors._contract import Array, inlined
 from factors._plain import plain
 from factors.geometry.sines import sine_cosine
 
-#: Rows that fit into the second cache with all that is computed of them.
+#: Rows that fit into the second-level cache with all intermediate values.
 AT_ONCE: Final = 1024
 
 Matrix = Any  # a tuple of 9 scalars, real or complex
@@ -44,6 +44,12 @@ def multiply(a: Matrix, v: Vector) -> Vector:
         a[3] * v[0] + a[4] * v[1] + a[5] * v[2],
         a[6] * v[0] + a[7] * v[1] + a[8] * v[2],
     )
+
+
+@inlined
+def cross(a: Vector, b: Vector) -> Vector:
+    """Vector product a x b."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @inlined
@@ -77,7 +83,7 @@ def orbital_from_body(roll: Any, pitch: Any, yaw: Any) -> Matrix:
 
 @inlined
 def orbital_from_body_small(roll: Any, pitch: Any, yaw: Any) -> Matrix:
-    """Small-angle attitude I + [a]x (T 2.24); its transpose serves as inverse throughout."""
+    """Small-angle attitude I + [a]x (T 2.24); its transpose is used as its inverse everywhere."""
     one = 1.0 + 0.0 * roll
     return (one, -yaw, roll, yaw, one, -pitch, -roll, pitch, one)
 
@@ -119,7 +125,7 @@ def quaternion_matrices(quaternion: Array) -> Array:
 
 
 def _matrices(rotation: Callable[..., Matrix], *arguments: Array) -> Array:
-    """One of the maps above on columns of N rows: (N, 3, 3)."""
+    """Matrices (N, 3, 3) by one of the maps above, on columns of N rows."""
     out = np.empty((len(arguments[0]), 9))
     with np.errstate(all="ignore"):  # as compiled code does
         for lo in range(0, len(out), AT_ONCE):
@@ -127,3 +133,9 @@ def _matrices(rotation: Callable[..., Matrix], *arguments: Array) -> Array:
             for k, entry in enumerate(plain(rotation)(*(column for a in arguments for column in a[part].T))):
                 out[part, k] = entry
     return out.reshape(-1, 3, 3)
+
+
+def random_rotation(rng: np.random.Generator) -> Array:
+    """Draw a rotation (3, 3)."""
+    out, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return np.asarray(out * np.sign(np.linalg.det(out)))

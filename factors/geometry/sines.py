@@ -1,7 +1,7 @@
 """Sine and cosine without calls or branches, so that loops over observations become vector instructions.
 
-The argument is reduced by multiples of pi/2 in two parts (Cody & Waite 1980, ch. 8) and the series are cut where their
-rest is below rounding. The cosine is given as its difference to one, which keeps its digits for small corrections.
+The argument is reduced by multiples of pi/2 in two parts (Cody & Waite 1980, ch. 8) and the series end where the
+remainder is below rounding. The cosine is given as its difference to one, which keeps the digits of small corrections.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from factors._contract import inlined
 from factors._plain import on_arrays
 
-#: pi/2 to 33 bits, so that its multiples up to 2^20 are exact, and the rest of it.
+#: pi/2 to 33 bits, so that its multiples up to 2^20 are exact, and the remainder.
 _HIGH: Final = int(0.5 * math.pi * 2.0**32) / 2.0**32
 _LOW: Final = (0.5 * math.pi - _HIGH) + 6.123233995736766e-17
 _S3, _S5, _S7, _S9, _S11, _S13, _S15, _S17 = ((-1) ** k / math.factorial(2 * k + 1) for k in range(1, 9))
@@ -24,7 +24,7 @@ _C2, _C4, _C6, _C8, _C10, _C12, _C14, _C16 = ((-1) ** k / math.factorial(2 * k) 
 @on_arrays(np.where)
 @inlined
 def _chosen(condition: Any, one: Any, other: Any) -> Any:
-    """The one where the condition holds."""
+    """``one`` where the condition is true, else ``other``."""
     return one if condition else other
 
 
@@ -32,7 +32,7 @@ def _chosen(condition: Any, one: Any, other: Any) -> Any:
 def sine_cosine(x: Any) -> Any:
     """Sine, and cosine minus one, of an angle (rad), real or complex near the real axis.
 
-    Absolute errors below 2.2e-16 up to 1e6 rad, below 1e-15 relative up to pi/4; beyond 1e15 rad no digit is left.
+    Absolute errors below 2.2e-16 up to 1e6 rad, below 1e-15 relative up to pi/4; beyond 1e15 rad no digit is correct.
     """
     k = np.floor(x.real * (2.0 / math.pi) + 0.5)
     half = np.floor(0.5 * k)

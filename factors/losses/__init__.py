@@ -1,15 +1,14 @@
-"""Robust losses, found by name: the built-in ones in ``standard``, others in files that are added to this package.
+"""Robust losses by name: built-in losses in ``standard``, others in files that are added to this package.
 
 A loss acts on the whitened norm t of one observation (2 numbers of an image point, 3 of a control point) through
 ``u = t / c``. It is given by its weight w(u); the cost is the integral of the weight, ``rho(t) = c^2 cost(t / c)``,
 ``cost(u) = int_0^u s w(s) ds``: half the square where the weight is 1. A file of this package that calls
-:func:`register` adds a loss.
+:func:`register` adds a loss. For a loss given by its weight only, :mod:`factors.losses.construct` computes cost and
+constants.
 
-A loss that is given by its weight alone gets cost and constants from :mod:`factors.losses.construct`.
-
-The constant c leaves the estimate the efficiency 95 % at the normal distribution. For residuals of d independent
+The constant c gives the estimate an efficiency of 95 % at the normal distribution. For residuals of d independent
 normal numbers the asymptotic efficiency is ``E[w t^2]^2 / (d E[w^2 t^2])`` (Huber 1981, ch. 6; the derivative of
-``w r`` is replaced through Stein's identity), so c depends on d.
+``w r`` is replaced by Stein's identity), so c depends on d.
 """
 
 from __future__ import annotations
@@ -38,9 +37,9 @@ class Loss:
     source : str
         Author year.
     corners : tuple of float
-        Where w or its slope jumps, in u.
+        Places u where w or its slope jumps.
     redescending : bool
-        The influence u w(u) falls again, so there can be several minima: such a loss wants a robust start.
+        The influence u w(u) decreases for large u, so there can be several minima: such a loss needs a robust start.
     """
 
     name: str
@@ -52,7 +51,7 @@ class Loss:
     redescending: bool = True
 
     def constant(self, dimension: int) -> float:
-        """C of a residual of 1, 2 or 3 numbers."""
+        """Constant c of a residual of 1, 2 or 3 numbers."""
         return self.constants[dimension - 1]
 
 
@@ -67,7 +66,7 @@ def register(loss: Loss) -> Loss:
     Raises
     ------
     ValueError
-        Another one has this name.
+        Another loss has this name.
     """
     present = _REGISTRY.get(loss.name)
     if loss.name in ALIASES:
@@ -79,7 +78,7 @@ def register(loss: Loss) -> Loss:
 
 
 def find(name: str) -> Loss | None:
-    """Find a loss by its name or another name of it; None if there is none."""
+    """Loss by its name or alias; None if it does not exist."""
     return losses().get(ALIASES.get(name, name))
 
 

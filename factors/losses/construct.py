@@ -1,7 +1,7 @@
-"""Losses made of their weight alone: cost and constants by quadrature.
+"""Losses constructed from their weight: cost and constants by quadrature.
 
 Gauss-Legendre rules of 12 nodes on panels that end at the corners of the weight, so that the cost is its integral to
-rounding: a cost that contradicts the weight would let the loop refuse good steps, or stop early.
+rounding. If the cost contradicted the weight, the loop could refuse good steps or stop early.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from factors.losses import Curve, Loss
 
 EFFICIENCY: Final = 0.95
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
-#: Panels of the cost: evenly up to here, each wider by a twentieth then. Beyond the last one the weight counts as zero.
+#: Panels of the cost: equal width up to ``_EVEN``, then each a twentieth wider; zero weight beyond the last panel.
 _EVEN: Final = 16.0
 _WIDTH: Final = 0.05
 _LAST: Final = 1e7
-#: The normal distribution ends here: beyond lie 1e-30 of it.
+#: End of the integration over the normal distribution: 1e-30 of it is beyond.
 _FAR: Final = 12.0
 _BISECTIONS: Final = 80
 
@@ -34,7 +34,7 @@ class Integral:
     Parameters
     ----------
     weight : callable
-        w over arrays; a function of a module, if worker processes are to receive it.
+        w over arrays; a function of a module if it is sent to worker processes.
     knots, values : (k,) arrays
         Ends of the panels, and the integral up to them.
     """
@@ -45,7 +45,7 @@ class Integral:
 
     @classmethod
     def of(cls, weight: Curve, corners: Sequence[float] = ()) -> Integral:
-        """Integrate once over all panels; ``corners``: where the weight or its slope jumps."""
+        """Integrate once over all panels; ``corners``: places where the weight or its slope jumps."""
         growing = _EVEN * 1.05 ** np.arange(1, math.ceil(math.log(_LAST / _EVEN) / math.log(1.05)))
         knots = np.unique(np.concatenate([np.arange(0.0, _EVEN + 0.5 * _WIDTH, _WIDTH), growing, corners]))
         return cls(weight, knots, np.concatenate([[0.0], np.cumsum(_moment(weight, knots[:-1], knots[1:]))]))
@@ -68,7 +68,7 @@ def efficiency(weight: Curve, constant: float, dimension: int, corners: Sequence
     """Asymptotic efficiency at the normal distribution, of residuals of 1, 2 or 3 numbers.
 
     ``E[w t^2]^2 / (d E[w^2 t^2])``, t the norm (Huber 1981, ch. 6; ``E[w t^2] / d`` is the mean derivative of the
-    influence by Stein's identity, which a jump of the weight does not harm).
+    influence by Stein's identity, which is also valid if the weight jumps).
     """
     ends = [constant * c for c in corners if constant * c < _FAR]
     knots = np.unique(np.concatenate([np.linspace(0.0, _FAR, 121), ends]))
@@ -82,12 +82,12 @@ def efficiency(weight: Curve, constant: float, dimension: int, corners: Sequence
 
 
 def constant_for(weight: Curve, dimension: int, corners: Sequence[float] = (), goal: float = EFFICIENCY) -> float:
-    """Largest constant c that leaves no more than this efficiency.
+    """Largest constant c with an efficiency not above ``goal``.
 
     Raises
     ------
     ValueError
-        No constant between 0.01 and 100 does.
+        No constant between 0.01 and 100 has this efficiency.
     """
     grid = np.geomspace(100.0, 0.01, 40)
     below = [k for k, c in enumerate(grid) if efficiency(weight, float(c), dimension, corners) < goal]
@@ -109,13 +109,13 @@ def loss_from_weight(
     ----------
     name : str
     weight : callable
-        w(u) over arrays of ``u >= 0``: 1 at 0, never rising, never negative.
+        w(u) over arrays of ``u >= 0``: 1 at 0, not increasing, not negative.
     corners : sequence of float
-        Where w or its slope jumps, in u.
+        Places u where w or its slope jumps.
     source : str
         Author year.
     redescending : bool
-        Whether the weight falls so fast that the loss has several minima; it then starts from that of Huber's loss.
+        Whether the loss can have several minima; its adjustment then starts from the minimum of Huber's loss.
 
     Raises
     ------

@@ -1,10 +1,10 @@
-"""The built-in losses: functions over arrays of ``u >= 0`` and a table.
+"""Built-in losses: functions over arrays of ``u >= 0`` and a table.
 
-Andrews' sine has an influence that is an arch of the sine and ends at pi. Cauchy's (Lorentz's) loss grows with the
-logarithm. The Danish method has its continuous form here; the original form, whose exponent depends on the cycle, is
+The influence of Andrews' sine is an arch of the sine that ends at pi. Cauchy's (Lorentz's) loss grows with the
+logarithm. The Danish method is in its continuous form; the original form, whose exponent depends on the cycle, is
 an iteration (``fg_orient.adjustment.irls``). The weights of Geman and McClure and of Welsch never reach zero, but their
-losses are bounded. Hampel's influence is constant from a to b = 2a and zero from c = 5a; u counts in a. Huber's loss is
-the only convex one. Truncated least squares counts an observation in full or not at all. Tukey's biweight has no
+losses are bounded. Hampel's influence is constant from a to b = 2a and zero from c = 5a; its u is in units of a. Only
+Huber's loss is convex. Truncated least squares gives an observation the weight 1 or 0. Tukey's biweight has no
 influence beyond c.
 """
 

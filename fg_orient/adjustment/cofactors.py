@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
-from fg_orient.kernels import batch_cofactors, batch_effects
+from fg_orient.kernels.batch_cofactors import image_effects, ray_cofactors
 from fg_orient.model.options import Options
 
 if TYPE_CHECKING:
@@ -66,10 +66,11 @@ def cofactors_of_points(problem: Problem, state: State, index: Index, blocks: Ca
     pairs, block = _pairs(problem, order)
     q, size = blocks(pairs), np.diff(problem.first)
     for part in _parts(problem, state, index[wanted], order):
-        found = np.empty((len(part.points), 3, 3))
-        batch_cofactors.point_cofactors(
-            0, len(found), part.first, part.image, size, part.d_image, part.d_ground, part.inverse, block, q, found
-        )
+        found, free = np.empty((len(part.points), 3, 3)), np.ones(len(part.points), np.int64)
+        ray_cofactors(
+            0, len(found), part.first, part.image, size, free, part.d_image, part.d_ground, part.inverse, block, q,
+            found, None, None,
+        )  # fmt: skip
         out[wanted[part.places]] = found
     return out
 
@@ -121,8 +122,8 @@ def cofactors_of_rays(problem: Problem, state: State, blocks: Callable[[Index], 
         fitted, response = np.empty((rays, 2, 2)), np.empty((rays, 3, 2))
         common = (part.first, part.image, size, problem.active[part.points].astype(np.int64), part.d_image,
                   part.d_ground, part.inverse, block)  # fmt: skip
-        batch_cofactors.ray_cofactors(0, len(found), *common, q, found, fitted, response)
-        batch_effects.image_effects(0, len(found), *common, upper, lower, squared)
+        ray_cofactors(0, len(found), *common, q, found, fitted, response)
+        image_effects(0, len(found), *common, upper, lower, squared)
         out.points[part.points], out.fitted[part.rows], out.response[part.rows] = found, fitted, response
         out.on_image[part.rows] = np.sqrt(squared)
     return out

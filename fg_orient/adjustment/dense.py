@@ -274,6 +274,9 @@ def equation_rows(equation: Equation, records: Array, setup: Array, fixed: Seque
     n = len(records)
 
     def rows(x: Array, want: bool) -> tuple[Array, Array]:
+        if equation.arrays:
+            value, jacobian = equation.kernel(records, setup, x, want)
+            return value.ravel(), jacobian.reshape(-1, len(x))
         values, blocks = evaluate(equation, records, [setup] * n, [x] * n, *fixed, jacobian=want)
         return values.ravel(), np.concatenate(blocks[0]) if want else np.zeros((0, len(x)))
 

@@ -25,9 +25,8 @@ from fg_orient.adjustment.runtime import Index, Workers
 from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
 from fg_orient.adjustment.schur_stages import Buffers, ImageExtras, Stages, TileRows
 from fg_orient.adjustment.schur_structure import SERIAL_LIMIT, Structure, Tile, compile_structure
-from fg_orient.kernels.batch_gather import gather_blocks, gather_gradients
-from fg_orient.kernels.batch_pairs import image_gradients
-from fg_orient.kernels.batch_steps import control_squares, move, product, scale_rows
+from fg_orient.kernels.batch_pairs import gather_blocks, gather_gradients, image_gradients
+from fg_orient.kernels.batch_points import control_squares, move, product, scale_rows
 from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]

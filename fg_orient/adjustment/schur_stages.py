@@ -19,8 +19,7 @@ from fg_orient.adjustment.rows import refuse
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.schur_structure import ALL_KEPT, Structure, Tile
 from fg_orient.kernels.batch_pairs import pair_blocks
-from fg_orient.kernels.batch_points import point_blocks
-from fg_orient.kernels.batch_steps import back_substitute, scale_rows
+from fg_orient.kernels.batch_points import back_substitute, point_blocks, scale_rows
 from fg_orient.kernels.vectors import SLACK, padded
 
 Array = npt.NDArray[np.float64]

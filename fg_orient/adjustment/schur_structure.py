@@ -20,7 +20,7 @@ from fg_orient.adjustment.image_models import groups
 from fg_orient.adjustment.problem import Problem
 from fg_orient.kernels import batch_sort
 from fg_orient.kernels.batch import Columns, batch
-from fg_orient.kernels.batch_gather import widen
+from fg_orient.kernels.batch_pairs import widen
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]

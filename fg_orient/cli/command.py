@@ -14,7 +14,7 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from factors._preparation import preparing_seconds, told_of_compilation
+from factors._preparation import on_compilation, preparing_seconds
 from fg_orient.cli.log import COMPILING, COMPILING_IN_VAIN, opened, session
 from fg_orient.cli.output import emit_errors, fault, flag, folded, note, tell
 from fg_orient.model.declaration import Names, Option, Three, declared
@@ -92,7 +92,7 @@ def outcome(
     """
     with (
         _explained(as_json, debug), opened(log, as_json=as_json, quiet=quiet, flags=flags), _explained(as_json, debug),
-        told_of_compilation(_CompilationNote()),
+        on_compilation(_CompilationNote()),
     ):  # fmt: skip
         yield
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final
 
-from factors._preparation import told_of_compilation
+from factors._preparation import on_compilation
 from fg_orient.cli.log import COMPILING, Session, session
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def _bar(first: str) -> Iterator[_Bar | None]:
     columns = TextColumn("{task.description}", markup=False), BarColumn(bar_width=20), TimeElapsedColumn()
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(first, total=None)
-        with told_of_compilation(lambda kernel: bar.update(task, description=COMPILING)):
+        with on_compilation(lambda kernel: bar.update(task, description=COMPILING)):
             yield _Bar(bar, task)
 
 

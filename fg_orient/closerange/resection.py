@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.cameras.frame import FRAME_BROWN_IDEAL_TO_MEASURED, RECORD, camera
+from factors.cameras.frame import FRAME_COLLINEARITY, RECORD, camera
 from factors.cameras.frame_camera import CAMERA
 from fg_orient.closerange.dlt import direct_dlt, recover
 from fg_orient.closerange.fitting import (
@@ -195,9 +195,10 @@ def _adjusted(
     records = RECORD.pack(
         line=tangents[:, 1], sample=tangents[:, 0], a_line=1.0 / sigma[:, 1], a_sample=1.0 / sigma[:, 0],
         rotation=rotation.ravel(), centre=np.zeros(3), focal=1.0, principal=np.zeros(2), distortion=np.zeros(5),
+        aspect=0.0, unit=0.0,
     )  # fmt: skip
     setup = np.stack([np.arange(6.0), np.array([1.0, 1.0, 1.0, distance, distance, distance])])
-    rows = equation_rows(FRAME_BROWN_IDEAL_TO_MEASURED, records, setup, (ground - centre,))
+    rows = equation_rows(FRAME_COLLINEARITY, records, setup, (ground - centre,))
     try:
         minimum = adjust(rows, np.zeros(6), "resection")
     except NoSolutionError:

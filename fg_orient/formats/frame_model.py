@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.cameras.frame import FRAME_BROWN_IDEAL_TO_MEASURED
+from factors.cameras.frame import FRAME_COLLINEARITY
 from fg_orient.kernels.batch import batch
 from fg_orient.model.block import (
     Block,
@@ -212,7 +212,7 @@ def _in_pixels(
     """
     codes = np.array([UNKNOWNS.index(name) for name in unknowns], dtype=float)
     records = FrameSensor(camera, 1, 1, georeferenced=False).records(line, sample)
-    rows, columns = batch(FRAME_BROWN_IDEAL_TO_MEASURED, np.stack([codes, np.ones(len(codes))]), records)
+    rows, columns = batch(FRAME_COLLINEARITY, np.stack([codes, np.ones(len(codes))]), records)
     n, ground = len(line), np.ascontiguousarray(ground_m)
     order, derivatives = np.arange(n, dtype=np.int32), np.zeros((n, 2, len(codes)))
     rows(

@@ -1,14 +1,14 @@
-"""Image points by the hundred thousand: the registered equations over arrays, without a Python call each.
+"""Registered equations of image points over arrays, without a Python call per image point.
 
-An image unknown acts on an observation as one of a few *components* (a coordinate of the orbit, an angle, a
-look angle) times a *basis* value that never changes (1, tau, tau^2, powers of the sample), so that the
-Jacobian is a Kronecker product with columns left out. Equations are evaluated with the components as their
-unknowns: at most 11 columns are computed and kept, whatever the set of unknowns. *Wide* numbers of an image are its
-values over (basis, component), basis by basis.
+An image unknown changes one of a few *components* of an observation (a coordinate of the orbit, an angle, a look
+angle), times a constant *basis* value (1, tau, tau^2, powers of the sample). The Jacobian is therefore a Kronecker
+product with columns left out. Equations are evaluated with the components as their unknowns: at most 11 columns are
+computed and stored for any set of unknowns. *Wide* numbers of an image are its values over (basis, component), basis
+by basis.
 
-Kernels take a range ``[lo, hi)`` and write what belongs to it only: any division among threads gives the
-same bits. Observations are sorted by ground point; ``fg_orient.kernels.batch_points`` and
-``fg_orient.kernels.batch_pairs`` go on.
+Kernels take a range ``[lo, hi)`` and write only its results: any division among threads gives the same bits.
+Observations are sorted by ground point; ``fg_orient.kernels.batch_points`` and ``fg_orient.kernels.batch_pairs``
+process them further.
 """
 
 from __future__ import annotations
@@ -21,14 +21,13 @@ from typing import Final
 import numpy as np
 
 from factors._contract import Array, Equation
-from factors.cameras import frame, frame_measured, pushbroom
+from factors.cameras import frame, pushbroom
 from factors.cameras.pushbroom_record import CURVE, CURVES, N_EOP, RECORD
-from fg_orient.kernels.batch_blocks import any_small_angle
-from fg_orient.kernels.batch_frame import frame_rows, measured_frame_rows
-from fg_orient.kernels.batch_pushbroom import pushbroom_rows, small_angle_rows
+from fg_orient.kernels.batch_frame import frame_rows
+from fg_orient.kernels.batch_pushbroom import any_small_angle, pushbroom_rows, small_angle_rows
 from fg_orient.kernels.batch_rows import Index, rows_of
 
-#: A basis value of the look polynomial has its degree plus this as its number, a curve its own plus that.
+#: Number of a basis value of the look polynomial: its degree plus _LOOK; of a curve: its number plus _CURVE.
 _LOOK: Final = 10
 _CURVE: Final = 100
 
@@ -44,7 +43,7 @@ class Columns:
     component, basis : (k,) int arrays
         Component and basis value of each unknown.
     scale : (k,) array
-        Its factor.
+        Factor of each unknown.
     values : callable
         Basis values (n, b) from records (n, d).
     """
@@ -67,7 +66,7 @@ class Columns:
 
 
 def _pushbroom_columns(setup: Array) -> Columns:
-    """Components: the 9 EOP and the two look angles as far as present; basis: powers of tau, of the sample, curves."""
+    """Components: EOP and look angles with unknowns; basis: powers of tau, powers of the sample, curves."""
     codes, n_eop = setup[0].astype(np.int64), N_EOP
     eop, look, curve = codes < n_eop, codes - n_eop, codes - CURVE
     constants = np.where(eop, codes - codes % 3, n_eop + look % 2)
@@ -93,7 +92,7 @@ def _value(records: Array, name: int) -> Array:
 
 
 def _plain_columns(setup: Array) -> Columns:
-    """Every unknown its own component."""
+    """Columns with one component per unknown."""
     k = setup.shape[1]
     return Columns(
         np.ascontiguousarray(setup), np.arange(k), np.zeros(k, np.int64), np.ones(k),
@@ -101,11 +100,10 @@ def _plain_columns(setup: Array) -> Columns:
     )  # fmt: skip
 
 
-#: Rows and columns of the equations with a loop of their own; all others take :func:`rows_of`.
+#: Rows and columns of the equations with their own loop; all others use :func:`rows_of`.
 _BATCHES: Final[dict[str, tuple[Callable[..., int], Callable[[Array], Columns]]]] = {
     pushbroom.LOOK_ANGLE_COLLINEARITY.name: (pushbroom_rows, _pushbroom_columns),
-    frame.FRAME_BROWN_IDEAL_TO_MEASURED.name: (frame_rows, _plain_columns),
-    frame_measured.FRAME_BROWN_MEASURED_TO_IDEAL.name: (measured_frame_rows, _plain_columns),
+    frame.FRAME_COLLINEARITY.name: (frame_rows, _plain_columns),
 }
 
 
@@ -117,6 +115,6 @@ def batch(equation: Equation, setup: Array, records: Array) -> tuple[Callable[..
 
 @lru_cache(maxsize=256)
 def _batch(equation: Equation, setup: bytes, shape: tuple[int, ...]) -> tuple[Callable[..., int], Columns]:
-    """Rows and columns, kept: the images of a block have one setup or a few, and ask for it thousands of times."""
+    """Rows and columns, cached: the images of a block have one or a few setups, requested thousands of times."""
     rows, columns = _BATCHES.get(equation.name) or (rows_of(equation), _plain_columns)
     return rows, columns(np.frombuffer(setup).reshape(shape))

@@ -1,21 +1,29 @@
-"""Cofactors of ground points from those of the images that see them.
+"""Cofactors of ground points and rays from the cofactors of the images, and effects of errors on the images.
 
 With the whitened Jacobians J_a (image) and G_a (ground) of the rays a of a point, ``H = sum G_a^T G_a + W^T W`` and
 the joint cofactors Q of the images::
 
     Q_point = H^-1 + H^-1 (sum_ab G_a^T T_ab G_b) H^-1,     T_ab = J_a Q_ab J_b^T
 
-the back-substitution of the elimination (Brown 1976; Mikhail & Ackermann 1976, 5.9) with two rows per ray instead of
-all columns of its image. The adjusted image point of ray a and its effect on the ground point follow from the same::
+This is the back-substitution of the elimination (Brown 1976; Mikhail & Ackermann 1976, 5.9) with two rows per ray
+instead of all columns of its image. For the adjusted image point of ray a and its effect on the ground point::
 
     C_a = sum_b G_b^T T_ba,     R_a = Q_point G_a^T - H^-1 C_a
     F_a = T_aa + G_a R_a - (G_a H^-1 C_a)^T
 
-F_a is the cofactor matrix ``A_a N^-1 A_a^T`` of the adjusted observation (A_a = [J_a G_a]), I - F_a that of the
-residual; R_a is the part of ``N^-1 A_a^T`` that belongs to the ground point.
+F_a is the cofactor matrix ``A_a N^-1 A_a^T`` of the adjusted observation (A_a = [J_a G_a]), I - F_a the cofactor
+matrix of the residual; R_a is the part of ``N^-1 A_a^T`` that belongs to the ground point. The part of the ray's
+image i is U_a: a whitened error e of the image point changes the unknowns of the image by U_a e::
+
+    U_a = sum_b Q_i,i(b) J_b^T (delta_ab I - G_b H^-1 G_a^T)
+
+In the image's own sigmas the size of this change is that of ``L_i^-1 U_a e`` with ``Q_ii = L_i L_i^T`` (external
+reliability, Baarda 1968), so the products ``L_i^-1 Q_ij`` of all pairs of images are formed once.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -25,11 +33,11 @@ from fg_orient.kernels.batch_rows import Index
 
 
 @threaded
-def point_cofactors(
-    lo: int, hi: int, first: Index, image: Index, size: Index, d_image: Array, d_ground: Array, inverse: Array,
-    block: Index, q: Array, out: Array,
+def ray_cofactors(
+    lo: int, hi: int, first: Index, image: Index, size: Index, free: Index, d_image: Array, d_ground: Array,
+    inverse: Array, block: Index, q: Array, out: Array, fitted: Any, response: Any,
 ) -> None:  # fmt: skip
-    """Write the cofactors (P, 3, 3) of points lo to hi.
+    """Write cofactors (P, 3, 3) of points lo to hi, F_a (n, 2, 2) and R_a (n, 3, 2) of their rays.
 
     Parameters
     ----------
@@ -38,6 +46,8 @@ def point_cofactors(
     image : (n,) int array
     size : (M,) int array
         Unknowns of each image, at most k.
+    free : (P,) int array
+        1 for unknown points, 0 for fixed ones, whose F_a is T_aa.
     d_image, d_ground : (n, 2, k), (n, 2, 3) arrays
     inverse : (P, 3, 3) array
         H^-1.
@@ -45,46 +55,15 @@ def point_cofactors(
         Place in ``q`` of the joint block of two images, row <= column.
     q : (B, k, k) array
         Cofactors of the images.
-    """
-    turned, t, total, half = np.empty((2, q.shape[2])), np.empty((2, 2)), np.empty((3, 3)), np.empty((3, 3))
-    for p in range(lo, hi):
-        total[:] = 0.0
-        for a in range(first[p], first[p + 1]):
-            i = image[a]
-            for b in range(a, first[p + 1]):
-                j = image[b]
-                _between(d_image, a, b, q, block[i, j], size[i], size[j], turned, t)
-                _add(total, d_ground, a, b, t)
-        for r in range(3):
-            for c in range(3):
-                half[r, c] = 0.0
-                for k in range(3):
-                    half[r, c] += inverse[p, r, k] * total[k, c]
-        for r in range(3):
-            for c in range(r + 1):
-                value = inverse[p, r, c]
-                for k in range(3):
-                    value += half[r, k] * inverse[p, k, c]
-                out[p, r, c], out[p, c, r] = value, value
-
-
-@threaded
-def ray_cofactors(
-    lo: int, hi: int, first: Index, image: Index, size: Index, free: Index, d_image: Array, d_ground: Array,
-    inverse: Array, block: Index, q: Array, out: Array, fitted: Array, response: Array,
-) -> None:  # fmt: skip
-    """Write cofactors (P, 3, 3) of points lo to hi, F_a (n, 2, 2) and R_a (n, 3, 2) of their rays.
-
-    Parameters as of :func:`point_cofactors`, and
-
-    free : (P,) int array
-        1 for unknown points, 0 for fixed ones, whose F_a is T_aa.
+    fitted, response : arrays or None
+        None: cofactors of the points only.
     """
     turned, t, total, half = np.empty((2, q.shape[2])), np.empty((2, 2)), np.empty((3, 3)), np.empty((3, 3))
     for p in range(lo, hi):
         total[:], half[:], out[p] = 0.0, 0.0, 0.0
-        for a in range(first[p], first[p + 1]):
-            response[a] = 0.0
+        if response is not None:
+            for a in range(first[p], first[p + 1]):
+                response[a] = 0.0
         for a in range(first[p], first[p + 1]):
             i = image[a]
             for b in range(a, first[p + 1] if free[p] else a + 1):
@@ -92,11 +71,13 @@ def ray_cofactors(
                 _between(d_image, a, b, q, block[i, j], size[i], size[j], turned, t)
                 if free[p]:
                     _add(total, d_ground, a, b, t)
-                    _gather(response, d_ground, a, b, t)
-                if a == b:
-                    for r in range(2):
-                        for c in range(2):
-                            fitted[a, r, c] = t[r, c]
+                if response is not None:
+                    if free[p]:
+                        _gather(response, d_ground, a, b, t)
+                    if a == b:
+                        for r in range(2):
+                            for c in range(2):
+                                fitted[a, r, c] = t[r, c]
         if not free[p]:
             continue
         _add_product(inverse[p], total, half)
@@ -104,8 +85,13 @@ def ray_cofactors(
             for c in range(3):
                 out[p, r, c] = inverse[p, r, c]
         _add_product(half, inverse[p], out[p])
-        for a in range(first[p], first[p + 1]):
-            _finish(inverse[p], out[p], d_ground[a], fitted[a], response[a])
+        if response is None:  # symmetric to the last bit
+            for r in range(3):
+                for c in range(r):
+                    out[p, c, r] = out[p, r, c]
+        else:
+            for a in range(first[p], first[p + 1]):
+                _finish(inverse[p], out[p], d_ground[a], fitted[a], response[a])
 
 
 @threaded
@@ -180,3 +166,60 @@ def _add(total: Array, d_ground: Array, a: int, b: int, t: Array) -> None:
             total[r, c] += value
             if a != b:
                 total[c, r] += value
+
+
+@threaded
+def image_effects(
+    lo: int, hi: int, first: Index, image: Index, size: Index, free: Index, d_image: Array, d_ground: Array,
+    inverse: Array, block: Index, upper: Array, lower: Array, out: Array,
+) -> None:  # fmt: skip
+    """Write the squared sizes (n, 2) for unit errors of line and sample of the rays of points lo to hi.
+
+    Parameters as of :func:`ray_cofactors`, and
+
+    upper, lower : (B, k, k) arrays
+        For the pairs of images i <= j, stored transposed: ``(L_i^-1 Q_ij)^T`` and ``(L_j^-1 Q_ji)^T``.
+    """
+    k = upper.shape[2]
+    effect, w, near = np.empty((2, k)), np.empty((2, 2)), np.empty((3, 2))
+    for p in range(lo, hi):
+        for a in range(first[p], first[p + 1]):
+            effect[:] = 0.0
+            _near(inverse, p, d_ground, a, near)
+            for b in range(first[p] if free[p] else a, first[p + 1] if free[p] else a + 1):
+                for r in range(2):
+                    for c in range(2):
+                        w[r, c] = 1.0 if a == b and r == c else 0.0
+                        for s in range(3):
+                            w[r, c] -= d_ground[b, r, s] * near[s, c]
+                i, j = image[a], image[b]
+                if i <= j:
+                    _add_effect(upper, block[i, j], size[j], d_image, b, w, effect)
+                else:
+                    _add_effect(lower, block[j, i], size[j], d_image, b, w, effect)
+            for c in range(2):
+                out[a, c] = 0.0
+                for s in range(k):
+                    out[a, c] += effect[c, s] * effect[c, s]
+
+
+@threaded
+def _near(inverse: Array, p: int, d_ground: Array, a: int, near: Array) -> None:
+    """Write ``H^-1 G_a^T``."""
+    for r in range(3):
+        for c in range(2):
+            near[r, c] = 0.0
+            for s in range(3):
+                near[r, c] += inverse[p, r, s] * d_ground[a, c, s]
+
+
+@threaded
+def _add_effect(half: Array, place: int, n: int, d_image: Array, b: int, w: Array, effect: Array) -> None:
+    """Add ``L^-1 Q J_b^T w``; the inner loop runs over adjacent numbers."""
+    k = effect.shape[1]
+    for s in range(n):
+        x = w[0, 0] * d_image[b, 0, s] + w[1, 0] * d_image[b, 1, s]
+        y = w[0, 1] * d_image[b, 0, s] + w[1, 1] * d_image[b, 1, s]
+        for r in range(k):
+            effect[0, r] += half[place, s, r] * x
+            effect[1, r] += half[place, s, r] * y

@@ -14,8 +14,7 @@ from numba.extending import intrinsic
 from factors._compile import threaded
 from factors._contract import Array
 from fg_orient.kernels.batch_rows import Index
-from fg_orient.kernels.batch_tiles import LINE, SIDE, contiguous, total_of
-from fg_orient.kernels.vectors import data_of, load, splat, store
+from fg_orient.kernels.vectors import LINE, SIDE, contiguous, data_of, load, splat, store, total_of
 
 
 def _write_lines(
@@ -23,7 +22,7 @@ def _write_lines(
 ) -> Any:  # fmt: skip
     """Write numbers times ``scale`` from ``begin`` times ``factor``, eight to a line; add absolute values to ``sums``.
 
-    Returns the sum of these.
+    Returns the sum of the absolute values.
     """
     contiguous(out, given, scale, sums)
     place, number = types.intp, types.float64

@@ -1,14 +1,13 @@
-"""The reduced camera system: what is left of the normal equations when the ground points are eliminated.
+"""Reduced normal equations of the images, after elimination of the ground points.
 
 Two rays a, b of one ground point add ``J_a^T M J_b``, ``M = [a is b] I - Z_a Z_b^T``, ``Z = G R^T``
 (``fg_orient.kernels.batch_points``), to the block of their images. With J = basis kron components the sum over many
-pairs is a sum of ``basis_a basis_b`` times one small matrix of components: half the arithmetic of the full columns, and
-a third of the memory traffic.
+pairs is a sum of ``basis_a basis_b`` times one small matrix of components, with half the arithmetic operations and a
+third of the memory traffic of the full columns.
 
-Points seen in the same images follow each other; a run of them is a *piece*: its pairs are the pairs of places among
-their rays, for all its points. Pieces are cut into *chunks*, which do not depend on the number of threads. A chunk has
-sums of its own, one *slot* for each block it adds to; ``fg_orient.kernels.batch_gather`` adds those of all, in one
-order.
+Points measured in the same images are adjacent and form a *piece*: its pairs are the same for all its points. Pieces
+are cut into *chunks*, which do not depend on the number of threads. A chunk has its own sums, one *slot* for each block
+to which it adds; :func:`gather_blocks` adds the slots of all chunks in one order.
 """
 
 from __future__ import annotations
@@ -20,9 +19,9 @@ from factors._contract import Array
 from fg_orient.kernels.batch_points import SCALED
 from fg_orient.kernels.batch_rows import Index, Small
 from fg_orient.kernels.batch_sums import add_rows
-from fg_orient.kernels.vectors import LANES, aligned, combine_nine, outer_nine
+from fg_orient.kernels.vectors import LANES, aligned, combine_nine, outer_nine, place_in_sum
 
-#: Points whose pairs are formed before they are added up: what is read and written then stays near the processor.
+#: Points whose pairs are formed before they are added: their data remain in the cache.
 BATCH = 24
 
 
@@ -30,7 +29,7 @@ BATCH = 24
 def _form(
     n: int, a: int, b: int, rays: int, base: int, d_image: Array, scaled: Array, c_a: int, c_b: int, t: Array
 ) -> None:  # fmt: skip
-    """Write ``D_a^T M D_b`` of the pair a, b and of its n - 1 followers, ``rays`` apart, to the rows of t."""
+    """Write ``D_a^T M D_b`` of the pair a, b and of the next n - 1 pairs, in steps of ``rays``, to the rows of t."""
     same = 1.0 if a == b else 0.0
     for k in range(n):
         i, j = a + k * rays - base, b + k * rays - base
@@ -56,7 +55,7 @@ def _form(
 
 @threaded
 def _weigh(n: int, a: int, b: int, rays: int, basis: Array, b_a: int, b_b: int, weight: Array) -> None:
-    """Write the products of basis values (b_a b_b, n) of the pair a, b and of its followers."""
+    """Write the products of basis values (b_a b_b, n) of the pair a, b and of the next n - 1 pairs."""
     if b_a == 3 and b_b == 3:  # 1, tau, tau^2: the usual case, in a third of the time
         for k in range(n):
             i, j = a + k * rays, b + k * rays
@@ -76,7 +75,7 @@ def _add_gradient(
     n: int, a: int, rays: int, base: int, n_b: int, n_c: int, basis: Array, value: Array, line: int, sample: int,
     d_image: Array, t: Array, weight: Array, out: Array, s: int,
 ) -> None:  # fmt: skip
-    """Add ``D^T r`` of the ray a and of its followers to the gradient of a slot; ``line``, ``sample``: r in value."""
+    """Add ``D^T r`` of the ray a and of the next n - 1 to the gradient of a slot; ``line``, ``sample``: r in value."""
     for k in range(n):
         i = a + k * rays - base
         q0, q1 = value[i, line], value[i, sample]
@@ -88,17 +87,6 @@ def _add_gradient(
         for b in range(n_b):
             weight[b, k] = basis[base + i, b]
     add_rows(n, weight, 0, n_b, t, out.shape[2], out, s)
-
-
-@threaded
-def _clear(lo: int, hi: int, sums: Array, gradients: Array) -> None:
-    for s in range(lo, hi):
-        for m in range(sums.shape[1]):
-            for e in range(sums.shape[2]):
-                sums[s, m, e] = 0.0
-        for b in range(gradients.shape[1]):
-            for c in range(gradients.shape[2]):
-                gradients[s, b, c] = 0.0
 
 
 @threaded
@@ -118,16 +106,17 @@ def pair_blocks(
         Slot of each pair of rays j <= k of a piece, by j, then k; -1 for none.
     base : int
         Image point of row 0 of ``d_image`` (n, 2, c) and ``scaled`` (n, 8: Z, residuals reduced by the point);
-        ``basis`` and ``image`` are those of all. ``d_image`` has :data:`fg_orient.kernels.vectors.SLACK` numbers more
-        behind it.
+        ``basis`` and ``image`` contain all image points. ``d_image`` is followed by
+        :data:`fg_orient.kernels.vectors.SLACK` further numbers.
     sums : (S, b^2, e) array
-        Components c, d of a sum stand at :func:`fg_orient.kernels.vectors.place_in_sum`.
+        Components c, d of a sum are at :func:`fg_orient.kernels.vectors.place_in_sum`.
     """
     size = sums.shape[2]
-    # one row more than used: the last product of nine writes beyond its own
+    # one row more than used: the last product of nine writes beyond its row
     t, weight = aligned(BATCH + 1, max(size, gradients.shape[2])), np.zeros((sums.shape[1], BATCH))
     for g in range(lo, hi):
-        _clear(slot_begin[g], slot_begin[g + 1], sums, gradients)
+        own = slice(slot_begin[g], slot_begin[g + 1])
+        sums[own], gradients[own] = 0.0, 0.0
         for piece in range(chunks[g], chunks[g + 1]):
             first, count, rays = pieces[piece, 0], pieces[piece, 2], pieces[piece, 3]
             for start in range(0, count, BATCH):
@@ -153,7 +142,7 @@ def pair_blocks(
                             )  # fmt: skip
                             continue
                         add_rows(n, weight, 0, b_a * b_b, t, end, sums, s)
-                        if i == j:  # two rays in one image stand in both orders
+                        if i == j:  # two rays in one image: both orders
                             _form(n, b, a, rays, base, d_image, scaled, c_b, c_a, t)
                             _weigh(n, b, a, rays, basis, b_b, b_a, weight)
                             add_rows(n, weight, 0, b_a * b_b, t, end, sums, s)
@@ -167,10 +156,7 @@ def image_gradients(
     """Write the gradients (S, b, c) of chunks lo to hi, not reduced; see :func:`pair_blocks`."""
     t, weight = np.zeros((BATCH, gradients.shape[2])), np.zeros((gradients.shape[1], BATCH))
     for g in range(lo, hi):
-        for s in range(slot_begin[g], slot_begin[g + 1]):
-            for b in range(gradients.shape[1]):
-                for c in range(gradients.shape[2]):
-                    gradients[s, b, c] = 0.0
+        gradients[slot_begin[g] : slot_begin[g + 1]] = 0.0
         for piece in range(chunks[g], chunks[g + 1]):
             first, count, rays = pieces[piece, 0], pieces[piece, 2], pieces[piece, 3]
             for start in range(0, count, BATCH):
@@ -181,3 +167,106 @@ def image_gradients(
                                   n_components[image[a]], basis, value, 0, 1, d_image, t, weight, gradients,
                                   slots[entry])  # fmt: skip
                     entry += rays - j
+
+
+@threaded
+def gather_blocks(
+    lo: int, hi: int, begin: Index, order: Small, own: Small, row: Index, column: Index, sums: Array, wide: Index,
+    scale: Array, size: Index, n_basis: Index, n_components: Index, out: Array,
+) -> None:  # fmt: skip
+    """Add the slots of blocks lo to hi and pick the unknowns that exist: (B, k, k).
+
+    Parameters
+    ----------
+    begin, order : (B + 1,), (S,) int arrays
+        Slots of each block.
+    own : (S,) int array
+        1 where each ray is paired with itself: of these sums only basis p <= q is given.
+    row, column : (B,) int arrays
+        Images of each block.
+    wide, scale : (M, k) arrays
+        Place and factor of the unknowns of each image, ``size`` (M,) of them.
+    """
+    b2, end = sums.shape[1], sums.shape[2]
+    total, half = np.empty((b2, end)), np.empty((b2, end))
+    flat, offset, step = total.reshape(b2 * end), np.empty(wide.shape[1], np.int64), np.empty(wide.shape[1], np.int64)
+    for n in range(lo, hi):
+        i, j = row[n], column[n]
+        c_a, c_b, b_b = n_components[i], n_components[j], n_basis[j]
+        for q in range(size[j]):
+            b_q, c_q = wide[j, q] // c_b, wide[j, q] % c_b
+            offset[q] = b_q * end + place_in_sum(0, c_q, c_a, c_b)
+            step[q] = place_in_sum(1, c_q, c_a, c_b) - place_in_sum(0, c_q, c_a, c_b)
+        _add_up(begin[n], begin[n + 1], order, own, sums, n_basis[i], b_b, c_b, i == j, half, total)
+        for p in range(size[i]):
+            at, c_p, factor = wide[i, p] // c_a * b_b * end, wide[i, p] % c_a, scale[i, p]
+            for q in range(size[j]):
+                out[n, p, q] = factor * scale[j, q] * flat[at + offset[q] + step[q] * c_p]
+
+
+@threaded
+def _add_slot(sums: Array, s: int, out: Array) -> None:
+    """Add the sums (b^2, e) of a slot."""
+    for m in range(out.shape[0]):
+        for e in range(out.shape[1]):
+            out[m, e] += sums[s, m, e]
+
+
+@threaded
+def _add_up(
+    lo: int, hi: int, order: Small, own: Small, sums: Array, b_a: int, b_b: int, c_b: int, diagonal: bool, half: Array,
+    total: Array,
+) -> None:  # fmt: skip
+    """Write the total (b^2, c^2) of the slots lo to hi of a block; ``half`` is scratch space."""
+    b2, end = sums.shape[1], sums.shape[2]
+    for m in range(b2):
+        for e in range(end):
+            total[m, e], half[m, e] = 0.0, 0.0
+    for k in range(lo, hi):
+        s = order[k]
+        if own[s] > 0:
+            _add_slot(sums, s, half)
+        else:
+            _add_slot(sums, s, total)
+    if not diagonal:
+        return
+    for p in range(b_a):
+        for q in range(b_b):
+            for c in range(c_b):
+                for d in range(c_b):
+                    low, high = p * b_b + q, q * b_b + p
+                    here, turned = place_in_sum(c, d, c_b, c_b), place_in_sum(d, c, c_b, c_b)
+                    total[low, here] += half[low, here] if p <= q else half[high, turned]
+
+
+@threaded
+def gather_gradients(
+    begin: Index, order: Small, own: Small, row: Index, column: Index, gradients: Array, wide: Index, scale: Array,
+    size: Index, n_components: Index, out: Array,
+) -> None:  # fmt: skip
+    """Add up the gradients (S, b, c) of the slots of each image, for the unknowns that exist, to ``out`` (u,).
+
+    The other parameters are those of :func:`gather_blocks`.
+    """
+    first = np.empty(len(size) + 1, np.int64)
+    first[0] = 0
+    for i in range(len(size)):
+        first[i + 1] = first[i] + size[i]
+    for n in range(len(row)):
+        i = row[n]
+        if i != column[n]:
+            continue
+        for p in range(size[i]):
+            b, c, total = wide[i, p] // n_components[i], wide[i, p] % n_components[i], 0.0
+            for k in range(begin[n], begin[n + 1]):
+                if own[order[k]] > 0:
+                    total += gradients[order[k], b, c]
+            out[first[i] + p] += scale[i, p] * total
+
+
+@threaded
+def widen(image: Array, wide: Index, scale: Array, size: Index, out: Array) -> None:
+    """Write unknowns (M, k), in the units of the components, to their places among the wide numbers (M, w)."""
+    for i in range(len(size)):
+        for p in range(size[i]):
+            out[i, wide[i, p]] = image[i, p] * scale[i, p]

@@ -1,8 +1,9 @@
-"""Ground points of a block eliminated: 3 x 3 blocks, gradients, rows reduced by them.
+"""Ground points of a block eliminated (3 x 3 blocks, gradients, reduced rows), and their steps after the images'.
 
 With the whitened Jacobians J (image) and G (ground) of the image points, ``H = sum G^T G + W^T W`` of a ground point,
-its diagonal lengthened by the share ``damping``, ``H^-1 = R^T R`` (R the inverse Cholesky factor, lower triangular).
-Arrays: ``fg_orient.kernels.batch``; the steps of the points: ``fg_orient.kernels.batch_steps``.
+its diagonal increased by the share ``damping``, ``H^-1 = R^T R`` (R the inverse Cholesky factor, lower triangular).
+A solution x of the reduced system gives a point's step ``-H^-1 (g + sum G^T J x)``. Arrays:
+``fg_orient.kernels.batch``.
 """
 
 from __future__ import annotations
@@ -10,21 +11,25 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import numpy as np
+
 from factors._compile import threaded
 from factors._contract import Array
 from factors.conditions.control import POINT
 from factors.records import Record
-from fg_orient.kernels.batch_rows import Flags, Small
+from fg_orient.kernels.batch_rows import Flags, Index, Small
+from fg_orient.kernels.vectors import row_along
 
 Block = tuple[float, float, float, float, float, float]  # lower triangle: 00 10 11 20 21 22
 Gradient = tuple[float, float, float]
+Row = tuple[float, float, float, float]  # derivatives by x, y, z; residual
 
-#: Lower triangle R of a ground point; of its rays both rows of Z = G R^T, and the residuals reduced by the point.
+#: Lower triangle R of a ground point; for its rays both rows of Z = G R^T and the residuals reduced by the point.
 ROOT: Final = Record(r00=1, r10=1, r11=1, r20=1, r21=1, r22=1)
 SCALED: Final = Record(line="x0 x1 x2", sample="y0 y1 y2", residuals="r_line r_sample")
 ZERO_BLOCK: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 ZERO_GRADIENT: Final = (0.0, 0.0, 0.0)
-#: A point whose pivot falls below this part of its diagonal element is not determined.
+#: A point is not determined if a pivot is below this part of its diagonal element.
 SINGULAR = 1e-14
 
 
@@ -58,7 +63,8 @@ def point_blocks(
         h, g, found = ZERO_BLOCK, ZERO_GRADIENT, ZERO_BLOCK
         if free[p] > 0:
             if free[p] == 2:
-                h, g = _with_control(control, ground, number[p], h, g)
+                for x, y, z, residual in _control_rows(control, ground, number[p]):
+                    h, g = _with(h, g, x, y, z, residual)
             for a in range(first[p] - base, first[p + 1] - base):
                 for r in range(2):
                     h, g = _with(h, g, d_ground[a, r, 0], d_ground[a, r, 1], d_ground[a, r, 2], value[a, r])
@@ -83,22 +89,22 @@ def point_blocks(
 
 
 @threaded
-def _with_control(control: Array, ground: Array, j: int, h: Block, g: Gradient) -> tuple[Block, Gradient]:
-    """Block and gradient with the three equations of a control point."""
+def _control_rows(control: Array, ground: Array, j: int) -> tuple[Row, Row, Row]:
+    """Three equations of a control point: Jacobian rows and residuals, whitened."""
     x, y = ground[j, 0] - control[j, POINT.x], ground[j, 1] - control[j, POINT.y]
     z = ground[j, 2] - control[j, POINT.z]
-    for w0, w1, w2 in (
-        (control[j, POINT.w11], control[j, POINT.w12], control[j, POINT.w13]),
-        (control[j, POINT.w21], control[j, POINT.w22], control[j, POINT.w23]),
-        (control[j, POINT.w31], control[j, POINT.w32], control[j, POINT.w33]),
-    ):
-        h, g = _with(h, g, w0, w1, w2, w0 * x + w1 * y + w2 * z)
-    return h, g
+    a1, a2, a3 = control[j, POINT.w11], control[j, POINT.w12], control[j, POINT.w13]
+    b1, b2, b3 = control[j, POINT.w21], control[j, POINT.w22], control[j, POINT.w23]
+    c1, c2, c3 = control[j, POINT.w31], control[j, POINT.w32], control[j, POINT.w33]
+    return (
+        (a1, a2, a3, a1 * x + a2 * y + a3 * z), (b1, b2, b3, b1 * x + b2 * y + b3 * z),
+        (c1, c2, c3, c1 * x + c2 * y + c3 * z),
+    )  # fmt: skip
 
 
 @threaded
 def _with(h: Block, g: Gradient, x: float, y: float, z: float, residual: float) -> tuple[Block, Gradient]:
-    """Block and gradient with one equation more."""
+    """Block and gradient after adding one equation."""
     return (
         (h[0] + x * x, h[1] + y * x, h[2] + y * y, h[3] + z * x, h[4] + z * y, h[5] + z * z),
         (g[0] + x * residual, g[1] + y * residual, g[2] + z * residual),
@@ -123,3 +129,126 @@ def _inverse_root(h: Block) -> tuple[bool, Block]:
     r00, r11, r22 = 1.0 / l00, 1.0 / l11, 1.0 / math.sqrt(d2)
     r20 = -(l20 * r00 - l21 * l10 * r00 * r11) * r22
     return True, (r00, -l10 * r00 * r11, r11, r20, -l21 * r11 * r22, r22)
+
+
+#: Number of rays for which space is reserved; more are allocated when needed.
+MOST_RAYS = 64
+
+
+@threaded
+def _along(
+    a: int, base: int, d_image: Array, basis: Array, i: int, wide: Array, n_basis: int, n_components: int
+) -> tuple[float, float]:
+    """Product of the image Jacobian of observation a with the wide unknowns of image i."""
+    if n_basis == 3 and n_components == 9 and d_image.shape[2] == 9:
+        return row_along(d_image, 18 * (a - base), basis, a * basis.shape[1], wide, i * wide.shape[1])
+    y0, y1 = 0.0, 0.0
+    for c in range(n_components):
+        x = 0.0
+        for b in range(n_basis):
+            x += basis[a, b] * wide[i, b * n_components + c]
+        y0 += d_image[a - base, 0, c] * x
+        y1 += d_image[a - base, 1, c] * x
+    return y0, y1
+
+
+@threaded
+def back_substitute(
+    lo: int, hi: int, places: Small, first: Small, image: Small, n_basis: Index, n_components: Index, basis: Array,
+    wide: Array, base: int, value: Array, d_image: Array, d_ground: Array, root: Array, gradient: Array, step: Array,
+    squares: Array,
+) -> None:  # fmt: skip
+    """Write the steps (P, 3) of the points of chunks lo to hi, and the sums of the squares of the linear residuals.
+
+    ``places`` (N + 1,): first point of each chunk; ``squares`` (N,); others: see
+    :func:`point_blocks`.
+    """
+    along = np.empty((MOST_RAYS, 2))
+    for n in range(lo, hi):
+        total = 0.0
+        for p in range(places[n], places[n + 1]):
+            t0, t1, t2 = gradient[p, 0], gradient[p, 1], gradient[p, 2]
+            if first[p + 1] - first[p] > len(along):
+                along = np.empty((first[p + 1] - first[p], 2))
+            for a in range(first[p], first[p + 1]):
+                k, i = a - base, image[a]
+                y0, y1 = _along(a, base, d_image, basis, i, wide, n_basis[i], n_components[i])
+                along[a - first[p], 0], along[a - first[p], 1] = y0, y1
+                t0 += d_ground[k, 0, 0] * y0 + d_ground[k, 1, 0] * y1
+                t1 += d_ground[k, 0, 1] * y0 + d_ground[k, 1, 1] * y1
+                t2 += d_ground[k, 0, 2] * y0 + d_ground[k, 1, 2] * y1
+            r0, r1, r2 = root[p, ROOT.r00], root[p, ROOT.r10], root[p, ROOT.r11]
+            r3, r4, r5 = root[p, ROOT.r20], root[p, ROOT.r21], root[p, ROOT.r22]
+            u0, u1, u2 = r0 * t0, r1 * t0 + r2 * t1, r3 * t0 + r4 * t1 + r5 * t2
+            x0, x1, x2 = -(r0 * u0 + r1 * u1 + r3 * u2), -(r2 * u1 + r4 * u2), -r5 * u2
+            step[p, 0], step[p, 1], step[p, 2] = x0, x1, x2
+            for a in range(first[p], first[p + 1]):
+                k = a - base
+                for r in range(2):
+                    after = value[k, r] + along[a - first[p], r]
+                    after += d_ground[k, r, 0] * x0 + d_ground[k, r, 1] * x1 + d_ground[k, r, 2] * x2
+                    total += after * after
+        squares[n] = total
+
+
+@threaded
+def product(
+    lo: int, hi: int, places: Small, first: Small, free: Flags, image: Small, n_basis: Index, n_components: Index,
+    basis: Array, wide: Array, base: int, share: float, value: Array, d_image: Array, d_ground: Array, step: Array,
+    squares: Array,
+) -> None:  # fmt: skip
+    """Sum the squares of ``share`` of the residuals plus the Jacobian times a given step, by chunk.
+
+    ``wide``: the step of the images; ``step`` (P, 3): that of the points. Others: see :func:`back_substitute`.
+    """
+    for n in range(lo, hi):
+        total = 0.0
+        for p in range(places[n], places[n + 1]):
+            moves = 1.0 if free[p] > 0 else 0.0
+            x0, x1, x2 = moves * step[p, 0], moves * step[p, 1], moves * step[p, 2]
+            for a in range(first[p], first[p + 1]):
+                k, i = a - base, image[a]
+                y = _along(a, base, d_image, basis, i, wide, n_basis[i], n_components[i])
+                for r in range(2):
+                    after = share * value[k, r] + y[r]
+                    after += d_ground[k, r, 0] * x0 + d_ground[k, r, 1] * x1 + d_ground[k, r, 2] * x2
+                    total += after * after
+        squares[n] = total
+
+
+@threaded
+def scale_rows(lo: int, hi: int, root: Array, value: Array, d_image: Array, d_ground: Array) -> None:
+    """Apply weights: multiply the rows of image points lo to hi by ``root`` (n,)."""
+    for a in range(lo, hi):
+        factor = root[a]
+        for r in range(2):
+            value[a, r] *= factor
+            for k in range(3):
+                d_ground[a, r, k] *= factor
+            for c in range(d_image.shape[2]):
+                d_image[a, r, c] *= factor
+
+
+@threaded
+def control_squares(ground: Array, control: Array, observed: Index, out: Array) -> None:
+    """Write the squared norms (m,) of the whitened residuals of observed ground points.
+
+    Parameters
+    ----------
+    ground : (N, 3) array
+    control : (N, 12) array
+        Records of observed points, ``factors.conditions.control.POINT``.
+    observed : (m,) int array
+        Rows of both.
+    """
+    for k in range(len(observed)):
+        first, second, third = _control_rows(control, ground, observed[k])
+        out[k] = first[3] * first[3] + second[3] * second[3] + third[3] * third[3]
+
+
+@threaded
+def move(number: Small, step: Array, ground: Array) -> None:
+    """Add steps (P, 3) to the ground points (N, 3) with these numbers (P,)."""
+    for p in range(len(number)):
+        for k in range(3):
+            ground[number[p], k] += step[p, k]

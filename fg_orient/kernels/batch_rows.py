@@ -1,8 +1,8 @@
 """Rows of any registered equation of image points over arrays; layout: ``fg_orient.kernels.batch``.
 
 The loop calls the scalar function of the equation: a residual is the same number in a factor and in a batch. Some
-equations have a faster loop (``fg_orient.kernels.batch``); none is required. Kernels take a range ``[lo, hi)`` and
-write only what belongs to it: any division among threads gives the same bits.
+equations have a faster loop (``fg_orient.kernels.batch``), which is optional. Kernels take a range ``[lo, hi)`` and
+write only its results: any division among threads gives the same bits.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._compile import threaded
-from factors._contract import Array, Equation
+from factors._contract import Array, Equation, is_finite
 
 Index = npt.NDArray[np.int64]
 Small = np.ndarray[tuple[int], np.dtype[np.int32]]
@@ -27,53 +27,36 @@ fill: Any = None
 kernel: Any = None
 
 
-@threaded
-def _fetch(
-    records: Array, row: int, ground: Array, j: int, n_basis: int, basis: Array, a: int, wide: Array, i: int,
-    record: Array, place: Array, x: Array,
-) -> None:  # fmt: skip
-    """Copy record (1, d) and ground point (3,), and write the components of one observation.
-
-    Copies, because a view of a shared array counts references in one place for all threads: they would wait for each
-    other (two threads were no faster than one).
-    """
-    for k in range(records.shape[1]):
-        record[0, k] = records[row, k]
-    for k in range(3):
-        place[k] = ground[j, k]
-    c = len(x)
-    for k in range(c):
-        x[k] = 0.0
-        for b in range(n_basis):
-            x[k] += basis[a, b] * wide[i, b * c + k]
-
-
-@threaded
-def _store(out: Array, a: int, value: Array, d_image: Array, d_ground: Array, want: bool) -> None:
-    """Copy what an equation wrote to the arrays of one observation."""
-    c = out.shape[1] - 4
-    for r in range(2):
-        value[a, r] = out[r, 0]
-        if want:
-            for k in range(c):
-                d_image[a, r, k] = out[r, 1 + k]
-            for k in range(3):
-                d_ground[a, r, k] = out[r, 1 + c + k]
-
-
 def _rows(
     lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
     n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
 ) -> int:  # fmt: skip
-    """Rows of members lo to hi; see :func:`fg_orient.kernels.batch_pushbroom.rows_of_form`."""
-    x, out, bad = np.empty(setup.shape[1]), np.empty((2, setup.shape[1] + 4)), -1
-    record, place = np.empty((1, records.shape[1])), np.empty(3)
+    """Rows of members lo to hi; see :func:`fg_orient.kernels.batch_pushbroom.rows_of_form`.
+
+    Record (1, d) and ground point (3,) are copied: a view of a shared array counts references in one place for all
+    threads, which would wait for each other (two threads were no faster than one).
+    """
+    c, bad = setup.shape[1], -1
+    x, out, record, place = np.empty(c), np.empty((2, c + 4)), np.empty((1, records.shape[1])), np.empty(3)
     for m in range(lo, hi):
         a = members[m]
-        _fetch(records, row[a], ground, point[a], n_basis, basis, a, wide, image[a], record, place, x)
+        for k in range(records.shape[1]):
+            record[0, k] = records[row[a], k]
+        for k in range(3):
+            place[k] = ground[point[a], k]
+        for k in range(c):
+            x[k] = 0.0
+            for b in range(n_basis):
+                x[k] += basis[a, b] * wide[image[a], b * c + k]
         if not fill(record, np.int64(0), setup, x, place, out, want) and bad < 0:
             bad = a
-        _store(out, a, value, d_image, d_ground, want)
+        for r in range(2):
+            value[a, r] = out[r, 0]
+            if want:
+                for k in range(c):
+                    d_image[a, r, k] = out[r, 1 + k]
+                for k in range(3):
+                    d_ground[a, r, k] = out[r, 1 + c + k]
     return bad
 
 
@@ -85,24 +68,20 @@ def _filled(records: Array, row: int, setup: Array, x: Array, place: Array, out:
     out[:] = np.nan
     if not fits:
         return False
-    finite = True
     for r in range(2):
         out[r, 0] = residual[r]
-        finite = finite and np.isfinite(residual[r])
         if want:
             for k in range(c):
                 out[r, 1 + k] = by_image[r, k]
-                finite = finite and np.isfinite(by_image[r, k])
             for k in range(3):
                 out[r, 1 + c + k] = by_ground[r, k]
-                finite = finite and np.isfinite(by_ground[r, k])
-    return finite
+    return is_finite(out, c + 4 if want else 1)
 
 
 def _bound(loop: Any, equation: Equation, name: str, function: Any) -> Any:
-    """Compile a loop of this module for an equation; leave it in Python if the equation's function is not compiled."""
+    """Compile a loop of this module for an equation; plain Python if the equation's function is not compiled."""
     own = FunctionType(loop.__code__, {**loop.__globals__, name: function}, loop.__name__)
-    own.__qualname__ = f"{loop.__name__}_{equation.name}"  # compiled code of each equation has a file of its own
+    own.__qualname__ = f"{loop.__name__}_{equation.name}"  # the compiled code of each equation has its own file
     return threaded(own) if hasattr(function, "py_func") else own
 
 

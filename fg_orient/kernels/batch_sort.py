@@ -34,9 +34,9 @@ def sort_by(key: Index, order: Small, counts: Index, out: Small) -> None:
 @threaded
 def signatures(order: Small, point: Index, image: Index, constant: Flags, n_images: int, key: Index, code: Index,
                start: Small) -> int:  # fmt: skip
-    """Describe the images of each ground point of a sorted list; the number of points.
+    """Describe the images of each ground point of a sorted list; returns the number of points.
 
-    Written per point: ``key`` (first and last image, rays, constant or not), ``code`` (hash over its images) and
+    Written for each point: ``key`` (first and last image, rays, constant or not), ``code`` (hash over its images) and
     ``start``, its first row in ``order``, with the end of the last.
     """
     total = 0
@@ -74,9 +74,9 @@ def arrange(
 @few_in_python
 @threaded
 def cut_pieces(first: Small, image: Small, free: Flags, limit: int, pieces: Index, chunks: Index) -> tuple[int, int]:
-    """Write the pieces (P, 5) and the first piece of each chunk (P + 1,); how many of each there are.
+    """Write the pieces (P, 5) and the first piece of each chunk (P + 1,); returns both numbers.
 
-    A chunk begins at each point whose first image point passes a multiple of ``limit``.
+    A chunk begins at each point whose first image point reaches a multiple of ``limit``.
     """
     n_pieces, n_chunks, entries = 0, 0, 0
     for p in range(len(first) - 1):
@@ -107,7 +107,8 @@ def list_entries(
 ) -> None:  # fmt: skip
     """Write for each pair of rays of each piece its block (row times images plus column) and its kind.
 
-    The kind is twice the chunk, plus 1 for a ray with itself; -1 for two rays of a constant point, which share nothing.
+    The kind is twice the chunk, plus 1 for a ray with itself; -1 for two rays of a constant point, which
+    have no common unknown.
     """
     for g in range(len(chunks) - 1):
         for q in range(chunks[g], chunks[g + 1]):

@@ -1,7 +1,8 @@
-"""Rows added to sums, times weights: eight rows, and up to three sums, at once.
+"""Weighted rows added to sums: eight rows and up to three sums at once.
 
-An element of a sum is then loaded and stored once for eight rows, and an element of a row loaded once for three sums,
-whose weights stay in registers: 20 ns for the nine sums of a pair of rays one by one, 16 by threes (measured).
+An element of a sum is then loaded and stored once for eight rows, and an element of a row is loaded once for three
+sums, whose weights remain in registers: the nine sums of a pair of rays take 20 ns one by one, 16 ns by threes
+(measured).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _FUSED: Final = ("contract",)
 
 
 def _sum(builder: Any, first: Any, factors: list[Any], rows: list[Any]) -> Any:
-    """``first`` plus all products; of eight and four rows the second half has a sum of its own."""
+    """``first`` plus all products; for eight and four rows the second half has a separate sum."""
     total, half = [first], len(rows) // 2
     for r, (factor, row) in enumerate(zip(factors, rows, strict=True)):
         product = builder.fmul(factor, row, flags=_FUSED)
@@ -36,14 +37,14 @@ def _sum(builder: Any, first: Any, factors: list[Any], rows: list[Any]) -> Any:
 
 
 def _adder(rows: int) -> Callable[..., None]:
-    """Make the function that adds so many rows to one, two or three sums."""
+    """Make the function that adds this number of rows to one, two or three sums."""
 
     def emit(builder: Any, pointers: list[Any], steps: Any, vectors: Any, sums: int) -> None:
         def follow(k: int, count: int) -> list[Any]:
-            found = [pointers[k]]
+            places = [pointers[k]]
             for _ in range(count - 1):
-                found.append(builder.gep(found[-1], [steps[k]]))
-            return found
+                places.append(builder.gep(places[-1], [steps[k]]))
+            return places
 
         targets, lines = follow(0, sums), follow(1, rows)
         factors = [[number_at(builder, weight, r) for r in range(rows)] for weight in follow(2, sums)]
@@ -85,7 +86,7 @@ _eight, _four, _two, _one = _adder(8), _adder(4), _adder(2), _adder(1)
 
 @threaded
 def _add(n: int, weight: Array, m: int, sums: int, t: Array, end: int, out: Array, s: int) -> None:
-    """Add n rows to up to TOGETHER sums: by eights, then what is left by four, two and one."""
+    """Add n rows to up to TOGETHER sums: by eights, then the remainder by four, two and one."""
     size, stride, width, k = out.shape[2], t.shape[1], weight.shape[1], 0
     at, w, vectors = (s * out.shape[1] + m) * size, m * width, end // LANES
     while k + 8 <= n:

@@ -1,7 +1,8 @@
-"""An image rendered by rays: ground points of pixel corners on a DEM, and a texture of the ground averaged over pixels.
+"""Rendering of an image by rays: ground points of pixel corners on a DEM, ground texture averaged over pixels.
 
-A ray is given by its map coordinates as polynomials of the height (bent by map projection and curvature alone). It is
-followed from the highest DEM value down, in steps of half a cell, to its first meeting with the bilinear surface.
+A ray is given by its map coordinates as polynomials of the height (it is curved by map projection and Earth curvature
+only). It is followed from the highest DEM value downwards, in steps of half a cell, to its first intersection with the
+bilinear surface.
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ from fg_orient.kernels.resampling import SCALING, surface_height
 RAY = Record(row="row_0 row_1 row_2", column="column_0 column_1 column_2")
 #: Centre of the first DEM cell and the size of a cell, m.
 TO_MAP = Record(x=1, y=1, cell=1)
-#: Of a target, m.
+#: Radii of a target, m.
 RADII = Record(disc=1, ring=1)
 #: Lines and samples between knots.
 STEP = Record(line=1, sample=1)
 #: Place in the DEM.
 CELL = Record(row=1, column=1)
-#: Halvings of the step in which a ray meets the surface: half a cell of 30 m to 0.01 mm.
+#: Halvings of the step in which a ray intersects the surface: from half a cell of 30 m to 0.01 mm.
 HALVINGS = 21
 #: Texture samples along each side of a pixel.
 SAMPLES = 4
@@ -36,7 +37,7 @@ EDGES_M, AMPLITUDES = (130.0, 17.0), (45.0, 30.0)
 
 @inlined
 def _noise(i: int, j: int) -> float:
-    """A number in [-1, 1] that belongs to a knot of the texture (mixing as in MurmurHash3's finalizer)."""
+    """Pseudo-random number in [-1, 1] of a knot of the texture (mixing as in MurmurHash3's finalizer)."""
     h = (np.uint64(i) * np.uint64(0x9E3779B97F4A7C15)) ^ (np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F))
     h = (h ^ (h >> np.uint64(33))) * np.uint64(0xFF51AFD7ED558CCD)
     h = (h ^ (h >> np.uint64(33))) * np.uint64(0xC4CEB9FE1A85EC53)
@@ -68,8 +69,8 @@ def _at(k: Any, t: float) -> Any:
 
 @compiled
 def _meet(k: Array, heights: Array, scaling: Array, out: Array) -> None:
-    """DEM row and column where a ray first meets the surface; nan where it finds no height before."""
-    rows, columns = 2.0 * k[RAY.row_1], 2.0 * k[RAY.column_1]  # cells that the ray passes
+    """DEM row and column where a ray first intersects the surface; nan if it leaves the heights before."""
+    rows, columns = 2.0 * k[RAY.row_1], 2.0 * k[RAY.column_1]  # cells along the ray
     n = int(2.0 * np.sqrt(rows * rows + columns * columns)) + 2
     above, below = 1.0, np.nan
     for m in range(n + 1):
@@ -93,12 +94,12 @@ def _meet(k: Array, heights: Array, scaling: Array, out: Array) -> None:
 @compiled
 def corners(first_line: int, first_sample: int, step: Array, knots: Array, heights: Array, scaling: Array,
             out: Array) -> None:  # fmt: skip
-    """Fill DEM row and column (R + 1, C + 1, 2) where the rays of pixel corners meet the surface.
+    """Fill DEM row and column (R + 1, C + 1, 2) of the intersections of the rays of pixel corners with the surface.
 
     Parameters
     ----------
     first_line, first_sample : int
-        First pixel; its first corner lies at minus half a pixel.
+        First pixel; its first corner is at minus half a pixel.
     step : (2,) array
         Lines and samples between knots, the first knot at the outer corner of pixel (0, 0).
     knots : (M, N, 6) array
@@ -145,7 +146,7 @@ def _between(p: Any, q: Any, s: Any, t: Any, axis: int, u: float, v: float) -> A
 
 @compiled
 def expose(corner: Array, to_map: Array, targets: Array, radii: Array, out: Any) -> None:
-    """Fill grey values (R, C), 1 to 254, each the mean of 4 x 4 places of its pixel; 0 where a corner saw no ground.
+    """Fill grey values (R, C), 1 to 254, each the mean of 4 x 4 places of its pixel; 0 if a corner has no ground point.
 
     Parameters
     ----------
@@ -156,7 +157,7 @@ def expose(corner: Array, to_map: Array, targets: Array, radii: Array, out: Any)
     targets : (T, 2) array
         Map coordinates of the targets' centres.
     radii : (2,) array
-        Of the disc and of the ring about it, m: ``RADII``.
+        Radii of the disc and of the ring around it, m: ``RADII``.
     out : (R, C) uint8 array
         Result.
     """

@@ -1,4 +1,4 @@
-"""Maps of pixels for rasters: where a map pixel lies in the image, and the grey value there.
+"""Resampling of rasters: place of a map pixel in the image, and the grey value there.
 
 Pixels are (line, sample) or (row, column), (0, 0) = centre of the first pixel. Nodata is nan.
 Kernel of the cubic convolution: Keys (1981), eq. 4 with his a = -1/2, and a = -1 of Simon (1975) and Rifman (1973).
@@ -18,13 +18,13 @@ NEAREST, BILINEAR, CUBIC = 0, 1, 2
 KNOT = Record(row=1, column=1, line="line_0 line_1 line_2", sample="sample_0 sample_1 sample_2")
 SCALING = Record(offset=1, scale=1)
 LIMITS = Record(first_line=1, last_line=1, first_sample=1, last_sample=1)
-#: Pixels beyond the place itself that a kernel may need.
+#: Largest distance, in pixels, at which a kernel may need values.
 REACH = 2
 
 
 @inlined
 def surface_height(heights: Any, row: float, column: float) -> Any:
-    """Height of a raster at one place, bilinear between centres; nan outside or beside nodata."""
+    """Height of a raster at one place, bilinear between centres; nan outside or next to nodata."""
     rows, columns = heights.shape
     if not (0.0 <= row <= rows - 1.0 and 0.0 <= column <= columns - 1.0):
         return np.nan
@@ -45,7 +45,7 @@ def pixel_positions(
     Parameters
     ----------
     first_row, first_column : int
-        Of the window in the map.
+        First pixel of the window in the map.
     step : int
         Map pixels between two knots, the same for rows and columns; the first knot is map pixel (0, 0).
     knots : (M, N, 8) array
@@ -55,14 +55,14 @@ def pixel_positions(
     scaling : (2,) array
         Offset and scale of the height, ``SCALING``: t = (height - offset) / scale.
     limits : (4,) array
-        First and last line, first and last sample that lie in the image: ``LIMITS``.
+        First and last line, first and last sample of the image: ``LIMITS``.
     line, sample : (R, C) arrays
         Results.
 
     Returns
     -------
     tuple of int
-        Pixels inside the DEM's raster without a height that lie in the image at t = 0; row and column of the first.
+        Number of pixels inside the DEM that have no height but are in the image at t = 0; row and column of the first.
     """
     holes, hole_row, hole_column = 0, -1, -1
     a, b, k = np.empty(KNOT.size), np.empty(KNOT.size), np.empty(KNOT.size)
@@ -99,7 +99,7 @@ def pixel_positions(
 
 @inlined
 def _weights(kind: int, a: float, x: float, w: Any) -> int:
-    """Weights of the pixels from floor(x) + the number given back on; x from the floor, 0 to 1."""
+    """Write the weights of pixels; returns the first pixel minus floor; ``x``, 0 to 1, counts from the floor."""
     if kind == NEAREST:
         w[0] = 1.0
         return 1 if x >= 0.5 else 0
@@ -117,14 +117,14 @@ def _weights(kind: int, a: float, x: float, w: Any) -> int:
 @compiled
 def resample(image: Array, first_line: int, first_sample: int, line: Array, sample: Array, kind: int, a: float,
              out: Array) -> int:  # fmt: skip
-    """Fill grey values (R, C) at the places; nan where a pixel of weight above 0 in size is nan, or the place is.
+    """Fill grey values (R, C) at the places; nan where the place, or a pixel with a weight other than 0, is nan.
 
     Parameters
     ----------
     image : (P, Q) array
         Window of the image; beyond it its border pixels are repeated.
     first_line, first_sample : int
-        Of the window in the image.
+        First pixel of the window in the image.
     line, sample : (R, C) arrays
     kind : int
         NEAREST, BILINEAR or CUBIC.
@@ -136,7 +136,7 @@ def resample(image: Array, first_line: int, first_sample: int, line: Array, samp
     Returns
     -------
     int
-        Places with a value.
+        Number of places with a value.
     """
     taps = 1 if kind == NEAREST else 2 if kind == BILINEAR else 4
     rows, columns, n = image.shape[0], image.shape[1], 0

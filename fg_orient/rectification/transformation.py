@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Equation
-from factors.cameras import line_scanner, plane
-from fg_orient.kernels.plane_batch import targets_of
+from factors.cameras import plane
 from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -125,10 +124,10 @@ _MODELS: Final = {
         TransformationModel("helmert", "Helmert", plane.HELMERT, 2, 0, ("c", "d", "a", "b"), shared_scale=True),
         TransformationModel("projective", "projective", plane.PROJECTIVE, 2, 0,
                             ("a0", "a1", "a2", "b0", "b1", "b2", "c1", "c2"), slice(6, 8)),
-        TransformationModel("affine-3d", "3-D affine", line_scanner.AFFINE_PROJECTION, 3, 0, _EIGHT),
-        TransformationModel("parallel", "parallel projection", line_scanner.PARALLEL_PROJECTION, 3, 0, (*_EIGHT, "t"),
+        TransformationModel("affine-3d", "3-D affine", plane.AFFINE_PROJECTION, 3, 0, _EIGHT),
+        TransformationModel("parallel", "parallel projection", plane.PARALLEL_PROJECTION, 3, 0, (*_EIGHT, "t"),
                             slice(8, 9)),
-        TransformationModel("dlt", "line-scanner DLT", line_scanner.LINE_SCANNER_DLT, 3, 0,
+        TransformationModel("dlt", "line-scanner DLT", plane.LINE_SCANNER_DLT, 3, 0,
                             (*_EIGHT, "c1", "c2", "c3"), slice(8, 11)),
     )
 }  # fmt: skip
@@ -219,7 +218,8 @@ class Transformation:
         given = np.atleast_2d(np.asarray(source, float))
         three = np.zeros((len(given), 3))
         three[:, : self.model.dimension] = self.source.normalised(given)
-        return self.target.physical(targets_of(self.model.equation, three, self.model.setup, self.coefficients))
+        u, v = plane.targets(self.model.equation.name, three, self.model.setup, self.coefficients)
+        return self.target.physical(np.stack(np.broadcast_arrays(u, v), axis=1))
 
     def plain_coefficients(self) -> dict[str, float] | None:
         """Coefficients of the coordinates themselves; None for quotients.

@@ -15,12 +15,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.cameras import frame, frame_camera, frame_measured
-from factors.cameras.frame import FRAME_BROWN_IDEAL_TO_MEASURED, N_UNKNOWNS, RECORD
+from factors.cameras import frame, frame_camera
+from factors.cameras.frame import FRAME_COLLINEARITY, N_UNKNOWNS, RECORD
 from factors.cameras.frame_camera import CAMERA
-from factors.cameras.frame_measured import FRAME_BROWN_MEASURED_TO_IDEAL
 from factors.geometry import ellipsoid
-from factors.records import Record
 from fg_orient.model.errors import Finding, InputError
 from fg_orient.model.parameters import ImageParameters, require_unknowns
 from fg_orient.sensors.correction import HeightSurface
@@ -166,12 +164,11 @@ class FrameCamera:
 
     @cached_property
     def record(self) -> Array:
-        """Record of ``cameras.frame`` or ``cameras.frame_measured`` of pixel 0, 0, whitening 1 and origin 0."""
-        own = {"aspect": self.aspect, "unit": self.unit_px} if self.corrects_measured else {}
-        fields: Record = (frame_measured if own else frame).RECORD
-        return fields.pack(
+        """Record of ``cameras.frame`` of pixel 0, 0, whitening 1 and origin 0."""
+        return RECORD.pack(
             line=0.0, sample=0.0, a_line=1.0, a_sample=1.0, rotation=self.rotation.ravel(), centre=self.centre_m,
-            focal=self.focal_px, principal=self.principal_px[::-1], distortion=self.distortion, **own,
+            focal=self.focal_px, principal=self.principal_px[::-1], distortion=self.distortion,
+            aspect=self.aspect, unit=self.unit_px if self.corrects_measured else 0.0,
         )  # fmt: skip
 
     @property
@@ -180,33 +177,32 @@ class FrameCamera:
         return self.model == MEASURED_TO_IDEAL
 
     def corrected(self, correction: npt.ArrayLike | None = None) -> Array:
-        """Camera of ``cameras.frame_camera`` (29,), of ``cameras.frame_measured`` (31,) if the polynomial corrects.
+        """Camera (31,) of ``factors.cameras.frame_camera``.
 
         ``correction`` (15,): in physical units, in the order of the codes of ``factors.cameras.frame``.
         """
         codes = np.stack([np.arange(N_UNKNOWNS, dtype=float), np.ones(N_UNKNOWNS)])
         x = np.zeros(N_UNKNOWNS) if correction is None else np.array(correction, dtype=float)
-        make = frame_measured.camera if self.corrects_measured else frame.camera
-        out: Array = make(self.record, codes, x)
-        return out
+        return np.asarray(frame.camera(self.record, codes, x))
 
     def ideal_directions(self, camera: Array, line: Array, sample: Array) -> Array:
         """X/Z, Y/Z (N, 2) of pixels, by what :meth:`corrected` gives; nan where the distortion cannot be inverted."""
-        found = frame_measured.corrected if self.corrects_measured else frame_camera.ideal_directions
+        found = frame_camera.corrected_directions if self.corrects_measured else frame_camera.ideal_directions
         return np.asarray(found(camera, line, sample))
 
     def pixels(self, camera: Array, ground_m: Array) -> Array:
         """Line, sample (px) and inverse depth (1/m) of ground points (N, 3): (N, 3); nan where nothing is measured."""
         if not self.corrects_measured:
             return np.asarray(frame_camera.project(camera, ground_m))
-        plain = camera[: CAMERA.size].copy()
+        plain = camera.copy()
         plain[CAMERA.focal], plain[CAMERA.principal], plain[CAMERA.distortion] = 1.0, 0.0, 0.0
         line, sample, inverse = frame_camera.project(plain, ground_m).T
         # the ideal point as a pixel of the polynomial's own camera, whose measured direction Newton finds
-        plain[CAMERA.focal] = camera[frame_measured.CAMERA.unit] / camera[CAMERA.focal]
+        plain[CAMERA.focal] = camera[CAMERA.unit] / camera[CAMERA.focal]
         plain[CAMERA.distortion] = camera[CAMERA.distortion]
         x, y = frame_camera.ideal_directions(plain, line, sample).T
-        return np.column_stack([frame_measured.pixels(camera, x, y), inverse])
+        unit, stretch = camera[CAMERA.unit], 1.0 + camera[CAMERA.aspect]
+        return np.column_stack([camera[CAMERA.line] + unit * y, camera[CAMERA.sample] + unit * x / stretch, inverse])
 
 
 def rotation_of_opk(omega_rad: float, phi_rad: float, kappa_rad: float) -> Array:
@@ -397,9 +393,7 @@ class FrameImageModel:
 
     def __init__(self, sensor: FrameSensor, options: Options) -> None:
         self.sensor = sensor
-        self.equation: Equation = (
-            FRAME_BROWN_MEASURED_TO_IDEAL if sensor.camera.corrects_measured else FRAME_BROWN_IDEAL_TO_MEASURED
-        )
+        self.equation: Equation = FRAME_COLLINEARITY
         self.parameters = camera_parameters(sensor.camera, options.image_unknowns)
         if sensor.camera.sigma:
             require_unknowns(options, self.parameters.codes, sensor.file, sensor.camera.sigma)

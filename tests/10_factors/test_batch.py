@@ -9,7 +9,7 @@ import pytest
 
 from factors.cameras import pushbroom
 from fg_orient.kernels.batch import batch
-from fg_orient.kernels.batch_blocks import BLOCK, usual
+from fg_orient.kernels.batch_pushbroom import BLOCK, usual
 
 N = 2 * BLOCK + 11  # whole blocks and a part of one
 N_IMAGES = 5

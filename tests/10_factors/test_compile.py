@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from factors import _compile
-from factors._preparation import told_of_compilation
+from factors._preparation import on_compilation
 from factors._sources import stamp
 from factors.cameras import pushbroom
 from factors.geometry import light
@@ -66,9 +66,9 @@ def third(x):
 }
 RUN = """
 import json, sys
-from factors._preparation import told_of_compilation
+from factors._preparation import on_compilation
 told = []
-with told_of_compilation(told.append):
+with on_compilation(told.append):
     from chain.top import kernel
     value = kernel(1.0)
 json.dump([value, told], sys.stdout)
@@ -79,7 +79,7 @@ VALUES = {"factor": 2.0, "leaf": 3.0, "other": 5.0}
 #: The same with values that change between two imports of the package.
 CHANGES = """
 import importlib, json, pathlib, sys
-from factors._preparation import told_of_compilation
+from factors._preparation import on_compilation
 folder, texts, values = sys.argv[1], *map(json.loads, sys.argv[2:4])
 found = []
 for changed in values:
@@ -89,7 +89,7 @@ for changed in values:
         del sys.modules[name]
     importlib.invalidate_caches()
     told = []
-    with told_of_compilation(told.append):
+    with on_compilation(told.append):
         found.append([importlib.import_module("chain.top").kernel(1.0), told])
 json.dump(found, sys.stdout)
 """
@@ -268,7 +268,7 @@ def test_a_kernel_is_compiled_whole_and_its_parts_are_not(tmp_path: Path) -> Non
 
     for kernel in (part, whole):
         kernel._opened = True  # type: ignore[attr-defined]  # no file: this test may have run before
-    with told_of_compilation(told.append):
+    with on_compilation(told.append):
         assert whole(1.0) == 4.0
         assert told == ["whole"]
         assert part(1.0) == 2.0  # called from Python it becomes a kernel of its own

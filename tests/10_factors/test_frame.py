@@ -40,7 +40,7 @@ def test_rotation_equals_scipy(angle: float) -> None:
 
 @pytest.mark.oracle
 def test_residual_equals_the_printed_formulas() -> None:
-    """OpenCV's documentation written with numpy: 16 digits of some thousand pixels."""
+    """OpenCV's documentation, and Brown's correction of what was measured, written with numpy: 16 digits of pixels."""
     rng = np.random.default_rng(3)
     for _ in range(40):
         e = frame.example(rng)
@@ -48,16 +48,20 @@ def test_residual_equals_the_printed_formulas() -> None:
         interior = e.record[frame.RECORD.centre.start :]
         d = np.zeros(frame.N_UNKNOWNS + 3)  # some draws have an unknown that no pixel feels
         d[e.setup[0].astype(int)] = e.setup[1] * e.unknowns[0]
-        centre, (f, cx, cy, k1, k2, k3, p1, p2) = interior[:3] + d[3:6], interior[3:] + d[6:14]
+        centre, (f, cx, cy, k1, k2, k3, p1, p2, aspect) = interior[:3] + d[3:6], interior[3:12] + d[6:15]
         q = Rotation.from_rotvec(d[:3]).apply(start @ (e.unknowns[1] - centre))
-        x, y = q[:2] / q[2]
+        ideal, unit = q[:2] / q[2], interior[12]
+        away = (observed[1] - cx) * (1.0 + aspect), observed[0] - cy
+        x, y = np.array(away) / unit if unit else ideal
         r2 = x**2 + y**2
         radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-        sample = f * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)) + cx
-        line = f * (y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y) + cy
+        sample = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)
+        line = y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y
+        computed = f * ideal[::-1] if unit else f * np.array([line, sample]) + [cy, cx]
+        given = unit * np.array([line, sample]) if unit else observed
         found = frame.residual(e.record, e.setup, *e.unknowns)
-        expected = weight * ([line, sample] - observed)
-        assert np.abs(found - expected).max() < 1e-11 * max(1.0, float(np.abs([line, sample]).max() * weight.max()))
+        expected = weight * (computed - given)
+        assert np.abs(found - expected).max() < 1e-11 * max(1.0, float(np.abs(computed).max() * weight.max()))
 
 
 @pytest.mark.oracle
@@ -83,7 +87,7 @@ def test_ideal_directions_invert_the_distortion_and_stop_at_its_fold() -> None:
     assert np.isnan(beyond[1]).all()
 
 
-def rows_of(parts: list[tuple[int, int]], spoil: bool = False) -> tuple[np.ndarray, list[int]]:
+def rows_of(parts: list[tuple[int, int]], corrects: bool = False, spoil: bool = False) -> tuple[np.ndarray, list[int]]:
     """Value and Jacobians of 30 rays of 3 images in one array, computed in parts; what each part reports."""
     rng = np.random.default_rng(5)
     e = frame.example(rng)
@@ -91,6 +95,7 @@ def rows_of(parts: list[tuple[int, int]], spoil: bool = False) -> tuple[np.ndarr
         e = frame.example(rng)
     n, (k, point) = 30, (9, e.unknowns[1])
     records = np.tile(e.record, (n, 1))
+    records[:, frame.RECORD.unit] = 900.0 if corrects else 0.0
     records[:, [frame.RECORD.line, frame.RECORD.sample]] += rng.normal(size=(n, 2))
     ground = point + rng.normal(size=(10, 3))
     image, places = np.tile(np.arange(3), 10), np.repeat(np.arange(10), 3)
@@ -99,7 +104,7 @@ def rows_of(parts: list[tuple[int, int]], spoil: bool = False) -> tuple[np.ndarr
     wide = rng.normal(size=(3, k))
     if spoil:
         ground[4] = np.nan
-    rows, columns = batch(frame.FRAME_BROWN_IDEAL_TO_MEASURED, e.setup, records)
+    rows, columns = batch(frame.FRAME_COLLINEARITY, e.setup, records)
     value, d_image, d_ground = np.full((n, 2), 7.0), np.full((n, 2, k), 7.0), np.full((n, 2, 3), 7.0)
     order, found = np.arange(n), []
     scaled = wide * columns.scale
@@ -110,9 +115,7 @@ def rows_of(parts: list[tuple[int, int]], spoil: bool = False) -> tuple[np.ndarr
         ))  # fmt: skip
     if not spoil:
         for a in range(n):
-            ours = frame.FRAME_BROWN_IDEAL_TO_MEASURED.kernel(
-                records[a], e.setup, wide[image[a]], ground[places[a]], True
-            )
+            ours = frame.FRAME_COLLINEARITY.kernel(records[a], e.setup, wide[image[a]], ground[places[a]], True)
             # products and sums may fuse in the batch: some roundings
             for mine, batched in zip(ours, (value[a], d_image[a], d_ground[a]), strict=True):
                 assert np.abs(mine - batched).max() <= 1e-13 * max(1.0, float(np.abs(mine).max()) * 10.0)
@@ -120,10 +123,11 @@ def rows_of(parts: list[tuple[int, int]], spoil: bool = False) -> tuple[np.ndarr
 
 
 @pytest.mark.consistency
-def test_batch_rows_equal_the_equation_and_do_not_depend_on_the_parts() -> None:
-    whole, found = rows_of([(0, 30)])
+@pytest.mark.parametrize("corrects", [False, True])
+def test_batch_rows_equal_the_equation_and_do_not_depend_on_the_parts(corrects: bool) -> None:
+    whole, found = rows_of([(0, 30)], corrects)
     assert found == [-1]
-    parts, found = rows_of([(17, 30), (0, 5), (5, 17)])
+    parts, found = rows_of([(17, 30), (0, 5), (5, 17)], corrects)
     assert found == [-1] * 3
     assert np.array_equal(whole, parts)
 

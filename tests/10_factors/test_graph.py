@@ -8,7 +8,7 @@ import pytest
 
 from factors._contract import Argument, Equation, check_blocks, evaluate
 from factors.cameras import pushbroom
-from factors.conditions.control import CONTROL_POINT, OBSERVED_PARAMETERS, POINT, kernel_point, whitening
+from factors.conditions.control import CONTROL_POINT, OBSERVED_PARAMETERS, POINT, whitening
 from factors.graph import factor
 
 E0, P0 = gtsam.symbol("e", 0), gtsam.symbol("p", 0)
@@ -187,11 +187,11 @@ def test_general_wrapper_checks_too() -> None:
     values.insertPoint3(P0, e.unknowns[0])
     good = factor(CONTROL_POINT, (P0,), (3,), e.record, e.setup, label=LABEL, n_residuals=3)
     a, b = good.linearize(values).jacobian()
-    value, j = kernel_point(e.record, e.setup, e.unknowns[0], True)
+    value, j = CONTROL_POINT.kernel(e.record, e.setup, e.unknowns[0], True)
     assert np.array_equal(a, j)
     assert np.array_equal(b, -value)
     bad = Equation(
-        "short", lambda *a: kernel_point(*a)[:1], CONTROL_POINT.residual, (Argument("ground", "m", True),),
+        "short", lambda *a: CONTROL_POINT.kernel(*a)[:1], CONTROL_POINT.residual, (Argument("ground", "m", True),),
         CONTROL_POINT.example, "",
     )  # fmt: skip
     with pytest.raises(ValueError, match="'short'"):

@@ -47,29 +47,3 @@ def test_displacements_are_orthogonal_on_the_disk() -> None:
     gram = rows.T @ (rows * (weight * r)[:, None])
     scale = np.sqrt(np.outer(gram.diagonal(), gram.diagonal()))
     assert np.abs(gram / scale - np.eye(4)).max() <= 1e-14
-
-
-@pytest.mark.oracle
-def test_film_matrix_and_parameters(rng: np.random.Generator) -> None:
-    for _ in range(20):
-        p = np.array([0.0, 0.0, 1.0, 1.0]) + rng.normal(scale=0.1, size=4)
-        turn, skew, across, up = p
-        s = [[np.cos(turn), np.sin(turn + skew)], [-np.sin(turn), np.cos(turn + skew)]]
-        a = variants.film_matrix(p)
-        assert a == pytest.approx(s @ np.diag([across, up]), abs=1e-15)
-        assert variants.film_parameters(a) == pytest.approx(p, abs=1e-15)
-        steps = 1e-30j * np.eye(4)
-        by_step = np.stack([variants.film_matrix(p + step).imag / 1e-30 for step in steps], axis=2)
-        assert variants.film_matrix_derivatives(p) == pytest.approx(by_step, abs=1e-14)
-        back = variants.film_parameter_derivatives(a).reshape(4, 4) @ variants.film_matrix_derivatives(p).reshape(4, 4)
-        assert back == pytest.approx(np.eye(4), abs=1e-13)
-
-
-@pytest.mark.truth
-def test_film_without_fiducial_marks() -> None:
-    """Eqs. 53 and 54: with a = 0 and lx = 1 the matrix is I + [0, A_p; 0, B_p]."""
-    a_p, b_p = -2.94061e-3, 1.93571e-3
-    turn, skew, across, up = variants.film_parameters(np.array([[1.0, a_p], [0.0, 1.0 + b_p]]))
-    assert (turn, across) == (0.0, 1.0)
-    assert skew == pytest.approx(np.arctan(a_p / (b_p + 1.0)), abs=1e-16)
-    assert up == pytest.approx(np.sqrt(a_p**2 + (b_p + 1.0) ** 2), abs=1e-15)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from factors.cameras import rfm, rfm_equation, rfm_ground, rfm_project
-from factors.cameras.rfm import EXPONENTS, degree_mask, permutation, terms
+from factors.cameras.rfm import EXPONENTS, permutation, terms
 from factors.geometry import ellipsoid
 from tests.support.rpc_model import TERMS, ground_points, reference_project, synthetic_model
 
@@ -26,7 +26,6 @@ def test_term_orders() -> None:
     for name in EXPONENTS:
         back = permutation("RPC00B", name)[permutation(name, "RPC00B")]
         assert back.tolist() == list(range(20))
-    assert [int(degree_mask(d).sum()) for d in (1, 2, 3)] == [4, 10, 20]
 
 
 @pytest.mark.oracle
@@ -55,22 +54,14 @@ def complex_value(c: np.ndarray, ground: np.ndarray) -> np.ndarray:
 
 @pytest.mark.oracle
 def test_jacobians_equal_complex_step(rng: np.random.Generator) -> None:
-    """With respect to normalised ground coordinates and to all 80 coefficients, 1e-13 of the largest."""
-    c = synthetic_model().coefficients.astype(complex)
-    ground = rng.uniform(-1, 1, (10, 3))
-    by_ground, by_coefficient = rfm.ground_jacobian(c.real.copy(), ground), rfm.coefficient_jacobian(c.real, ground)
-    for i, point in enumerate(ground):
+    """With respect to normalised ground coordinates, 1e-13 of the largest."""
+    c = synthetic_model().coefficients
+    for point in rng.uniform(-1, 1, (10, 3)):
+        by_ground = np.array(rfm.ground_derivatives(c, *point, *rfm.value(c, *point)))
         for k in range(3):
             z = point.astype(complex)
             z[k] += 1e-30j
-            assert np.abs(complex_value(c, z).imag / 1e-30 - by_ground[i, :, k]).max() < 1e-13
-        for row in range(4):
-            for k in range(20):
-                turned = c.copy()
-                turned[row, k] += 1e-30j
-                d = complex_value(turned, point.astype(complex)).imag / 1e-30
-                assert abs(d[row // 2] - by_coefficient[i, row // 2, 20 * (row % 2) + k]) < 1e-13
-                assert d[1 - row // 2] == 0.0
+            assert np.abs(complex_value(c, z).imag / 1e-30 - by_ground[:, k]).max() < 1e-13
 
 
 @pytest.mark.oracle

@@ -112,7 +112,7 @@ def gauss_helmert_spheroid(points: Array, sigma: Array, start: SurfaceFit) -> tu
     def function(observed: Array, x: Array) -> tuple[Array, Array, Array]:
         value, by_x, by_l = np.empty(n), np.empty((n, 5)), np.zeros((n, 3 * n))
         for i in range(n):
-            v, a, b = surfaces.kernel_ellipsoid(record, setup, x, observed[3 * i : 3 * i + 3].copy(), True)
+            v, a, b = surfaces.ELLIPSOID.kernel(record, setup, x, observed[3 * i : 3 * i + 3].copy(), True)
             value[i], by_x[i], by_l[i, 3 * i : 3 * i + 3] = v[0], a[0], b[0]
         return value, by_x, by_l
 
