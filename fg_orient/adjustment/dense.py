@@ -5,7 +5,7 @@ unknowns (prior sigmas), then unknown ground points (m). The kernels are those o
 the graph backend comes from the solver. GTSAM is not used.
 
 Each step solves ``J x = -r``; Levenberg-Marquardt adds rows of a diagonal matrix. Memory and time grow with the square
-and cube of the unknowns: more than :data:`MAX_UNKNOWNS` are refused.
+and cube of the unknowns; more than :data:`MAX_UNKNOWNS` are refused.
 """
 
 from __future__ import annotations
@@ -30,126 +30,68 @@ from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-#: Orthogonal, on J itself: its error grows with cond(J), the error of methods on J^T J with its square.
+#: Orthogonal: its error grows with cond(J). The error of methods that use J^T J grows with the square of cond(J).
 DEFAULT_SOLVER = "qr"
 #: QR with columns of unit length, for unknowns of different magnitude.
 SCALED_SOLVER = "qr_scaled"
 
 
-@dataclass(frozen=True)
-class Columns:
-    """Columns of the unknowns of a problem: images, then unknown ground points.
-
-    Parameters
-    ----------
-    images : (M + 1,) int array
-        First column of each image's unknowns, and the number of all.
-    ground : (p,) int array
-        Ground points that are unknowns, in order.
-    first : (N,) int array
-        First column of each ground point; -1 for points that are not unknowns.
-    """
-
-    images: npt.NDArray[np.intp]
-    ground: npt.NDArray[np.intp]
-    first: npt.NDArray[np.intp]
-
-    @classmethod
-    def of(cls, problem: Problem) -> Columns:
-        """Columns of a problem."""
-        ground = np.flatnonzero(problem.active)
-        first = np.full(len(problem.active), -1, dtype=np.intp)
-        first[ground] = problem.n_image_unknowns + 3 * np.arange(len(ground))
-        return cls(problem.first, ground, first)
-
-    def __len__(self) -> int:
-        return int(self.images[-1]) + 3 * len(self.ground)
-
-    def image(self, k: int) -> slice:
-        """Columns of an image."""
-        return slice(int(self.images[k]), int(self.images[k + 1]))
-
-    def point(self, j: int) -> slice:
-        """Columns of an unknown ground point."""
-        return slice(int(self.first[j]), int(self.first[j]) + 3)
-
-    def vector(self, state: State) -> Array:
-        """Unknowns of a state as one vector (u,)."""
-        parts = [state.image[k, : self.images[k + 1] - self.images[k]] for k in range(len(self.images) - 1)]
-        return np.concatenate([*parts, state.ground[self.ground].ravel()])
-
-    def moved(self, state: State, step: Array) -> State:
-        """State after a step (u,)."""
-        image, ground = state.image.copy(), state.ground.copy()
-        for k in range(len(image)):
-            part = step[self.image(k)]
-            image[k, : len(part)] += part
-        ground[self.ground] += step[self.images[-1] :].reshape(-1, 3)
-        return State(image, ground)
-
-
 def assemble(problem: Problem, state: State, *, jacobian: bool = True) -> tuple[Array, Array]:
-    """Residuals (n,) and Jacobian (n, u) of all observations; the Jacobian is (0, u) if not asked for.
+    """Residuals (n,) of all observations and Jacobian (n, u), columns as in ``Problem.vector``.
+
+    Without ``jacobian`` the second array is (0, u).
 
     Raises
     ------
     NotFiniteError
         A residual or Jacobian is nan or inf; names the observation.
     """
-    columns = Columns.of(problem)
-    parts = [_image_rows(problem, state, columns, jacobian), _control_rows(problem, state, columns, jacobian)]
+    parts = [_image_rows(problem, state, jacobian), _control_rows(problem, state, jacobian)]
     if problem.block.options.priors:
         prior = problem.image_vector(state)
-        own = np.zeros((len(prior) if jacobian else 0, len(columns)))
+        own = np.zeros((len(prior) if jacobian else 0, problem.n_columns))
         if jacobian:
             own[np.arange(len(prior)), np.arange(len(prior)) if problem.ties is None else problem.ties.place] = 1.0
         parts.append((prior, own))
-    parts += [_extra_rows(problem, extra, state, columns, jacobian) for extra in problem.block.extra]
+    parts += [_extra_rows(problem, extra, state, jacobian) for extra in problem.block.extra]
     return np.concatenate([r for r, _ in parts]), np.vstack([j for _, j in parts])
 
 
-def _image_rows(problem: Problem, state: State, columns: Columns, jacobian: bool) -> tuple[Array, Array]:
-    """Two rows per image point."""
-    if not jacobian:
-        residual = residuals(problem, state)
-        _require_finite(problem, state, residual)
-        return residual.ravel(), np.zeros((0, len(columns)))
-    residual, d_image, d_ground = linearised(problem, state)
-    for values in (residual, d_image, d_ground):
-        _require_finite(problem, state, values)
-    n, o, size = len(residual), problem.observations, np.diff(problem.first)
-    out = np.zeros((n, 2, len(columns)))
-    for k, rows in enumerate(rows_by_image(problem)):
-        out[rows, :, columns.image(k)] = d_image[rows, :, : size[k]]
-    free = np.flatnonzero(problem.active[o.point])
-    at = columns.first[o.point[free], None] + np.arange(3)
-    out[free[:, None, None], np.arange(2)[None, :, None], at[:, None, :]] = d_ground[free]
-    return residual.ravel(), out.reshape(2 * n, -1)
+def _image_rows(problem: Problem, state: State, jacobian: bool) -> tuple[Array, Array]:
+    """Two rows per image point; NotFiniteError as in the callbacks of GTSAM factors."""
+    rows = linearised(problem, state) if jacobian else None
+    residual = residuals(problem, state) if rows is None else rows.residual
+    for values in rows or (residual,):
+        bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        if bad.any():
+            refuse(problem, state, int(np.argmax(bad)))
+    point, size = problem.observations.point, np.diff(problem.first)
+    out = np.zeros((0 if rows is None else len(point), 2, problem.n_columns))
+    if rows is not None:
+        for k, own in enumerate(rows_by_image(problem)):
+            out[own, :, problem.image_slice(k)] = rows.image[own, :, : size[k]]
+        free = np.flatnonzero(problem.active[point])
+        at = problem.point_columns[point[free], None] + np.arange(3)
+        out[free[:, None, None], np.arange(2)[None, :, None], at[:, None, :]] = rows.ground[free]
+    return residual.ravel(), out.reshape(-1, problem.n_columns)
 
 
-def _require_finite(problem: Problem, state: State, values: Array) -> None:
-    """Refuse rows that are not finite, as GTSAM factors do in their callbacks."""
-    bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
-    if bad.any():
-        refuse(problem, state, int(np.argmax(bad)))
-
-
-def _control_rows(problem: Problem, state: State, columns: Columns, jacobian: bool) -> tuple[Array, Array]:
+def _control_rows(problem: Problem, state: State, jacobian: bool) -> tuple[Array, Array]:
     """Three rows ``W (G - G_0)`` per observed control point."""
     observed = np.flatnonzero(problem.observed)
     residual, whitening = problem.control_residuals(state, observed).ravel(), problem.control_weights(observed)
-    out = np.zeros((len(observed) if jacobian else 0, 3, len(columns)))
+    out = np.zeros((len(observed) if jacobian else 0, 3, problem.n_columns))
     for row, j in enumerate(observed if jacobian else ()):
-        out[row, :, columns.point(int(j))] = whitening[row]
-    return residual, out.reshape(-1, len(columns))
+        out[row, :, problem.point_slice(int(j))] = whitening[row]
+    return residual, out.reshape(-1, problem.n_columns)
 
 
 def extra_blocks(
     problem: Problem, extra: ExtraObservation, state: State, *, jacobian: bool
 ) -> tuple[Array, list[tuple[ExtraArgument, Array]]]:
-    """Residual and, if asked, Jacobians of an extra observation with their arguments, without constants.
+    """Residual and, if requested, Jacobians of an extra observation with their arguments, without constants.
 
-    The kernel of its equation is checked as in a factor.
+    The output of the equation's kernel is checked as in a factor.
     """
     arguments = problem.extra_arguments(extra)
     x = [
@@ -164,20 +106,18 @@ def extra_blocks(
     return blocks[0], [(a, block) for a, block in zip(arguments, blocks[1:], strict=True) if a.constant is None]
 
 
-def _extra_rows(
-    problem: Problem, extra: ExtraObservation, state: State, columns: Columns, jacobian: bool
-) -> tuple[Array, Array]:
+def _extra_rows(problem: Problem, extra: ExtraObservation, state: State, jacobian: bool) -> tuple[Array, Array]:
     """Rows of an extra observation."""
     residual, blocks = extra_blocks(problem, extra, state, jacobian=jacobian)
-    out = np.zeros((extra.n_residuals if jacobian else 0, len(columns)))
+    out = np.zeros((extra.n_residuals if jacobian else 0, problem.n_columns))
     for a, block in blocks:
-        out[:, columns.image(a.index) if a.is_image else columns.point(a.index)] += block
+        out[:, problem.image_slice(a.index) if a.is_image else problem.point_slice(a.index)] += block
     return residual, out
 
 
 @dataclass(frozen=True)
 class DenseStep:
-    """A step (u,); see ``loop.Step``. ``kappa`` of a regularised solver, else nan."""
+    """A step (u,); see ``loop.Step``. ``kappa`` is nan without a regularised solver."""
 
     data: Array
     length: float
@@ -198,7 +138,7 @@ class DenseSystem:
     excess : float
         Cost under a loss minus half the sum of squares of the weighted residuals.
     problem : Problem, optional
-        Gives minimum damping and damping of the ground points; without it all columns are damped alike.
+        Defines the minimum damping and the damping of ground points; without it all columns have the same damping.
     """
 
     def __init__(
@@ -209,12 +149,9 @@ class DenseSystem:
         self.error = excess + 0.5 * float(residual @ residual)
 
     def solve(self, damping: float) -> DenseStep:
-        """Solve with ``damping`` added to the diagonal of the images, ``Problem.point_damping`` to that of the points.
+        """Solve; Breakdown if the solver fails.
 
-        Raises
-        ------
-        Breakdown
-            The solver fails.
+        ``damping`` is added to the diagonal of the images, ``Problem.point_damping`` to the diagonal of the points.
         """
         solution = solve(self._solver, self.equations(damping))
         return self._step(solution.x, math.nan if solution.kappa is None else solution.kappa)
@@ -261,7 +198,7 @@ DenseRows = Callable[[Array, bool], tuple[Array, Array]]
 
 
 def equation_rows(equation: Equation, records: Array, setup: Array, fixed: Sequence[Array] = ()) -> DenseRows:
-    """Rows of a registered equation with a common first unknown.
+    """Rows of a registered equation whose first argument is the vector of unknowns.
 
     Parameters
     ----------
@@ -303,7 +240,7 @@ class RowsBackend:
 
     def error(self, state: Array) -> float:
         """Half the weighted sum of squares."""
-        with np.errstate(all="ignore"):  # a trial step may leave the model: the loop rejects errors that are not finite
+        with np.errstate(all="ignore"):  # outside the model: the loop rejects errors that are not finite
             residual, _ = self.rows(state, False)
             return 0.5 * float(residual @ residual)
 
@@ -324,7 +261,7 @@ class DenseBackend:
     Raises
     ------
     InputError
-        More than 2000 unknowns, before any matrix is allocated; no such solver.
+        More than 2000 unknowns (checked before any matrix is allocated); there is no such solver.
     """
 
     name = "dense"
@@ -333,7 +270,6 @@ class DenseBackend:
         if problem.n_unknowns > MAX_UNKNOWNS:
             raise InputError.of("linear.too_large", option="backend", value=problem.n_unknowns, limit=MAX_UNKNOWNS)
         self.problem, self.solver = problem, find_solver(solver).name
-        self.columns = Columns.of(problem)
         self.robust: Robust | None = None
 
     def initial(self) -> State:
@@ -363,7 +299,7 @@ class DenseBackend:
         return squares(self.problem, state)
 
     def _weights(self, robust: Robust, residual: Array, state: State) -> tuple[Array, float]:
-        """Roots of the weights of all rows (n,); excess of the cost over half the weighted squares."""
+        """Roots of the weights (n,) of all rows; cost minus half the weighted sum of squares."""
         n = 2 * len(self.problem.observations)
         image_squares = np.sum(residual[:n].reshape(-1, 2) ** 2, axis=1)
         observed_squares = control_squares(self.problem, state)
@@ -375,4 +311,4 @@ class DenseBackend:
     def retract(self, state: State, step: DenseStep) -> State:
         """State after a step."""
         ties = self.problem.ties
-        return self.columns.moved(state, step.data if ties is None else ties.widened(step.data))
+        return self.problem.moved(state, step.data if ties is None else ties.widened(step.data))

@@ -167,6 +167,35 @@ class Problem:
         wide = self.first[:-1, None] + np.arange(self._exists.shape[1])
         return np.where(self._exists, wide, self.n_image_unknowns)
 
+    @property
+    def n_columns(self) -> int:
+        """Columns of the Jacobian of all observations: unknowns of all images, three per unknown ground point."""
+        return self.n_image_unknowns + 3 * int(self.active.sum())
+
+    @cached_property
+    def point_columns(self) -> npt.NDArray[np.intp]:
+        """First column (N,) of each ground point; of no use for points that are not unknowns."""
+        return np.asarray(self.n_image_unknowns + 3 * (np.cumsum(self.active) - 1), np.intp)
+
+    def image_slice(self, k: int) -> slice:
+        """Columns of an image."""
+        return slice(int(self.first[k]), int(self.first[k + 1]))
+
+    def point_slice(self, j: int) -> slice:
+        """Columns of an unknown ground point."""
+        return slice(int(self.point_columns[j]), int(self.point_columns[j]) + 3)
+
+    def vector(self, state: State) -> Array:
+        """Unknowns of a state as one vector (n_columns,)."""
+        return np.concatenate([self.image_columns(state), state.ground[self.active].ravel()])
+
+    def moved(self, state: State, step: Array) -> State:
+        """State after a step (n_columns,)."""
+        image, ground = state.image.copy(), state.ground.copy()
+        image[self._exists] += step[: self.n_image_unknowns]
+        ground[self.active] += step[self.n_image_unknowns :].reshape(-1, 3)
+        return State(image, ground)
+
     def control_weights(self, points: Points) -> Array:
         """Square roots W of the weights of control points (3, 3), or (m, 3, 3): W^T W inverts their covariance."""
         records = self.control_records[points]

@@ -88,12 +88,10 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
 
 
 class MatrixCofactors:
-    """Cofactors (n, n) of all unknowns as one matrix, columns as in ``fg_orient.adjustment.dense.Columns``."""
+    """Cofactors (n, n) of all unknowns as one matrix, columns as in ``Problem.vector``."""
 
     def __init__(self, problem: Problem, q: Array) -> None:
-        from fg_orient.adjustment.dense import Columns
-
-        self._problem, self._columns, self._q = problem, Columns.of(problem), q
+        self._problem, self._q = problem, q
 
     def image(self, k: int) -> Array:
         """See :class:`Cofactors`."""
@@ -109,8 +107,8 @@ class MatrixCofactors:
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """See :class:`Cofactors`."""
-        parts = [self._columns.image(k) for k in images]
-        parts += [self._columns.point(j) for j in points if self._problem.active[j]]
+        parts = [self._problem.image_slice(k) for k in images]
+        parts += [self._problem.point_slice(j) for j in points if self._problem.active[j]]
         index = np.concatenate([np.arange(part.start, part.stop) for part in parts])
         return np.asarray(self._q[np.ix_(index, index)])
 
@@ -124,7 +122,7 @@ class DenseCofactors(MatrixCofactors):
     ----------
     problem : Problem
     design : (n, u) array
-        Whitened Jacobian at the solution, columns as in ``fg_orient.adjustment.dense.Columns``.
+        Whitened Jacobian at the solution, columns as in ``Problem.vector``.
 
     Raises
     ------

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -32,7 +31,6 @@ import numpy.typing as npt
 from scipy.linalg import qr
 
 from factors._contract import Argument, Equation, Example
-from fg_orient.adjustment.dense import Columns
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
@@ -150,15 +148,15 @@ def to_inner_datum(
     Estimate
         Not converged if the datum is not reached.
     """
-    columns, chosen, first = Columns.of(problem), held_unknowns(problem), estimate
-    reference, at = columns.vector(problem.start), problem
+    chosen, first = held_unknowns(problem), estimate
+    reference, at = problem.vector(problem.start), problem
     datum = datum_points(problem)
     for _ in range(MAX_STEPS):
         motions = null_space(problem, estimate.state)
-        step = datum_step(columns.vector(estimate.state) - reference, motions, datum)
+        step = datum_step(problem.vector(estimate.state) - reference, motions, datum)
         if not len(chosen) or not estimate.converged or np.abs(step).max() < REACHED:
             break
-        at = _holding(_undamped(replace(at, start=columns.moved(estimate.state, step))), chosen)
+        at = _holding(_undamped(replace(at, start=problem.moved(estimate.state, step))), chosen)
         estimate = run(at)
     else:
         estimate = replace(estimate, converged=False, end=finding("loop.free_datum"))
@@ -182,8 +180,7 @@ def datum_points(problem: Problem, names: tuple[str, ...] = ()) -> Mask:
     InputError
         No such image or point, or a point that is no unknown.
     """
-    columns = Columns.of(problem)
-    out = np.zeros(len(columns), bool)
+    out = np.zeros(problem.n_columns, bool)
     if not names:
         out[problem.n_image_unknowns :] = True
     for name in names:
@@ -193,7 +190,7 @@ def datum_points(problem: Problem, names: tuple[str, ...] = ()) -> Mask:
         kind, k = found
         if kind != "image" and not problem.active[k]:
             raise InputError.of("covariance.not_unknown", option="datum", value=name)
-        out[columns.image(k) if kind == "image" else columns.point(k)] = True
+        out[problem.image_slice(k) if kind == "image" else problem.point_slice(k)] = True
     return out
 
 
@@ -224,11 +221,6 @@ class FreeNetwork:
         """Motions that no observation feels."""
         return int(self.null_space.shape[1])
 
-    @cached_property
-    def columns(self) -> Columns:
-        """Where the unknowns stand."""
-        return Columns.of(self.problem)
-
     def in_datum(self, *names: str) -> FreeNetwork:
         """S-transformation to the datum that images ("image:3") and points ("point:12") carry; none: all points.
 
@@ -240,16 +232,16 @@ class FreeNetwork:
         InputError
             No such image or point, or these do not fix all motions.
         """
-        datum, columns = datum_points(self.problem, names), self.columns
-        difference = columns.vector(self.state) - columns.vector(self.problem.start)
-        state = columns.moved(self.state, datum_step(difference, self.null_space, datum))
+        problem, datum = self.problem, datum_points(self.problem, names)
+        difference = problem.vector(self.state) - problem.vector(problem.start)
+        state = problem.moved(self.state, datum_step(difference, self.null_space, datum))
         q = s_transform(self.cofactors, self.null_space, datum)
-        return FreeNetwork(self.problem, state, self.null_space, q, datum)
+        return FreeNetwork(problem, state, self.null_space, q, datum)
 
     def cofactor_matrix(self) -> NamedMatrix:
         """Cofactors of all unknowns in physical units: m, m/s, rad, px for images, m for points."""
         problem = self.problem
-        ids = [problem.block.points.ids[j] for j in self.columns.ground]
+        ids = [problem.block.points.ids[j] for j in np.flatnonzero(problem.active)]
         names = [f"{i.id}.{n}" for i, p in zip(problem.block.images, problem.parameters, strict=True) for n in p.names]
         names += [f"{name}.{axis}" for name in ids for axis in "xyz"]
         units = [u for p in problem.parameters for u in p.units] + ["m"] * (3 * len(ids))

@@ -13,7 +13,7 @@ import pytest
 import fg_orient as fg
 from factors.cameras.pushbroom import RECORD
 from factors.conditions.control import CONTROL_POINT, OBSERVED_PARAMETERS
-from fg_orient.adjustment.dense import Columns, DenseBackend, assemble
+from fg_orient.adjustment.dense import DenseBackend, assemble
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.linear.registry import solve as solve_linear
 from fg_orient.adjustment.linear.system import LinearSystem
@@ -158,21 +158,20 @@ def test_damped_and_dogleg_steps_equal_the_graphs(twin: Block) -> None:
 def test_columns_and_jacobian_by_differences(twin: Block) -> None:
     """The assembled J against central differences of the assembled residual: every row kind, constants among them."""
     problem = compiled(with_own_observations(with_fixed_control(twin, 5)))
-    columns = Columns.of(problem)
-    assert len(columns) == problem.n_unknowns
+    assert problem.n_columns == problem.n_unknowns
     residual, design = assemble(problem, problem.start)
     assert design.shape == (problem.n_observations, problem.n_unknowns)
     assert np.array_equal(assemble(problem, problem.start, jacobian=False)[0], residual)
     rng = np.random.default_rng(5)
     for _ in range(5):
-        step = 1e-2 * rng.normal(size=len(columns))
+        step = 1e-2 * rng.normal(size=problem.n_columns)
         ahead, back = (
-            assemble(problem, columns.moved(problem.start, s * step), jacobian=False)[0] for s in (1.0, -1.0)
+            assemble(problem, problem.moved(problem.start, s * step), jacobian=False)[0] for s in (1.0, -1.0)
         )
         # second-order terms cancel; what is left is of third order in 1e-2 sigma, and rounding
         assert np.abs(0.5 * (ahead - back) - design @ step).max() < 1e-6 * np.abs(design @ step).max()
-    moved = columns.moved(problem.start, np.arange(float(len(columns))))
-    assert np.allclose(columns.vector(moved) - columns.vector(problem.start), np.arange(len(columns)), atol=1e-9)
+    moved = problem.moved(problem.start, np.arange(float(problem.n_columns)))
+    assert np.allclose(problem.vector(moved) - problem.vector(problem.start), np.arange(problem.n_columns), atol=1e-9)
     constant = ~problem.active
     assert np.array_equal(moved.ground[constant], problem.start.ground[constant], equal_nan=True)
 

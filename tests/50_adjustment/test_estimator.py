@@ -146,8 +146,8 @@ def test_points_one_by_one_equal_the_dense_inverse(twin: Block, monkeypatch: pyt
     monkeypatch.setattr("fg_orient.quality.covariance.JOINT_LIMIT", 0)
     solution = fg.adjust(twin, eop_set=15)
     full = Full.of(solution.problem, solution.state)
-    parts = [(solution.cofactors.point(j), full.columns.point(j)) for j in range(len(twin.points.ids))]
-    for found, columns in [*parts, (solution.cofactors.image(1), full.columns.image(1))]:
+    parts = [(solution.cofactors.point(j), full.problem.point_slice(j)) for j in range(len(twin.points.ids))]
+    for found, columns in [*parts, (solution.cofactors.image(1), full.problem.image_slice(1))]:
         assert np.allclose(found, full.unknowns[columns, columns], rtol=1e-8, atol=1e-12)
 
 

@@ -51,7 +51,7 @@ def test_block_singular_values_equal_the_inverse_of_the_full_matrix(twin: Block,
     problem = compile_problem(replace(twin, options=options))
     s = analyse_block(problem).singular_values
     full = Full.of(problem, problem.start)
-    of_images = slice(0, full.columns.images[-1])
+    of_images = slice(0, full.problem.n_image_unknowns)
     q = full.unknowns[of_images, of_images]
     assert np.sort(1.0 / np.sqrt(np.linalg.eigvalsh(q)))[::-1] == pytest.approx(s, rel=1e-5)
 

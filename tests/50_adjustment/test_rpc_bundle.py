@@ -82,7 +82,7 @@ def test_graph_and_schur_equal_dense_and_numpy(name: str, backend: str) -> None:
     assert image <= 1e-9 and ground <= 1e-7
     full = Full.of(graph.problem, graph.state)
     for images, some in (((0, 1), points), ((0, 1), points[:1]), ((1,), points[1:2]), ((1, 0), ()), ((), points[:1])):
-        parts = [full.columns.image(k) for k in images] + [full.columns.point(j) for j in some]
+        parts = [full.problem.image_slice(k) for k in images] + [full.problem.point_slice(j) for j in some]
         columns = np.r_[tuple(parts)]
         expected = full.unknowns[np.ix_(columns, columns)]
         scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))

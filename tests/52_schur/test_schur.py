@@ -19,7 +19,7 @@ from factors._contract import NotFiniteError
 from factors.conditions.control import CONTROL_POINT
 from fg_orient.adjustment import schur_reduced, schur_structure
 from fg_orient.adjustment.cofactors import ReducedCofactors
-from fg_orient.adjustment.dense import Columns, DenseBackend, assemble
+from fg_orient.adjustment.dense import DenseBackend, assemble
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, State, compile_problem
@@ -218,7 +218,7 @@ def test_cofactors_equal_the_dense_inverse(name: str, reduced: str) -> None:
     found = ReducedCofactors(problem, backend.linearise(state))
     backend.linearise(problem.start)  # takes the arrays away: they must be made again
     _, design = assemble(problem, state)
-    q, columns = np.linalg.inv(design.T @ design), Columns.of(problem)
+    q = np.linalg.inv(design.T @ design)
     scale = np.sqrt(np.diag(q))
 
     def assert_block(block: np.ndarray, slices: list[slice]) -> None:
@@ -228,13 +228,16 @@ def test_cofactors_equal_the_dense_inverse(name: str, reduced: str) -> None:
         assert np.abs(error).max() < 1e-7
 
     for k in range(problem.n_images):
-        assert_block(found.image(k), [columns.image(k)])
+        assert_block(found.image(k), [problem.image_slice(k)])
     active = [int(j) for j in np.flatnonzero(problem.active)]
     for j in active:
-        assert_block(found.point(j), [columns.point(j)])
+        assert_block(found.point(j), [problem.point_slice(j)])
     some = (active[3], active[-1], active[0])
-    assert_block(found.joint((1, 0), some), [columns.image(1), columns.image(0), *(columns.point(j) for j in some)])
-    assert_block(found.joint((), some), [columns.point(j) for j in some])
+    assert_block(
+        found.joint((1, 0), some),
+        [problem.image_slice(1), problem.image_slice(0), *(problem.point_slice(j) for j in some)],
+    )
+    assert_block(found.joint((), some), [problem.point_slice(j) for j in some])
     for j in np.flatnonzero(~problem.active)[:1]:
         assert not found.point(int(j)).any()
 
@@ -543,7 +546,7 @@ def test_whole_adjustment_equals_the_graph_and_the_full_matrix() -> None:
     assert a.accuracy.check.predicted_sigma_enu_m == pytest.approx(b.accuracy.check.predicted_sigma_enu_m, rel=1e-7)
     image = block.images[2].id
     full = Full.of(a.problem, a.state)
-    columns, sigma = full.columns.image(2), a.sigma0 * a.problem.parameters[2].sigma
+    columns, sigma = full.problem.image_slice(2), a.sigma0 * a.problem.parameters[2].sigma
     expected = full.unknowns[columns, columns] * np.outer(sigma, sigma)
     for solution in (a, b):
         assert solution.covariance(f"image:{image}").values == pytest.approx(expected, rel=1e-5)

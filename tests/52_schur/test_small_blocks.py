@@ -46,7 +46,7 @@ def test_auto_says_what_the_graph_says(
     assert np.abs(auto.state.image - graph.state.image).max() <= 1e-9
     full = Full.of(auto.problem, auto.state)
     for image in images:
-        own = full.columns.image(image)
+        own = full.problem.image_slice(image)
         sigma = auto.problem.parameters[image].sigma
         expected = auto.scale**2 * full.unknowns[own, own] * np.outer(sigma, sigma)
         for found in (s.covariance(f"image:{block.images[image].id}").values for s in (auto, graph)):

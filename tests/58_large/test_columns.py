@@ -176,8 +176,8 @@ def test_cofactors_of_all_points_are_those_of_the_full_matrix(
     found, full = solution.cofactors, Full.of(solution.problem, solution.state)
     assert found is not None
     each = np.zeros((60, 3, 3))
-    for j in full.columns.ground:
-        each[j] = full.unknowns[full.columns.point(j), full.columns.point(j)]
+    for j in np.flatnonzero(full.problem.active):
+        each[j] = full.unknowns[full.problem.point_slice(j), full.problem.point_slice(j)]
         assert np.allclose(found.point(j), each[j], rtol=1e-7, atol=0.0)
     assert not each[fixed].any() and (np.einsum("nii->ni", each)[~fixed] > 0.0).all()
     scale = np.sqrt(np.einsum("nii->ni", each)) + fixed[:, None]

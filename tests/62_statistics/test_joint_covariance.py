@@ -35,11 +35,11 @@ def expected(solution: Solution) -> np.ndarray:
     j, columns = problem.block.points.ids.index(tie), np.eye(len(full.unknowns))
     row = int(np.flatnonzero((o.image == 1) & (o.point == j))[0])
     sigma = np.array([o.sigma_line_px[row], o.sigma_sample_px[row]])
-    p, at, n = problem.parameters, full.columns, len(full.v)
+    p, at, n = problem.parameters, problem, len(full.v)
     roll = p[1].names.index("roll_0")
     unknowns = np.vstack([
-        columns[at.image(1)][roll] * p[1].sigma[roll], columns[at.point(j)],
-        columns[at.image(0)] * p[0].sigma[:, None], columns[at.point(j)][2],
+        columns[at.image_slice(1)][roll] * p[1].sigma[roll], columns[at.point_slice(j)],
+        columns[at.image_slice(0)] * p[0].sigma[:, None], columns[at.point_slice(j)][2],
     ])  # fmt: skip
     # x = -N^-1 A^T e, adjusted observation = -A x, residual = e + A x, all of errors e of the rows
     of_errors = -full.unknowns @ full.design.T

@@ -76,12 +76,12 @@ def test_effects_of_a_bias_are_those_of_the_adjustment_with_it(solution: Solutio
         error = np.zeros(len(full.v))
         error[2 * row + axis] = found.image.minimal_detectable_bias[row, axis] / sigma
         step = biased(solution, error)
-        at = full.columns.point(int(o.point[row])) if problem.active[o.point[row]] else None
+        at = full.problem.point_slice(int(o.point[row])) if problem.active[o.point[row]] else None
         if at is not None:
             assert np.linalg.norm(step[at]) == pytest.approx(found.image.ground_m[row, axis], rel=1e-6)
             own = np.linalg.solve(full.unknowns[at, at], step[at])
             assert np.sqrt(step[at] @ own) == pytest.approx(found.image.ground[row, axis], rel=1e-6)
-        part = full.columns.image(int(o.image[row]))
+        part = full.problem.image_slice(int(o.image[row]))
         own = np.linalg.solve(full.unknowns[part, part], step[part])
         assert np.sqrt(step[part] @ own) == pytest.approx(found.image.eop[row, axis], rel=1e-5)
         w = (full.residuals @ error)[2 * row + axis] / np.sqrt(found.image.redundancy[row, axis])
@@ -101,7 +101,7 @@ def test_control_points_in_their_own_axes(solution: Solution, found: BlockReliab
         bias = turn[k].T[:, axis] * found.control.minimal_detectable_bias[k, axis]
         error = np.zeros(len(full.v))
         error[n + 3 * k : n + 3 * k + 3] = -w @ bias
-        step = biased(solution, error)[full.columns.point(j)]
+        step = biased(solution, error)[full.problem.point_slice(j)]
         assert np.linalg.norm(step) == pytest.approx(found.control.ground_m[k, axis], rel=1e-6)
         assert np.sqrt(error @ full.residuals @ error) == pytest.approx(np.sqrt(noncentrality()), rel=1e-6)
         shift = turn[k] @ step

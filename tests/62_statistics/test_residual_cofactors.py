@@ -41,9 +41,9 @@ def assert_equal_to_full_matrix(solution: Solution) -> None:
     assert found.redundancy_sum == pytest.approx(problem.redundancy, abs=1e-8 * len(full.v))
     effect = full.unknowns @ full.design.T
     for k, j in enumerate(problem.observations.point):
-        expected = effect[full.columns.point(j), 2 * k : 2 * k + 2] if problem.active[j] else np.zeros((3, 2))
+        expected = effect[full.problem.point_slice(j), 2 * k : 2 * k + 2] if problem.active[j] else np.zeros((3, 2))
         assert found.rays.response[k] == pytest.approx(expected, abs=TOLERANCE * 100.0)
-        own = full.columns.image(int(problem.observations.image[k]))
+        own = full.problem.image_slice(int(problem.observations.image[k]))
         moved = effect[own, 2 * k : 2 * k + 2]
         sizes = np.sqrt(np.einsum("ij,ij->j", moved, np.linalg.solve(full.unknowns[own, own], moved)))
         assert found.rays.on_image[k] == pytest.approx(sizes, abs=1e-7)

@@ -75,8 +75,8 @@ def test_state_fulfils_the_inner_constraints_and_is_a_minimum(backend: str) -> N
     """E^T (x - x_0) = 0 at the points, J^T r = 0: of all solutions the one whose points moved least."""
     solution = solved(backend)
     network = solution.in_datum()
-    columns, problem = network.columns, solution.problem
-    difference = columns.vector(solution.state) - columns.vector(
+    problem = solution.problem
+    difference = problem.vector(solution.state) - problem.vector(
         compile_problem(options(pinhole(), datum="free")).start
     )
     carried = network.null_space[problem.n_image_unknowns :]
@@ -268,7 +268,7 @@ def test_control_points_leave_no_motion_and_inner_is_the_plain_adjustment() -> N
     assert inner.in_datum().datum_defect == 0
     assert inner.state.ground == pytest.approx(plain.state.ground, abs=1e-9)
     full = Full.of(plain.problem, plain.state)
-    columns = np.r_[full.columns.image(0), full.columns.image(2), full.columns.point(4)]
+    columns = np.r_[full.problem.image_slice(0), full.problem.image_slice(2), full.problem.point_slice(4)]
     expected = full.unknowns[np.ix_(columns, columns)]
     for solution in (inner, plain):
         assert scaled(solution.cofactors.joint((0, 2), (4,)) - expected, expected) < 1e-7

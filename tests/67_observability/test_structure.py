@@ -10,7 +10,6 @@ from scipy import optimize, sparse
 from scipy.sparse import csgraph
 
 import fg_orient as fg
-from fg_orient.adjustment.dense import Columns
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.quality import observability, structure
 from fg_orient.quality.structure import analyse_structure
@@ -30,19 +29,19 @@ def thinned(seed: int, *, priors: bool) -> Problem:
 
 def incidence(problem: Problem) -> np.ndarray:
     """Which single observation holds which single unknown, from the definition."""
-    columns, rows = Columns.of(problem), []
+    rows = list[np.ndarray]()
     for k, j in zip(problem.observations.image, problem.observations.point, strict=True):
-        row = np.zeros(len(columns), bool)
-        row[columns.image(int(k))] = True
+        row = np.zeros(problem.n_columns, bool)
+        row[problem.image_slice(int(k))] = True
         if problem.active[j]:
-            row[columns.point(int(j))] = True
+            row[problem.point_slice(int(j))] = True
         rows += [row, row]
     for j in np.flatnonzero(problem.observed):
-        row = np.zeros(len(columns), bool)
-        row[columns.point(int(j))] = True
+        row = np.zeros(problem.n_columns, bool)
+        row[problem.point_slice(int(j))] = True
         rows += [row] * 3
     if problem.block.options.priors:
-        rows += list(np.eye(problem.n_image_unknowns, len(columns), dtype=bool))
+        rows += list(np.eye(problem.n_image_unknowns, problem.n_columns, dtype=bool))
     return np.array(rows)
 
 
@@ -68,10 +67,12 @@ def test_rank_and_names_are_those_of_single_unknowns(priors: bool) -> None:
         problem = thinned(seed, priors=priors)
         found, design = analyse_structure(problem), incidence(problem)
         assert found.defect == design.shape[1] - csgraph.structural_rank(sparse.csr_matrix(design)), seed
-        columns, ids = Columns.of(problem), problem.block.points.ids
+        ids = problem.block.points.ids
         reached = under_determined(design)
-        images = {problem.block.images[k].id for k in range(problem.n_images) if columns.image(k).start in reached}
-        points = {ids[j] for j in np.flatnonzero(problem.active) if columns.point(int(j)).start in reached}
+        images = {
+            problem.block.images[k].id for k in range(problem.n_images) if problem.image_slice(k).start in reached
+        }
+        points = {ids[j] for j in np.flatnonzero(problem.active) if problem.point_slice(int(j)).start in reached}
         assert {i for lack in found.lacks for i in lack.images} == images, seed
         assert {p for lack in found.lacks for p in lack.points} == points, seed
         defects.append(found.defect)

@@ -138,13 +138,12 @@ def solved(seed: int) -> Solution:
 @pytest.mark.oracle
 def test_statistic_is_that_of_the_joint_covariance() -> None:
     """Against the inverse of the dense normal matrix."""
-    from fg_orient.adjustment.dense import Columns, assemble
+    from fg_orient.adjustment.dense import assemble
 
     solution = solved(1)
     problem, check = solution.problem, solution.accuracy.check
     _, design = assemble(problem, solution.state)
-    columns = Columns.of(problem)
-    rows = np.concatenate([np.r_[columns.point(int(j))] for j in check.index])
+    rows = np.concatenate([np.r_[problem.point_slice(int(j))] for j in check.index])
     turn = problem.axes(solution.ground_m[check.index])
     whole = np.zeros((len(rows), len(rows)))
     for k, t in enumerate(turn):

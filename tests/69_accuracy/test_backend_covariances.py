@@ -48,7 +48,7 @@ class Inverse:
         return np.array([self.joint((), (j,)) for j in index.tolist()])
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> np.ndarray:
-        parts = [self.full.columns.image(k) for k in images] + [self.full.columns.point(j) for j in points]
+        parts = [self.full.problem.image_slice(k) for k in images] + [self.full.problem.point_slice(j) for j in points]
         columns = np.r_[tuple(parts)]
         return self.full.unknowns[np.ix_(columns, columns)]
 

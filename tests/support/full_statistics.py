@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from factors.conditions.control import CONTROL_POINT, POINT
-from fg_orient.adjustment.dense import Columns, assemble
+from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust
 from fg_orient.model.block import Block, ExtraObservation, ImagePoints
@@ -24,7 +24,7 @@ class Full:
     design: np.ndarray
     unknowns: np.ndarray
     residuals: np.ndarray
-    columns: Columns
+    problem: Problem
 
     @classmethod
     def of(cls, problem: Problem, state: State) -> Full:
@@ -32,7 +32,7 @@ class Full:
         scale = np.linalg.norm(design, axis=0)
         u, s, vt = np.linalg.svd(design / scale, full_matrices=False)
         half = vt.T / s / scale[:, None]
-        return cls(v, design, half @ half.T, np.eye(len(v)) - u @ u.T, Columns.of(problem))
+        return cls(v, design, half @ half.T, np.eye(len(v)) - u @ u.T, problem)
 
 
 def after_numpy(problem: Problem, state: State, robust: Robust | None = None) -> State:
