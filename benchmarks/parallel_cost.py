@@ -21,14 +21,14 @@ from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.parts.backend import PartedBackend
 from fg_orient.adjustment.parts.parts import default_parts
-from fg_orient.adjustment.parts.pool import Execution, InProcess, Pool, opened, work_folder
+from fg_orient.adjustment.parts.pool import Execution, Pool, opened, work_folder
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.cli.selftest import self_test
 from fg_orient.simulate.block import BlockOptions, grid_block
 
 
-class Counting(InProcess):
+class Counting(Pool):
     """Counts what would travel: arguments and results, pickled."""
 
     def __init__(self) -> None:
@@ -90,7 +90,7 @@ def main() -> None:
           f"{parts} parts, {travel(problem, parts):.0f} kB per iteration")  # fmt: skip
     for threads in (1, 2):
         run(problem, lambda t=threads: SchurBackend(problem, threads=t), f"one piece, {threads} threads")
-    bits = [in_parts(problem, InProcess(), parts, "parts in this process")]
+    bits = [in_parts(problem, Pool(), parts, "parts in this process")]
     for workers in arguments.workers:
         start = time.perf_counter()
         with opened(Execution(workers=max(workers, 2))) as pool:

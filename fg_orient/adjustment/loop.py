@@ -38,12 +38,11 @@ SMALL = finding("loop.small_step")
 class Step(Protocol):
     """A step: its largest scaled element and the error that the linear model predicts after it.
 
-    A step of a regularised solver also has its ``kappa``.
+    A step of a regularised solver also has ``kappa``.
     """
 
     length: float
     predicted_error: float
-    data: Any
 
 
 class System(Protocol):
@@ -311,7 +310,6 @@ class _NoStep:
 
     predicted_error: float
     length: float = math.inf
-    data: Any = None
 
 
 def _arrived(system: System, log: tuple[IterationRecord, ...], small: bool) -> bool:

@@ -37,7 +37,7 @@ MAX_THREADS: Final = 2
 
 @dataclass(frozen=True)
 class SchurStep:
-    """A step; see ``loop.Step``. ``image`` (u,) prior sigmas, ``ground`` (P, 3) m, the states before and after it."""
+    """A step; see ``loop.Step``: ``image`` (u,) prior sigmas, ``ground`` (P, 3) m, states before and after it."""
 
     image: Array
     ground: Array
@@ -45,11 +45,6 @@ class SchurStep:
     predicted_error: float
     before: State
     after: State
-
-    @property
-    def data(self) -> tuple[Array, Array]:
-        """Both parts."""
-        return self.image, self.ground
 
     @property
     def norm(self) -> float:
@@ -207,14 +202,16 @@ class SchurSystem:
         if damping == 0.0 and self._newton is not None:
             return self._newton
         blocks, gradient = self.partial(damping)
-        step = self.substitute(self._backend.reduced(blocks, self._backend.prior + damping).solve(gradient))
+        step = self.substitute(self._backend.reduced(blocks, self._backend.prior + damping).solve(gradient), damping)
         if damping == 0.0:
             self._newton = step
         return step
 
-    def substitute(self, image: Array) -> SchurStep:
-        """Complete a step (u,) of the images by the points; the last operation must have eliminated the points."""
+    def substitute(self, image: Array, damping: float) -> SchurStep:
+        """Complete a step (u,) of the images, which has this damping, by the points."""
         backend, s, b = self._backend, self.structure, self.buffers()
+        if self._eliminated_at != damping:
+            self._eliminate(damping)
         ground, wide = np.zeros((len(s.number), 3)), s.widened(backend.problem.image_matrix(image))
         own = s.widened(self.state.image)
         for tile in reversed(s.tiles):
@@ -326,7 +323,7 @@ class SchurBackend:
         automatic = available if len(problem.observations) >= SERIAL_LIMIT else 1
         self.workers = Workers(automatic if threads is None else threads)
         self.prior = 1.0 if problem.block.options.priors else 0.0
-        self.reduced = ReducedSystems(self.structure, problem.first, reduced, problem.ties)
+        self.reduced = ReducedSystems(self.structure.pattern, problem.first, reduced, problem.ties)
         self.stages = Stages(problem, self.structure)
         self.buffers = Buffers(self.structure, problem.control_records)
         self.robust: Weighing | None = None

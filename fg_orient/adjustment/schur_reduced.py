@@ -1,15 +1,15 @@
-"""The reduced camera system solved: LAPACK's Cholesky factor of the full or banded matrix, or GTSAM on its blocks.
+"""Solution of the reduced camera system: LAPACK's Cholesky factor of the full or banded matrix, or GTSAM on its blocks.
 
-Blocks are those of the upper triangle, (B, k, k) in the order of ``Pattern.block_row``; the unknowns of image i
-are ``first[i]`` to ``first[i + 1]``. GTSAM eliminates a graph of one HessianFactor per image and one per pair of
-images that share points; its ordering is found once.
+The blocks (B, k, k) of the upper triangle are in the order of ``Pattern.block_row``. The unknowns of image i are
+``first[i]`` to ``first[i + 1]``. GTSAM eliminates a graph of one HessianFactor per image and one per pair of images
+that share points; its ordering is computed once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -26,17 +26,17 @@ Array = npt.NDArray[np.float64]
 Bounds = npt.NDArray[np.intp]
 Index = npt.NDArray[np.int64]
 
-#: Condition of the reduced system, its diagonal scaled to 1, beyond which no covariance is given: the relative
-#: rounding error of a cofactor, some eps cond, passes 1e-3 there.
+#: Limit of the condition number of the reduced system, scaled to a unit diagonal. Above it there is no covariance: the
+#: relative rounding error of a cofactor, a few eps cond, exceeds 1e-3.
 CONDITION_LIMIT: Final = 1e13
-#: A band of up to this share of the matrix is taken. LAPACK's banded factorisation, its full one and GTSAM took 1.7,
-#: 2.1 and 3.3 ms at 432 unknowns with a band of 0.62; 6.4, 14.5 and 20 ms at 972 with 0.39; 40, 204 and 92 ms at 2700
+#: A band of up to this share of the matrix is used. LAPACK's banded and full factorisations and GTSAM took 1.7, 2.1
+#: and 3.3 ms for 432 unknowns with a band of 0.62; 6.4, 14.5 and 20 ms for 972 with 0.39; 40, 204 and 92 ms for 2700
 #: with 0.22 (measured, blocks of 4 x 4, 6 x 6 and 10 x 10 scenes).
 BANDED: Final = 0.65
 #: Elements of the largest band: 0.24 GB.
 BAND_LIMIT: Final = 30_000_000
-#: Without a band, reduced unknowns up to which the full matrix is always taken, and at all. Between them GTSAM gets
-#: systems with fewer than SPARSE of the blocks.
+#: Without a band, the full matrix is used up to DENSE_LIMIT unknowns, and up to FULL_LIMIT unless fewer than SPARSE of
+#: the blocks exist: then GTSAM solves the system.
 DENSE_LIMIT: Final = 1000
 FULL_LIMIT: Final = 3000
 SPARSE: Final = 1.0 / 3.0
@@ -47,26 +47,12 @@ class Singular(RuntimeError):
     """The reduced camera system is not positive definite."""
 
 
-class Pattern(Protocol):
-    """Blocks of a reduced system: those of a ``Structure``, or of the sum of several.
+class Pattern(NamedTuple):
+    """Blocks of a reduced system: unknowns (M,) of each image; images (B,) of each block, row <= column."""
 
-    ``size`` (M,): unknowns of each image; ``block_row``, ``block_column`` (B,): images of each block.
-    """
-
-    @property
-    def size(self) -> Index:
-        """Unknowns."""
-        ...
-
-    @property
-    def block_row(self) -> Index:
-        """Images."""
-        ...
-
-    @property
-    def block_column(self) -> Index:
-        """Images."""
-        ...
+    size: Index
+    block_row: Index
+    block_column: Index
 
 
 class Reduced(Protocol):
@@ -83,7 +69,7 @@ class Reduced(Protocol):
         ...
 
     def covariance(self, images: tuple[int, ...]) -> Array:
-        """Joint block of the inverse of S for different images, in the order given.
+        """Joint block of the inverse of S for different images, in the given order.
 
         Raises
         ------
@@ -94,7 +80,7 @@ class Reduced(Protocol):
 
 
 class LapackReduced:
-    """Cholesky factor of the full matrix, or of its band where an order of the images makes it narrow.
+    """Cholesky factor of the full matrix, or of its band if an order of the images makes it narrow.
 
     Parameters
     ----------
@@ -104,7 +90,9 @@ class LapackReduced:
     diagonal : float
         Added to the diagonal: priors and damping.
     order : Order, optional
-        Order of the images for the banded matrix; without one the matrix is full.
+        Order of the images for the banded matrix; without an order the matrix is full.
+    ties : Ties, optional
+        Unknowns shared by images: the matrix is ``T^T S T`` of the free unknowns, full.
 
     Raises
     ------
@@ -113,17 +101,27 @@ class LapackReduced:
     """
 
     def __init__(
-        self, pattern: Pattern, first: Bounds, blocks: Array, diagonal: float, order: Order | None = None
-    ) -> None:
-        self._first, self._banded, n = first, order is not None, int(first[-1])
+        self, pattern: Pattern, first: Bounds, blocks: Array, diagonal: float, order: Order | None = None,
+        ties: Ties | None = None,
+    ) -> None:  # fmt: skip
+        self._first, self._ties, self._banded = first, ties, order is not None
+        n = int(first[-1]) if ties is None else len(ties)
         self._order = order or Order(first[:-1].astype(np.int64), np.arange(n), n - 1)
-        # scaled to a unit diagonal: pivots are judged alike, whatever the units
-        self._scale, sums = np.empty(n), np.empty(n)
-        s = np.zeros((n, self._order.band + 1))
-        at = (pattern.block_row, pattern.block_column, self._order.place, pattern.size, blocks)
-        if not fill_lower(*at, diagonal, self._banded, s, self._scale, sums):
+        # scaled to a unit diagonal: the limit for pivots does not depend on the units
+        if ties is None:
+            self._scale, sums, s = np.empty(n), np.empty(n), np.zeros((n, self._order.band + 1))
+            at = (pattern.block_row, pattern.block_column, self._order.place, pattern.size, blocks)
+            regular = fill_lower(*at, diagonal, self._banded, s, self._scale, sums)
+            s.ravel()[:: s.shape[1] + (0 if self._banded else 1)] = 1.0
+        else:
+            s = _tied(pattern, first, blocks, ties) + diagonal * np.eye(n)
+            d = np.diag(s)
+            regular = bool((d > 0.0).all())
+            self._scale = 1.0 / np.sqrt(np.where(d > 0.0, d, 1.0))
+            s *= np.outer(self._scale, self._scale)
+            sums = np.abs(s).sum(axis=0)
+        if not regular:
             raise Singular("an unknown of an image is in no observation")
-        s.ravel()[:: s.shape[1] + (0 if self._banded else 1)] = 1.0
         self._norm = float(sums.max())
         self._factor: Any
         if self._banded:
@@ -147,9 +145,14 @@ class LapackReduced:
         return np.asarray(substitute(self._factor, right, lower=1)[0])
 
     def covariance(self, images: tuple[int, ...]) -> Array:
-        """See :class:`Reduced`; columns of a band are solved for some images, else the inverse is formed."""
-        self._judge()
+        """See :class:`Reduced`; for some images columns of a band are solved, else the inverse is formed.
+
+        The blocks refer to complete image vectors: shared unknowns occur in each.
+        """
+        if not self.condition() < CONDITION_LIMIT:
+            raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
         index = np.concatenate([np.arange(self._first[k], self._first[k + 1]) for k in images])
+        index = index if self._ties is None else self._ties.of[index]
         if self._banded and (len(images) < len(self._first) - 1 or len(index) > DENSE_LIMIT):
             place = np.empty(len(self._scale), np.int64)
             place[self._order.unknowns] = np.arange(len(place))
@@ -161,7 +164,7 @@ class LapackReduced:
         return np.asarray(self._inverse[np.ix_(index, index)])
 
     def _inverted(self) -> Array:
-        """Inverse of S; from a band, too: its columns one by one take three times as long."""
+        """Inverse of S, also from a band: solving for columns one by one takes three times as long."""
         factor, unknowns = self._factor, self._order.unknowns
         if self._banded:
             n, band = len(self._scale), self._order.band
@@ -173,62 +176,23 @@ class LapackReduced:
         out[np.ix_(unknowns, unknowns)] = (half + np.tril(half, -1).T) * np.outer(self._scale, self._scale)
         return out
 
-    def _judge(self) -> None:
-        """Refuse a system whose cofactors would be rounding."""
-        if not self.condition() < CONDITION_LIMIT:
-            raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
-
     def condition(self) -> float:
-        """Condition of the scaled matrix in the 1-norm, that of the inverse estimated (Hager 1984)."""
+        """Condition number of the scaled matrix in the 1-norm; the norm of the inverse is estimated (Hager 1984)."""
         if self._condition is None:
             self._condition = self._norm * inverse_norm(self._solved, len(self._scale))
         return self._condition
 
 
-class TiedReduced:
-    """Cholesky factor of ``T^T S T`` for images with unknowns in common; parameters as for :class:`LapackReduced`."""
-
-    def __init__(self, pattern: Pattern, first: Bounds, blocks: Array, diagonal: float, ties: Ties) -> None:
-        self._first, self._ties, n = first, ties, int(first[-1])
-        whole = np.zeros((n, n))
-        for b, (i, j) in enumerate(zip(pattern.block_row.tolist(), pattern.block_column.tolist(), strict=True)):
-            at = (slice(first[i], first[i + 1]), slice(first[j], first[j + 1]))
-            whole[at] = blocks[b, : pattern.size[i], : pattern.size[j]]
-            if i != j:
-                whole[at[::-1]] = whole[at].T
-        s = np.asarray(ties.matrix.T @ np.asarray(whole @ ties.matrix))
-        s = 0.5 * (s + s.T) + diagonal * np.eye(len(s))
-        d = np.diag(s)
-        if not (d > 0.0).all():
-            raise Singular("an unknown of an image is in no observation")
-        self._scale = 1.0 / np.sqrt(d)
-        s *= np.outer(self._scale, self._scale)
-        self._norm = float(np.abs(s).sum(axis=0).max())
-        self._factor, info = lapack.dpotrf(s, lower=1)
-        if info != 0:
-            raise Singular("the reduced camera system is not positive definite")
-        self._inverse: Array | None = None
-
-    def solve(self, gradient: Array) -> Array:
-        """See :class:`Reduced`; gradient and solution are those of the free unknowns."""
-        return self._solved(-gradient * self._scale) * self._scale
-
-    def _solved(self, right: Array) -> Array:
-        return np.asarray(lapack.dpotrs(self._factor, right, lower=1)[0])
-
-    def condition(self) -> float:
-        """See :meth:`LapackReduced.condition`."""
-        return self._norm * inverse_norm(self._solved, len(self._scale))
-
-    def covariance(self, images: tuple[int, ...]) -> Array:
-        """See :class:`Reduced`; of the images' own vectors, so that what they share stands in each."""
-        if self._inverse is None:
-            if not self.condition() < CONDITION_LIMIT:
-                raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
-            half = np.tril(lapack.dpotri(self._factor, lower=1)[0])
-            self._inverse = (half + np.tril(half, -1).T) * np.outer(self._scale, self._scale)
-        at = self._ties.of[np.concatenate([np.arange(self._first[k], self._first[k + 1]) for k in images])]
-        return np.asarray(self._inverse[np.ix_(at, at)])
+def _tied(pattern: Pattern, first: Bounds, blocks: Array, ties: Ties) -> Array:
+    """Symmetric matrix ``T^T S T`` (z, z) of the blocks."""
+    whole = np.zeros((int(first[-1]), int(first[-1])))
+    for b, (i, j) in enumerate(zip(pattern.block_row.tolist(), pattern.block_column.tolist(), strict=True)):
+        at = (slice(first[i], first[i + 1]), slice(first[j], first[j + 1]))
+        whole[at] = blocks[b, : pattern.size[i], : pattern.size[j]]
+        if i != j:
+            whole[at[::-1]] = whole[at].T
+    s = np.asarray(ties.matrix.T @ np.asarray(whole @ ties.matrix))
+    return np.asarray(0.5 * (s + s.T))
 
 
 def inverse_norm(solve: Callable[[Array], Array], n: int) -> float:
@@ -266,15 +230,15 @@ class Order:
 
 
 def narrowest(pattern: Pattern, first: Bounds) -> Order:
-    """Order of the images as given, or that of Cuthill and McKee reversed (George & Liu 1981): the narrower band."""
+    """Order of the images with the narrower band: as given, or reversed Cuthill-McKee (George & Liu 1981)."""
     images = len(pattern.size)
-    if len(pattern.block_row) == images * (images + 1) // 2:  # all share points: no order is better than another
+    if len(pattern.block_row) == images * (images + 1) // 2:  # all images share points: the order has no effect
         return Order(first[:-1].astype(np.int64), np.arange(first[-1]), int(first[-1]) - 1)
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
     links = coo_array((np.ones(len(pattern.block_row)), (pattern.block_row, pattern.block_column)), (images, images))
-    found = []
+    orders = []
     for order in (np.arange(images), reverse_cuthill_mckee((links + links.T).tocsr(), symmetric_mode=True)):
         place = np.empty(images, np.int64)
         place[order] = np.concatenate([[0], np.cumsum(pattern.size[order])[:-1]])
@@ -284,8 +248,8 @@ def narrowest(pattern: Pattern, first: Bounds) -> Order:
             place[pattern.block_column] + pattern.size[pattern.block_column],
         )
         unknowns = np.concatenate([np.arange(first[k], first[k + 1]) for k in order])
-        found.append(Order(place, unknowns, int((end - begin).max(initial=1)) - 1))
-    return min(found, key=lambda o: o.band)
+        orders.append(Order(place, unknowns, int((end - begin).max(initial=1)) - 1))
+    return min(orders, key=lambda o: o.band)
 
 
 class GraphReduced:
@@ -336,8 +300,8 @@ class GraphReduced:
             self._marginals = gtsam.Marginals(self._graph(np.zeros(int(self._first[-1]))), zero)
         if len(images) == 1:
             return np.asarray(self._marginals.marginalCovariance(images[0]))
-        found = self._marginals.jointMarginalCovariance(list(images))
-        return np.block([[np.asarray(found.at(a, b)) for b in images] for a in images])
+        joint = self._marginals.jointMarginalCovariance(list(images))
+        return np.block([[np.asarray(joint.at(a, b)) for b in images] for a in images])
 
 
 def elimination_order(pattern: Pattern) -> gtsam.Ordering:
@@ -354,7 +318,7 @@ def elimination_order(pattern: Pattern) -> gtsam.Ordering:
 
 
 class ReducedSystems:
-    """Reduced systems of one pattern, solved by what suits it.
+    """Reduced systems of one pattern, with the method of solution for it.
 
     Parameters
     ----------
@@ -363,7 +327,7 @@ class ReducedSystems:
     kind : str
         "dense": LAPACK on the full matrix; "banded": on its band; "graph": GTSAM on its blocks; "auto": by size.
     ties : Ties, optional
-        Unknowns that images have in common link all of them: the matrix is then full.
+        Unknowns shared by images; the matrix is then full.
     """
 
     def __init__(self, pattern: Pattern, first: Bounds, kind: str = "auto", ties: Ties | None = None) -> None:
@@ -376,15 +340,9 @@ class ReducedSystems:
         self._ordering = elimination_order(pattern) if self.kind == "graph" else None
 
     def __call__(self, blocks: Array, diagonal: float) -> Reduced:
-        """The system of these blocks (B, k, k), ``diagonal`` added.
-
-        Raises
-        ------
-        Singular
-            It is not positive definite.
-        """
+        """System of these blocks (B, k, k) with ``diagonal`` added; Singular if it is not positive definite."""
         if self._ties is not None:
-            return TiedReduced(self.pattern, self._first, blocks, diagonal, self._ties)
+            return LapackReduced(self.pattern, self._first, blocks, diagonal, ties=self._ties)
         if self._ordering is not None:
             return GraphReduced(self.pattern, self._first, blocks, diagonal, self._ordering)
         order = self._order if self.kind == "banded" else None
@@ -392,7 +350,7 @@ class ReducedSystems:
 
 
 def _suitable(pattern: Pattern, unknowns: int, band: int) -> str:
-    """What solves a pattern soonest."""
+    """Fastest kind of solution for a pattern."""
     if band <= BANDED * unknowns and (band + 1) * unknowns <= BAND_LIMIT:
         return "banded"
     images = len(pattern.size)

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.image_models import groups
 from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.schur_reduced import Pattern
 from fg_orient.kernels import batch_sort
 from fg_orient.kernels.batch import Columns, batch
 from fg_orient.kernels.batch_pairs import widen
@@ -139,6 +140,11 @@ class Structure:
     block_begin: Index
     block_slots: Small
     tiles: tuple[Tile, ...]
+
+    @property
+    def pattern(self) -> Pattern:
+        """Blocks of the reduced system."""
+        return Pattern(self.size, self.block_row, self.block_column)
 
     @cached_property
     def observed(self) -> Index:

@@ -6,7 +6,7 @@ import gc
 import itertools
 import weakref
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -26,7 +26,7 @@ from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.robust import find_loss, scaled
 from fg_orient.adjustment.runtime import Workers
 from fg_orient.adjustment.schur import SchurBackend, SchurSystem
-from fg_orient.adjustment.schur_reduced import Singular
+from fg_orient.adjustment.schur_reduced import Pattern, Singular
 from fg_orient.adjustment.solve import solve, suitable_backend
 from fg_orient.model.block import Block, ExtraObservation, Image, ImagePoints
 from fg_orient.model.names import Role
@@ -36,15 +36,6 @@ from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.full_statistics import Full, damped_of_numpy, dogleg_of_numpy, step_of_numpy, stepped
 from tests.support.rpc_block import rpc_twin, twin_with_models
 from tests.support.states import largest, moved
-
-
-@dataclass(frozen=True)
-class Pattern:
-    """Blocks of a reduced system."""
-
-    size: np.ndarray
-    block_row: np.ndarray
-    block_column: np.ndarray
 
 
 #: Both backends go on to this scaled step, or until it stops shrinking.
@@ -394,7 +385,7 @@ def test_workers_cover_the_range_once() -> None:
 def test_reduced_systems_are_solved_by_what_suits_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """By band, unknowns and the share of images that see common points."""
     problem = compile_problem(with_options(grid(2, 3, 60), eop_set=15))  # 6 images, 108 unknowns
-    pattern = SchurBackend(problem).structure
+    pattern = SchurBackend(problem).structure.pattern
     share, band = len(pattern.block_row) / 21.0, schur_reduced.narrowest(pattern, problem.first).band
     for full, dense, sparse, banded, limit, expected in (
         (3000, 1000, 1.0, 0.0, 10**6, "dense"), (107, 1000, 0.0, 0.0, 10**6, "graph"),

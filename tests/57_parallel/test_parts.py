@@ -18,7 +18,7 @@ from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.parts import parts as parts_module
 from fg_orient.adjustment.parts.backend import PartedBackend
 from fg_orient.adjustment.parts.parts import default_parts, divide, part_file, read_part, rows_of
-from fg_orient.adjustment.parts.pool import Execution, InProcess
+from fg_orient.adjustment.parts.pool import Execution, Pool
 from fg_orient.adjustment.parts.solve import solve_in_parts
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.robust import find_loss, scaled, weighted_problem
@@ -80,7 +80,7 @@ def test_a_step_in_parts_is_the_step_in_one_piece_and_of_numpy(
     damping, state = data.draw(st.sampled_from([0.0, 1e-2, 10.0]), label="damping"), moved(problem, 1)
     count = data.draw(st.integers(1, 12), label="parts")
     one = SchurBackend(problem)
-    parted = PartedBackend(problem, InProcess(), tmp_path_factory.mktemp("work"), count)
+    parted = PartedBackend(problem, Pool(), tmp_path_factory.mktemp("work"), count)
     a, b = one.linearise(state), parted.linearise(state)
     assert b.error == pytest.approx(a.error, rel=1e-12)
     step, ours = a.solve(damping), b.solve(damping)
@@ -128,7 +128,7 @@ def test_solution_and_cofactors_in_parts(problem: Problem, optimizer: str, loss:
 @pytest.mark.oracle
 def test_losses_that_change_reach_the_parts(problem: Problem, tmp_path: Path) -> None:
     plan, state = Graduated.of(replace(problem.block.options, loss="tls", gnc=True)), moved(problem, 2)
-    one, parted = SchurBackend(problem), PartedBackend(problem, InProcess(), tmp_path, 4)
+    one, parted = SchurBackend(problem), PartedBackend(problem, Pool(), tmp_path, 4)
     for a, b in zip(one.squares(state), parted.squares(state), strict=True):
         np.testing.assert_allclose(np.sort(b), np.sort(a), rtol=1e-12)
     errors = []
@@ -182,7 +182,7 @@ def test_adjust_takes_parts(small: Block) -> None:
 
 @pytest.mark.oracle
 def test_a_state_from_elsewhere_is_written_for_the_parts(problem: Problem, tmp_path: Path) -> None:
-    backend, state = PartedBackend(problem, InProcess(), tmp_path, 4), moved(problem, 3)
+    backend, state = PartedBackend(problem, Pool(), tmp_path, 4), moved(problem, 3)
     for error, at in ((backend.error(state), state), (backend.error(backend.initial()), problem.start)):
         residual, _ = assemble(problem, at)
         assert error == pytest.approx(0.5 * residual @ residual, rel=1e-12)
@@ -209,7 +209,7 @@ def test_the_work_folder_does_not_grow_and_is_removed(problem: Problem, tmp_path
 @pytest.mark.behaviour
 def test_parts_that_cannot_be_read_are_named(problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A worker of another version; a file that is not whole, and one that is not there."""
-    PartedBackend(problem, InProcess(), tmp_path, 2)
+    PartedBackend(problem, Pool(), tmp_path, 2)
     path = part_file(tmp_path, 1)
 
     def refusal(number: int) -> Any:

@@ -19,7 +19,7 @@ from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.parts import pool as pool_module
 from fg_orient.adjustment.parts.backend import PartedBackend
 from fg_orient.adjustment.parts.parts import read_part
-from fg_orient.adjustment.parts.pool import Cluster, Execution, InProcess, Pool, branches, opened, summed, work_folder
+from fg_orient.adjustment.parts.pool import Cluster, Execution, Pool, branches, opened, summed, tree, work_folder
 from fg_orient.adjustment.parts.study import study
 from fg_orient.adjustment.parts.tasks import forget
 from fg_orient.adjustment.problem import Problem, State, compile_problem
@@ -77,7 +77,7 @@ def run(problem: Problem, pool: Pool, optimizer: str = "gauss-newton") -> State:
 @pytest.fixture(scope="module")
 def alone(problem: Problem) -> State:
     """Give the solution of the parts in this process."""
-    return run(problem, InProcess())
+    return run(problem, Pool())
 
 
 def assert_same_bits(a: State, b: State) -> None:
@@ -112,10 +112,10 @@ def test_branches_are_those_of_the_tree(count: int) -> None:
 
     whole = summed(lambda k: Word(k), arguments)
     for depth in range(5):
-        found = list(branches(arguments, depth))
+        found = branches(arguments, depth)
         assert [a for branch in found for a in branch] == arguments
         sums = iter([summed(lambda k: Word(k), branch) for branch in found])
-        assert pool_module._top(sums, count, depth) == whole
+        assert tree(arguments, depth, lambda branch, sums=sums: next(sums)) == whole
 
 
 @pytest.mark.oracle
@@ -162,7 +162,7 @@ def test_a_large_block_on_workers_that_die(four: Any, tmp_path: Path) -> None:
     large, _ = grid_block(BlockOptions(rows=6, columns=6, points=29_000, seed=2))
     problem = compile_problem(replace(large, options=replace(large.options, eop_set=20, backend="schur")))
     assert len(problem.observations) > 1e5
-    whole, alone = solve(problem), run(problem, InProcess())
+    whole, alone = solve(problem), run(problem, Pool())
     assert np.abs(alone.image - whole.state.image).max() <= 1e-9
     assert np.nanmax(np.abs(alone.ground - whole.state.ground)) <= 1e-7
     for pool in (Few(four, 1), Few(four, 2), Cluster(four), Deadly(four, tmp_path, (3, 6))):
@@ -225,5 +225,5 @@ def test_one_worker_needs_no_dask(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool_module, "find_spec", lambda name: None)
     for workers in (0, 1):
         with opened(Execution(workers=workers)) as pool:
-            assert isinstance(pool, InProcess)
+            assert isinstance(pool, Pool)
     forget("nowhere")

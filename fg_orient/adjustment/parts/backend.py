@@ -1,14 +1,13 @@
-"""A block adjusted in parts: partial reduced normal equations summed, as Helmert did with networks of triangulation.
+"""Backend that adjusts a block in parts: Helmert blocking of the reduced normal equations.
 
-Each part eliminates its ground points and gives what it adds to the reduced system of the images; the sum with the
-priors is solved here, the step of the images goes back, and each part moves its points. The loop and its optimisers
-are those of every backend.
+Each part eliminates its ground points and returns its contribution to the reduced system of the images. The sum,
+with the priors, is solved in this process; then each part moves its points by the step of the images. The loop and its
+optimisers are the same as for all backends.
 """
 
 from __future__ import annotations
 
 import contextlib
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,26 +21,17 @@ from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.parts import tasks
 from fg_orient.adjustment.parts.parts import divide, rows_of, write_part
 from fg_orient.adjustment.parts.pool import Pool
-from fg_orient.adjustment.parts.tasks import START, At, Moved, Partial, Squares
+from fg_orient.adjustment.parts.tasks import START, At, Partial, Sums
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust
-from fg_orient.adjustment.schur_reduced import Reduced, ReducedSystems
+from fg_orient.adjustment.schur_reduced import Pattern, Reduced, ReducedSystems
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
 
 class PartedState(State):
-    """A state whose ground points lie in the files of the parts; ``ground`` reads them.
-
-    Parameters
-    ----------
-    image : (M, k) array
-        Prior sigmas.
-    name : str
-    gather : callable
-        Gives the ground points (N, 3) of the state of this name.
-    """
+    """A state with ground points in the files of the parts; ``ground`` reads those of this name with ``gather``."""
 
     name: str
     _gather: Callable[[str], Array]
@@ -58,7 +48,7 @@ class PartedState(State):
 
 @dataclass(frozen=True)
 class PartedStep:
-    """A step; see ``loop.Step``. ``target`` names the state after it, ``base`` the one before."""
+    """A step; see ``loop.Step``. ``base`` and ``target`` are the names of the states before and after it."""
 
     image: Array
     base: str
@@ -66,20 +56,6 @@ class PartedStep:
     length: float
     predicted_error: float
     norm: float
-
-    @property
-    def data(self) -> tuple[Array, str]:
-        """Image unknowns (u,), and the state that holds the ground points."""
-        return self.image, self.target
-
-
-@dataclass(frozen=True)
-class Pattern:
-    """Blocks of the summed system; see ``fg_orient.adjustment.schur_reduced.Pattern``."""
-
-    size: Index
-    block_row: Index
-    block_column: Index
 
 
 class PartedSystem:
@@ -97,7 +73,7 @@ class PartedSystem:
     def error(self) -> float:
         """Half the weighted sum of squares, or the cost under a loss."""
         if self._known is None:
-            self._eliminated(self._least)  # Gauss-Newton's step needs it next
+            self._eliminated(self._least)  # the next Gauss-Newton step requires it
         assert self._known is not None
         return self._known
 
@@ -105,22 +81,11 @@ class PartedSystem:
         """Sum of all parts."""
         if damping == self._least and self._partial is not None:
             return self._partial
-        found: Partial = self._backend.total(tasks.eliminate, self.state, damping)
-        self._known = found.error + self._backend.prior_error(self.state.image)
+        partial: Partial = self._backend.total(tasks.eliminate, self.state, damping)
+        self._known = partial.error + self._backend.prior_error(self.state.image)
         if damping == self._least:
-            self._partial = found
-        return found
-
-    def eliminated(self, damping: float) -> tuple[Reduced, Array]:
-        """Reduced system and gradient (u,), the sums of all parts and the priors.
-
-        Raises
-        ------
-        Singular
-            A ground point, or the reduced system, is not determined.
-        """
-        found = self._eliminated(damping)
-        return self._backend.reduced(found, damping), found.gradient + self._prior_gradient
+            self._partial = partial
+        return partial
 
     def solve(self, damping: float) -> PartedStep:
         """Eliminate the points of all parts, solve for the images, substitute back.
@@ -133,8 +98,8 @@ class PartedSystem:
         damping = max(damping, self._least)
         if damping == self._least and self._newton is not None:
             return self._newton
-        reduced, gradient = self.eliminated(damping)
-        image, target = reduced.solve(gradient), self._backend.new_name()
+        partial, target = self._eliminated(damping), self._backend.new_name()
+        image = self._backend.reduced(partial, damping).solve(partial.gradient + self._prior_gradient)
         step = self._step(image, target, self._backend.total(tasks.substitute, self.state, damping, image, target))
         if damping == self._least:
             self._newton = step
@@ -145,15 +110,15 @@ class PartedSystem:
         newton, backend = self.solve(0.0), self._backend
         if newton.norm <= radius:
             return newton
-        slope = backend.total(tasks.gradient, self.state)
-        image = slope.image + self._prior_gradient
-        squares = float(np.sum(image**2)) + slope.squares
-        bend = backend.total(tasks.bend, self.state, self._least, image, newton.image)
-        factor = -squares / (bend.curvature + backend.prior * float(np.sum(image**2)))
+        image, of_points = backend.total(tasks.gradient, self.state)
+        image = image + self._prior_gradient
+        squares = float(np.sum(image**2)) + of_points
+        curvature, product = backend.total(tasks.bend, self.state, self._least, image, newton.image)
+        factor = -squares / (curvature + backend.prior * float(np.sum(image**2)))
         length = abs(factor) * float(np.sqrt(squares))
         along_slope, along_newton = factor * min(1.0, radius / length), 0.0
         if length < radius:
-            product = factor * (bend.product + float(np.sum(image * newton.image)))
+            product = factor * (product + float(np.sum(image * newton.image)))
             across = max(newton.norm**2 - 2.0 * product + length**2, 0.0)
             along_newton = share_at_radius(across, product - length**2, length, radius)
             along_slope = factor * (1.0 - along_newton)
@@ -163,26 +128,26 @@ class PartedSystem:
         )  # fmt: skip
         return self._step(along_slope * image + along_newton * newton.image, target, moved)
 
-    def _step(self, image: Array, target: str, moved: Moved) -> PartedStep:
-        backend = self._backend
-        after = self.state.image + backend.problem.image_matrix(image)
-        length = max(float(np.abs(image).max()), moved.length)
-        norm = float(np.sqrt(np.sum(image**2) + moved.squares))
-        return PartedStep(image, self.state.name, target, length, moved.predicted + backend.prior_error(after), norm)
+    def _step(self, image: Array, target: str, moved: Sums) -> PartedStep:
+        backend, (largest, squares, predicted) = self._backend, moved
+        error = predicted + backend.prior_error(self.state.image + backend.problem.image_matrix(image))
+        length, norm = max(float(np.abs(image).max()), float(largest)), float(np.sqrt(np.sum(image**2) + squares))
+        return PartedStep(image, self.state.name, target, length, error, norm)
 
     def summed(self) -> SummedSystem:
-        """What the covariance needs."""
-        state = State(self.state.image, self.state.ground)
+        """Reduced system for the covariance, without the parts; a singular system raises its error when it is used."""
+        partial: Partial | RuntimeError
         try:
-            found = self._eliminated(0.0)
+            partial = self._eliminated(0.0)
         except RuntimeError as error:
-            return SummedSystem(state, functools.partial(_raise, error))
-        return SummedSystem(state, lambda damping: self._backend.reduced(found, damping))
+            partial = error
 
+        def reduced(damping: float) -> Reduced:
+            if isinstance(partial, RuntimeError):
+                raise partial
+            return self._backend.reduced(partial, damping)
 
-def _raise(error: Exception, damping: float) -> Reduced:
-    """Give no system, but the reason."""
-    raise error
+        return SummedSystem(State(self.state.image, self.state.ground), reduced)
 
 
 class PartedBackend:
@@ -192,15 +157,15 @@ class PartedBackend:
     ----------
     problem : Problem
     pool : Pool
-        Where the parts are worked on.
+        Runs the tasks of the parts.
     folder : Path
-        Work folder of this adjustment, seen by all workers.
+        Work folder of this adjustment, accessible to all workers.
     parts : int
 
     Raises
     ------
     InputError
-        More parts than ground points; a block that the Schur backend cannot take; a folder that cannot be written.
+        More parts than ground points; a block that the Schur backend refuses; a folder that cannot be written.
     """
 
     name: Final = "schur"
@@ -250,23 +215,23 @@ class PartedBackend:
     def error(self, state: State) -> float:
         """Half the weighted sum of squares."""
         here = self._parted(state)
-        found = float(self.total(tasks.error, here)) + self.prior_error(here.image)
-        self._last_error = here.name, found
-        return found
+        error = float(self.total(tasks.error, here)) + self.prior_error(here.image)
+        self._last_error = here.name, error
+        return error
 
     def known_error(self, state: PartedState) -> float | None:
-        """The error of a state if it was asked for last."""
+        """The error of a state if it was computed last; else None."""
         return self._last_error[1] if self._last_error and self._last_error[0] == state.name else None
 
     def squares(self, state: State) -> tuple[Array, Array]:
         """See ``fg_orient.adjustment.robust.RobustBackend``; one part after the other."""
-        found: Squares = self.total(tasks.squares, self._parted(state))
-        return found.image, found.control
+        image, control = self.total(tasks.squares, self._parted(state))
+        return np.concatenate(image), np.concatenate(control)
 
     def retract(self, state: State, step: PartedStep) -> PartedState:
         """State after a step from this state."""
         if step.base != self._parted(state).name:
-            raise ValueError("this step leads from another state")
+            raise ValueError("the step belongs to another state")
         return PartedState(state.image + self.problem.image_matrix(step.image), step.target, self._gathered)
 
     def total(self, task: Callable[..., Any], state: PartedState, *arguments: Any) -> Any:
@@ -286,17 +251,15 @@ class PartedBackend:
         self._names += 1
         return f"{self._names:06d}"
 
-    def reduced(self, found: Partial, damping: float) -> Reduced:
+    def reduced(self, partial: Partial, damping: float) -> Reduced:
         """The reduced system of a sum."""
-        pattern = None if self._systems is None else self._systems.pattern
-        same = pattern is not None and np.array_equal(pattern.block_row, found.row)
-        if self._systems is None or not (same and np.array_equal(self._systems.pattern.block_column, found.column)):
-            size = np.diff(self.problem.first).astype(np.int64)
-            self._systems = ReducedSystems(Pattern(size, found.row, found.column), self.problem.first)
-        return self._systems(found.blocks, self.prior + damping)
+        pattern = Pattern(np.diff(self.problem.first).astype(np.int64), partial.row, partial.column)
+        if self._systems is None or not all(map(np.array_equal, self._systems.pattern, pattern)):
+            self._systems = ReducedSystems(pattern, self.problem.first)
+        return self._systems(partial.blocks, self.prior + damping)
 
     def _parted(self, state: State) -> PartedState:
-        """The state with its points in files; those of a state from elsewhere are written."""
+        """The state with its points in files; the points of another kind of state are written."""
         if isinstance(state, PartedState):
             return state
         if state is self.problem.start:
@@ -316,7 +279,7 @@ class PartedBackend:
         return ground
 
     def _clean(self) -> None:
-        """Remove the ground points of states before the last two that were linearised."""
+        """Remove the files of ground points, except for the last two linearised states and later ones."""
         oldest = min((name for name in self._kept if name != START), default="")
         for path in self.folder.glob("ground-*.npy"):
             name = path.stem.rsplit("-", 1)[-1]

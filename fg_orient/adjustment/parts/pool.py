@@ -1,12 +1,14 @@
-"""Where tasks run: in this process one after another, or on the workers of a dask cluster. Same results, bit by bit.
+"""Pools that run tasks: in this process, or on the workers of a dask cluster, with the same results bit by bit.
 
-A pool runs one function over many arguments. Sums are made in a binary tree that follows the numbers of the parts, so
-neither the number of workers nor the order in which they are ready changes the last bit.
+A pool runs one function over many arguments. Sums follow a binary tree of the numbers of the parts: neither the number
+of workers nor the order in which tasks end changes the last bit.
 """
 
 from __future__ import annotations
 
 import logging
+import math
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,7 +16,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, TypeVar
 
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.parts import tasks
@@ -22,32 +24,32 @@ from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
 
 T = TypeVar("T")
 
-#: Seconds after which a scheduler that does not answer is given up.
+#: Seconds to wait for the answer of a scheduler.
 CONNECT_S: Final = 10.0
-#: Most workers that are started on one machine.
+#: Maximum number of workers started on one machine.
 MAX_WORKERS: Final = 256
 
 
 @dataclass(frozen=True)
 class Execution:
-    """How a block or a study is shared out.
+    """Parts of a block and workers of a block or study.
 
     Parameters
     ----------
     parts : int or None
-        Parts of the ground points; None: as many as the size of the block asks for, whatever the workers.
+        Parts of the ground points; None: by the size of the block.
     workers : int
-        Processes on this machine; 0 or 1: all in this process.
+        Processes on this machine; 0 or 1: only this process.
     cluster : str, dask.distributed.Client or None
         Address of the scheduler of a running cluster, or a client of it; replaces ``workers``.
     work_dir : path or None
-        Folder that all workers see; a folder of its own is made inside and removed at the end. Default: the
-        system's folder for temporary files, which other machines do not see.
+        Folder accessible to all workers; a temporary folder is made in it. Default: the system's folder for temporary
+        files, to which other machines have no access.
 
     Raises
     ------
     InputError
-        A number that is not possible.
+        An invalid value.
     """
 
     parts: int | None = None
@@ -73,77 +75,51 @@ def _require_kind(option: str, value: Any, *kinds: type) -> None:
         raise InputError.of("parallel.kind", option=option, value=repr(value), expected=expected)
 
 
-class Pool(Protocol):
-    """Runs tasks; ``threads`` is for the kernels inside one."""
+def tree(arguments: Sequence[Any], depth: float, leaf: Callable[[Sequence[Any]], Any]) -> Any:
+    """Sum of ``leaf(branch)`` over the branches of a binary tree at a depth; a branch of one is not divided."""
+    if depth == 0 or len(arguments) == 1:
+        return leaf(arguments)
+    half = len(arguments) // 2
+    return tree(arguments[:half], depth - 1, leaf) + tree(arguments[half:], depth - 1, leaf)
 
-    threads: int | None
 
-    def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
-        """Sum of ``task(*a)`` over the arguments, in a tree by their number."""
-        ...
-
-    def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
-        """Number and result of each, as they are ready."""
-        ...
-
-    def forget(self, folder: str) -> None:
-        """Let go what is kept of a work folder."""
-        ...
+def branches(arguments: Sequence[Any], depth: int) -> list[Sequence[Any]]:
+    """Branches of this tree at a depth, in order."""
+    return list(tree(arguments, depth, lambda branch: [branch]))
 
 
 def summed(task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
-    """Sum of a task over arguments, in a binary tree."""
-    if len(arguments) == 1:
-        return task(*arguments[0])
-    half = len(arguments) // 2
-    return summed(task, arguments[:half]) + summed(task, arguments[half:])
+    """Sum of a task over arguments, in this tree."""
+    return tree(arguments, math.inf, lambda branch: task(*branch[0]))
 
 
 def _summed_on_worker(task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
-    """The same where BLAS may have more threads, which would change last bits."""
+    """Sum in another process, whose BLAS may use more threads, which would change last bits."""
     with one_blas_thread():
         return summed(task, arguments)
 
 
-def branches(arguments: Sequence[tuple[Any, ...]], depth: int) -> Iterator[Sequence[tuple[Any, ...]]]:
-    """Arguments of the branches of this tree at a depth, in order; a branch of one is not divided."""
-    if depth == 0 or len(arguments) == 1:
-        yield arguments
-        return
-    half = len(arguments) // 2
-    yield from branches(arguments[:half], depth - 1)
-    yield from branches(arguments[half:], depth - 1)
-
-
-def _top(sums: Iterator[Any], count: int, depth: int) -> Any:
-    """Sum of the branches at a depth, as :func:`summed` adds them."""
-    if depth == 0 or count == 1:
-        return next(sums)
-    left = _top(sums, count // 2, depth - 1)
-    return left + _top(sums, count - count // 2, depth - 1)
-
-
-class InProcess:
-    """One task after another, in this process."""
+class Pool:
+    """Runs tasks in this process, one after another; ``threads`` is for the kernels of a task."""
 
     threads: int | None = None
 
     def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
-        """See :class:`Pool`."""
+        """Sum of ``task(*a)`` over the arguments, in a tree by their number."""
         return summed(task, arguments)
 
     def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
-        """See :class:`Pool`."""
+        """Number and result of each task when it has ended."""
         for k, argument in enumerate(arguments):
             yield k, task(*argument)
 
     def forget(self, folder: str) -> None:
-        """See :class:`Pool`."""
+        """Close the parts of a work folder."""
         tasks.forget(folder)
 
 
-class Cluster:
-    """Workers of a dask cluster.
+class Cluster(Pool):
+    """Runs tasks on the workers of a dask cluster.
 
     Parameters
     ----------
@@ -156,11 +132,11 @@ class Cluster:
         self.client = client
 
     def workers(self) -> list[str]:
-        """Addresses of the workers that live, in one order."""
+        """Addresses of the running workers, sorted."""
         return sorted(self.client.nthreads())
 
     def _submit(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Futures; the same argument goes to the same worker each time, as long as that one lives."""
+        """Futures; an argument goes to the same worker each time, as long as this worker runs."""
         workers: list[str | None] = [*self.workers()] or [None]
         homes = [workers[k * len(workers) // len(arguments)] for k in range(len(arguments))]
         return [
@@ -169,21 +145,21 @@ class Cluster:
         ]
 
     def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
-        """See :class:`Pool`; branches of the tree are summed where they were computed, its top here.
+        """See :class:`Pool`; workers sum the branches of the tree, this process sums its top.
 
         Raises
         ------
         NoSolutionError
-            Workers die again and again, or the scheduler is gone.
+            Workers fail repeatedly, or the connection to the scheduler is lost.
         """
         with _failures():
             workers = max(len(self.workers()), 1)
-            depth, found = 0, list(branches(arguments, 0))
-            while len(found) < min(4 * workers, len(arguments)) and (len(found) < workers or len(found) % workers):
+            depth, parts = 0, branches(arguments, 0)
+            while len(parts) < min(4 * workers, len(arguments)) and (len(parts) < workers or len(parts) % workers):
                 depth += 1
-                found = list(branches(arguments, depth))
-            sums = self.client.gather(self._submit(_summed_on_worker, [(task, branch) for branch in found]))
-            return _top(iter(sums), len(arguments), depth)
+                parts = branches(arguments, depth)
+            sums = iter(self.client.gather(self._submit(_summed_on_worker, [(task, branch) for branch in parts])))
+            return tree(arguments, depth, lambda branch: next(sums))
 
     def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
         """See :class:`Pool`; raises as :meth:`total`."""
@@ -204,13 +180,13 @@ class Cluster:
 
 
 def _distributed() -> Any:
-    """The optional package, without types."""
+    """The optional package ``distributed``, without types."""
     return import_module("distributed")
 
 
 @contextmanager
 def _failures() -> Iterator[None]:
-    """Say in words what a cluster reports."""
+    """Convert exceptions of a cluster to NoSolutionError."""
     from concurrent.futures import CancelledError
 
     dask = _distributed()
@@ -223,7 +199,7 @@ def _failures() -> Iterator[None]:
     except (dask.comm.CommClosedError, dask.CancelledError, CancelledError, TimeoutError) as error:
         raise NoSolutionError.of("parallel.lost", option="scheduler", value=type(error).__name__) from error
     except (OSError, RuntimeError) as error:
-        # dask's own have no class of their own: no number of the system, or a pool that is closed
+        # dask has no classes for these: an OSError without number, or a pool that is closed
         timed_out = isinstance(error, OSError) and error.errno is None
         closed = type(error) is RuntimeError and "closed" in str(error)
         if not (timed_out or closed):
@@ -233,7 +209,7 @@ def _failures() -> Iterator[None]:
 
 @contextmanager
 def opened(execution: Execution) -> Iterator[Pool]:
-    """Pool of an execution; what is started here ends with it.
+    """Pool of an execution; processes started here end with it.
 
     Raises
     ------
@@ -241,7 +217,7 @@ def opened(execution: Execution) -> Iterator[Pool]:
         dask is missing, or the scheduler does not answer.
     """
     if execution.cluster is None and execution.workers <= 1:
-        yield InProcess()
+        yield Pool()
         return
     if find_spec("distributed") is None:
         raise InputError.of("parallel.dask", option="cluster" if execution.cluster is not None else "workers")
@@ -254,13 +230,7 @@ def opened(execution: Execution) -> Iterator[Pool]:
 
 @contextmanager
 def _connected(address: str) -> Iterator[Any]:
-    """Client of a running scheduler.
-
-    Raises
-    ------
-    InputError
-        It does not answer.
-    """
+    """Client of a running scheduler; InputError if it does not answer."""
     try:
         client = _distributed().Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
@@ -273,7 +243,7 @@ def _connected(address: str) -> Iterator[Any]:
 def _local(workers: int) -> Iterator[Any]:
     """Client of processes on this machine, one thread each.
 
-    Their memory is not watched by dask: a block is judged before it is adjusted, and a paused worker would wait.
+    dask does not limit their memory: the need of a block is estimated before, and a paused worker would never continue.
     """
     import dask.config
 
@@ -294,13 +264,7 @@ def _local(workers: int) -> Iterator[Any]:
 
 @contextmanager
 def work_folder(execution: Execution, pool: Pool) -> Iterator[Path]:
-    """A folder of its own inside the work folder, removed at the end.
-
-    Raises
-    ------
-    InputError
-        It cannot be made.
-    """
+    """New folder inside the work folder, removed at the end; InputError if it cannot be made."""
     try:
         folder = Path(tempfile.mkdtemp(prefix="fg-orient-", dir=execution.work_dir)).absolute()
     except OSError as error:
@@ -311,4 +275,5 @@ def work_folder(execution: Execution, pool: Pool) -> Iterator[Path]:
         try:
             pool.forget(str(folder))
         finally:
-            tasks.remove(folder)
+            tasks.forget(str(folder))
+            shutil.rmtree(folder, ignore_errors=True)

@@ -19,26 +19,26 @@ from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.model.errors import InputError
 
-#: Ground points whose rays make every kernel of a part run.
+#: Number of ground points that is sufficient to compile every kernel of a part.
 REHEARSED: Final = 2
 
 
 def rehearse(problem: Problem) -> None:
-    """Eliminate a few ground points here: kernels are compiled once, before each worker would compile them."""
+    """Eliminate a few ground points in this process: kernels are compiled once and not by each worker."""
     points = np.flatnonzero(problem.active)[:REHEARSED]
     part = part_problem("rehearsal", part_of(problem, points, rows_of(problem, [points])[0]))
     backend = SchurBackend(part, threads=1)
-    with suppress(RuntimeError, NotFiniteError):  # a few points need not make a regular system
+    with suppress(RuntimeError, NotFiniteError):  # the system of a few points may be singular
         system = backend.linearise(backend.initial())
         system.partial(1.0)
-        system.substitute(np.zeros(part.n_image_unknowns))
+        system.substitute(np.zeros(part.n_image_unknowns), 1.0)
 
 
 def solve_in_parts(
     problem: Problem, execution: Execution, callback: Callback | None = None, checkpoint: Checkpoint | None = None,
     start: State | None = None,
 ) -> Estimate:  # fmt: skip
-    """Adjust a problem in parts; what is started for it has ended when the estimate is there.
+    """Adjust a problem in parts; processes started for it end with the adjustment.
 
     Parameters
     ----------
@@ -52,23 +52,23 @@ def solve_in_parts(
     Raises
     ------
     InputError
-        Another backend than the Schur complement is asked for; images have unknowns in common; more parts than
-        points; dask is missing, the scheduler does not answer, or workers do not see the work folder.
+        The options name another backend than the Schur complement; images share unknowns; more parts than points; dask
+        is missing, the scheduler does not answer, or workers have no access to the work folder.
     NoSolutionError
-        The equations become singular or not finite on the way; workers die again and again.
+        The equations become singular or not finite; workers fail repeatedly.
     """
     options = problem.block.options
     if options.backend not in ("auto", "schur"):
         raise InputError.of("parallel.backend", option="parts", value=options.backend)
     if problem.ties is not None:
         raise InputError.of("frame.shared_not", option="parts", value="parts", id=", ".join(problem.ties.ids))
-    judged = replace(problem, block=replace(problem.block, options=replace(options, backend="schur")))
+    own = replace(problem, block=replace(problem.block, options=replace(options, backend="schur")))
     if execution.cluster is None and execution.workers > 1:
-        rehearse(judged)
+        rehearse(own)
     with opened(execution) as pool, work_folder(execution, pool) as folder:
         parts = execution.parts or default_parts(problem)
         if checkpoint is not None:
             checkpoint.scope = f"{parts} parts"
-        estimate = solve(judged, callback, lambda p: PartedBackend(p, pool, folder, parts), checkpoint, start)
+        estimate = solve(own, callback, lambda p: PartedBackend(p, pool, folder, parts), checkpoint, start)
         summed = cast(PartedSystem, estimate.linear).summed()
     return replace(estimate, state=summed.state, linear=summed)

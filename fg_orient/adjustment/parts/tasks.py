@@ -1,36 +1,36 @@
-"""What a worker does with a part: pure functions of its file, the state and small arguments.
+"""Tasks of a worker on a part of a block: functions of the part's file, the state and small arguments.
 
-A task may run again elsewhere when a worker has died: it gives the same bits. What a process has opened and computed is
-kept, and computed again where it is missing. Ground points never travel: a step leaves those of its part in a file
-of the work folder, named after the state.
+A task repeated by another worker gives the same bits: results that a process keeps are computed again where they are
+missing. Ground points are never sent: a step writes those of its part to a file of the work folder, named by the state.
 """
 
 from __future__ import annotations
 
 import functools
 import io
-import shutil
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeVar, cast
+from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.parts.parts import read_part, write_whole
-from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.parts.parts import read_part
+from fg_orient.adjustment.problem import State
 from fg_orient.adjustment.robust import Robust
 from fg_orient.adjustment.schur import SchurBackend, SchurStep, SchurSystem
+from fg_orient.formats.atomic import write_bytes
 from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
-F = TypeVar("F", bound=Callable[..., Any])
+P = ParamSpec("P")
+T = TypeVar("T")
 
-#: Name of the state whose ground points stand in the part files.
+#: Name of the state whose ground points are in the part files.
 START: Final = "start"
 
 
@@ -44,15 +44,15 @@ class At:
         Work folder.
     part : int
     name : str
-        Of the state: its ground points are in a file of this name.
+        Name of the state and of the file of its ground points.
     image : (M, k) array
         Image unknowns, prior sigmas.
     threads : int or None
-        Of the kernels.
+        Threads of the kernels.
     robust : Robust or None
         Losses; None for least squares.
     loss : int
-        Number of the losses: another one means other losses.
+        Changes with the losses.
     """
 
     folder: str
@@ -64,9 +64,23 @@ class At:
     loss: int = 0
 
 
+class Sums(tuple[Any, ...]):
+    """Results of some parts, which are added element by element."""
+
+    def __add__(self, other: Any) -> Sums:
+        return Sums(a + b for a, b in zip(self, other, strict=True))
+
+
+class Largest(float):
+    """A number whose sum with another one is the larger of both."""
+
+    def __add__(self, other: float) -> Largest:
+        return Largest(max(self, other))
+
+
 @dataclass(frozen=True)
 class Partial:
-    """What some parts add to the reduced normal equations; blocks (B, k, k) of images row <= column, sorted."""
+    """Contribution of some parts to the reduced normal equations; blocks (B, k, k) of images row <= column, sorted."""
 
     row: Index
     column: Index
@@ -85,241 +99,144 @@ class Partial:
         return Partial(row, column, blocks, self.gradient + other.gradient, self.error + other.error)
 
 
-@dataclass(frozen=True)
-class Moved:
-    """A step of the ground points of some parts.
+class _Part:
+    """A part in this process: its backend, the last linearisation, and ground points of the last states."""
 
-    Parameters
-    ----------
-    length : float
-        Largest coordinate, m.
-    squares : float
-        Sum of squares.
-    predicted : float
-        Half the squares of the linear model after it.
-    """
-
-    length: float
-    squares: float
-    predicted: float
-
-    def __add__(self, other: Moved) -> Moved:
-        return Moved(
-            max(self.length, other.length), self.squares + other.squares, self.predicted + other.predicted
-        )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Slope:
-    """Gradient of the images (u,), and squares of that of the ground points."""
-
-    image: Array
-    squares: float
-
-    def __add__(self, other: Slope) -> Slope:
-        return Slope(self.image + other.image, self.squares + other.squares)
-
-
-@dataclass(frozen=True)
-class Squares:
-    """Squared whitened norms of image points and control points."""
-
-    image: Array
-    control: Array
-
-    def __add__(self, other: Squares) -> Squares:
-        return Squares(np.append(self.image, other.image), np.append(self.control, other.control))
-
-
-@dataclass(frozen=True)
-class Bend:
-    """Squares of the Jacobian times the gradient, and the product of the ground points' gradient and Newton step."""
-
-    curvature: float
-    product: float
-
-    def __add__(self, other: Bend) -> Bend:
-        return Bend(self.curvature + other.curvature, self.product + other.product)
-
-
-class _Open:
-    """A part as this process has opened it: the backend, and the last linearisation."""
-
-    def __init__(self, problem: Problem, threads: int | None) -> None:
-        self.problem, self.backend, self.lock = problem, SchurBackend(problem, threads=threads), threading.Lock()
-        self._at = ("", 0)
-        self._system: SchurSystem | None = None
+    def __init__(self, at: At) -> None:
+        problem = read_part(at.folder, at.part)
+        self.backend, self.lock = SchurBackend(problem, threads=at.threads), threading.Lock()
         self._ground: dict[str, Array] = {START: problem.start.ground}
-        self._damping: float | None = None
+        self._system: tuple[str, int, SchurSystem] | None = None
 
     def state(self, at: At) -> State:
-        """The state, its ground points as computed here or as in their file."""
+        """The state, its ground points from memory or from their file."""
+        self.backend.robust = at.robust
         if at.name not in self._ground:
-            self._ground = {START: self.problem.start.ground, at.name: read_ground(at.folder, at.part, at.name)}
+            self._ground = {START: self._ground[START], at.name: read_ground(at)}
         return State(at.image, self._ground[at.name])
-
-    def keep(self, at: At, target: str, ground: Array) -> None:
-        """Keep the ground points of this state and of the newest."""
-        self._ground = {name: self._ground[name] for name in {START, at.name}} | {target: ground}
 
     def system(self, at: At) -> SchurSystem:
         """The linearisation at a state."""
         self.backend.robust = at.robust
-        if self._system is None or self._at != (at.name, at.loss):
-            self._system, self._at, self._damping = self.backend.linearise(self.state(at)), (at.name, at.loss), None
-        return self._system
+        if self._system is None or self._system[:2] != (at.name, at.loss):
+            self._system = at.name, at.loss, self.backend.linearise(self.state(at))
+        return self._system[2]
 
-    def partial(self, at: At, damping: float) -> tuple[Array, Array]:
-        """Eliminate the points."""
-        system = self.system(at)
-        self._damping = damping
-        return system.partial(damping)
-
-    def substitute(self, at: At, damping: float, image: Array) -> SchurStep:
-        """Substitute back; what another task has eliminated since is eliminated again."""
-        if self.system(at) and self._damping != damping:
-            self.partial(at, damping)
-        return self.system(at).substitute(image)
-
-    def gradient(self, at: At) -> tuple[Array, Array]:
-        """Gradient of images and points."""
-        system, self._damping = self.system(at), None
-        return system.gradient()
+    def moved(self, at: At, step: SchurStep, target: str) -> Sums:
+        """Move the ground points; keep those of this state and of the new one."""
+        ground = self.backend.retract(self.state(at), step).ground
+        write_ground(at.folder, at.part, target, ground)
+        self._ground = {name: self._ground[name] for name in {START, at.name}} | {target: ground}
+        length = Largest(np.abs(step.ground).max(initial=0.0))
+        return Sums((length, float(np.sum(step.ground**2)), step.predicted_error))
 
 
-_OPEN: dict[tuple[str, int], _Open] = {}
+_PARTS: dict[tuple[str, int], _Part] = {}
 _OPENING: Final = threading.Lock()
 
 
-def _opened(at: At) -> _Open:
-    key = at.folder, at.part
-    with _OPENING:
-        if key not in _OPEN:
-            for other in {folder for folder, _ in _OPEN if not Path(folder).is_dir()}:
-                forget(other)  # its client died
-            _OPEN[key] = _Open(read_part(at.folder, at.part), at.threads)
-        return _OPEN[key]
+def _task(function: Callable[Concatenate[_Part, At, P], T]) -> Callable[Concatenate[At, P], T]:
+    """Make a task of a part. Only one runs at a time, although workers may have threads or run abandoned tasks."""
 
+    @functools.wraps(function)
+    def run(at: At, *arguments: P.args, **named: P.kwargs) -> T:
+        key = at.folder, at.part
+        with _OPENING:
+            if key not in _PARTS:
+                for other in {folder for folder, _ in _PARTS if not Path(folder).is_dir()}:
+                    forget(other)  # its client has ended
+                _PARTS[key] = _Part(at)
+            part = _PARTS[key]
+        with part.lock:
+            return function(part, at, *arguments, **named)
 
-def _alone(task: F) -> F:
-    """One task at a time on a part: a worker may have threads, and a failed sum leaves tasks behind that still run."""
-
-    @functools.wraps(task)
-    def run(at: At, *arguments: Any) -> Any:
-        with _opened(at).lock:
-            return task(at, *arguments)
-
-    return cast(F, run)
+    return run
 
 
 def forget(folder: str) -> None:
     """Close the parts of a work folder in this process."""
-    for key in [key for key in _OPEN if key[0] == folder]:
-        del _OPEN[key]
+    for key in [key for key in _PARTS if key[0] == folder]:
+        del _PARTS[key]
 
 
-def ground_file(folder: str | Path, part: int, name: str) -> Path:
-    """File of the ground points of a part at a state."""
+def _ground_file(folder: str | Path, part: int, name: str) -> Path:
     return Path(folder) / f"ground-{part:04d}-{name}.npy"
 
 
 def write_ground(folder: str | Path, part: int, name: str, ground: Array) -> None:
-    """Write the ground points (P, 3) of a part, whole or not at all."""
+    """Write the ground points (P, 3) of a part at a state, whole or not at all."""
     stream = io.BytesIO()
     np.save(stream, ground)
-    write_whole(ground_file(folder, part, name), stream.getvalue())
+    write_bytes(_ground_file(folder, part, name), stream.getvalue(), durable=False)
 
 
-def read_ground(folder: str | Path, part: int, name: str) -> Array:
-    """Read the ground points of a part.
-
-    Raises
-    ------
-    InputError
-        The file is not there: the folder is another one for this process.
-    """
-    path = ground_file(folder, part, name)
+def read_ground(at: At) -> Array:
+    """Read the ground points (P, 3) of a part; InputError if this process has no access to the file."""
+    path = _ground_file(at.folder, at.part, at.name)
     try:
         return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
     except (OSError, ValueError, EOFError) as error:
         raise InputError.of("parallel.folder", file=path, value=type(error).__name__) from error
 
 
-@_alone
-def error(at: At) -> float:
+@_task
+def error(part: _Part, at: At) -> float:
     """Half the weighted sum of squares of a part, without priors of the images."""
-    part = _opened(at)
-    part.backend.robust = at.robust
     return part.backend.error(part.state(at))
 
 
-@_alone
-def squares(at: At) -> Squares:
-    """Squared whitened norms of a part, unweighted."""
-    part = _opened(at)
-    return Squares(*part.backend.squares(part.state(at)))
+@_task
+def squares(part: _Part, at: At) -> Sums:
+    """Squared whitened norms of image points and of control points, unweighted: two lists, one array per part."""
+    return Sums([values] for values in part.backend.squares(part.state(at)))
 
 
-@_alone
-def eliminate(at: At, damping: float) -> Partial:
-    """Linearise a part and eliminate its ground points, damped.
-
-    Raises
-    ------
-    Singular
-        A ground point is not determined.
-    """
-    part = _opened(at)
-    blocks, gradient = part.partial(at, damping)
-    s, widest = part.backend.structure, int(np.diff(part.problem.first).max())
+@_task
+def eliminate(part: _Part, at: At, damping: float) -> Partial:
+    """Linearise a part and eliminate its ground points, damped; Singular if a point is not determined."""
+    system = part.system(at)
+    blocks, gradient = system.partial(damping)
+    s, widest = system.structure, int(np.diff(part.backend.problem.first).max())
     row, column = s.block_row.astype(np.int64), s.block_column.astype(np.int64)
-    own = blocks[:, :widest, :widest].copy()
-    return Partial(row, column, own, gradient, part.system(at).error)
+    return Partial(row, column, blocks[:, :widest, :widest].copy(), gradient, system.error)
 
 
-@_alone
-def substitute(at: At, damping: float, image: Array, target: str) -> Moved:
-    """Move the ground points of a part after a step (u,) of the images; ``target`` names the new state."""
-    part = _opened(at)
-    return _moved(part, at, part.substitute(at, damping, image), target)
+@_task
+def substitute(part: _Part, at: At, damping: float, image: Array, target: str) -> Sums:
+    """Move the ground points of a part after a step (u,) of the images; ``target`` names the new state.
+
+    The results are the largest coordinate (m), the sum of squares, and half the squares that the linear model predicts.
+    """
+    return part.moved(at, part.system(at).substitute(image, damping), target)
 
 
-@_alone
-def gradient(at: At) -> Slope:
-    """Gradient of a part."""
-    image, ground = _opened(at).gradient(at)
-    return Slope(image, float(np.sum(ground**2)))
+@_task
+def gradient(part: _Part, at: At) -> Sums:
+    """Gradient of the images (u,), and squares of the gradient of the ground points."""
+    image, ground = part.system(at).gradient()
+    return Sums((image, float(np.sum(ground**2))))
 
 
-@_alone
-def bend(at: At, damping: float, slope: Array, newton: Array) -> Bend:
-    """What the dogleg needs of a part: ``slope`` and ``newton``, which has this damping, (u,) of the images."""
-    part = _opened(at)
-    step = part.substitute(at, damping, newton).ground.copy()
-    _, ground = part.gradient(at)
-    return Bend(part.system(at).curvature(slope, ground), float(np.sum(ground * step)))
+@_task
+def bend(part: _Part, at: At, damping: float, slope: Array, newton: Array) -> Sums:
+    """Squares of the Jacobian times the gradient; product of gradient and Newton step of the ground points.
+
+    ``slope`` and ``newton`` (u,) are gradient and Newton step of the images, the latter with this damping.
+    """
+    system = part.system(at)
+    step = system.substitute(newton, damping).ground.copy()
+    _, ground = system.gradient()
+    return Sums((system.curvature(slope, ground), float(np.sum(ground * step))))
 
 
-@_alone
-def blend(at: At, damping: float, slope: Array, newton: Array, multiples: tuple[float, float], target: str) -> Moved:
-    """Move a part by a multiple of the gradient plus a multiple of the Newton step."""
-    part = _opened(at)
-    step = part.substitute(at, damping, newton).ground.copy()
-    _, ground = part.gradient(at)
+@_task
+def blend(
+    part: _Part, at: At, damping: float, slope: Array, newton: Array, multiples: tuple[float, float], target: str
+) -> Sums:
+    """Move a part by a multiple of the gradient plus a multiple of the Newton step; see :func:`substitute`."""
+    system = part.system(at)
+    step = system.substitute(newton, damping).ground.copy()
+    _, ground = system.gradient()
     along_slope, along_newton = multiples
     image = along_slope * slope + along_newton * newton
-    return _moved(part, at, part.system(at).given(image, along_slope * ground + along_newton * step), target)
-
-
-def _moved(part: _Open, at: At, step: SchurStep, target: str) -> Moved:
-    ground = part.backend.retract(part.state(at), step).ground
-    write_ground(at.folder, at.part, target, ground)
-    part.keep(at, target, ground)
-    length = float(np.abs(step.ground).max(initial=0.0))
-    return Moved(length, float(np.sum(step.ground**2)), step.predicted_error)
-
-
-def remove(folder: str | Path) -> None:
-    """Remove a work folder and close its parts."""
-    forget(str(folder))
-    shutil.rmtree(folder, ignore_errors=True)
+    return part.moved(at, system.given(image, along_slope * ground + along_newton * step), target)
