@@ -37,7 +37,6 @@ from tests.support.full_statistics import Full, damped_of_numpy, dogleg_of_numpy
 from tests.support.rpc_block import rpc_twin, twin_with_models
 from tests.support.states import largest, moved
 
-
 #: Both backends go on to this scaled step, or until it stops shrinking.
 TOLERANCE = 1e-9
 
