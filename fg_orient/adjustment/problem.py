@@ -1,8 +1,8 @@
-"""The adjustment problem: block, parameters and start values compiled to arrays, once.
+"""The adjustment problem: block, parameters and start values compiled to arrays.
 
 The unit of every residual is one sigma: image points in pixel sigmas (whitened by the image's model:
 ``fg_orient.sensors.base``), control points ``W (G - G_0)``, priors ``x`` (unknowns in prior sigmas). All backends
-start from this object, so that they differ in the solver only. Images of different kinds can be combined.
+use this object and differ only in the solver. Images of different kinds can be combined.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from factors.conditions.control import POINT
 from factors.geometry import ellipsoid
 from fg_orient import geodesy
 from fg_orient.adjustment.image_models import image_models
-from fg_orient.adjustment.rows import residuals
+from fg_orient.adjustment.rows import residuals, whitened_records
 from fg_orient.adjustment.ties import Ties, ties_of
 from fg_orient.model.block import Block, ExtraObservation, ImagePoints
 from fg_orient.model.errors import InputError
@@ -29,12 +29,11 @@ from fg_orient.sensors import initial
 from fg_orient.sensors.base import ImageModel
 
 Array = npt.NDArray[np.float64]
-#: One ground point by its number, or several by numbers or by True.
+#: One ground point by its number, or several by numbers or by a mask.
 Points = int | npt.NDArray[np.intp] | npt.NDArray[np.bool_]
 
-
-#: Damping of a free datum: the weight of priors a thousand times as wide as the given ones. It acts on steps, not on
-#: the solution; less costs digits. The datum is fixed by the images: their ground points need almost no damping.
+#: Damping of a free datum: the weight of priors with thousand times the given sigmas. It changes steps, not the
+#: solution; smaller values lose digits. The images fix the datum: ground points need almost no damping.
 FREE_DAMPING: Final = 1e-6
 FREE_POINT_DAMPING: Final = 1e-12
 
@@ -43,7 +42,7 @@ FREE_POINT_DAMPING: Final = 1e-12
 class State:
     """Unknowns: ``image`` (M, k) in prior sigmas, ``ground`` (N, 3) m in the local frame.
 
-    k is the largest number of unknowns of an image; rows of images with fewer unknowns are filled up with zeros.
+    k is the largest number of unknowns of an image; rows of other images end with zeros.
     """
 
     image: Array
@@ -52,10 +51,9 @@ class State:
 
 @dataclass(frozen=True)
 class ExtraArgument:
-    """One argument of an extra observation: an image, a ground point, or a constant point.
+    """An argument of an extra observation: image or ground point number ``index``, a vector of length ``size``.
 
-    ``index`` counts images or ground points; ``constant`` has the (3,) local coordinates of a point that is not an
-    unknown; ``size`` is the argument's length.
+    ``constant`` contains the local coordinates (3,) of a point that is not an unknown.
     """
 
     is_image: bool
@@ -74,14 +72,14 @@ class Problem:
     models : tuple of ImageModel
         Equation and unknowns of each image.
     observations : ImagePoints
-        The image points that take part.
+        Image points of the adjustment.
     records : (n, d) array
-        Whitened constants of the image's equation per image point; shorter records are filled up with zeros.
+        Whitened constants of the equation of each image point; shorter records end with zeros.
     origin_m : (3,) array
         Local origin, ECEF; unknown ground points are relative to it, axes parallel to ECEF.
     start : State
     active, observed : (N,) bool arrays
-        Points that are unknowns, and those of them with control-point equations.
+        Points that are unknowns; unknown points with control-point equations.
     control_records : (N, 12) array
         Record of the control-point equation, rows of observed points.
     """
@@ -103,7 +101,7 @@ class Problem:
 
     @property
     def has_control(self) -> bool:
-        """Whether a control point is measured in an image."""
+        """Whether any image shows a control point."""
         return bool(np.isin(self.block.points.where(Role.CONTROL), self.observations.point).any())
 
     @cached_property
@@ -118,7 +116,7 @@ class Problem:
 
     @cached_property
     def ties(self) -> Ties | None:
-        """Unknowns shared by images; None without."""
+        """Unknowns shared by images, or None."""
         return ties_of(self.parameters, [image.id for image in self.block.images])
 
     @property
@@ -136,7 +134,7 @@ class Problem:
         return np.ascontiguousarray(state.image[k, : len(self.parameters[k])])
 
     def image_columns(self, state: State) -> Array:
-        """Unknowns of all images, one after the other, as ``first`` counts them."""
+        """Unknowns of all images, one after the other, in the order of ``first``."""
         return np.asarray(state.image[self._exists])
 
     def image_vector(self, state: State) -> Array:
@@ -163,7 +161,7 @@ class Problem:
 
     @cached_property
     def columns(self) -> npt.NDArray[np.intp]:
-        """Place (M, k) of each element of ``State.image`` among the unknowns of all images; their number if unused."""
+        """Column (M, k) of each element of ``State.image``; ``n_image_unknowns`` for unused elements."""
         wide = self.first[:-1, None] + np.arange(self._exists.shape[1])
         return np.where(self._exists, wide, self.n_image_unknowns)
 
@@ -174,7 +172,7 @@ class Problem:
 
     @cached_property
     def point_columns(self) -> npt.NDArray[np.intp]:
-        """First column (N,) of each ground point; of no use for points that are not unknowns."""
+        """First column (N,) of each unknown ground point; other elements have no meaning."""
         return np.asarray(self.n_image_unknowns + 3 * (np.cumsum(self.active) - 1), np.intp)
 
     def image_slice(self, k: int) -> slice:
@@ -207,14 +205,9 @@ class Problem:
         return np.asarray(np.einsum("...ij,...j->...i", self.control_weights(points), difference))
 
     def point_normals(self, points: npt.NDArray[np.intp], d_ground: Array) -> Array:
-        """Normal matrices (N, 3, 3) of the ground points, the images held.
+        """Normal matrices (N, 3, 3) of the ground points with images held fixed.
 
-        Parameters
-        ----------
-        points : (n,) int array
-            Ground point of each image point.
-        d_ground : (n, 2, 3) array
-            Derivatives of its whitened residuals.
+        ``points`` (n,) are the ground points of image points, ``d_ground`` (n, 2, 3) their whitened Jacobians.
         """
         normal = np.zeros((len(self.active), 3, 3))
         np.add.at(normal, points, np.einsum("nri,nrj->nij", d_ground, d_ground))
@@ -224,15 +217,15 @@ class Problem:
 
     @property
     def least_damping(self) -> float:
-        """Minimum damping of the normal equations: above zero where nothing fixes the datum."""
+        """Minimum damping of the normal equations: positive if nothing fixes the datum."""
         options = self.block.options
         return FREE_DAMPING if options.datum == "free" and not options.priors else 0.0
 
     def point_damping(self, damping: float) -> float:
-        """Share by which a damping increases the diagonal of the normal equations of each ground point.
+        """Relative increase of the diagonal of the normal equations of each ground point by a damping.
 
-        A share (Marquardt 1963) does not depend on the unit of length of the block, and it leaves distant points, which
-        their rays hardly determine, free to move along the rays.
+        A relative increase (Marquardt 1963) does not depend on the unit of length. Distant points, which their rays
+        hardly determine, can still move along the rays.
         """
         least = self.least_damping
         return max(damping - least, FREE_POINT_DAMPING) if least > 0.0 else damping
@@ -255,21 +248,21 @@ class Problem:
         return self.n_observations - self.n_unknowns
 
     def axes(self, ground_m: Array) -> Array:
-        """Rotations (N, 3, 3) from coordinates (N, 3) to East, North, Up; identities in a local system."""
+        """Rotations (N, 3, 3) to East, North, Up at ECEF coordinates (N, 3); identities in a local system."""
         return _axes(self.block, ground_m)
 
     @property
     def axis_names(self) -> tuple[str, str, str]:
-        """Names of the axes of :meth:`axes`."""
+        """Names of these axes."""
         return ("East", "North", "Up") if self.block.georeferenced else ("X", "Y", "Z")
 
     def label(self, row: int) -> str:
-        """Name an image point for messages."""
-        image = self.block.images[self.observations.image[row]].id
-        return f"image {image}, point {self.block.points.ids[self.observations.point[row]]}"
+        """Name of an image point for messages."""
+        block, o = self.block, self.observations
+        return f"image {block.images[o.image[row]].id}, point {block.points.ids[o.point[row]]}"
 
     def rows_by_point(self) -> list[tuple[int, npt.NDArray[np.intp]]]:
-        """Ground points with the rows of ``observations`` that see them, by point number."""
+        """Ground points in ascending order with their rows of ``observations``."""
         order = np.argsort(self.observations.point, kind="stable")
         points, starts = np.unique(self.observations.point[order], return_index=True)
         return list(zip(points.tolist(), np.split(order, starts[1:]), strict=True))
@@ -277,10 +270,7 @@ class Problem:
     def extra_arguments(self, extra: ExtraObservation) -> list[ExtraArgument]:
         """Arguments of an extra observation; points that are not unknowns are constants.
 
-        Raises
-        ------
-        InputError
-            A name that does not exist, is of the wrong kind or has no image point; no unknown.
+        InputError for a name that does not exist, is of the wrong kind or has no image point, or without unknowns.
         """
         arguments: list[ExtraArgument] = []
         for name, argument in zip(extra.unknowns, extra.equation.arguments, strict=True):
@@ -302,14 +292,13 @@ class Problem:
         return arguments
 
     def extra_setup(self, extra: ExtraObservation) -> Array:
-        """Setup of an extra observation: its own, or that of its first image."""
+        """Setup of an extra observation: given, or the setup of its first image."""
         if extra.setup is not None:
             return extra.setup
-        first = next(a for a in self.extra_arguments(extra) if a.is_image)
-        return self.parameters[first.index].setup
+        return self.parameters[next(a.index for a in self.extra_arguments(extra) if a.is_image)].setup
 
     def corrections(self, state: State) -> list[Any]:
-        """Corrections of all images for their sensors: ``Correction``, or RPC compensation (6,) px."""
+        """Corrections of all images: ``Correction``, or RPC compensation (6,) px."""
         return [model.correction(self.unknowns(state, k)) for k, model in enumerate(self.models)]
 
     def pixel_residuals(self, state: State) -> Array:
@@ -325,14 +314,13 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
     ----------
     block : Block
     like : Problem, optional
-        Of nearly the same block: constants that do not change are copied from it (:func:`unchanged_rows`).
+        Problem of a similar block: constants that are equal are copied from it (:func:`unchanged_rows`).
 
     Raises
     ------
     InputError
-        No control point (unless the datum is fixed by priors or an image without unknowns, or is free), an image whose
-        sensor has no model, images in different coordinate systems, nothing to adjust, points that cannot be
-        intersected.
+        No control point (unless priors or an image without unknowns fix the datum, or it is free), a sensor without
+        image model, images in different coordinate systems, no unknowns, points that cannot be intersected.
     """
     options = block.options
     control_rows = block.points.where(Role.CONTROL)
@@ -380,10 +368,10 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
 
 
 def unchanged_rows(like: Problem, block: Block, observations: ImagePoints) -> npt.NDArray[np.intp]:
-    """Rows (n,) of ``like`` with the same constants as these image points; -1 for changed ones.
+    """Rows (n,) of ``like`` with the same constants as these image points; -1 for changed constants.
 
-    A search for gross errors compiles a block again for each observation left out. Start value and whitening of an
-    image point depend on its sensor and on all rays and the known coordinates of its ground point, and on nothing else.
+    A search for gross errors compiles a block again for each excluded observation. Start value and whitening of an
+    image point depend only on its sensor, and on all rays and the known coordinates of its ground point.
     """
     columns = [
         np.stack([o.image, o.point, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px], axis=1)
@@ -404,7 +392,7 @@ def _records(
     models: Sequence[ImageModel], observations: ImagePoints, ground_m: Array, origin_m: Array,
     same: npt.NDArray[np.intp], like: Problem | None,
 ) -> Array:  # fmt: skip
-    """Whitened records; rows ``same`` (n,) of another problem are copied from it."""
+    """Whitened records, with the rows ``same`` (n,) of another problem copied."""
     if like is None:
         return whitened_records(models, observations, ground_m, origin_m)
     old, new = np.flatnonzero(same >= 0), np.flatnonzero(same < 0)
@@ -417,7 +405,7 @@ def _records(
 
 
 def _require_finite(block: Block, observations: ImagePoints, control: npt.NDArray[np.intp]) -> None:
-    """Raise InputError for the first point with invalid pixels, coordinates or sigmas: in blocks without a reader."""
+    """Raise InputError for the first point with invalid pixels, coordinates or sigmas."""
     pixels = np.stack([observations.line, observations.sample], axis=1)
     sigmas = np.stack([observations.sigma_line_px, observations.sigma_sample_px], axis=1)
     bad = observations.point[~(np.isfinite(pixels) & np.isfinite(sigmas) & (sigmas > 0.0)).all(axis=1)]
@@ -433,37 +421,21 @@ def _require_finite(block: Block, observations: ImagePoints, control: npt.NDArra
 
 
 def schur_possible(block: Block) -> bool:
-    """Whether the Schur backend takes a block: each extra observation names one image and no ground point."""
+    """Whether the Schur backend supports a block: each extra observation names one image and no ground point."""
     return all(len(extra.unknowns) == 1 and extra.unknowns[0].startswith("image:") for extra in block.extra)
 
 
 def participates(block: Block) -> npt.NDArray[np.bool_]:
-    """Image points (n,) that enter the adjustment: all, or all but those of check points."""
+    """Mask (n,) of the image points of the adjustment: all, or all except those of check points."""
     if block.options.check_points == "use":
         return np.ones(len(block.observations), bool)
     return ~np.isin(block.observations.point, block.points.where(Role.CHECK))
 
 
-def whitened_records(
-    models: Sequence[ImageModel], observations: ImagePoints, ground_m: Array, origin_m: Array
-) -> Array:
-    """Records (n, d) of image points, a unit of the residual being one sigma; ``ground_m`` (N, 3) ECEF."""
-    parts: list[tuple[npt.NDArray[np.intp], Array]] = []
-    for k, model in enumerate(models):
-        rows = np.flatnonzero(observations.image == k)
-        if len(rows):
-            o = observations.take(rows)
-            parts.append((rows, model.records(o, ground_m[o.point], origin_m)))
-    out = np.zeros((len(observations), max(part.shape[1] for _, part in parts)))
-    for rows, part in parts:
-        out[rows, : part.shape[1]] = part
-    return out
-
-
 def _control_records(block: Block, ecef_m: Array, origin_m: Array, observed: npt.NDArray[np.bool_]) -> Array:
     """Records (N, 12) of the control-point equations: W for ECEF axes from E/N/U sigmas."""
     out, rows = np.full((len(ecef_m), POINT.size), np.nan), np.flatnonzero(observed)
-    # W^T W = C^-1 by QR of the scaled axes: no covariance is formed, so any ratio of sigmas is exact
+    # W^T W = C^-1 by QR of the scaled axes: without a covariance matrix any ratio of sigmas is exact
     w = np.linalg.qr(_axes(block, ecef_m[rows]) / block.points.known.sigma_enu_m[rows][:, :, None]).R
     w *= np.where(np.einsum("nii->ni", w) < 0.0, -1.0, 1.0)[:, :, None]
     out[rows] = POINT.pack(whitening=w.reshape(-1, 9), place=ecef_m[rows] - origin_m)

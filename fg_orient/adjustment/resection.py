@@ -34,9 +34,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.cofactors import cofactors_of_points
-from fg_orient.adjustment.problem import Problem, State, whitened_records
+from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import CONTROL, IMAGE, inlier_limit
-from fg_orient.adjustment.rows import image_rows, linearised, rows_by_image
+from fg_orient.adjustment.rows import image_rows, linearised, rows_by_image, whitened_records
 from fg_orient.model.distributions import chi_square_median
 from fg_orient.model.errors import InputError, finding
 

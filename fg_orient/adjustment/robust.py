@@ -30,8 +30,8 @@ import numpy.typing as npt
 
 from factors.conditions.control import POINT
 from factors.losses import ALIASES, Curve, Loss, find, losses
-from fg_orient.adjustment.problem import Problem, State, whitened_records
-from fg_orient.adjustment.rows import image_rows, residuals, rows_by_image
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.rows import image_rows, residuals, rows_by_image, whitened_records
 from fg_orient.model.distributions import chi_square_median, chi_square_quantile
 from fg_orient.model.errors import InputError
 

@@ -1,10 +1,11 @@
-"""Whitened residuals and Jacobians of image points, by the compiled loops of ``fg_orient.kernels.batch``.
+"""Whitened records, residuals and Jacobians of image points, by the compiled loops of ``fg_orient.kernels.batch``.
 
-The only evaluation of image points outside the solvers' own loops: there is no Python call per image point.
+All image points outside the loops of the solvers are evaluated here, without a Python call per image point.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import numpy as np
@@ -15,6 +16,8 @@ from fg_orient.kernels.batch import batch
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.problem import Problem, State
+    from fg_orient.model.block import ImagePoints
+    from fg_orient.sensors.base import ImageModel
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -27,14 +30,30 @@ class Rows(NamedTuple):
     ----------
     residual : (n, 2) array
     image : (n, 2, k) array
-        Derivatives with respect to the unknowns of the point's image, prior sigmas; zeros beyond their number.
+        Derivatives with respect to the unknowns of the image, prior sigmas; rows end with zeros.
     ground : (n, 2, 3) array
-        Derivatives with respect to its ground point, m, also where that is not an unknown.
+        Derivatives with respect to the ground point, m, also of points that are not unknowns.
     """
 
     residual: Array
     image: Array
     ground: Array
+
+
+def whitened_records(
+    models: Sequence[ImageModel], observations: ImagePoints, ground_m: Array, origin_m: Array
+) -> Array:
+    """Records (n, d) of image points, whose residuals are in sigmas; ``ground_m`` (N, 3) ECEF."""
+    parts: list[tuple[Index, Array]] = []
+    for k, model in enumerate(models):
+        rows = np.flatnonzero(observations.image == k)
+        if len(rows):
+            o = observations.take(rows)
+            parts.append((rows, model.records(o, ground_m[o.point], origin_m)))
+    out = np.zeros((len(observations), max(part.shape[1] for _, part in parts)))
+    for rows, part in parts:
+        out[rows, : part.shape[1]] = part
+    return out
 
 
 def rows_by_image(problem: Problem) -> list[Index]:
@@ -45,7 +64,7 @@ def rows_by_image(problem: Problem) -> list[Index]:
 
 
 def image_rows(problem: Problem, state: State, k: int, rows: Index, *, jacobian: bool) -> tuple[Array, Array, Array]:
-    """Residuals (n, 2) of image points of one image and, if asked, Jacobians (n, 2, u) and (n, 2, 3); else empty.
+    """Residuals (n, 2) of image points of one image, and Jacobians (n, 2, u) and (n, 2, 3), empty if not requested.
 
     Parameters
     ----------
@@ -74,7 +93,7 @@ def image_rows(problem: Problem, state: State, k: int, rows: Index, *, jacobian:
 
 
 def refuse(problem: Problem, state: State, row: int) -> NoReturn:
-    """Raise an error that says what is wrong with the rows of an image point, from the scalar kernel of its equation.
+    """Raise the error for the rows of an image point that the scalar kernel of its equation shows.
 
     Raises
     ------
@@ -100,7 +119,7 @@ def residuals(problem: Problem, state: State) -> Array:
 
 
 def linearised(problem: Problem, state: State, rows: Index | None = None) -> Rows:
-    """Evaluate image points of any images: ``rows`` (n,) of ``problem.observations``, all of them if not given."""
+    """Evaluate image points of any images: ``rows`` (n,) of ``problem.observations``, by default all."""
     rows = np.arange(len(problem.observations)) if rows is None else rows
     image, n, size = problem.observations.image[rows], len(rows), np.diff(problem.first)
     out = Rows(np.empty((n, 2)), np.zeros((n, 2, int(size.max()))), np.empty((n, 2, 3)))
@@ -116,8 +135,8 @@ def linearised(problem: Problem, state: State, rows: Index | None = None) -> Row
 def side_by_side(problem: Problem, image: Index, d_image: Array) -> tuple[Array, Index, tuple[int, ...]]:
     """Jacobian (2n, u) of image points to the unknowns of all their images, one image after the other.
 
-    ``image`` (n,) are the images of the points, ``d_image`` their Jacobians as in :class:`Rows`. The columns come with
-    their places (u,) among the unknowns of all images, and with the images in the order in which they occur.
+    ``image`` (n,) are the images of the points, ``d_image`` their Jacobians as in :class:`Rows`. Further results: the
+    places (u,) of the columns among the unknowns of all images, and the images in the order of the columns.
     """
     images = tuple(dict.fromkeys(image.tolist()))
     parts = [np.arange(problem.first[k], problem.first[k + 1]) for k in images]

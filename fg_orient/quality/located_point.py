@@ -24,8 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.geometry import ellipsoid
-from fg_orient.adjustment.problem import Problem, State, whitened_records
-from fg_orient.adjustment.rows import linearised, side_by_side
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.rows import linearised, side_by_side, whitened_records
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.distributions import chi_square_limit, normal_quantile, normal_within
 from fg_orient.model.errors import InputError, NoSolutionError

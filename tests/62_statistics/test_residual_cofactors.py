@@ -9,8 +9,8 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
-from fg_orient.adjustment.problem import whitened_records
 from fg_orient.adjustment.robust import weighted_problem
+from fg_orient.adjustment.rows import whitened_records
 from fg_orient.model.block import Block
 from fg_orient.model.names import Role
 from fg_orient.orientation.solution import Solution
