@@ -1,10 +1,10 @@
 """Stages before a robust loss: least squares, then Huber's loss, resections or a schedule of surrogates.
 
-Metadata orientations are wrong by many sigmas, where bounded losses have no gradient. The first stage is therefore
-plain least squares. A redescending loss has several minima. It starts from the minimum of Huber's loss, which has one
-(Huber 1981, ch. 7.8), or from resections (:mod:`fg_orient.adjustment.resection`). Resections are accurate to a few
-sigmas, so the loss is first eight times as wide, then four times, twice and once. Huber's loss would not keep the
-resections: it ends at its only minimum, wherever it starts.
+Metadata orientations have errors of many sigmas, where bounded losses have no gradient. The first stage is therefore
+least squares. A redescending loss has several minima. It starts at the only minimum of Huber's loss (Huber 1981,
+ch. 7.8), or at resections (:mod:`fg_orient.adjustment.resection`). Resections are accurate to a few sigmas: the width
+of the loss is first eight times its final value, then four times, twice and once. Huber's loss would move away from the
+resections to its only minimum.
 
 The scale of the residuals (``robust_scale = "mad"``) is measured at the end of each stage and fixed during the next, so
 that every stage has a cost. Huber's stage is repeated until the scale has converged. The last stage keeps this scale
@@ -13,8 +13,8 @@ observation that is down-weighted.
 
 Graduated non-convexity (Yang, Antonante, Tzoumas & Carlone 2020) replaces a bounded loss by surrogates with a parameter
 mu. The first surrogate is so wide that it excludes no residual of the least-squares stage. Each stage is steeper than
-the last by a factor of 1.4 and starts from its state. Yang et al. hold the weights fixed within a stage; here weights
-follow each step, which minimises the same cost. The limit between inliers and outliers is a quantile of chi-square, so
+the last by a factor of 1.4 and starts at its end. Yang et al. fix the weights within a stage; here weights change with
+each step, which minimises the same cost. The limit between inliers and outliers is a quantile of chi-square, so
 residuals must be in sigmas.
 """
 
@@ -24,7 +24,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, Protocol, TypeVar
+from typing import Final, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -53,12 +53,12 @@ S = TypeVar("S")
 #: Values of mu: least squares, surrogates (from 0), the loss itself.
 PLAIN: Final = -1.0
 EXACT: Final = math.inf
-#: Values of mu for stages with Huber's loss: the first, then one less each.
+#: Value of mu for the first stage with Huber's loss; it decreases by one for each further stage.
 START: Final = -2.0
 #: Maximum number of these stages, and the relative change of the scale that ends them.
 START_STAGES: Final = 8
 SETTLED: Final = 0.01
-#: Values of mu after resections: WIDE - k has the loss 2^k times as wide.
+#: Values of mu after resections: for WIDE - k the width of the loss is multiplied by 2^k.
 WIDE: Final = -100.0
 FROM_RESECTIONS: Final = WIDE - 3.0
 #: Scaled step that ends a stage before the last, and maximum numbers of iterations of these stages.
@@ -69,7 +69,7 @@ WIDE_ITERATIONS: Final = 10
 STAGE_ITERATIONS: Final = 5
 #: Ratio of steepness between two surrogates (Yang et al. 2020, remark 5).
 FACTOR: Final = 1.4
-#: Above this mu truncated least squares and their surrogate differ only for residuals within 1e-4 of the limit.
+#: Above this mu, truncated least squares and the surrogate differ only for residuals within 1e-4 of the limit.
 LARGEST_MU: Final = 1e4
 
 
@@ -120,57 +120,73 @@ class Direct:
         return EXACT if settled or mu <= START - START_STAGES + 1.0 else mu - 1.0
 
 
-class Schedule(Protocol):
-    """Surrogates of a bounded loss; ``excess`` (n,) is the square of the residuals divided by their limits."""
+class Schedule(NamedTuple):
+    """Surrogates of a bounded loss, functions of u = residual / limit; ``excess`` (n,) are squares of u.
 
-    def first(self, largest: float) -> float:
-        """First mu, for the largest excess; EXACT if no surrogate is needed."""
-        ...
+    Parameters
+    ----------
+    first : callable
+        First mu, from the largest excess; EXACT if no surrogate is required.
+    next : callable
+        The mu after a stage, from its mu and the excesses at its end; EXACT for the loss itself.
+    weight, cost : callable
+        Weight and cost, from mu and u. They are functions of this module, so that worker processes can receive them.
+    """
 
-    def next(self, mu: float, excess: Array) -> float:
-        """The mu after a stage that ended with these excesses; EXACT for the loss itself."""
-        ...
-
-    def curves(self, mu: float) -> tuple[Curve, Curve]:
-        """Weight and cost of the surrogate, as functions of u = residual / limit."""
-        ...
-
-
-class GemanMcClure:
-    """Surrogate ``mu u^2 / (2 (mu + u^2))``, mu from twice the largest excess down to 1 (Yang et al. 2020, eq. 9)."""
-
-    def first(self, largest: float) -> float:
-        """See :class:`Schedule`."""
-        return 2.0 * largest if 2.0 * largest > 1.0 else EXACT
-
-    def next(self, mu: float, excess: Array) -> float:
-        """See :class:`Schedule`."""
-        return mu / FACTOR if mu > FACTOR else EXACT
+    first: Callable[[float], float]
+    next: Callable[[float, Array], float]
+    weight: Callable[[float, Array], Array]
+    cost: Callable[[float, Array], Array]
 
     def curves(self, mu: float) -> tuple[Curve, Curve]:
-        """See :class:`Schedule`."""
-        return partial(_geman_mcclure_weight, mu), partial(_geman_mcclure_cost, mu)
+        """Weight and cost of one surrogate."""
+        return partial(self.weight, mu), partial(self.cost, mu)
 
 
-class TruncatedLeastSquares:
-    """Surrogate with a band of falling weights, narrower as mu grows (Yang et al. 2020, eqs. 11, 14)."""
+def _geman_mcclure_weight(mu: float, u: Array) -> Array:
+    return GEMAN_MCCLURE.weight(u / math.sqrt(mu))
 
-    def first(self, largest: float) -> float:
-        """See :class:`Schedule`."""
-        return 1.0 / (2.0 * largest - 1.0) if largest > 1.0 else EXACT
 
-    def next(self, mu: float, excess: Array) -> float:
-        """See :class:`Schedule`; EXACT if no residual lies in the band."""
-        inside = (excess > mu / (mu + 1.0)) & (excess < (mu + 1.0) / mu)
-        return mu * FACTOR if inside.any() and mu < LARGEST_MU else EXACT
+def _geman_mcclure_cost(mu: float, u: Array) -> Array:
+    """Cost ``mu u^2 / (2 (mu + u^2))``, mu from twice the largest excess down to 1 (Yang et al. 2020, eq. 9)."""
+    return mu * GEMAN_MCCLURE.cost(u / math.sqrt(mu))
 
-    def curves(self, mu: float) -> tuple[Curve, Curve]:
-        """See :class:`Schedule`."""
-        return partial(_truncated_weight, mu), partial(_truncated_cost, mu)
+
+def _band(mu: float) -> tuple[float, float, float]:
+    """Ends of the band of decreasing weights, and the constant of its slope."""
+    return math.sqrt(mu / (mu + 1.0)), math.sqrt((mu + 1.0) / mu), math.sqrt(mu * (mu + 1.0))
+
+
+def _truncated_weight(mu: float, u: Array) -> Array:
+    """Weights with a band of decreasing weights, narrower as mu grows (Yang et al. 2020, eqs. 11, 14)."""
+    low, high, root = _band(mu)
+    return np.asarray(np.where(u <= low, 1.0, np.where(u < high, root / np.maximum(u, low) - mu, 0.0)))
+
+
+def _truncated_cost(mu: float, u: Array) -> Array:
+    low, high, root = _band(mu)
+    band = 2.0 * root * u - mu * (1.0 + u**2)
+    return np.asarray(0.5 * np.where(u <= low, u**2, np.where(u < high, band, 1.0)))
+
+
+def _truncated_next(mu: float, excess: Array) -> float:
+    """Next mu; EXACT if no residual lies in the band."""
+    inside = (excess > mu / (mu + 1.0)) & (excess < (mu + 1.0) / mu)
+    return mu * FACTOR if inside.any() and mu < LARGEST_MU else EXACT
 
 
 #: Losses with surrogates.
-SCHEDULES: Final[dict[str, Schedule]] = {"tls": TruncatedLeastSquares(), "geman_mcclure": GemanMcClure()}
+SCHEDULES: Final = {
+    "tls": Schedule(
+        lambda largest: 1.0 / (2.0 * largest - 1.0) if largest > 1.0 else EXACT,
+        _truncated_next, _truncated_weight, _truncated_cost,
+    ),
+    "geman_mcclure": Schedule(
+        lambda largest: 2.0 * largest if 2.0 * largest > 1.0 else EXACT,
+        lambda mu, excess: mu / FACTOR if mu > FACTOR else EXACT,
+        _geman_mcclure_weight, _geman_mcclure_cost,
+    ),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -191,7 +207,7 @@ class Graduated:
 
     @classmethod
     def of(cls, options: Options) -> Graduated:
-        """With limits from the inlier probability of the options."""
+        """Limits from the inlier probability of the options."""
         limits = [inlier_limit(options.inlier_probability, d) for d in (IMAGE, CONTROL)]
         return cls(options.loss, *limits)
 
@@ -205,46 +221,15 @@ class Graduated:
             weight, cost = SCHEDULES[self.loss].curves(mu)
         return Robust(ScaledLoss(weight, cost, self.image_limit), ScaledLoss(weight, cost, self.control_limit))
 
-    def excess(self, squares: tuple[Array, Array]) -> Array:
-        """Squared norms divided by squared limits, of image points, then control points."""
-        image, control = squares
-        return np.concatenate([image / self.image_limit**2, control / self.control_limit**2])
-
     def iterations(self, mu: float) -> int:
         """See :class:`Plan`."""
         return STAGE_ITERATIONS
 
     def following(self, mu: float, squares: tuple[Array, Array], settled: bool = True) -> float:
         """See :class:`Plan`."""
-        schedule, excess = SCHEDULES[self.loss], self.excess(squares)
+        schedule, (image, control) = SCHEDULES[self.loss], squares
+        excess = np.concatenate([image / self.image_limit**2, control / self.control_limit**2])
         return schedule.first(float(excess.max(initial=0.0))) if mu == PLAIN else schedule.next(mu, excess)
-
-
-# curves are functions of this module with mu bound, so that worker processes can receive them
-
-
-def _geman_mcclure_weight(mu: float, u: Array) -> Array:
-    return GEMAN_MCCLURE.weight(u / math.sqrt(mu))
-
-
-def _geman_mcclure_cost(mu: float, u: Array) -> Array:
-    return mu * GEMAN_MCCLURE.cost(u / math.sqrt(mu))
-
-
-def _band(mu: float) -> tuple[float, float, float]:
-    """Ends of the band of falling weights, and the constant of its slope."""
-    return math.sqrt(mu / (mu + 1.0)), math.sqrt((mu + 1.0) / mu), math.sqrt(mu * (mu + 1.0))
-
-
-def _truncated_weight(mu: float, u: Array) -> Array:
-    low, high, root = _band(mu)
-    return np.asarray(np.where(u <= low, 1.0, np.where(u < high, root / np.maximum(u, low) - mu, 0.0)))
-
-
-def _truncated_cost(mu: float, u: Array) -> Array:
-    low, high, root = _band(mu)
-    band = 2.0 * root * u - mu * (1.0 + u**2)
-    return np.asarray(0.5 * np.where(u <= low, u**2, np.where(u < high, band, 1.0)))
 
 
 def half_square(u: Array) -> Array:
@@ -253,7 +238,7 @@ def half_square(u: Array) -> Array:
 
 
 def stages_left(mus: Sequence[float]) -> int | None:
-    """Maximum number of stages after stages with these mus; None before two surrogates show the direction."""
+    """Maximum number of stages after stages with these mus; None with less than two surrogates."""
     different = list(dict.fromkeys(mu for mu in mus if mu >= 0.0))
     if len(different) < 2 or different[-1] == EXACT:
         return None
@@ -290,11 +275,11 @@ def run_stages(
     Parameters
     ----------
     optimise : callable
-        Optimiser of the loop: from what is carried, maximum number of iterations, step that ends it.
+        Optimiser of the loop; receives its input, maximum number of iterations and step that ends it.
     max_iterations : int
-        Of the last stage.
+        Maximum of the last stage.
     keep : callable
-        Receives what is carried from stage to stage.
+        Receives the input of each further stage.
     measure : callable
         Scale of the residuals at a state.
 
