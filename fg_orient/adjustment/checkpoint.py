@@ -1,4 +1,4 @@
-"""Checkpoints: what a loop carries, in a file, so that an interrupted run continues bit by bit.
+"""Checkpoints: the input of the next iteration in a file, so that an interrupted run continues bit by bit.
 
 The file contains the state, damping or radius, the stage and scale of the loss, the log, and a fingerprint of the
 problem. Robust weights follow from the state. The file is written whole or not at all.
@@ -30,8 +30,7 @@ Array = npt.NDArray[np.float64]
 
 FORMAT: Final = 3
 EVERY_S: Final = 60.0
-_NUMBERS: Final = ("control", "growth", "previous", "rejected", "rising", "begun_at", "mu", "image_scale",
-                   "control_scale")  # fmt: skip
+_NUMBERS: Final = tuple(f.name for f in fields(Carried) if f.name not in ("state", "log"))
 _WHOLE: Final = ("rejected", "rising", "begun_at")
 
 
@@ -47,7 +46,7 @@ class Checkpoint:
     resume : bool
         Continue from the file if it exists; otherwise it is overwritten.
     scope : str
-        Further inputs that change the last bits, such as the number of parts: a run continues in the same scope only.
+        Further inputs that change the last bits, such as the number of parts; it must be the same to continue a run.
 
     Raises
     ------
@@ -65,13 +64,7 @@ class Checkpoint:
         self._fingerprint = ""
 
     def keep(self, problem: Problem, backend: str, carried: Carried[State]) -> None:
-        """Store what is carried; write it if ``every_s`` has passed.
-
-        Raises
-        ------
-        InputError
-            The file cannot be written.
-        """
+        """Store the input of the next iteration; write it if ``every_s`` has passed."""
         if self._of is not problem:
             self._of, self._fingerprint = problem, ""
         self._pending = problem, backend, carried
@@ -79,12 +72,9 @@ class Checkpoint:
             self.write()
 
     def write(self) -> int | None:
-        """Write what was stored last; return the number of its iterations, or None without any.
+        """Write the last input and return its number of iterations; None if there is none.
 
-        Raises
-        ------
-        InputError
-            The file cannot be written.
+        InputError if the file cannot be written.
         """
         if self._pending is None:
             return None
@@ -102,7 +92,7 @@ class Checkpoint:
         return len(carried.log)
 
     def read(self, problem: Problem) -> tuple[str, Carried[State]] | None:
-        """Backend and what it carried; None without a file, or if the run shall not continue.
+        """Backend and input of its next iteration; None without a file or without ``resume``.
 
         Raises
         ------
@@ -126,7 +116,7 @@ class Checkpoint:
         return backend, carried
 
     def remove(self) -> None:
-        """Remove the file; the run has ended."""
+        """Remove the file after the end of the run."""
         self._pending = None
         self.path.unlink(missing_ok=True)
 
@@ -135,12 +125,10 @@ def _carried(arrays: dict[str, npt.NDArray[Any]]) -> Carried[State]:
     numbers = dict(zip(_NUMBERS, arrays["numbers"].tolist(), strict=True))
     numbers |= {name: int(numbers[name]) for name in _WHOLE}
     state = State(np.ascontiguousarray(arrays["image"]), np.ascontiguousarray(arrays["ground"]))
-    return Carried(state, log=tuple(_record(row) for row in arrays["log"].tolist()), **numbers)
-
-
-def _record(row: list[float]) -> IterationRecord:
-    values: dict[str, Any] = dict(zip((f.name for f in fields(IterationRecord)), row, strict=True))
-    return IterationRecord(**values | {"iteration": int(values["iteration"]), "accepted": bool(values["accepted"])})
+    names = [f.name for f in fields(IterationRecord)]
+    log = [dict(zip(names, row, strict=True)) for row in arrays["log"].tolist()]
+    records = (IterationRecord(**r | {"iteration": int(r["iteration"]), "accepted": bool(r["accepted"])}) for r in log)
+    return Carried(state, log=tuple(records), **numbers)
 
 
 def fingerprint(problem: Problem, scope: str = "") -> str:

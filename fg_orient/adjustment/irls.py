@@ -1,4 +1,4 @@
-"""Reweighted least squares whose weights are no loss: the original Danish method, least absolute values.
+"""Reweighted least squares with weights that belong to no loss: original Danish method, least absolute values.
 
 Each cycle solves the least-squares problem with the weights of the last cycle, and computes new weights from the
 whitened norms t of the residuals. Priors and extra observations keep weight 1.
@@ -9,15 +9,14 @@ exponent depends on the cycle and weights never increase again. The method there
 result depends on the sequence of cycles. :mod:`factors.losses.standard` has the form with a cost function.
 
 Least absolute values: ``w = 1 / max(t, eps)`` minimises the sum of t (Schlossmacher 1973; for 2 and 3 numbers the sum
-of lengths, Weiszfeld 1937). It has no constant: its efficiency at the normal distribution is 2/pi, pi/4 and 8/(3 pi)
-in 1, 2 and 3 dimensions.
+of lengths, Weiszfeld 1937). It has no tuning constant. Its efficiency at the normal distribution is 2/pi, pi/4 and 8/(3
+pi) in 1, 2 and 3 dimensions.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Final, Generic, Protocol, TypeVar
+from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -40,15 +39,15 @@ DANISH_EXPONENTS: Final = (4.4, 3.0)
 DANISH_FIRST: Final = 3
 #: Lower bound of the norms of the least absolute values, in sigmas.
 EPSILON: Final = 1e-3
-#: Cycles end when no whitened norm has changed by more. Weiszfeld's steps shrink slowly: further digits are expensive.
+#: Largest change of a whitened norm at the end. Weiszfeld's steps shrink slowly: further digits are expensive.
 TOLERANCE: Final = 1e-2
 CYCLES: Final = 200
 
 
 class Rule(Protocol):
-    """New weights of one group from the last ones and the norms of whitened residuals.
+    """New weights of one group from the last weights and the norms of whitened residuals.
 
-    ``cycle`` counts from 1; ``dimension`` is the number of residuals behind a norm; ``sigma0`` is a posteriori.
+    ``cycle`` counts from 1; ``dimension`` is the number of residuals of a norm; ``sigma0`` is a posteriori.
     """
 
     def __call__(self, last: Array, norm: Array, cycle: int, dimension: int, sigma0: float) -> Array:  # noqa: D102
@@ -56,31 +55,30 @@ class Rule(Protocol):
 
 
 def danish_limit(dimension: int) -> float:
-    """Norm that a good observation exceeds with the probability of 2.5 sigmas in one dimension."""
+    """Norm with the probability of 2.5 sigmas in one dimension."""
     return inlier_limit(float(chi_square_probability(1.0, DANISH_LIMIT**2)), dimension)
 
 
 def danish_original(last: Array, norm: Array, cycle: int, dimension: int, sigma0: float) -> Array:
-    """See the head of the module."""
+    """Weights of the Danish method; see the module docstring."""
     exponent, r = DANISH_EXPONENTS[0 if cycle <= DANISH_FIRST else 1], norm / max(sigma0, 1.0)
     factor = np.exp(-DANISH_FACTOR * np.where(r > danish_limit(dimension), r, 0.0) ** exponent)
     return np.maximum(last * factor, FLOOR)
 
 
 def least_absolute(last: Array, norm: Array, cycle: int, dimension: int, sigma0: float) -> Array:
-    """See the head of the module."""
+    """Weights of least absolute values; see the module docstring."""
     return np.asarray(1.0 / np.maximum(norm, EPSILON))
 
 
-#: By the name that the option ``loss`` takes (``fg_orient.adjustment.robust.IN_CYCLES``).
+#: Rules by the value of the option ``loss`` (``fg_orient.adjustment.robust.IN_CYCLES``).
 RULES: Final[dict[str, Rule]] = {"danish_original": danish_original, "lad": least_absolute}
-#: Residuals behind the norms of :func:`norms_at`.
+#: Dimensions of the norms of :func:`norms_at`.
 DIMENSIONS: Final = (IMAGE, CONTROL)
 
 
-@dataclass(frozen=True)
-class Reweighted(Generic[S]):
-    """End of the cycles: last fit and its weights, number of cycles, whether the norms had converged."""
+class Reweighted(NamedTuple, Generic[S]):
+    """End of the cycles: last fit and its weights, number of cycles, whether the norms have converged."""
 
     fit: S
     weights: tuple[Array, ...]
@@ -101,15 +99,15 @@ def reweight(
     Parameters
     ----------
     fit : callable
-        Least squares with weights, one array per group of observations, starting at the last fit. The first call has
-        no fit (None) and no weights, which means 1.
+        Least squares with weights, one array per group of observations, starting at the last fit. The first call
+        receives None as fit and no weights, which means 1.
     norms : callable
         Whitened norms of the residuals, one array per group.
     sigma0 : callable
         A posteriori standard deviation of unit weight of a fit.
     rule : Rule
     dimensions : tuple of int
-        Residuals behind each norm, by group.
+        Residuals of each norm, by group.
     """
     last_fit = fit((), None)
     norm = norms(last_fit)
@@ -131,7 +129,7 @@ def norms_at(problem: Problem, state: State) -> tuple[Array, Array]:
 
 
 def weights_of(problem: Problem, groups: tuple[Array, ...]) -> Weights:
-    """Weights from those of image points and observed control points; none: 1."""
+    """Weights of the problem from weights of image points and observed control points; by default 1."""
     control = np.ones(len(problem.observed))
     if not groups:
         return Weights(np.ones(len(problem.observations)), control)
@@ -139,8 +137,7 @@ def weights_of(problem: Problem, groups: tuple[Array, ...]) -> Weights:
     return Weights(groups[0], control)
 
 
-@dataclass(frozen=True)
-class CycleResult:
+class CycleResult(NamedTuple):
     """End of a cycle: state and weighted sum of squares."""
 
     state: State
@@ -152,8 +149,8 @@ def cycles_on_arrays(
 ) -> Callable[[tuple[Array, ...], CycleResult | None], CycleResult]:
     """Weighted least squares on the Schur backend for :func:`reweight`.
 
-    The problem is compiled once: compiling takes many times as long as the two or three iterations of a cycle. The
-    weights of a cycle multiply the rows as the weights of a loss do. ``callback`` receives each iteration.
+    The problem is compiled once, which takes many times as long as the two or three iterations of a cycle. The weights
+    multiply the rows, like the weights of a loss. ``callback`` receives each iteration.
     """
     from fg_orient.adjustment.schur import SchurBackend
 

@@ -1,14 +1,15 @@
-"""Memory that an adjustment will need, estimated before it is allocated, and available memory.
+"""Memory required by an adjustment, estimated before it is allocated, and available memory.
 
 The estimate includes the arrays of the problem, the backend and the statistics; a run above the limit is refused with
-both values. Constants per image point are measured at 1e6 image points; the arrays of the dense backend and the reduced
-matrix are counted. The block itself is in memory already.
+both values. Constants per image point are measured at 1e6 image points. The arrays of the dense backend and the reduced
+matrix are counted. The estimate does not include the block, which is in memory already.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -24,17 +25,17 @@ from fg_orient.model.block import Block
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 
-#: Default share of the available memory that a run may take.
+#: Default limit as share of the available memory.
 SHARE: Final = 0.8
 #: Bytes per image point: arrays of the Schur backend; factors, values, linear graph and Bayes tree of GTSAM; start
 #: values and results (cofactors, tables, report).
 SCHUR: Final = 400
 GRAPH: Final = 13_000
 RESULTS: Final = 400
-#: Bytes per image point of the statistics of every observation, and of those whose Jacobians are held at once.
+#: Bytes per image point of the statistics of every observation, and of Jacobians that are in memory at once.
 STATISTICS: Final = 700
 STATISTICS_CHUNK: Final = 300
-#: Bytes that do not grow with the block: models, names, records of the run.
+#: Bytes that do not depend on the block: models, names, records of the run.
 FIXED: Final = 500_000
 #: Numbers per ground point in problem, state and results.
 PER_POINT: Final = 60
@@ -58,7 +59,7 @@ class Need:
         return self.allowed is None or self.needed <= self.allowed
 
     def as_dict(self) -> dict[str, object]:
-        """The record of a result."""
+        """For the record of a result."""
         return {"backend": self.backend, "needed_bytes": self.needed, "allowed_bytes": self.allowed}
 
     def problem(self, name: str) -> Finding:
@@ -75,14 +76,14 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
     Parameters
     ----------
     block : Block
-        With the options of the run.
+        Its options are those of the run.
     elsewhere : bool
-        Other machines eliminate the ground points: their arrays are not in this memory.
+        Whether other machines eliminate the ground points, whose arrays are then not in this memory.
 
     Raises
     ------
     InputError
-        An image whose sensor has no model.
+        A sensor has no image model.
     """
     options = block.options
     models = image_models(block.images, options)
@@ -94,19 +95,19 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
     working = {"schur": _schur, "graph": _graph, "dense": _dense}[backend](block, n, u, max(sizes))
     if backend == "schur" and elsewhere:
         working -= n * SCHUR
-    elif backend == "schur" and n <= ALL_KEPT:  # small blocks keep their records once more, in another order
+    elif backend == "schur" and n <= ALL_KEPT:  # small blocks have a second copy of their records
         working += n * records
     working += _statistics(len(block.images), n, max(sizes)) if full_statistics(options, n, u) else 0
     return Need(backend, int(FIXED + common + working + n * RESULTS), allowed_bytes(options.memory_limit_gb))
 
 
 def _statistics(images: int, n: int, widest: int) -> float:
-    """Cofactors and reliability of all image points; pairs of images, turned twice."""
+    """Cofactors and reliability of all image points; two arrays of the pairs of images."""
     return n * STATISTICS + min(n, CHUNK) * STATISTICS_CHUNK + 2 * 8 * widest**2 * images * (images + 1) / 2
 
 
 def _schur(block: Block, n: int, u: int, widest: int) -> float:
-    """Working set, reduced matrix with factor and inverse, blocks of pairs of images and the sums they are made of."""
+    """Working set, reduced matrix with factor and inverse, blocks of pairs of images and their sums."""
     images = len(block.images)
     whole = 3 * 8 * u**2 if u <= WHOLE_LIMIT else 0
     return n * SCHUR + whole + (2 + LEAST_CHUNKS) * 8 * widest**2 * images * (images + 1) / 2
@@ -143,13 +144,12 @@ def allowed_bytes(limit_gb: float | None) -> int | None:
 
 
 def available_bytes() -> int | None:
-    """Memory that this process can still allocate: the less of system and control group."""
-    known = [*_of_system(), *_of_group()]
-    return min(known) if known else None
+    """Memory that this process can still allocate, by the system and the control groups."""
+    return min([*_of_system(), *_of_group()], default=None)
 
 
 def _of_system() -> Iterator[int]:
-    """``MemAvailable``; elsewhere the free pages."""
+    """``MemAvailable`` of Linux; for other systems the free pages."""
     try:
         rows = dict(line.split(":", 1) for line in _MEMINFO.read_text("ascii").splitlines() if ":" in line)
         yield 1024 * int(rows["MemAvailable"].split()[0])
@@ -160,31 +160,25 @@ def _of_system() -> Iterator[int]:
 
 
 def _of_group() -> Iterator[int]:
-    """Memory left in the control groups of this process (versions 2 and 1); reclaimable file memory counts as free.
+    """Free memory in the control groups of this process (versions 2 and 1), including reclaimable file memory.
 
-    The limit of an unlimited group is a word or a huge number.
+    The limit of an unlimited group is a word or a very large number.
     """
     for limit, usage, reclaimable, folder in _group_files():
         try:
             most, used = (int((folder / name).read_text("ascii")) for name in (limit, usage))
         except (OSError, ValueError):
             continue
-        free = _number_of(folder / "memory.stat", reclaimable)
+        free = 0
+        with suppress(OSError, ValueError):
+            lines = (folder / "memory.stat").read_text("ascii").splitlines()
+            free = sum(int(line.split()[1]) for line in lines if line.startswith(f"{reclaimable} "))
         if most < np.iinfo(np.int64).max // 2:
             yield max(most - used + free, 0)
 
 
-def _number_of(path: Path, name: str) -> int:
-    """The number that follows a name at the beginning of a line; 0 without one."""
-    try:
-        lines = path.read_text("ascii").splitlines()
-    except (OSError, ValueError):
-        return 0
-    return sum(int(line.split()[1]) for line in lines if line.startswith(f"{name} "))
-
-
 def _group_files() -> Iterator[tuple[str, str, str, Path]]:
-    """Names of limit, use and reclaimable part, and the folders from the own group up to the root of all."""
+    """Names of limit, use and reclaimable part, and folder, from the group of this process up to the root."""
     two = ("memory.max", "memory.current", "inactive_file")
     one = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
     try:

@@ -1,10 +1,10 @@
 """Threads, garbage collection and freed memory during an adjustment.
 
-Kernels release the interpreter and run in parallel in a few threads that are kept. A graph of thousands of factors
-makes no garbage, but each turn of the collector costs 7 us per factor. Each elimination of a graph frees megabytes of
-small blocks: glibc returns the top of its heap to the system as soon as 128 KiB of it are free, and gets it back page
-by page in the next iteration. Both measured (benchmarks/graph_cost.py): without :func:`calm_memory` an elimination of
-3 000 image points takes twice as long, and the cost per image point differs between small and large blocks.
+Kernels release the interpreter and run in parallel in a few permanent threads. A graph of thousands of factors produces
+no garbage, but each garbage collection costs 7 us per factor. Each elimination of a graph frees megabytes of small
+blocks. glibc returns the top of its heap to the system as soon as 128 KiB of it are free, and requests it again page
+by page in the next iteration. Without :func:`calm_memory` an elimination of 3 000 image points takes twice as long, and
+the cost per image point differs between small and large blocks (measured with benchmarks/graph_cost.py).
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Workers:
         return [own, *(result for result, _ in others)]
 
     def _results(self, mates: tuple[_Mate, ...]) -> list[tuple[Any, BaseException | None]]:
-        """Wait for all threads; after an interrupt they are replaced, because their results would be the next ones."""
+        """Wait for all threads; after an interrupt they are replaced, because their results would come later."""
         try:
             return [mate.outbox.get() for mate in mates]
         except BaseException:
@@ -71,7 +71,7 @@ class Workers:
             raise
 
     def _others(self) -> tuple[_Mate, ...]:
-        """Threads besides the caller's, kept: starting one takes 0.1 to 0.5 ms. A forked process starts new ones."""
+        """Further threads, permanent: a start takes 0.1 to 0.5 ms. A forked process starts new threads."""
         if not self._mates or self._process != os.getpid():
             self._mates, self._process = tuple(_Mate() for _ in range(self.threads - 1)), os.getpid()
             for mate in self._mates:
@@ -80,7 +80,7 @@ class Workers:
 
     def _bounds(self, cuts: int | Index) -> list[int]:
         """Ends of the parts, the first being 0."""
-        last = cuts if isinstance(cuts, int) else len(cuts) - 1  # items that cost nothing may stand at the end
+        last = cuts if isinstance(cuts, int) else len(cuts) - 1  # items without cost may be at the end
         if self.threads == 1:
             return [0, last]
         if isinstance(cuts, int):
@@ -93,7 +93,7 @@ class Workers:
 class _Mate:
     """One thread that runs the tasks of its inbox until None, and returns (result, error).
 
-    Two queues cost some microseconds per call, the futures of a pool several times as much.
+    Two queues cost a few microseconds per call; futures of a pool cost several times as much.
     """
 
     def __init__(self) -> None:
@@ -103,7 +103,7 @@ class _Mate:
 
 
 def _work(inbox: SimpleQueue[Any], outbox: SimpleQueue[Any]) -> None:
-    """Body of a thread; it refers to the queues only, so that it ends with its owner."""
+    """Loop of a thread; it references only the queues, so that it ends with its owner."""
     while (task := inbox.get()) is not None:
         kernel, lo, hi, arguments = task
         try:
@@ -118,18 +118,15 @@ M_TRIM_THRESHOLD: Final = -1
 M_MMAP_THRESHOLD: Final = -3
 #: Free bytes at the top of the heap that are kept. glibc's own limit is 64 MiB for a process with large arrays.
 KEPT_BYTES: Final = 256 << 20
-#: Size from which blocks come directly from the system: the upper limit of glibc's own rule, which a value disables.
+#: Size from which blocks come directly from the system: upper limit of glibc's adaptive rule, which a value disables.
 OWN_MAPPING_BYTES: Final = 32 << 20
 
 
 @cache
 def keep_freed_memory() -> bool:
-    """Let glibc keep up to `KEPT_BYTES` of freed memory for the next iteration, for the rest of the process.
+    """Let glibc keep up to `KEPT_BYTES` of freed memory for the rest of the process.
 
-    Returns
-    -------
-    bool
-        Whether the allocator took it; False where the C library is another one (musl, macOS, Windows).
+    Returns whether the allocator accepts it; False for other C libraries (musl, macOS, Windows).
     """
     if not sys.platform.startswith("linux"):
         return False
