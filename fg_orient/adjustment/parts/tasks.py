@@ -112,7 +112,7 @@ class _Part:
         """The state, its ground points from memory or from their file."""
         self.backend.robust = at.robust
         if at.name not in self._ground:
-            self._ground = {START: self._ground[START], at.name: read_ground(at)}
+            self._ground = {START: self._ground[START], at.name: read_ground(at.folder, at.part, at.name)}
         return State(at.image, self._ground[at.name])
 
     def system(self, at: At) -> SchurSystem:
@@ -139,7 +139,7 @@ def _task(function: Callable[Concatenate[_Part, At, P], T]) -> Callable[Concaten
     """Make a task of a part. Only one runs at a time, although workers may have threads or run abandoned tasks."""
 
     @functools.wraps(function)
-    def run(at: At, *arguments: P.args, **named: P.kwargs) -> T:
+    def run(at: At, /, *arguments: P.args, **named: P.kwargs) -> T:
         key = at.folder, at.part
         with _OPENING:
             if key not in _PARTS:
@@ -170,9 +170,9 @@ def write_ground(folder: str | Path, part: int, name: str, ground: Array) -> Non
     write_bytes(_ground_file(folder, part, name), stream.getvalue(), durable=False)
 
 
-def read_ground(at: At) -> Array:
+def read_ground(folder: str | Path, part: int, name: str) -> Array:
     """Read the ground points (P, 3) of a part; InputError if this process has no access to the file."""
-    path = _ground_file(at.folder, at.part, at.name)
+    path = _ground_file(folder, part, name)
     try:
         return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
     except (OSError, ValueError, EOFError) as error:
