@@ -1,32 +1,32 @@
-"""Reduction of a set of image unknowns, one at a time, with criteria and cross-validation of each model.
+"""Stepwise reduction of a set of image unknowns, with criteria and cross-validation of each model.
 
 Backward: the least significant coefficient is dropped and the block adjusted again, as long as its probability is
-above the level. Forward: starting with the best single coefficient, the most significant further coefficient is added,
-as long as it is significant. A coefficient belongs to all images; it is tested by F over the images that have it
-(``fg_orient.quality.significance``). A step tests many coefficients, so the level of each is Sidak's.
+above the level. Forward: the first coefficient is the most significant one alone; then the most significant further
+coefficient is added, as long as it is significant. A coefficient belongs to all images; an F test covers all images
+that have it (``fg_orient.quality.significance``). A step tests many coefficients at Sidak's level.
 
-Criteria, unit weight unknown, n observations, k unknowns and the unit weight::
+Criteria for n observations and k unknowns, including the unit weight::
 
     -2 ln L = n (ln(2 pi v^T v / n) + 1) + sum ln sigma_i^2
     AIC = -2 ln L + 2k,  AICc = AIC + 2k(k + 1)/(n - k - 1),  BIC = -2 ln L + k ln n
 
 (Akaike 1974; Hurvich & Tsai 1989; Schwarz 1978). With priors an unknown counts by the share that the observations
-determine, 1 - q_jj, and v are residuals of observations only.
+determine, 1 - q_jj, and v excludes residuals of priors.
 
-Cross-validation leaves control points out of the adjustment, with their image points, and predicts them: in the image
-by projection with the adjusted orientation, on the ground by intersection of their rays. Check points stay sealed.
+Cross-validation excludes control points and their image points from the adjustment and predicts them: in the image by
+projection with the adjusted orientation, on the ground by intersection of their rays. Check points stay sealed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.problem import Problem
 from fg_orient.model.block import Block, Coordinates, WithheldCoordinates
 from fg_orient.model.distributions import sidak
 from fg_orient.model.errors import InputError, NoSolutionError, RankDeficientError
@@ -38,6 +38,8 @@ from fg_orient.quality.significance import GroupTest, group_test, places_of
 
 Array = npt.NDArray[np.float64]
 Direction = Literal["backward", "forward"]
+#: Ground points that are excluded together.
+Parts = Sequence[Sequence[int]]
 
 #: Probability of a false choice in one step, over all coefficients of the step.
 LEVEL: Final = 0.05
@@ -90,12 +92,9 @@ def _rms_length(errors: Array) -> float | None:
 
 
 def folds_of(block: Block, count: int = 0) -> Parts:
-    """Divide the measured control points: each alone, or into ``count`` random parts of about one size.
+    """Divide the measured control points into parts of one point, or into ``count`` random parts of similar size.
 
-    Raises
-    ------
-    InputError
-        Fewer control points than parts, or only one.
+    InputError if there is one part only, or fewer control points than parts.
     """
     control = block.points.where(Role.CONTROL)
     control = control[np.isin(control, block.observations.point)]
@@ -108,15 +107,9 @@ def folds_of(block: Block, count: int = 0) -> Parts:
 
 
 def cross_validate(block: Block, folds: Parts, **options: Any) -> CrossValidation:
-    """Leave each part out once and predict it from the others.
+    """Exclude each part (:func:`folds_of`) once and predict it from the others.
 
-    Parameters
-    ----------
-    block : Block
-    folds : tuple of tuples of int
-        Control points left out together (:func:`folds_of`).
-    **options
-        Of :func:`fg_orient.adjust`, which raises its errors if a part cannot be left out.
+    ``options`` are those of :func:`fg_orient.adjust`, which raises its errors if a part cannot be excluded.
     """
     image, ground, ids = [np.zeros((0, 2))], [np.zeros((0, 3))], list[str]()
     check_points = options.pop("check_points", None) or block.options.check_points
@@ -135,7 +128,7 @@ def cross_validate(block: Block, folds: Parts, **options: Any) -> CrossValidatio
 
 
 def left_out(block: Block, fold: Sequence[int]) -> Block:
-    """Make these control points check points, without the rays of points in a single image."""
+    """Make check points of these control points, without image points that are alone."""
     points, o, known, chosen = block.points, block.observations, block.points.known, np.array(fold, np.intp)
     gone = np.isin(np.arange(len(points.ids)), chosen)
     sealed = Coordinates(known.ecef_m[chosen], known.sigma_enu_m[chosen], known.fixed[chosen])
@@ -148,7 +141,7 @@ def left_out(block: Block, fold: Sequence[int]) -> Block:
 
 
 def _without_check_points(block: Block, *, keep_rays: bool) -> Block:
-    """Check points as tie points, or without their rays; their coordinates are not opened."""
+    """Make tie points of check points, or remove their image points; their coordinates are not opened."""
     points, check = block.points, block.points.where(Role.CHECK)
     roles = tuple(Role.TIE if role is Role.CHECK else role for role in points.roles)
     keep = ~np.isin(block.observations.point, check) | keep_rays
@@ -161,7 +154,7 @@ def _without_check_points(block: Block, *, keep_rays: bool) -> Block:
 
 @dataclass(frozen=True)
 class Criteria:
-    """Criteria of one model; None where a value does not exist.
+    """Criteria of one model.
 
     Parameters
     ----------
@@ -170,10 +163,8 @@ class Criteria:
     k : float
         Number of unknowns that the observations determine, plus one for the unit weight.
     sigma0 : float
-    log_likelihood, aic, bic : float or None
-        None where the model fits exactly: the likelihood has no maximum.
-    aicc : float or None
-        Also None where n <= k + 1.
+    log_likelihood, aic, aicc, bic : float or None
+        None for an exact fit, whose likelihood has no maximum; ``aicc`` also if n <= k + 1.
     """
 
     n: int
@@ -193,11 +184,11 @@ class Step:
     ----------
     unknowns : tuple of str
     changed : str
-        Coefficient dropped or added to reach this model; "" for the first.
+        Coefficient that was dropped or added; "" for the first model.
     test : GroupTest or None
-        Test of that coefficient.
+        Test of this coefficient.
     tests : tuple of GroupTest
-        Of all coefficients of this model, least significant first.
+        Tests of all coefficients of the model, least significant first.
     criteria : Criteria
     validation : CrossValidation or None
     """
@@ -218,10 +209,10 @@ class Reduction:
     ----------
     direction : str
     level : float
-        Of each step.
+        Level of each step.
     steps : tuple of Step
     solution : Solution
-        Of the last model.
+        Solution of the last model.
     """
 
     direction: Direction
@@ -236,7 +227,7 @@ class Reduction:
 
     @property
     def closest_set(self) -> tuple[int, tuple[str, ...], tuple[str, ...]] | None:
-        """EOP set with the fewest differences: number, further and missing coefficients; None without EOP."""
+        """EOP set with the fewest differences; see :func:`closest_eop_set`."""
         return closest_eop_set(self.unknowns)
 
     def best(self, criterion: str) -> Step:
@@ -270,7 +261,7 @@ class Reduction:
 
 
 def closest_eop_set(unknowns: Iterable[str]) -> tuple[int, tuple[str, ...], tuple[str, ...]] | None:
-    """First EOP set that differs least from these unknowns; None without EOP. See :attr:`Reduction.closest_set`."""
+    """EOP set with the fewest differences: number, further and missing coefficients; None without EOP."""
     eop = [parameter_name(code) for code in range(N_EOP)]
     mine = set(unknowns) & set(eop)
     if not mine:
@@ -293,14 +284,14 @@ def reduce_unknowns(
     Parameters
     ----------
     block : Block
-        Its options name the set to begin with, or to choose from. Gross errors and variance components are found with
-        the whole set and kept for all models.
+        Its options name the whole set. Gross errors and variance components are determined with the whole set and kept
+        for all models.
     direction : str
         "backward" or "forward".
     level : float
         Probability of a false choice in one step.
     folds : int, optional
-        Parts of the control points for the cross-validation of every model; 0: leave one out. Default: none.
+        Parts of the control points for the cross-validation of every model; 0: one point each. Default: none.
     progress : callable, optional
         Called before each adjustment.
     **options
@@ -331,11 +322,11 @@ class _Runs:
     def __init__(self, block: Block, options: dict[str, Any], progress: Progress | None, folds: int | None) -> None:
         self._block, self._options, self._count = block, options, folds
         self._folds: Parts = () if folds is None else folds_of(block, folds)
-        self._tell, self._done, self.most = progress or (lambda done, most, text: None), 0, 1
+        self._report, self._done, self.most = progress or (lambda done, most, text: None), 0, 1
 
     def adjust(self, unknowns: tuple[str, ...]) -> Solution:
-        """Adjust with these unknowns; (): those of the options."""
-        self._tell(self._done, self.most, f"{len(unknowns)} unknowns" if unknowns else "all unknowns")
+        """Adjust with these unknowns; by default those of the options."""
+        self._report(self._done, self.most, f"{len(unknowns)} unknowns" if unknowns else "all unknowns")
         self._done += 1
         given = {**self._options, **({"image_unknowns": unknowns} if unknowns else {})}
         solution = adjust(self._block, **given)
@@ -345,7 +336,7 @@ class _Runs:
         return solution
 
     def keep(self, full: Solution, most: int) -> None:
-        """Keep the gross errors and variance components of the first model for all others."""
+        """Use gross errors and variance components of the first model for all others."""
         self.most = most
         self._block = replace(full.block, options=replace(full.block.options, snoop=False, variance_components=()))
         self._options = {k: v for k, v in self._options.items() if k not in ("snoop", "variance_components")}
@@ -357,7 +348,7 @@ class _Runs:
         tests = sorted((coefficient_test(solution, name) for name in unknowns), key=lambda t: -t.probability)
         validation = None
         if self._folds:
-            self._tell(self._done, self.most, f"cross-validation of {len(unknowns)} unknowns")
+            self._report(self._done, self.most, f"cross-validation of {len(unknowns)} unknowns")
             validation = cross_validate(self._block, self._folds, image_unknowns=unknowns, **self._options)
         return Step(unknowns, changed, test, tuple(tests), criteria(solution), validation)
 
@@ -389,61 +380,39 @@ def _backward(run: _Runs, full: Solution, every: tuple[str, ...], level: float) 
 
 
 def _forward(run: _Runs, every: tuple[str, ...], level: float) -> list[tuple[Step, Solution]]:
-    """Add the most significant coefficient until none is significant; the first is the best alone."""
+    """Add the most significant coefficient until none is significant; the first one is always added."""
     steps: list[tuple[Step, Solution]] = []
     while True:
         chosen = steps[-1][0].unknowns if steps else ()
-        trials: list[tuple[float, float, str, GroupTest, Solution]] = []
-        for name in every:
-            if name in chosen:
-                continue
+        trials: list[tuple[GroupTest, tuple[str, ...], Solution]] = []
+        for name in (n for n in every if n not in chosen):
             trial = tuple(n for n in every if n in (*chosen, name))
-            try:
+            with suppress(InputError, RankDeficientError):  # an image without unknowns, or with an unobservable one
                 solution = run.adjust(trial)
-            except (InputError, RankDeficientError):  # an image without unknowns, or with an unobservable one
-                continue
-            test = coefficient_test(solution, name)
-            trials.append((test.probability, -test.statistic, name, test, solution))
+                trials.append((coefficient_test(solution, name), trial, solution))
         if not trials:
             return steps
-        p, _, name, test, solution = min(trials, key=lambda t: t[:3])
-        if steps and p > sidak(level, len(trials)):
+        test, taken, solution = min(trials, key=lambda t: (t[0].probability, -t[0].statistic, t[0].group))
+        if steps and test.probability > sidak(level, len(trials)):
             return steps
-        taken = tuple(n for n in every if n in (*chosen, name))
-        steps.append((run.step(solution, taken, name, test), solution))
+        steps.append((run.step(solution, taken, test.group, test), solution))
 
 
 def criteria(solution: Solution) -> Criteria:
     """Criteria of the model of a solution."""
-    problem = solution.problem
-    squares, n, log_sigma = _observed(problem, solution)
-    k = 1.0 + 3.0 * int(problem.active.sum()) + _determined(solution)
+    problem, q = solution.problem, solution.required_cofactors()
+    priors, o, known = problem.block.options.priors, problem.observations, problem.block.points.known
+    x = problem.image_vector(solution.state) if priors else np.zeros(0)
+    squares, n = solution.chi2 - float(x @ x), problem.n_observations - len(x)
+    log_sigma = np.log(o.sigma_line_px).sum() + np.log(o.sigma_sample_px).sum()
+    log_sigma += np.log(known.sigma_enu_m[problem.observed]).sum()
+    determined = float(problem.n_free_unknowns)
+    if priors:
+        determined = sum(float(np.sum(1.0 - np.diag(q.image(k)))) for k in range(problem.n_images))
+    k = 1.0 + 3.0 * int(problem.active.sum()) + determined
     if squares <= 0.0:  # an exact fit: the likelihood has no maximum
         return Criteria(n, k, solution.sigma0, None, None, None, None)
-    log_likelihood = float(-0.5 * (n * (np.log(2.0 * np.pi * squares / n) + 1.0) + 2.0 * log_sigma))
+    log_likelihood = float(-0.5 * (n * (np.log(2.0 * np.pi * squares / n) + 1.0) + 2.0 * float(log_sigma)))
     aic = float(-2.0 * log_likelihood + 2.0 * k)
     aicc = aic + 2.0 * k * (k + 1.0) / (n - k - 1.0) if n > k + 1.0 else None
     return Criteria(n, k, solution.sigma0, log_likelihood, aic, aicc, float(-2.0 * log_likelihood + k * np.log(n)))
-
-
-def _observed(problem: Problem, solution: Solution) -> tuple[float, int, float]:
-    """Weighted squares of the observations without priors, their number, and the sum of ln sigma."""
-    o, seen = problem.observations, problem.observed
-    x = problem.image_vector(solution.state) if problem.block.options.priors else np.zeros(0)
-    n = problem.n_observations - len(x)
-    logs = np.log(o.sigma_line_px).sum() + np.log(o.sigma_sample_px).sum()
-    logs += np.log(problem.block.points.known.sigma_enu_m[seen]).sum()
-    return solution.chi2 - float(x @ x), n, float(logs)
-
-
-def _determined(solution: Solution) -> float:
-    """Number of image unknowns, each counted by the share that the observations determine."""
-    problem, q = solution.problem, solution.required_cofactors()
-    if not problem.block.options.priors:
-        return float(problem.n_free_unknowns)
-    return sum(float(np.sum(1.0 - np.diag(q.image(k)))) for k in range(problem.n_images))
-
-
-Index = npt.NDArray[np.intp]
-#: Ground points that are left out together.
-Parts = Sequence[Sequence[int]]
