@@ -1,6 +1,6 @@
 """Small adjustments of any registered equations: variables, observations with a sigma, hard conditions.
 
-A hard condition has sigma 0: its residual vanishes at the solution. The dense backend borders the normal equations with
+A hard condition has sigma 0: its residual vanishes at the solution. The dense backend extends the normal equations by
 correlates (Helmert; Ayhan 1996, eqs. 107-110):
 
     [N + d I  C^T] [x]   [-J^T r]
@@ -22,7 +22,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-#: A row of a hard condition is dependent if less than this part of its length is orthogonal to the rows before it.
+#: Limit for the part of a condition's row that is orthogonal to the rows before; below it the row is dependent.
 DEPENDENT: Final = 1e-10
 
 
@@ -45,12 +45,13 @@ class Variable:
     Parameters
     ----------
     name : str
-        For messages.
+        Name for messages.
     start : (k,) array
+        Approximate values.
     labels : tuple of str
-        Of the elements.
+        Names of the elements.
     is_point : bool
-        GTSAM holds it as a Point3.
+        Whether GTSAM uses a Point3.
     """
 
     name: str
@@ -67,14 +68,14 @@ class Observation:
     ----------
     equation : Equation
     unknowns : tuple of int or array
-        A variable by its number, or a constant, per argument of the equation.
+        For each argument of the equation the number of a variable, or a constant.
     record, setup : arrays
         See ``factors._contract``.
     n_residuals : int
     label : str
-        For messages.
+        Name for messages.
     hard : bool
-        The residual must vanish.
+        Whether the residual must vanish.
     """
 
     equation: Equation
@@ -86,9 +87,8 @@ class Observation:
     hard: bool = False
 
 
-@dataclass(frozen=True)
-class NetworkRows:
-    """Residuals and derivatives at a state: soft ones (n,), (n, u), hard ones (h,), (h, u)."""
+class NetworkRows(NamedTuple):
+    """Residuals and derivatives at a state: of observations (n,), (n, u), of hard conditions (h,), (h, u)."""
 
     residual: Array
     design: Array
@@ -98,13 +98,7 @@ class NetworkRows:
 
 @dataclass(frozen=True)
 class Network:
-    """Variables and what was observed of them.
-
-    Parameters
-    ----------
-    variables : tuple of Variable
-    observations : tuple of Observation
-    """
+    """Variables and their observations."""
 
     variables: tuple[Variable, ...]
     observations: tuple[Observation, ...]
@@ -120,18 +114,13 @@ class Network:
 
     @cached_property
     def n_hard(self) -> int:
-        """Hard conditions."""
+        """Number of hard conditions."""
         return sum(o.n_residuals for o in self.observations if o.hard)
-
-    @cached_property
-    def n_soft(self) -> int:
-        """Observations with a sigma."""
-        return sum(o.n_residuals for o in self.observations if not o.hard)
 
     @property
     def redundancy(self) -> int:
         """Observations and conditions minus unknowns."""
-        return self.n_soft + self.n_hard - self.n_unknowns
+        return sum(o.n_residuals for o in self.observations) - self.n_unknowns
 
     @property
     def start(self) -> Array:
@@ -144,7 +133,7 @@ class Network:
         return [f"{v.name} {label}".strip() for v in self.variables for label in v.labels]
 
     def part(self, k: int) -> slice:
-        """Where a variable stands in a state."""
+        """Elements of a variable in a state."""
         return slice(self.first[k], self.first[k + 1])
 
     def rows(self, state: Array, *, jacobian: bool = True) -> NetworkRows:
@@ -168,7 +157,7 @@ class Network:
     def evaluated(self, o: Observation, state: Array, *, jacobian: bool) -> tuple[Array, Array]:
         """Residual (m,) and derivatives (m, u) of an observation."""
         x = [u if isinstance(u, np.ndarray) else state[self.part(u)] for u in o.unknowns]
-        with np.errstate(all="ignore"):  # what overflows is not finite, which is refused by name
+        with np.errstate(all="ignore"):  # values that are not finite are refused with their label
             blocks = o.equation.kernel(o.record, o.setup, *x, jacobian)
         sizes = tuple(len(v) for v in x) if jacobian else ()
         check_blocks(o.equation.name, o.label, blocks if jacobian else blocks[:1], sizes, o.n_residuals)
@@ -203,12 +192,12 @@ class Merit:
         self.rho: Array = np.zeros(network.n_hard)
 
     def __call__(self, rows: NetworkRows) -> float:
-        """Value with the correlates of the last step."""
+        """Value for the correlates of the last step."""
         c = rows.condition
         return 0.5 * float(rows.residual @ rows.residual) + float(self.correlates @ c + 0.5 * (self.rho * c) @ c)
 
     def weigh(self, rows: NetworkRows) -> None:
-        """Set the weights of the conditions: the curvature of the sum of squares along them."""
+        """Set the weights of the conditions to the curvature of the sum of squares along them."""
         squares = np.sum(rows.border**2, axis=1)
         self.rho = np.sum((rows.design @ rows.border.T) ** 2, axis=0) / np.where(squares > 0.0, squares, 1.0) ** 2
 
@@ -221,7 +210,7 @@ class NetworkSystem:
 
     @property
     def error(self) -> float:
-        """See ``loop.System``; with the correlates of the last step."""
+        """See ``loop.System``; for the correlates of the last step."""
         return self._merit(self.rows)
 
     def solve(self, damping: float) -> NetworkStep:
@@ -267,7 +256,7 @@ class NetworkBackend(ABC):
 
     @abstractmethod
     def solver(self, state: Array, rows: NetworkRows) -> Solve:
-        """Solver of the equations linearised at a state."""
+        """Solver of the equations that are linearised at a state."""
 
     @abstractmethod
     def cofactors(self, state: Array) -> list[Array]:
@@ -342,7 +331,7 @@ class GraphNetwork(NetworkBackend):
                 linear.add(gtsam.JacobianFactor(k, np.sqrt(damping) * np.eye(n), np.zeros(n), unit))
         try:
             delta = linear.optimize(self.ordering, gtsam.EliminateQR)
-        except RuntimeError as error:  # GTSAM's message: a page about its own variable numbers
+        except RuntimeError as error:  # GTSAM's message is long and names its keys
             raise RuntimeError("singular normal equations") from error
         return np.concatenate([delta.at(k) for k in range(len(self.network.variables))])
 
@@ -358,8 +347,8 @@ def _bordered(rows: NetworkRows, damping: float) -> tuple[Array, Array]:
     """Normal matrix bordered by the conditions, scaled to a unit diagonal, and the scale of all its columns."""
     u, h = rows.design.shape[1], len(rows.condition)
     normal = rows.design.T @ rows.design
-    # unknowns of hard conditions only have no diagonal: they take the length of their condition. The damping's root
-    # would make columns of 1e6 and more, in which the points are lost in rounding.
+    # unknowns that occur only in hard conditions have no diagonal: their scale is the length of the conditions. The
+    # root of the damping would give columns of 1e6 and more, and rounding would exceed the points.
     known = np.where(normal.diagonal() > 0.0, normal.diagonal(), np.sum(rows.border**2, axis=0))
     normal += damping * np.eye(u)
     across = 1.0 / np.sqrt(np.where(known > 0.0, known, 1.0))
@@ -374,13 +363,7 @@ def _bordered(rows: NetworkRows, damping: float) -> tuple[Array, Array]:
 
 
 def bordered_step(rows: NetworkRows, damping: float) -> Array:
-    """Step (u,) of the bordered normal equations.
-
-    Raises
-    ------
-    RuntimeError
-        They are singular.
-    """
+    """Step (u,) of the bordered normal equations; RuntimeError if they are singular."""
     matrix, scale = _bordered(rows, damping)
     right = -np.concatenate([rows.design.T @ rows.residual, rows.condition])
     try:
@@ -399,10 +382,10 @@ def bordered_inverse(rows: NetworkRows) -> Array:
 
 
 def dependent(network: Network, rows: NetworkRows) -> str:
-    """Label of the first hard observation whose rows depend on those before it; "" if none does."""
+    """Label of the first hard observation whose rows depend on earlier rows; "" without such an observation."""
     labels = [o.label for o in network.observations if o.hard for _ in range(o.n_residuals)]
     length = np.linalg.norm(rows.border, axis=1)
     triangle = np.asarray(np.linalg.qr((rows.border / np.where(length > 0.0, length, 1.0)[:, None]).T, mode="r"))
-    independent = np.zeros(len(labels))  # more rows than unknowns: the last ones are dependent
+    independent = np.zeros(len(labels))  # with more rows than unknowns the last rows are dependent
     independent[: len(triangle)] = np.abs(triangle.diagonal())
     return next((labels[k] for k in np.flatnonzero(independent <= DEPENDENT)), "")

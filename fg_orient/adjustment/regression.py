@@ -19,7 +19,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,7 @@ from fg_orient.adjustment.loop import (
     Callback,
     IterationRecord,
     LoopResult,
+    Optimizer,
     delayed_levenberg_marquardt,
     gauss_newton,
 )
@@ -62,21 +63,22 @@ class CurveFit:
     ----------
     parameters : (u,) array
     residuals : (n,) array
-        Model minus observation, in its unit.
+        Model minus observation, in the unit of the observation.
     chi2 : float
-        Weighted sum of squares of the residuals; their sum of squares where no sigma was given.
+        Weighted sum of squares of the residuals; without sigmas their sum of squares.
     redundancy : int
         n - u.
     cofactors : (u, u) array or None
-        Inverse of ``J^T W J``; None if unknowns are not determined, which ``withheld`` names.
+        Inverse of ``J^T W J``; None if unknowns are not determined (``withheld``).
     redundancy_numbers : (n,) array or None
-        Share of each observation's error that its residual shows; their sum is the redundancy.
+        Share of the error of each observation in its residual; their sum is the redundancy.
     converged : bool
     reason : str
         Reason for the end of the iteration.
     log : tuple of IterationRecord
-        ``chi2`` there is in units of the loop.
+        Its ``chi2`` is in units of the loop.
     withheld : str
+        Reason why there are no cofactors.
     """
 
     parameters: Array
@@ -97,7 +99,7 @@ class CurveFit:
 
     @property
     def sigma0(self) -> float | None:
-        """Standard deviation of unit weight, of one observation where no sigma was given; None without redundancy."""
+        """Standard deviation of unit weight; without sigmas of one observation; None without redundancy."""
         return float(np.sqrt(self.chi2 / self.redundancy)) if self.redundancy > 0 else None
 
     @cached_property
@@ -109,12 +111,12 @@ class CurveFit:
 
     @cached_property
     def standard_deviations(self) -> Array | None:
-        """Of the parameters (u,); None without redundancy or cofactors."""
+        """Standard deviations (u,) of the parameters; None without redundancy or cofactors."""
         return None if self.covariance is None else np.sqrt(self.covariance.diagonal())
 
     @cached_property
     def correlations(self) -> Array | None:
-        """Of the parameters (u, u); None without cofactors."""
+        """Correlations (u, u) of the parameters; None without cofactors."""
         if self.cofactors is None:
             return None
         root = np.sqrt(self.cofactors.diagonal())
@@ -138,8 +140,8 @@ def fit_curve(
     Parameters
     ----------
     model : callable
-        ``model(x, b1, ..., bu)`` gives (n,) values. Without ``jacobian`` it must also take complex parameters
-        (arithmetic and the analytic functions of numpy do).
+        ``model(x, b1, ..., bu)`` gives (n,) values. Without ``jacobian`` it must accept complex parameters (arithmetic
+        and analytic functions of numpy do).
     x : array
         First argument of the model.
     y : (n,) array
@@ -147,7 +149,7 @@ def fit_curve(
     start : (u,) array
         Start values.
     sigma : (n,) array or float, optional
-        Standard deviations of the observations; default 1, and sigma0 is then that of one observation.
+        Standard deviations of the observations; default 1: sigma0 is then the standard deviation of an observation.
     jacobian : callable, optional
         ``jacobian(x, b1, ..., bu)`` gives the (n, u) derivatives; default: complex steps, exact to rounding.
     optimizer : str
@@ -167,14 +169,9 @@ def fit_curve(
     NoSolutionError
         The model has no finite derivatives at an iterate, or Gauss-Newton's equations are singular.
     """
-    loops: dict[str, Callable[[_Backend, _Point], LoopResult[_Point]]] = {
-        "levenberg-marquardt": lambda backend, point: delayed_levenberg_marquardt(
-            backend, point, max_iterations, callback, shrink=SHRINK_REWEIGHTED
-        ),
-        "gauss-newton": lambda backend, point: gauss_newton(
-            backend, point, max_iterations, callback, shrink=SHRINK_REWEIGHTED
-        ),
-    }
+    loops: dict[str, Optimizer] = {
+        "levenberg-marquardt": delayed_levenberg_marquardt, "gauss-newton": gauss_newton,
+    }  # fmt: skip
     if optimizer not in loops:
         raise InputError.of("curve.optimizer", place="optimizer", value=optimizer, known=", ".join(loops))
     b, observed = _numbers(start, "start", "(u,) start values"), _numbers(y, "y", "(n,) observations")
@@ -185,7 +182,8 @@ def fit_curve(
     backend.require_sound(b)
     with one_blas_thread():
         try:
-            result = loops[optimizer](backend, _Point(b, np.zeros(len(b))))
+            start_point = _Point(b, np.zeros(len(b)))
+            result = loops[optimizer](backend, start_point, max_iterations, callback, shrink=SHRINK_REWEIGHTED)
             return _conclude(backend, result)
         except (NotFiniteError, _Singular) as error:
             raise NoSolutionError.of("curve.lost", value=error) from error
@@ -208,18 +206,17 @@ def _weights(sigma: npt.ArrayLike | None, n: int) -> Array:
     return np.asarray(1.0 / np.broadcast_to(given, n))
 
 
-@dataclass(frozen=True)
-class _Point:
-    """Parameters and the scales of their columns at the step before; see the module docstring."""
+class _Point(NamedTuple):
+    """Parameters and the scales of their columns at the last step; see the module docstring."""
 
     parameters: Array
     scale: Array
 
 
 class _Backend:
-    """A function and its observations, as ``loop.Backend``; residuals in units of ``unit`` weighted observations.
+    """A function and its observations as ``loop.Backend``; ``unit`` is the unit of residuals in the loop.
 
-    ``unit`` is sqrt(eps) times their root mean square: a better fit is rounding.
+    It is sqrt(eps) times the root mean square of the weighted observations: smaller residuals are rounding.
     """
 
     def __init__(self, model: Model, jacobian: Model | None, x: Any, y: Array, weight: Array) -> None:
@@ -246,7 +243,7 @@ class _Backend:
             return out * self.weight[:, None]
 
     def require_sound(self, b: Array) -> None:
-        """Refuse a model of the wrong shape or wrong derivatives."""
+        """Raise InputError for a model with a wrong shape or wrong derivatives."""
         with np.errstate(all="ignore"):
             value = np.asarray(self._model(self._x, *b))
         n = len(self.y)
@@ -275,7 +272,7 @@ class _Backend:
         return (ends[1] - ends[0]) / (2.0 * h), 10.0 * EPS * float(np.linalg.norm(values)) / h
 
     def linearise(self, state: _Point) -> _System:
-        """Linearise; raises NotFiniteError where the derivatives are not finite."""
+        """Linearise; NotFiniteError for derivatives that are not finite."""
         return _System(self, state)
 
     def error(self, state: _Point) -> float:
@@ -323,13 +320,7 @@ class _System:
         self._offset = 1.0 / (np.sqrt(u) * sigma0)
 
     def solve(self, damping: float) -> _Step:
-        """Step of Gauss-Newton or, damped, with its second-order correction.
-
-        Raises
-        ------
-        RuntimeError
-            An unknown is not determined.
-        """
+        """Gauss-Newton step, or damped step with second-order correction; _Singular if an unknown is not determined."""
         against = self._factor(damping)
         first = against(self.residual)
         with np.errstate(over="ignore"):
@@ -342,7 +333,7 @@ class _System:
         return _Step(_Point(step / self.scale, self.scale), length, predicted)
 
     def _factor(self, damping: float) -> Callable[[Array], Array]:
-        """Solver of the damped equations: residuals (n,) to the scaled step (u,) against them."""
+        """Solver of the damped equations: from residuals (n,) to the scaled step (u,)."""
         u, rows = len(self._b), self.triangle
         if damping > 0.0:
             rows = np.vstack([rows, np.sqrt(damping) * np.eye(u)])
@@ -354,7 +345,7 @@ class _System:
         return lambda right: np.asarray(-solve_triangular(upper, onto @ right, check_finite=False))
 
     def _acceleration(self, first: Array, against: Callable[[Array], Array]) -> Array:
-        """Second derivative of the path (u,); nan if it is not small relative to the step."""
+        """Second derivative (u,) of the path; nan if it is not small relative to the step."""
         beyond = self._backend.residuals(self._b + PROBE * first / self.scale)
         if np.isfinite(beyond).all() and np.abs(beyond).max() < LARGEST:
             second = against(2.0 / PROBE * ((beyond - self.residual) / PROBE - self.design @ first))
