@@ -3,22 +3,22 @@
 Start values that resist many gross errors are least median or least trimmed squares, image by image. Random subsets of
 5 to 9 control points of **one image** give its orientation by resection at the measured coordinates. The subset whose
 residuals have the least median (LMS, Rousseeuw 1984) or the least trimmed sum (LTS) of squared lengths is kept. A
-subset of the whole block would have to be free of gross errors in hundreds of observations, a subset of an image in
-five. Observations that fit the best subset within 2.5 scales are adjusted again by least squares, with the scale::
+subset of the whole block must be free of gross errors in hundreds of observations, a subset of an image in five only.
+Observations that fit the best subset within 2.5 scales are adjusted again by least squares, with the scale::
 
     s = c (1 + 5 / (n - u)) sqrt(med),   c = 1.4826 in one dimension, 0.8493 for image points (median of chi2_2)
 
-with n residuals and u unknowns that they determine. Images with too few control points follow later, from points that
-two oriented images locate. The sigmas of control and located points are propagated to the image: whitening uses
-``I + C Q C^T``. Each ground point then starts where most of its rays and its measured coordinates agree: the least sum
-of squares cut off at 2.5 scales, among the intersections of pairs of its rays and the measured coordinates. (The least
-median cannot judge a point with two rays: their intersection always fits.)
+with n residuals and u unknowns that they determine. Images with too few control points follow, from points that two
+oriented images locate. The sigmas of control and located points are propagated to the image: whitening uses
+``I + C Q C^T``. The start of a ground point is the candidate with the least sum of squares, each limited to 2.5 scales:
+candidates are intersections of pairs of rays and the measured coordinates. (The least median is of no use for a point
+with two rays, whose intersection always fits.)
 
-The number of subsets keeps the probability that none is free of gross errors below 1 - :data:`CERTAINTY`, if
+The number of subsets keeps the probability that all contain gross errors below 1 - :data:`CERTAINTY`, if
 :data:`SHARE` of the image points are wrong.
 
-Check points that took no part are located after the adjustment (:func:`locate_points`): the whitened conditions of all
-rays are minimised over the three coordinates with the adjusted orientation held fixed. The same Jacobians propagate
+Check points outside the adjustment are located afterwards (:func:`locate_points`): the whitened conditions of all rays
+are minimised over the three coordinates with the adjusted orientation held fixed. The same Jacobians propagate
 image noise and orientation cofactors: ``G = (A^T A)^-1 A^T``, ``Q = G (I + B Q_ee B^T) G^T``.
 """
 
@@ -28,7 +28,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -49,33 +49,22 @@ CERTAINTY: Final = 0.999
 SHARE: Final = 0.4
 #: Least and largest number of image points of a subset; half the number of determined unknowns within these limits.
 SIZES: Final = (5, 9)
-#: Minimum number of points of an image outside a subset, which assess it.
+#: Minimum number of points of an image that are not in a subset and assess it.
 JUDGES: Final = 2
 SEED: Final = 1984
 #: Linearisations: at the metadata, and at the result of the first.
 ROUNDS: Final = 2
-#: Probability of the limit beyond which observations are left out (2.5 sigmas in one dimension).
+#: Probability of the limit above which observations are excluded (2.5 sigmas in one dimension).
 KEPT: Final = 0.98758
 #: Pairs of rays tried per ground point.
 MOST_PAIRS: Final = 28
 
 
-@dataclass(frozen=True)
-class Resection:
+class Resection(NamedTuple):
     """Orientation of one image from its control points, or from points located by other images.
 
-    Parameters
-    ----------
-    unknowns : (u,) array
-        Prior sigmas.
-    rows : (n,) int array
-        Image points used.
-    kept : (n,) bool array
-        Image points that fit.
-    scale : float
-        Scale s in sigmas.
-    size, subsets : int
-        Image points of a subset; number of subsets.
+    Its fields are the unknowns (u,) in prior sigmas, the image points used (n,) and a mask of those that fit, the scale
+    s in sigmas, the number of image points of a subset, and the number of subsets.
     """
 
     unknowns: Array
@@ -105,8 +94,7 @@ def resection_start(compiled: Problem, method: str, seed: int = SEED) -> tuple[S
     Raises
     ------
     InputError
-        An image has too few control points and points located by other images; names all such images. Images share
-        unknowns.
+        Images have too few control points and located points (names all these images), or share unknowns.
     """
     if compiled.ties is not None:
         raise InputError.of("frame.shared_not", option="robust_start", value=method, id=", ".join(compiled.ties.ids))
@@ -123,7 +111,7 @@ def resection_start(compiled: Problem, method: str, seed: int = SEED) -> tuple[S
 class _Pass:
     """Resections of all images, linearised at given unknowns: first images with control, then their neighbours.
 
-    ``known``: control points and points located so far; ``cofactors`` (N, 3, 3) m^2 of these.
+    ``known`` are control points and located points, ``cofactors`` (N, 3, 3) their cofactors, m^2.
     """
 
     def __init__(self, compiled: Problem, image: Array, method: str, seed: int) -> None:
@@ -141,7 +129,7 @@ class _Pass:
         return State(self.image, self.ground)
 
     def run(self) -> None:
-        """Resect all images; errors as of :func:`resection_start`."""
+        """Resect all images; errors: see :func:`resection_start`."""
         o, least = self.compiled.observations, SIZES[0] + JUDGES
         while len(self.resections) < self.compiled.n_images:
             left = {k: own[self.known[o.point[own]]] for k, own in enumerate(self.rows) if k not in self.resections}
@@ -169,7 +157,7 @@ class _Pass:
         self.known |= wanted
 
     def located(self, wanted: npt.NDArray[np.bool_], usable: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Coordinates (N, 3), local m, where most of the usable rays (and measured coordinates) agree; cofactors."""
+        """Coordinates (N, 3), local m, with the least limited sum of squares of the usable rays; their cofactors."""
         compiled, o = self.compiled, self.compiled.observations
         scale = max(1.0, float(np.median([r.scale for r in self.resections.values()])))
         v, _, c = linearised(compiled, self.state)
@@ -217,7 +205,7 @@ def _whitened(compiled: Problem, state: State, cofactors: Array, k: int, rows: I
 
 
 def _draw(n: int, size: int, rng: np.random.Generator) -> Index:
-    """Subsets (m, size) of n; all of them where that is not more."""
+    """Random subsets (m, size) of n, or all subsets if these are not more."""
     m = subset_count(size)
     if math.comb(n, size) <= m:
         return np.array(list(combinations(range(n), size)), dtype=np.intp)
@@ -290,7 +278,7 @@ class LocatedPoints:
     index : (n,) int array
         Ground points.
     lost : (m,) int array
-        Points without coordinates: their steps did not converge, because their rays hardly intersect.
+        Points without coordinates: their steps do not converge, because their rays hardly intersect.
     """
 
     problem: Problem
