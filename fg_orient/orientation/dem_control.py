@@ -1,9 +1,8 @@
-"""An elevation model as control: heights of points observed from it, with a sigma.
+"""An elevation model as control: observations of heights of points, with a sigma.
 
-The height of a point above the model is one more observation; the model is replaced by a plane at the point's last
-place (``factors.conditions.control``). The planes are read again at the adjusted places until the points no
-longer move, because the place decides on the slope. This fixes the height of a block with tie points on open ground and
-little control; on slopes also the position.
+The height of a point above the model is an observation. The model is replaced by a plane at the last position of the
+point (``factors.conditions.control``). The planes are read again at the adjusted positions until the points no longer
+move. This fixes the height of a block with tie points on open ground and little control; on slopes also the position.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ __all__ = ["DemAdjustment", "adjust_with_dem"]
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: Half the step over which slopes are read; rounds, and the largest movement of a point in the last round.
+#: Half the distance for slopes; maximum number of rounds; largest movement of a point in the last round.
 SLOPE_M: Final = 1.0
 MAX_ROUNDS: Final = 10
 REST_M: Final = 1e-3
@@ -43,11 +42,11 @@ class DemAdjustment:
     Parameters
     ----------
     solution : Solution
-        Of the last round.
+        Solution of the last round.
     dem : str
         Name of the model.
     ids : tuple of str
-        Points whose heights were observed.
+        Points with observed heights.
     outside : tuple of str
         Points without a height in the model.
     height_m : (n,) array
@@ -55,7 +54,7 @@ class DemAdjustment:
     sigma_m : float
         Standard deviation of a height.
     rounds : int
-        Number of adjustments, the first without the model.
+        Number of adjustments, including the first one without the model.
     moved_m : float
         Largest movement of a point in the last round; above 1 mm the points are still moving.
     """
@@ -75,7 +74,7 @@ class DemAdjustment:
         return self.moved_m <= REST_M
 
     def as_dict(self) -> dict[str, Any]:
-        """Give the entry ``dem_control`` of ``result.json``."""
+        """Entry ``dem_control`` of ``result.json``."""
         h = self.height_m
         return {
             "dem": self.dem, "sigma_m": self.sigma_m, "n": len(self.ids), "outside": list(self.outside),
@@ -87,13 +86,13 @@ class DemAdjustment:
 def adjust_with_dem(
     block: Block, dem: HeightSurface, sigma_m: float, *, roles: Sequence[Role] = (Role.TIE,), **options: Any
 ) -> DemAdjustment:
-    """Adjust a block with heights of its points observed from an elevation model.
+    """Adjust a block with heights of its points as observations from an elevation model.
 
     Parameters
     ----------
     block : Block
     dem : HeightSurface
-        For instance ``RasterDem("dem.tif")``: ellipsoidal heights.
+        Ellipsoidal heights, such as ``RasterDem("dem.tif")``.
     sigma_m : float
         Standard deviation of a height of the model at a point.
     roles : sequence of Role
@@ -108,7 +107,7 @@ def adjust_with_dem(
     Raises
     ------
     InputError
-        Invalid sigma, the Schur backend, no point over the model, or the block cannot be adjusted.
+        Invalid sigma, the Schur backend, no point on the model, or a block that cannot be adjusted.
     """
     if not (np.isfinite(sigma_m) and sigma_m > 0.0):
         raise InputError.of("dem_control.sigma", place="sigma_m", value=sigma_m)
@@ -135,7 +134,7 @@ def adjust_with_dem(
 def height_observations(
     block: Block, dem: HeightSurface, sigma_m: float, ground_m: Array, points: Index, origin_m: Array
 ) -> tuple[Index, tuple[ExtraObservation, ...]]:
-    """Observed heights of points above the planes of an elevation model at their present places.
+    """Points (m,) with observed heights above the planes of an elevation model, and their observations.
 
     Parameters
     ----------
@@ -143,15 +142,11 @@ def height_observations(
     dem : HeightSurface
     sigma_m : float
     ground_m : (n, 3) array
-        Places of all points of the block, ECEF m; nan if unknown.
+        Coordinates of all points of the block, ECEF m; nan if unknown.
     points : (k,) int array
-        Points to observe; points without place, height or slope are left out.
+        Points to observe; points without coordinates, height or slope are excluded.
     origin_m : (3,) array
         Local origin of the ground unknowns (``Problem.origin_m``).
-
-    Returns
-    -------
-    (m,) int array of the points observed, and their observations
     """
     placed = points[np.isfinite(ground_m[points]).all(axis=1)]
     at = np.ascontiguousarray(ground_m[placed])

@@ -1,7 +1,7 @@
-"""A run repeated from its record, and every value of the new result held against the old one.
+"""Repetition of a run from its record, and comparison of all values of both results.
 
-The project file is read again with the options that had replaced its own. Inputs are known by their SHA-256. Times,
-memory and the names of folders are not compared, as they belong to the occasion; all else must agree to the last bit.
+The project file is read again with the recorded options. Inputs are identified by their SHA-256. Times, memory and
+names of folders are not compared; all other values must agree to the last bit.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from fg_orient.sensors.correction import HeightSurface
 
 Record = dict[str, Any]
-#: Entries of ``result.json`` that belong to the occasion; how a stopped run was gone on with is one of them.
+#: Entries of ``result.json`` that differ between runs: times, memory, folders, continuation of an interrupted run.
 OCCASION: Final = (
     "seconds", "memory", "us_per_observation_iteration", "resumed_at_iteration", "out", "provenance",
 )  # fmt: skip
@@ -37,26 +37,26 @@ TABLES: Final = (
 
 @dataclass(frozen=True)
 class Replay:
-    """What a repeated run came to.
+    """Result of a repeated run.
 
     Parameters
     ----------
     out : str or None
-        Result folder of the repeated run; None if it had no solution.
+        Result folder of the repeated run; None without solution.
     status : str
-        Of the repeated run.
+        Status of the repeated run.
     inputs : tuple of Finding
-        Inputs that changed, are missing or are new; empty unless they were allowed.
+        Allowed inputs that changed, are missing or are new.
     n_inputs : int
-        Inputs of the first run.
+        Number of inputs of the first run.
     n_compared : int
-        Values of ``result.json`` compared.
+        Number of compared values of ``result.json``.
     differences : tuple of dict
-        ``key``, ``then``, ``now`` of each value that differs; None where there is none.
+        ``key``, ``then``, ``now`` of each value that differs; None for a missing value.
     tables : dict
-        For each table, whether it is the same byte by byte.
+        For each table, whether its bytes are equal.
     versions : tuple of dict
-        ``name``, ``then``, ``now`` of the software and platform that differ.
+        ``name``, ``then``, ``now`` of software and platform that differ.
     """
 
     out: str | None
@@ -70,11 +70,11 @@ class Replay:
 
     @property
     def equal(self) -> bool:
-        """Whether every value and every table came out again."""
+        """Whether all values and tables are equal."""
         return not self.differences and all(self.tables.values())
 
     def as_dict(self) -> Record:
-        """Give the record of the command ``replay``."""
+        """Record of the command ``replay``."""
         return {
             "equal": self.equal, "status": self.status, "out": self.out, "n_inputs": self.n_inputs,
             "inputs": [p.as_dict() for p in self.inputs], "versions": list(self.versions),
@@ -99,11 +99,11 @@ def replay(
     folder : Path
         Result folder of ``adjust``; it is only read.
     out : Path, optional
-        Result folder to come; default: of the same name with "-replay", beside it.
+        New result folder; default: ``folder`` with "-replay" added to its name.
     project : Path, optional
-        The project file; default: of the recorded name, in the folder above.
+        Project file; default: the recorded name in the parent of ``folder``.
     allow_changed : bool
-        Go on with inputs that changed, as far as the project can be read.
+        Continue with changed inputs if the project can be read.
     overwrite : bool
         Replace an existing folder ``out``.
     callback, stage : callable, optional
@@ -116,7 +116,7 @@ def replay(
     Raises
     ------
     InputError
-        The record does not suffice, inputs are missing or changed, or ``out`` may not be written.
+        The record is incomplete, inputs are missing or changed, or ``out`` cannot be written.
     """
     old, repeat = _read(folder)
     folder = folder if folder.name not in ("", "..") else folder.resolve()
@@ -127,12 +127,12 @@ def replay(
     recorded = {entry["file"]: entry["sha256"] for entry in old["provenance"]["inputs"]}
     dem = repeat["dem_control"]
     known = recorded if dem is None else {**recorded, dem["file"]: dem["sha256"]}
-    found = dict(_changed_files(path.parent, known))
-    _refuse(found, allow_changed)
+    changes = dict(_changed_files(path.parent, known))
+    _refuse(changes, allow_changed)
 
     def check(block: Block) -> None:
-        found.update(changed_sources(block, path.parent, recorded))
-        _refuse(found, allow_changed)
+        changes.update(changed_sources(block, path.parent, recorded))
+        _refuse(changes, allow_changed)
 
     new = run_project(
         path, out, overwrite=overwrite, options=repeat["options"], execution=_execution(repeat), check=check,
@@ -142,7 +142,7 @@ def replay(
     )  # fmt: skip
     n, differences = compare_records(old, json.loads(_text(out)) if new["out"] else new)
     return Replay(
-        new["out"], new["status"], tuple(found.values()), len(known), n, differences,
+        new["out"], new["status"], tuple(changes.values()), len(known), n, differences,
         compare_tables(folder, out) if new["out"] else {}, _versions(old["provenance"]),
     )  # fmt: skip
 
@@ -152,7 +152,7 @@ def _text(folder: Path) -> str:
 
 
 def _read(folder: Path) -> tuple[Record, Record]:
-    """The record of a result, and what it says of how to repeat it."""
+    """Record of a result, and its entry for the repetition."""
     file = folder / RESULT_FILE
     if not file.is_file():
         raise InputError.of("report.no_result", file=folder, place="DIR", value=f"no {RESULT_FILE}")
@@ -167,7 +167,7 @@ def _read(folder: Path) -> tuple[Record, Record]:
 
 
 def _project_file(folder: Path, old: Mapping[str, Any], given: Path | None) -> Path:
-    """The project file: the first input of a run."""
+    """Project file: the first input of a run."""
     name = old["provenance"]["inputs"][0]["file"]
     path = folder.parent / name if given is None else given
     if not path.is_file():
@@ -176,7 +176,7 @@ def _project_file(folder: Path, old: Mapping[str, Any], given: Path | None) -> P
 
 
 def _changed_files(folder: Path, recorded: Mapping[str, str]) -> Iterator[tuple[str, Finding]]:
-    """Inputs in the project's folder whose content is another one, before anything is read from them."""
+    """Inputs in the project's folder with changed content; their values are not read."""
     for name, digest in recorded.items():
         path = folder / name
         if path.is_file() and (now := sha256_of(path)) != digest:
@@ -184,7 +184,7 @@ def _changed_files(folder: Path, recorded: Mapping[str, str]) -> Iterator[tuple[
 
 
 def changed_sources(block: Block, folder: Path, recorded: Mapping[str, str]) -> Iterator[tuple[str, Finding]]:
-    """Inputs that a block was read from against those of the run."""
+    """Differences between the sources of a block and the inputs of the run."""
     now = {relative(source.path, folder): source for source in block.sources}
     for name, source in now.items():
         if name not in recorded:
@@ -200,13 +200,13 @@ def _changed(path: Path, then: str, now: str) -> Finding:
     return finding("replay.changed", file=path, then=f"{then[:12]}...", now=f"{now[:12]}...")
 
 
-def _refuse(found: Mapping[str, Finding], allowed: bool) -> None:
-    if found and not allowed:
-        raise InputError(*found.values())
+def _refuse(changes: Mapping[str, Finding], allowed: bool) -> None:
+    if changes and not allowed:
+        raise InputError(*changes.values())
 
 
 def _execution(repeat: Mapping[str, Any]) -> dict[str, Any]:
-    """In parts as then, on one process: the numbers do not depend on the workers."""
+    """The same parts, in one process: results do not depend on the workers."""
     return {"parts": repeat["parts"], "workers": 1} if repeat["in_parts"] else {}
 
 
@@ -224,16 +224,13 @@ def _versions(kept: Mapping[str, Any]) -> tuple[Record, ...]:
     return tuple({"name": n, "then": then.get(n), "now": now.get(n)} for n in then | now if then.get(n) != now.get(n))
 
 
-# --- comparison ------------------------------------------------------------------------------------
-
-
 def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[int, tuple[Record, ...]]:
-    """Compare two records ``result.json``, all but what belongs to the occasion.
+    """Compare two records ``result.json`` except for :data:`OCCASION`.
 
     Returns
     -------
     int, tuple of dict
-        How many values were compared; ``key``, ``then``, ``now`` of those that differ in any bit.
+        Number of compared values; ``key``, ``then``, ``now`` of values that differ in any bit.
     """
     one, other = (dict(_leaves({k: v for k, v in r.items() if k not in OCCASION})) for r in (then, now))
     keys = list(one | other)
@@ -246,7 +243,7 @@ def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[in
 
 
 def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Numbers, words and truth values of a record with their places; of empty lists and objects these."""
+    """Numbers, strings, booleans, and empty lists and objects of a record, with their keys."""
     if isinstance(value, Mapping) and value:
         for name, item in value.items():
             yield from _leaves(item, f"{key}.{name}" if key else str(name))
@@ -258,7 +255,7 @@ def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def compare_tables(then: Path, now: Path) -> dict[str, bool]:
-    """Compare the tables of two result folders byte by byte; one that is missing in either differs."""
+    """Compare the tables of two result folders byte by byte; a missing table differs."""
     names = {p.relative_to(folder).as_posix() for folder in (then, now) for t in TABLES for p in folder.glob(t)}
     return {name: _bytes(then / name) == _bytes(now / name) is not None for name in sorted(names)}
 

@@ -1,7 +1,6 @@
-"""Runs: a project in, a result folder out, with its provenance.
+"""Runs: from a project to a result folder with its provenance.
 
-The folder is filled under a hidden name and renamed at the end, so that a run that fails
-or is interrupted leaves nothing behind.
+The folder is written under a hidden name and renamed at the end: failed and interrupted runs leave no folder.
 """
 
 from __future__ import annotations
@@ -57,9 +56,9 @@ def run_project(
     project : path
         The TOML file.
     out : path
-        Result folder to come.
+        New result folder.
     overwrite : bool
-        Replace an existing result folder, once the new one is complete.
+        Replace an existing result folder when the new one is complete.
     options : mapping, optional
         Options that replace those of the project file; see ``read_project``.
     callback : callable, optional
@@ -69,23 +68,23 @@ def run_project(
     execution : mapping, optional
         ``parts``, ``workers``, ``cluster``, ``work_dir`` of :func:`fg_orient.adjust`.
     stage : callable, optional
-        Called with the name of each stage as it begins, and the number of image points (0 before they are read).
+        Called at the start of each stage with its name and the number of image points (0 before they are read).
     checkpoint_every_s : float
-        Seconds between two checkpoints, written to a hidden file beside the result folder; 0: each iteration.
+        Seconds between two checkpoints, written to a hidden file next to the result folder; 0: each iteration.
     resume : bool
-        Continue from the checkpoint of a stopped run, if there is one.
+        Continue from the checkpoint of an interrupted run if it exists.
     dem_control : (HeightSurface, float), optional
-        Elevation model from which heights of the tie points are observed, and their sigma (m); without checkpoint.
+        Elevation model for height observations of the tie points, and their sigma (m); without checkpoint.
     dem_vertical_crs : str
-        Vertical CRS of the elevation model as given by the caller, for the record.
+        Vertical CRS of the elevation model, for the record.
     check : callable, optional
-        Called with the block before the adjustment; rejects it by an ``InputError``.
+        Called with the block before the adjustment; raises InputError to reject it.
 
     Returns
     -------
     dict
-        The record of the command ``adjust``. With status ``rank_deficient`` the folder holds the record, the start
-        values of the points and a report of the undetermined directions.
+        Record of the command ``adjust``. With status ``rank_deficient`` the folder contains the record, the approximate
+        values of the points and a report of the unobservable directions.
 
     Raises
     ------
@@ -140,12 +139,7 @@ def run_project(
 
 
 def require_possible_options(block: Block, project: str | Path, given: Mapping[str, object]) -> None:
-    """Refuse options that do not go together; those of the project file, not among the ``given``, with its name.
-
-    Raises
-    ------
-    InputError
-    """
+    """Raise InputError for options that exclude each other, with the file name for options that are not ``given``."""
     try:
         require_possible(block.options)
     except InputError as error:
@@ -158,7 +152,7 @@ def require_possible_options(block: Block, project: str | Path, given: Mapping[s
 
 
 def checkpoint_path(out: str | Path) -> Path:
-    """Checkpoint of a run that writes this result folder."""
+    """Checkpoint file of a run with this result folder."""
     target = Path(out).absolute()
     return target.with_name(f".{target.name[:200]}.checkpoint.npz")
 
@@ -166,7 +160,7 @@ def checkpoint_path(out: str | Path) -> Path:
 def _adjust(
     block: Block, how: dict[str, Any], dem_control: tuple[HeightSurface, float] | None
 ) -> tuple[Solution, dict[str, Any]]:
-    """Adjust; solution and what heights of a DEM add to the record."""
+    """Adjust; solution and further entries of the record for heights of a DEM."""
     if dem_control is None:
         return adjust(block, **how), {}
     from fg_orient.orientation.dem_control import adjust_with_dem
@@ -176,7 +170,7 @@ def _adjust(
 
 
 def _write(folder: Path, result: Result, seconds: dict[str, float], start: float) -> None:
-    """Write all files of a result and its page; the record holds the times of all phases."""
+    """Write all files of a result and its page; the record contains the times of all phases."""
     mark = time.perf_counter()
     result.write(folder)
     result.record["seconds"] = seconds | {"write": time.perf_counter() - mark, "total": time.perf_counter() - start}
