@@ -21,7 +21,7 @@ from fg_orient.quality.variance_components import VarianceComponents
 
 @dataclass(frozen=True, kw_only=True)
 class AdjustmentResult:
-    """End of an adjustment: fit, cofactors and tests, all that a round of a search for gross errors requires.
+    """End of an adjustment: fit, cofactors and tests, as required by a round of a search for gross errors.
 
     Parameters
     ----------
@@ -33,12 +33,12 @@ class AdjustmentResult:
     chi2 : float
         Weighted sum of squares of all residuals; under a loss with the weights at the solution.
     cofactors : Cofactors or None
-        None where the covariance cannot be computed, for the reason in ``withheld``. Under a loss these are the
-        cofactors of least squares with the weights at the solution.
+        None if the covariance cannot be computed, for the reason in ``withheld``. Under a loss these are the cofactors
+        of least squares with the weights at the solution.
     weights : Weights or None
-        Under a loss: of image points (n,) and ground points (N,).
+        Weights of image points (n,) and ground points (N,) under a loss.
     components : VarianceComponents or None
-        Variance components that multiplied the sigmas of ``block``, if the options request them.
+        Variance components that were applied to the sigmas of ``block``, if the options request them.
     """
 
     problem: Problem

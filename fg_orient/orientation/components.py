@@ -1,7 +1,7 @@
-"""Adjustment and variance components in turn, until the components have converged.
+"""Alternating adjustment and estimation of variance components until the components have converged.
 
-Each round adjusts with the sigmas of the round before (``fg_orient.quality.variance_components``). The fixed point does
-not depend on the start.
+Each round adjusts with the sigmas of the last round (``fg_orient.quality.variance_components``). The result does not
+depend on the start.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def adjust_with_components(
     block : Block
         Its options name the groups; default: image points, position and height.
     run : callable
-        Adjusts a block as it is, from a state if given.
+        Adjusts a block with its sigmas, from a state if given.
     begin : State, optional
         Start of the first adjustment.
     method : str
@@ -66,12 +66,12 @@ def adjust_with_components(
     Returns
     -------
     Solution
-        Of the last round; its block has the estimated sigmas, ``components`` describes them.
+        Solution of the last round; its block has the estimated sigmas, which ``components`` describes.
 
     Raises
     ------
     InputError
-        Groups or method do not exist; a loss.
+        Unknown groups or method; a loss.
     NoSolutionError
         There is no covariance; a component is negative, diverges or does not converge.
     """
@@ -99,7 +99,7 @@ def adjust_with_components(
 
 
 def _with_components(solution: Solution, components: VarianceComponents, groups: tuple[str, ...]) -> Solution:
-    """The last solution with its components: sigma0 is no longer a test of the model."""
+    """The last solution with its components; its sigma0 is no test of the model."""
     by_construction, block = finding("verdict.components"), solution.block
     block = replace(block, options=replace(block.options, variance_components=groups))
     return replace(
@@ -111,10 +111,10 @@ def _with_components(solution: Solution, components: VarianceComponents, groups:
 
 
 class _Rounds:
-    """Factors of the variances, and the components kept at their given sigmas, from round to round.
+    """Factors of the variances, and components fixed at their given sigmas, from round to round.
 
-    A component is assessed again in each round, because weights change its redundancy. A component that was estimated
-    and then has too little redundancy stays fixed, so that the rounds end.
+    A component is assessed in each round, because weights change its redundancy. If an estimated component has too
+    little redundancy in a later round it stays fixed, so that the rounds end.
     """
 
     def __init__(self, groups: Groups) -> None:
@@ -123,7 +123,7 @@ class _Rounds:
         self.negative, self.worst = np.zeros(size, int), 0
 
     def converged(self, estimated: Round) -> bool:
-        """Whether no variance changes any more."""
+        """Whether the variances have converged."""
         change = np.abs(estimated.variance - 1.0)
         self.worst = int(np.argmax(change))
         free = np.array([not text for text in estimated.held], bool)

@@ -1,7 +1,7 @@
-"""The adjustment of a block.
+"""Adjustment of a block.
 
-``adjust`` compiles the problem, assesses observability **before** the solution, runs the backend, and only then opens
-the coordinates of the check points.
+``adjust`` compiles the problem, assesses observability **before** the solution, runs the backend, and opens the
+coordinates of the check points only after it.
 """
 
 from __future__ import annotations
@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.parts.pool import Execution
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 #: Called at each stage of the work with its name and the number of image points.
 Stage = Callable[[str, int], None]
 
@@ -85,16 +86,16 @@ def adjust(
     eop_set : int or str, optional
         Number or name ("PUA").
     priors, datum, backend, loss, snoop, variance_components : optional
-        The options used most, see :class:`fg_orient.Options`. None keeps the block's.
+        Frequent options, see :class:`fg_orient.Options`. None keeps the value of the block.
     options : Options, optional
-        Options in place of the block's.
+        Options that replace those of the block.
     parts : int, optional
         Number of parts of the ground points (docs/parallel.md); default with ``workers`` or ``cluster``: by the size of
         the block. The results do not depend on the workers.
     workers : int, optional
-        Processes of this machine that adjust the parts; 1: this one.
+        Processes of this machine that adjust the parts; 1: only this process.
     cluster : str or dask.distributed.Client, optional
-        Scheduler of a running cluster instead.
+        Scheduler of a running cluster; replaces ``workers``.
     work_dir : path, optional
         Folder for the files of the parts, accessible to all workers.
     callback : callable, optional
@@ -102,8 +103,8 @@ def adjust(
     stage : callable, optional
         Called at the start of each stage with its name and the number of image points.
     checkpoint : Checkpoint, optional
-        File that keeps the run, or from which it continues; the caller removes it in the end. A search keeps its first
-        round, an estimation of variance components nothing.
+        File for the state of the run, from which it can continue; the caller removes it in the end. A search writes its
+        first round only, an estimation of variance components nothing.
     **more
         Any other option of :class:`fg_orient.Options`; docs/options.md.
 
@@ -116,7 +117,7 @@ def adjust(
     InputError
         The block cannot be adjusted (exit code 2).
     RankDeficientError
-        Without priors some directions are unobservable; one problem per direction (exit code 3).
+        Some directions are unobservable without priors; one problem per direction (exit code 3).
     TypeError
         An argument is not an option.
     """
@@ -128,7 +129,12 @@ def adjust(
     shared = not (parts is None and workers is None and cluster is None)
     if work_dir is not None and not shared:
         raise InputError.of("parallel.no_parts", option="work_dir", value=work_dir)
-    run = _Run(_execution(parts, workers or 1, cluster, work_dir) if shared else None, callback, stage, checkpoint)
+    execution = None
+    if shared:
+        from fg_orient.adjustment.parts.pool import Execution
+
+        execution = Execution(parts, workers or 1, cluster, work_dir)
+    run = _Run(execution, callback, stage, checkpoint)
 
     def run_with_components(block: Block, begin: State | None) -> Solution:
         from fg_orient.orientation.components import adjust_with_components
@@ -153,16 +159,9 @@ def adjust(
     return replace(whole, snooping=found, findings=(*found.findings(), *whole.findings), memory=solution.memory)
 
 
-def _execution(parts: int | None, workers: int, cluster: Any, work_dir: str | Path | None) -> Execution:
-    """Number of parts, and the workers that adjust them."""
-    from fg_orient.adjustment.parts.pool import Execution
-
-    return Execution(parts, workers, cluster, work_dir)
-
-
 @dataclass(frozen=True)
 class _Run:
-    """Adjustments with one set of callbacks, here or in parts; see :func:`adjust`."""
+    """Adjustments with the same callbacks, in this process or in parts; see :func:`adjust`."""
 
     execution: Execution | None
     callback: Callback | None
@@ -170,7 +169,7 @@ class _Run:
     checkpoint: Checkpoint | None
 
     def once(self, block: Block, begin: State | None = None) -> Solution:
-        """Adjust a block as its options say, one time, from a state if given."""
+        """Adjust a block once with its options, from a state if given."""
         memory = require_memory(block, elsewhere=self.execution is not None and self.execution.cluster is not None)
         prepared, start = preparing_seconds(), working_clock()
         self._report("structure", len(block.observations))
@@ -184,14 +183,15 @@ class _Run:
         compiled, estimate = to_inner_datum(compiled, estimate, solve) if inner else (compiled, estimate)
         self._report("statistics", len(compiled.observations))
         solution = conclude(compiled, observability, block_view, estimate, structure)
-        if inner and not len(held_unknowns(compiled)):
-            solution = replace(solution, findings=(_no_inner_datum(block), *solution.findings))
+        if inner and not len(held_unknowns(compiled)):  # no datum defect
+            code = "solution.no_inner_datum_nor_priors" if block.options.priors else "solution.no_inner_datum"
+            solution = replace(solution, findings=(finding(code), *solution.findings))
         return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=preparing_seconds() - prepared))
 
     def again(self, block: Block, like: Problem, begin: State) -> Again:
-        """Adjust a block that differs in some observations from that of ``like``, from a state near the solution.
+        """Adjust a block that differs in some observations from the block of ``like``, from a state near the solution.
 
-        Computes only what the choice of the next observation to leave out requires.
+        Only the values that the choice of the next excluded observation requires are computed.
         """
         start = working_clock()
         self._report("structure", len(block.observations))
@@ -212,7 +212,7 @@ class _Run:
             self.stage(name, count)
 
     def _solved(self, compiled: Problem, checkpoint: Checkpoint | None, begin: State | None) -> Estimate:
-        """Run the optimisation here, or in parts."""
+        """Run the optimisation in this process or in parts."""
         self._report("iterations", len(compiled.observations))
         if self.execution is None:
             return solve(compiled, self.callback, checkpoint=checkpoint, start=begin)
@@ -223,7 +223,7 @@ class _Run:
 
 @dataclass(frozen=True, kw_only=True)
 class Again(AdjustmentResult):
-    """A round of a search; ``whole`` completes the last one."""
+    """A round of a search; ``whole`` completes the last round."""
 
     estimate: Estimate
     structure_s: float
@@ -236,12 +236,6 @@ class Again(AdjustmentResult):
         return replace(solution, seconds=replace(solution.seconds, jit=jit_s))
 
 
-def _no_inner_datum(block: Block) -> Finding:
-    """Finding that the block has no datum defect; a second code says that its priors were switched off."""
-    priors = block.options.priors
-    return finding("solution.no_inner_datum_nor_priors" if priors else "solution.no_inner_datum")
-
-
 def conclude(
     compiled: Problem,
     observability: tuple[ImageObservability, ...],
@@ -249,10 +243,10 @@ def conclude(
     estimate: Estimate,
     structure_s: float,
 ) -> Solution:
-    """Statistics after convergence; the check points' coordinates are opened here and nowhere before."""
+    """Statistics after convergence; only here the coordinates of check points are opened."""
     start = working_clock()
-    judged = compiled if estimate.weights is None else weighted_problem(compiled, estimate.weights)
-    cofactors, withheld = _cofactors(judged, estimate)
+    weighted = compiled if estimate.weights is None else weighted_problem(compiled, estimate.weights)
+    cofactors, withheld = _cofactors(weighted, estimate)
     located = _located_afterwards(compiled, estimate.state)
     ground = estimate.state.ground + compiled.origin_m
     if located is not None:
@@ -261,9 +255,7 @@ def conclude(
     assessment = verdict.assess_solution(compiled, estimate, withheld)
     findings = verdict.findings(compiled, estimate, assessment, observability, block_view, accuracy)
     if assessment.status is Status.NOT_TRUSTWORTHY:
-        from fg_orient.quality.verdict import mix_ups
-
-        findings = (*findings[:1], *mix_ups(compiled.block), *findings[1:])
+        findings = (*findings[:1], *verdict.mix_ups(compiled.block), *findings[1:])
     if located is not None and len(located.lost):
         names = [compiled.block.points.ids[j] for j in located.lost]
         findings += (finding("solution.check_not_located", n=len(names), points=names),)
@@ -295,17 +287,16 @@ def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None,
 
 
 def _located_afterwards(compiled: Problem, state: State) -> LocatedPoints | None:
-    """Excluded check points, located with the adjusted orientation; None if there is none."""
+    """Excluded check points, located with the adjusted orientation; None without such points."""
     missing = initial.missing_rows(state.ground)
     o = compiled.block.observations
     rows = missing[o.point]
     if not rows.any():
         return None
-    seen = np.unique(o.point[rows])
-    wanted = np.zeros_like(state.ground)
-    wanted[seen] = np.nan
+    seen, unknown = np.unique(o.point[rows]), np.zeros_like(state.ground)
+    unknown[seen] = np.nan
     start = initial.ground_points(
-        compiled.block.images, o.take(rows), compiled.block.points.ids, wanted, compiled.corrections(state)
+        compiled.block.images, o.take(rows), compiled.block.points.ids, unknown, compiled.corrections(state)
     )
     return locate_points(compiled, state, start, seen)
 
@@ -327,14 +318,10 @@ def _assess(compiled: Problem, ground: Array, located: LocatedPoints | None, cof
 
 
 def _differences(
-    compiled: Problem,
-    ground: Array,
-    index: npt.NDArray[np.intp],
-    measured: Coordinates,
-    rows: npt.NDArray[np.intp],
-    located: LocatedPoints | None,
-    cofactors: Cofactors | None,
-) -> PointDifferences:
+    compiled: Problem, ground: Array, index: Index, measured: Coordinates, rows: Index,
+    located: LocatedPoints | None, cofactors: Cofactors | None,
+) -> PointDifferences:  # fmt: skip
+    """Differences of points ``index`` from measured coordinates, which are the ``rows`` of ``measured``."""
     ids = tuple(compiled.block.points.ids[j] for j in index)
     measured_m = measured.ecef_m[rows].reshape(-1, 3)
     q = np.full((len(index), 3, 3), np.nan)

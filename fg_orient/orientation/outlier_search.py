@@ -1,8 +1,8 @@
 """Data snooping in a block: observations of an adjustment for the loop of ``fg_orient.quality.rejection``.
 
-After each adjustment every observation left out is predicted from the others with its covariance. It is put back if it
-fits at the level at which it was left out. The given block keeps all observations; the record names each observation
-left out with its test.
+After each adjustment every excluded observation is predicted from the others with its covariance. It is readmitted if
+it fits at the level at which it was excluded. The given block keeps all observations; the record names each excluded
+observation with its test.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from fg_orient.quality.variance_components import VarianceComponents
 from fg_orient.sensors import initial
 
 Index = npt.NDArray[np.intp]
-#: Adjusts a block from a state, given the problem of the round before, which differs in some observations.
+#: Adjusts a block from a state and the problem of the last round, which differs in some observations.
 Run = Callable[[Block, State, Problem], AdjustmentResult]
 
 #: Place of the finding that ended a search.
@@ -42,7 +42,7 @@ def search(block: Block, first: AdjustmentResult, run: Run) -> tuple[AdjustmentR
     Parameters
     ----------
     block : Block
-        Its options name the test and what is left out. Points whose coordinates are tested must have the role control:
+        Its options name the test and the kind of excluded observations. Only coordinates of control points are tested;
         coordinates of check points stay sealed.
     first : AdjustmentResult
         Adjustment of the whole block.
@@ -58,7 +58,7 @@ def search(block: Block, first: AdjustmentResult, run: Run) -> tuple[AdjustmentR
     Raises
     ------
     InputError
-        A loss (:func:`require_possible_search`).
+        The options name a loss (:func:`require_possible_search`).
     NoSolutionError
         The covariance, which the test requires, cannot be computed.
     """
@@ -79,9 +79,9 @@ def require_possible_search(block: Block) -> None:
 
 @dataclass
 class _Removal:
-    """Observations left out together: rows of the given block's image points, and the coordinates of the point.
+    """Observations excluded together: ``rows`` of the given block's image points; ``control``: the point's coordinates.
 
-    ``test``, ``with_it`` and ``fit`` as in :class:`ExcludedObservation`.
+    ``test``, ``with_it`` and ``fit``: see :class:`ExcludedObservation`.
     """
 
     point: int
@@ -104,7 +104,7 @@ class _Rounds:
         self._rounds: list[Round] = []
 
     def returning(self, solution: AdjustmentResult, out: Sequence[_Removal]) -> list[float]:
-        """Test an adjustment; give the probability of each observation left out, 0 where it does not fit."""
+        """Test an adjustment; return the probability of each excluded observation, 0 if it does not fit."""
         self._tests = tests = solution.outlier_tests(kind=self._block.options.snoop_kind)
         self._rounds.append(Round(
             len(self._rounds) + 1, solution.sigma0, solution.redundancy, tests.n_tested, tests.n_suspicious,
@@ -116,13 +116,13 @@ class _Rounds:
         return [p if p > r.test.level else 0.0 for p, r in zip(probabilities, out, strict=True)]
 
     def worst(self, solution: AdjustmentResult, out: Sequence[_Removal]) -> _Removal | None:
-        """Give the worst observation of the adjustment tested last."""
+        """Worst observation of the adjustment tested last."""
         if solution.status is Status.NOT_CONVERGED or not self._tests.n_suspicious:
             return None
         return self._removal(self._tests, out)
 
     def _removal(self, tests: OutlierTests, out: Sequence[_Removal]) -> _Removal:
-        """Observations to be left out by the first of the tests."""
+        """Observations to be excluded by the first of the tests."""
         kept, before = self._kept(out)
         point, row = int(tests.point[0]), int(tests.row[0])
         taking_part = kept[participates(before)]
@@ -141,11 +141,11 @@ class _Rounds:
         return f"point {self._block.points.ids[o.point[row]]} in image {self._block.images[o.image[row]].id}"
 
     def _predict(self, solution: AdjustmentResult, out: Sequence[_Removal]) -> None:
-        """Test all observations left out against the others."""
+        """Test all excluded observations against the others."""
         if solution.cofactors is None or not out:
             return
         components, full = solution.components, self._full
-        if components is not None:  # observations left out get the present sigmas of their group
+        if components is not None:  # excluded observations have the present sigmas of their group
             full = compile_problem(rescaled(self._block, self._full, components))
         for removal in out:
             j = removal.point
@@ -169,14 +169,14 @@ class _Rounds:
         return self._block.points.roles[j] is Role.CONTROL and not any(r.control for r in removals)
 
     def _staying(self, j: int, removals: Sequence[_Removal]) -> list[int]:
-        """Rows of the given block's image points of a point that stay without these of its observations."""
+        """Remaining rows of the given block's image points of a point without these of its observations."""
         gone = {row for removal in removals for row in removal.rows}
         rows = [row for row in self._rows[j] if row not in gone]
         alone = len(rows) == 1 and not self._is_control(j, removals)
         return [] if alone else rows  # a single ray determines no point
 
     def _kept(self, removals: Sequence[_Removal]) -> tuple[Index, Block]:
-        """Rows of the given block's image points that stay, and the block of them."""
+        """Remaining rows of the given block's image points, and their block."""
         o, points = self._block.observations, self._block.points
         keep = np.ones(len(o), bool)
         without = [removal.point for removal in removals if removal.control]
@@ -188,13 +188,13 @@ class _Rounds:
         return np.flatnonzero(keep), replace(self._block, points=points, observations=o.take(keep))
 
     def block(self, out: Sequence[_Removal]) -> Block:
-        """Give the block without what is left out."""
+        """The block without excluded observations."""
         return self._kept(out)[1]
 
     def state(self, out: Sequence[_Removal], last: State) -> State:
-        """Start of the next adjustment: the end of the last; points that it lacked start as in the first.
+        """Start of the next adjustment: the end of the last; further points start as in the first adjustment.
 
-        Points of neither adjustment have no coordinates.
+        Points outside the adjustment have no coordinates.
         """
         ground = np.where(initial.missing_rows(last.ground)[:, None], self._full.start.ground, last.ground)
         block = self.block(out)
@@ -202,7 +202,7 @@ class _Rounds:
         return State(last.image, np.where(part[:, None], ground, np.nan))
 
     def concluded(self, end: Rejection[AdjustmentResult, _Removal]) -> Search:
-        """Give the record of the search."""
+        """Record of the search."""
         kept, block = self._kept(end.out)
         o, points = self._block.observations, self._block.points
         out = np.concatenate([kept, *(np.array(removal.rows, np.intp) for removal in end.out)])
@@ -225,7 +225,7 @@ class _Rounds:
 
 
 def _given_up(end: Rejection[AdjustmentResult, _Removal]) -> Finding | None:
-    """Reason for an end of the search with suspicious observations left; None otherwise."""
+    """Reason for an end of the search with remaining suspicious observations; None otherwise."""
     if end.fit.status is Status.NOT_CONVERGED:
         return finding("search.not_converged", place=GIVEN_UP)
     if end.worst is None:
