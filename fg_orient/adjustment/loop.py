@@ -1,12 +1,13 @@
-"""Gauss-Newton, Levenberg-Marquardt and Dogleg, one loop over any backend.
+"""Gauss-Newton, Levenberg-Marquardt and Dogleg: one loop for all backends.
 
 The state belongs to Python; a backend only linearises, solves and retracts (docs/equations.md 9: GTSAM's own optimisers
 copy all values at every callback of a Python factor). Unknowns are scaled (prior sigmas; metres for ground points), so
-one step length is valid for all. The loop ends when the scaled step is below the tolerance, or below 1e-6 and no longer
-shrinking (rounding); never on a relative cost. Full steps that shrink fast also end it, when the next step,
-extrapolated by the rate and with a margin of ten, would be below the tolerance.
+that one step length is valid for all. The loop ends if the scaled step is below the tolerance, or below 1e-6 and no
+longer shrinking (rounding); it does not use a relative cost. It also ends after full steps that shrink fast, if the
+next step, extrapolated with a margin of ten, is below the tolerance.
 
-:class:`Carried` is all that one iteration passes to the next: a loop that starts from it continues bit by bit.
+:class:`Carried` contains everything that one iteration passes to the next: a loop that starts from it continues bit by
+bit.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, Protocol, TypeVar
 
 from factors._preparation import working_clock
 from fg_orient.model.errors import Finding, finding
@@ -24,8 +25,8 @@ S = TypeVar("S")
 
 STEP_TOLERANCE = 1e-8
 ROUNDING_STEP = 1e-6
-#: A step below ROUNDING_STEP and not below this share of the last step is rounding. Newton's steps shrink faster;
-#: reweighted steps shrink by a constant factor, and steps of rounding do not shrink.
+#: A step below ROUNDING_STEP is rounding if it is not below this share of the last step. Newton's steps shrink faster,
+#: reweighted steps by a constant factor; steps of rounding do not shrink.
 SHRINK = 0.5
 SHRINK_REWEIGHTED = 1.0
 MAX_REJECTED = 20
@@ -52,15 +53,6 @@ class System(Protocol):
 
     def solve(self, damping: float) -> Step:
         """Solve the normal equations with ``damping`` times the identity added."""
-        ...
-
-
-@runtime_checkable
-class TrustRegion(Protocol):
-    """A linearisation with Powell's step, for :data:`dogleg`."""
-
-    def dogleg(self, radius: float) -> Step:
-        """Powell's step inside a trust region of this radius (Euclidean, scaled unknowns)."""
         ...
 
 
@@ -221,7 +213,7 @@ def _exhausted(max_iterations: int) -> Finding:
 
 
 def share_at_radius(across_squared: float, steepest_dot_across: float, length: float, radius: float) -> float:
-    """Share at which the line from the steepest-descent step (of this length) to Gauss-Newton's meets the radius."""
+    """Share of the way from the steepest-descent step (of this length) to the Gauss-Newton step at the radius."""
     b, c = steepest_dot_across, length**2 - radius**2
     return (-b + math.sqrt(b * b - across_squared * c)) / across_squared
 
@@ -329,7 +321,7 @@ def _arrived(system: System, log: tuple[IterationRecord, ...], small: bool) -> b
 
 
 def nielsen(damping: float, growth: float, record: IterationRecord) -> tuple[float, float]:
-    """Damping by the ratio of actual to predicted decrease (Nielsen 1999); it falls fast where the model is right."""
+    """Damping by the ratio of actual to predicted decrease (Nielsen 1999); it decreases fast if the model is right."""
     if not record.accepted:
         return damping * growth, 2.0 * growth
     ratio = 1.0 if math.isnan(record.ratio) else record.ratio
@@ -339,7 +331,7 @@ def nielsen(damping: float, growth: float, record: IterationRecord) -> tuple[flo
 def delayed_gratification(damping: float, growth: float, record: IterationRecord) -> tuple[float, float]:
     """Damping doubles after a rejected step and falls to a fifth after an accepted one (Transtrum, Sethna 2012, 5).
 
-    It stays as high as the error allows, which gives short steps into a narrow curved valley: for poor start values.
+    It stays as large as the error permits: short steps into a narrow curved valley, for poor start values.
     """
     return (2.0 * damping if not record.accepted else max(0.2 * damping, LEAST_DAMPING)), growth
 
@@ -355,10 +347,9 @@ def _damped(system: System, damping: float) -> Step:
     return system.solve(damping)
 
 
-def _powell(system: System, radius: float) -> Step:
-    if not isinstance(system, TrustRegion):
-        raise TypeError(f"{type(system).__name__} has no trust region")
-    return system.dogleg(radius)
+def _powell(system: Any, radius: float) -> Step:
+    """Powell's step inside a trust region of this radius (Euclidean, scaled unknowns)."""
+    return system.dogleg(radius)  # type: ignore[no-any-return]
 
 
 def _controlled(
@@ -372,7 +363,7 @@ def _controlled(
     shrink: float = SHRINK,
     keep: Callable[[Carried[S]], None] | None = None,
 ) -> LoopResult[S]:
-    """Steps that decrease the error, under a damping or radius; further arguments as of :func:`gauss_newton`."""
+    """Steps that decrease the error, with a damping or radius; further arguments: see :func:`gauss_newton`."""
     course = Course(start, callback, keep)
     if math.isnan(course.carried.control):
         course.carried = replace(course.carried, control=rule.first)

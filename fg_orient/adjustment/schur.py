@@ -1,15 +1,15 @@
 """The Schur backend: the problem as arrays, ground points eliminated by compiled kernels.
 
-It solves the same normal equations as the graph, with no Python work per observation: linearise, 3 x 3 point blocks,
-reduced camera system, solution (``fg_orient.adjustment.schur_reduced``), back-substitution. The order of all sums is
-independent of the number of threads, so that results are too, to the last bit.
+It solves the same normal equations as the graph, without Python calls per observation: linearisation, 3 x 3 point
+blocks, reduced camera system, its solution (``fg_orient.adjustment.schur_reduced``), back-substitution. The order of
+all sums, and therefore every bit of the results, is independent of the number of threads.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -55,18 +55,19 @@ class SchurStep:
 class SchurSystem:
     """One linearisation; see ``loop.System``.
 
-    Its rows are in the buffers of the backend. They are computed again when another linearisation has replaced them.
+    Its rows are in the buffers of the backend. If another linearisation has replaced them they are computed again.
     """
 
     def __init__(self, backend: SchurBackend, state: State) -> None:
         self._backend, self.state = backend, state
-        self._name = object()  # owner of the buffers; the system itself there would be a reference cycle
+        self._name = object()  # owner of the buffers; the system itself would give a reference cycle
         self._newton: SchurStep | None = None
         self._robust, self._excess = backend.robust, 0.0
         self._eliminated_at: float | None = None
         self._extras = ImageExtras(backend.problem, state)
         self._fill()
-        self.error = self._excess + backend.half_squares(backend.buffers.value, state, backend.buffers.control)
+        values = (backend.buffers.value[slice(*tile.points)] for tile in self.structure.tiles)
+        self.error = self._excess + backend.half_squares(values, state, backend.buffers.control)
 
     @property
     def structure(self) -> Structure:
@@ -78,7 +79,7 @@ class SchurSystem:
         b.held, b.root_weight, b.owner, self._eliminated_at = None, np.ones(0), self._name, None
         b.control = backend.problem.control_records
         if self._robust is None and backend.last_damping == 0.0:
-            # Gauss-Newton eliminates next: now, while the rows are in the cache
+            # Gauss-Newton eliminates next: do it while the rows are in the cache
             with contextlib.suppress(Singular):
                 self._eliminate(0.0, fresh=True)
                 return
@@ -89,7 +90,7 @@ class SchurSystem:
             self._weigh(self._robust, b)
 
     def _weigh(self, robust: Weighing, b: Buffers) -> None:
-        """Multiply all rows by the roots of their weights; keep the cost minus half their sum of squares."""
+        """Multiply all rows by the roots of their weights; store the cost minus half their sum of squares."""
         observed = self._backend.structure.observed
         control_squares = self._backend.control_squares(self.state)
         image_squares = np.einsum("ni,ni->n", b.value, b.value)
@@ -115,7 +116,7 @@ class SchurSystem:
         return self._backend.buffers
 
     def rows(self, tile: Tile) -> TileRows:
-        """Whitened, weighted rows of a tile; the next tile overwrites rows that are not kept."""
+        """Whitened, weighted rows of a tile; rows that are not kept are overwritten by the next tile."""
         b = self.buffers()
         rows = b.rows(tile)
         if not tile.kept and b.held is not tile:
@@ -149,7 +150,7 @@ class SchurSystem:
         return blocks, self._gathered_gradient()
 
     def _eliminated(self, damping: float) -> Array:
-        """Blocks (B, k, k) of the reduced system; leaves the point blocks and the gradients in the buffers."""
+        """Blocks (B, k, k) of the reduced system; point blocks and gradients are in the buffers."""
         s, b = self.structure, self.buffers()
         if self._eliminated_at != damping:
             self._eliminate(damping)
@@ -161,7 +162,7 @@ class SchurSystem:
         return b.blocks
 
     def _eliminate(self, damping: float, *, fresh: bool = False) -> None:
-        """Eliminate the points, tile by tile: point blocks, sums and gradients of the chunks; ``fresh``: all rows."""
+        """Eliminate the points by tiles: point blocks, sums, gradients of the chunks; ``fresh``: compute all rows."""
         s, backend = self.structure, self._backend
         b = backend.buffers if fresh else self.buffers()
         self._eliminated_at, backend.last_damping, wide = None, damping, s.widened(self.state.image)
@@ -346,7 +347,7 @@ class SchurBackend:
     def error(self, state: State) -> float:
         """Half the weighted sum of squares, or the cost under the loss; see :meth:`linearise`."""
         if self.robust is None:
-            return self.half_rest(state) + 0.5 * sum(float(np.vdot(v, v)) for v in self._values(state))
+            return self.half_squares(self._values(state), state)
         _, _, cost = self.robust.weigh(*self.squares(state))
         return cost + 0.5 * self.prior * self.problem.prior_squares(state) + self._half_extras(state)
 
@@ -356,16 +357,19 @@ class SchurBackend:
         return np.concatenate(image), self.control_squares(state)
 
     def _values(self, state: State) -> Iterator[Array]:
-        """Residuals (n, 2) of one tile after the other, each lost with the next."""
+        """Residuals (n, 2) of one tile after the other; the next tile overwrites them."""
         for tile in self.structure.tiles:
             space = self.buffers.rows(tile)
             value = self.buffers.trial[: tile.points[1] - tile.points[0]]
             self.evaluate(TileRows(tile, value, space.d_image, space.d_ground), state, want=False)
             yield value
 
-    def control_squares(self, state: State) -> Array:
-        """Squared norms (m,) of the residuals of the observed control points."""
-        return self._squares(state, self.problem.control_records)
+    def control_squares(self, state: State, records: Array | None = None) -> Array:
+        """Squared norms (m,) of the whitened residuals of the observed control points, by their records (N, 12)."""
+        out = np.empty(len(self.structure.observed))
+        records = self.problem.control_records if records is None else records
+        control_squares(state.ground, records, self.structure.observed, out)
+        return out
 
     def retract(self, state: State, step: SchurStep) -> State:
         """State after a step."""
@@ -388,21 +392,11 @@ class SchurBackend:
         (lo, hi), wide = rows.tile.points, self.structure.widened(state.image)
         self.workers.run(self.stages.rows, hi - lo, rows, state, wide, want, start=lo)
 
-    def _squares(self, state: State, records: Array) -> Array:
-        """Squared norms (m,) of the whitened residuals of the observed control points, by their records (N, 12)."""
-        out = np.empty(len(self.structure.observed))
-        control_squares(state.ground, records, self.structure.observed, out)
-        return out
-
-    def half_squares(self, value: Array, state: State, records: Array) -> float:
+    def half_squares(self, values: Iterable[Array], state: State, records: Array | None = None) -> float:
         """Half the weighted sum of squares, from whitened residuals of the image points and control records."""
-        return self.half_rest(state, records) + 0.5 * sum(
-            float(np.vdot(value[slice(*t.points)], value[slice(*t.points)])) for t in self.structure.tiles
-        )
-
-    def half_rest(self, state: State, records: Array | None = None) -> float:
-        """Half the weighted sum of squares of control points, priors and extra observations."""
-        return self.half_linear(state, records) + self._half_extras(state)
+        return self.half_linear(state, records) + self._half_extras(state) + 0.5 * sum(
+            float(np.vdot(v, v)) for v in values
+        )  # fmt: skip
 
     def _half_extras(self, state: State) -> float:
         """Half the sum of squares of the extra observations."""
@@ -411,5 +405,5 @@ class SchurBackend:
 
     def half_linear(self, state: State, records: Array | None = None) -> float:
         """Half the weighted sum of squares of control points and priors."""
-        control = self._squares(state, self.problem.control_records if records is None else records)
+        control = self.control_squares(state, records)
         return 0.5 * float(control.sum() + self.prior * self.problem.prior_squares(state))

@@ -1,4 +1,4 @@
-"""From a problem to an estimate: choose backend and optimiser, run, linearise at the end."""
+"""Solution of a problem: choose backend and optimiser, run, linearise at the end."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ S = TypeVar("S")
 
 #: GTSAM's own optimisers, for equality tests on small blocks.
 NATIVE = ("native", "native-levenberg-marquardt", "native-dogleg")
-#: Image points up to which "auto" goes over to the graph where the Schur complement gives up: it takes 13 kB for each.
+#: Image points up to which "auto" uses the graph if the Schur system is singular: each requires 13 kB.
 GRAPH_FALLBACK = 100_000
 
 
@@ -119,9 +119,9 @@ def solve(
     callback : callable, optional
         Receives each record, first those of an interrupted run that is continued.
     schur : callable, optional
-        Makes a backend that replaces the Schur backend, whatever the options say (``fg_orient.adjustment.parts``).
+        Makes a backend that replaces the backend of the options (``fg_orient.adjustment.parts``).
     checkpoint : Checkpoint, optional
-        File that keeps the run, or from which it continues. The caller removes it when the result is safe.
+        File for the state of the run, from which it can continue. The caller removes it after the end.
     start : State, optional
         Start instead of the problem's; GTSAM's own optimisers ignore it.
 
@@ -164,13 +164,7 @@ def suitable_backend(block: Block) -> Backend:
 
 
 def require_possible(options: Options) -> None:
-    """Refuse unknown losses and options that exclude each other.
-
-    Raises
-    ------
-    InputError
-        See :func:`solve`.
-    """
+    """Raise InputError for unknown losses and options that exclude each other."""
     if options.optimizer in NATIVE and options.backend in ("dense", "schur"):
         known = ", ".join(OPTIMIZERS)
         raise InputError.of("adjust.native_dense", option="optimizer", value=options.optimizer, known=known)
@@ -182,7 +176,7 @@ def require_possible(options: Options) -> None:
 
 
 def _require_robust(options: Options) -> None:
-    """Refuse options of a robust adjustment that exclude each other."""
+    """Raise InputError for options of a robust adjustment that exclude each other."""
     mad, resections = options.robust_scale == "mad", options.robust_start in METHODS
     wish = "robust_scale" if mad else "robust_start"
     if options.loss == NONE:
@@ -200,7 +194,7 @@ def _require_robust(options: Options) -> None:
 
 
 def first_sentence(error: Exception) -> str:
-    """One line of an exception's text: GTSAM's messages have many."""
+    """Text of an exception in one line."""
     return " ".join(str(error).split())[:160]
 
 
@@ -225,7 +219,7 @@ class _Job:
 
     @cached_property
     def _first(self) -> Carried[State]:
-        """Input of the first iteration: what an interrupted run carried, or the start."""
+        """Input of the first iteration: from an interrupted run, or the start."""
         if self._resumed is not None:
             return self._resumed
         if self._plan is None or self.options.gnc or self.options.robust_start not in METHODS:
@@ -250,14 +244,15 @@ class _Job:
     def optimise(self, backend: Any, to_state: Callable[[S], State], of_state: Callable[[State], S]) -> LoopResult[S]:
         """Run the optimiser on a backend; ``to_state`` and ``of_state`` convert its states for the checkpoint."""
         options, first = self.options, self._first
-        carried: Carried[S] = _with_state(first, of_state(first.state))
+        carried: Carried[Any] = replace(first, state=of_state(first.state))
         if self._callback is not None:
             for record in carried.log:
                 self._callback(record)
 
         def keep(carried: Carried[S]) -> None:
             if self._checkpoint is not None:
-                self._checkpoint.keep(self.problem, self.backend, _with_state(carried, to_state(carried.state)))
+                kept: Carried[Any] = replace(carried, state=to_state(carried.state))
+                self._checkpoint.keep(self.problem, self.backend, kept)
 
         def run(start: Carried[S], max_iterations: int, tolerance: float) -> LoopResult[S]:
             return OPTIMIZERS[options.optimizer](
@@ -269,14 +264,9 @@ class _Job:
         if self._plan is None:
             return run(carried, options.max_iterations, STEP_TOLERANCE)
         result, self._scale = run_stages(
-            backend,
-            run,
-            self._plan,
-            carried,
-            options.max_iterations,
-            keep,
+            backend, run, self._plan, carried, options.max_iterations, keep,
             lambda state: self._measured(to_state(state)),
-        )
+        )  # fmt: skip
         return result
 
     def estimate(self, backend: Any, result: LoopResult[S], state: State, linear: Any, solver: str = "") -> Estimate:
@@ -291,11 +281,6 @@ class _Job:
             self.backend, solver, linear, float(structure), float(solved), weights,
             0 if self._resumed is None else len(self._resumed.log),
         )  # fmt: skip
-
-
-def _with_state(carried: Carried[Any], state: S) -> Carried[S]:
-    """Copy with the state in another form."""
-    return Carried(**{**vars(carried), "state": state})
 
 
 def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:

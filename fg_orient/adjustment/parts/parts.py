@@ -1,7 +1,7 @@
-"""A problem divided by ground points, one file per part: what a worker needs, and nothing else.
+"""Division of a problem by ground points, with one file of input data per part.
 
-Images are never divided: every part knows the unknowns of all of them. A part holds the whitened records of
-its image points, so that neither sensors nor metadata travel. Files are ``.npz`` without pickles.
+Images are never divided: every part contains the unknowns of all images. A part contains the whitened records of its
+image points; workers need neither sensors nor metadata. Files are ``.npz`` without pickles.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from fg_orient.sensors.base import ImageModel, Sensor
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: Image points of a part where nothing is said. The number of parts then follows from the block alone, so that the
-#: last bit of a result does not depend on the machines. A task costs some ms, a part of this size 10 ms.
+#: Default number of image points of a part. The number of parts then depends on the block only, so that the last bit of
+#: a result does not depend on the machines. A task costs a few ms, a part of this size 10 ms.
 PART_SIZE: Final = 20_000
 MAX_PARTS: Final = 256
 
@@ -49,15 +49,15 @@ def default_parts(problem: Problem) -> int:
 
 
 def divide(problem: Problem, parts: int) -> list[Index]:
-    """Ground points of each part, in ascending order within.
+    """Ground points of each part, ascending.
 
-    Points that the same images see stay together, so that a part touches few blocks of the reduced system. Parts are
-    of about equal work: the pairs of rays of their points.
+    Points that the same images see are in one part, which then contributes to few blocks of the reduced system. Parts
+    have about the same work: pairs of rays of their points.
 
     Raises
     ------
     InputError
-        More parts than ground points, or less than one; a block that the Schur backend cannot take.
+        More parts than ground points, or less than one; a block that the Schur backend refuses.
     """
     if problem.block.extra:
         raise InputError.of("adjust.schur", option="parts", value="the block has extra observations")
@@ -79,14 +79,14 @@ def divide(problem: Problem, parts: int) -> list[Index]:
 
 @dataclass(frozen=True)
 class PartModel:
-    """An image of a part: its equation and unknowns; its sensor has spoken in the records."""
+    """Equation and unknowns of an image of a part, without its sensor, whose constants are in the records."""
 
     equation: Equation
     parameters: ImageParameters
 
 
 def rows_of(problem: Problem, points: list[Index]) -> list[Index]:
-    """Rows of ``problem.observations`` that belong to each part."""
+    """Rows of ``problem.observations`` of each part."""
     owner = np.full(len(problem.active), len(points), dtype=np.intp)
     for number, members in enumerate(points):
         owner[members] = number
@@ -96,7 +96,7 @@ def rows_of(problem: Problem, points: list[Index]) -> list[Index]:
 
 
 def part_of(problem: Problem, points: Index, rows: Index) -> dict[str, npt.NDArray[Any]]:
-    """Arrays of the part of some ground points (ascending) and their rows, named as in its file."""
+    """Arrays of the file of a part: of some ground points (ascending) and their rows."""
     o = problem.observations
     setups = [model.parameters.setup for model in problem.models]
     return {
@@ -113,7 +113,7 @@ def part_of(problem: Problem, points: Index, rows: Index) -> dict[str, npt.NDArr
 
 
 def part_problem(name: str, arrays: dict[str, npt.NDArray[Any]]) -> Problem:
-    """Problem of a part; its images have no priors: those are added once, to the sum of all parts."""
+    """Problem of a part; its images have no priors, which are added once, to the sum of all parts."""
     first, setups, images = arrays["first"], arrays["setups"], [i.decode() for i in arrays["image_ids"].tolist()]
     models = []
     for k, equation in enumerate(arrays["equations"].tolist()):
@@ -136,33 +136,17 @@ def part_problem(name: str, arrays: dict[str, npt.NDArray[Any]]) -> Problem:
     )  # fmt: skip
 
 
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all. The disk need not have it yet: after a crash the work begins anew.
-
-    Raises
-    ------
-    InputError
-        It cannot be written.
-    """
-    write_bytes(path, data, durable=False)
-
-
 def part_file(folder: str | Path, number: int) -> Path:
     """File of a part."""
     return Path(folder) / f"part-{number:04d}.npz"
 
 
 def write_part(problem: Problem, points: Index, rows: Index, folder: Path, number: int) -> None:
-    """Write the file of a part, whole or not at all.
-
-    Raises
-    ------
-    InputError
-        It cannot be written.
-    """
+    """Write the file of a part, whole or not at all; InputError if it cannot be written."""
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, **part_of(problem, points, rows))
-    write_whole(part_file(folder, number), stream.getvalue())
+    # not durable: after a crash the work begins again
+    write_bytes(part_file(folder, number), stream.getvalue(), durable=False)
 
 
 def read_part(folder: str, number: int) -> Problem:
@@ -171,13 +155,13 @@ def read_part(folder: str, number: int) -> Problem:
     Raises
     ------
     InputError
-        The file is not there, or not whole: the folder is another one for this process. Or it is of another version
-        of this package.
+        The file is missing or incomplete, because this process has no access to the folder, or it was written by
+        another version of this package.
     """
     path = part_file(folder, number)
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as found:
-            arrays = dict(found)
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as content:
+            arrays = dict(content)
     except (OSError, ValueError, EOFError, BadZipFile) as error:
         raise InputError.of("parallel.folder", file=path, value=type(error).__name__) from error
     if str(arrays["version"]) != __version__:

@@ -1,7 +1,7 @@
-"""Studies: one function over many cases, in this process or on many workers; what is done is not done again.
+"""Studies: one function over many cases, in this process or on many workers, with results that can be kept.
 
-Results come in the order of the cases and are the same for any number of workers. With a folder each result is a file
-as soon as it is there: an interrupted study that is started again goes on.
+Results are in the order of the cases and the same for any number of workers. With a folder each result is written to a
+file: an interrupted study continues with the missing cases.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from fg_orient.model.errors import InputError
 
 __all__ = ["study"]
 
-#: Told after each case: cases done, cases in all, the case.
+#: Called after each case with the number of completed cases, the number of all cases, and the case.
 Progress = Callable[[int, int, Any], None]
-#: Takes a case and gives nested dicts and lists of numbers, words and arrays.
+#: From a case to nested dicts and lists of numbers, strings and arrays.
 Task = Callable[[Any], Any]
 _ARRAY: Final = "\0array"
 
@@ -46,21 +46,21 @@ def study(
     Parameters
     ----------
     task : callable
-        ``task(case)`` depends on nothing but its case. It gives nested dicts and lists of numbers, words and arrays;
-        tuples come back as lists. With workers it is pickled: a function of a module, or a ``functools.partial``.
+        ``task(case)`` depends only on its case. It returns nested dicts and lists of numbers, strings and arrays;
+        tuples become lists. With workers it is pickled: a function of a module, or a ``functools.partial``.
     cases : sequence
-        What JSON can hold.
+        Values of JSON.
     workers : int
-        Processes on this machine; 0 or 1: this one.
+        Processes on this machine; 0 or 1: only this process.
     cluster : str or dask.distributed.Client, optional
-        Scheduler of a running cluster instead.
+        Scheduler of a running cluster; replaces ``workers``.
     folder : path, optional
-        Keeps each result; it is made if it is missing. Cases that are there are not run.
+        Folder for the results; it is made if it is missing. Cases with a result are not run again.
     key : str
-        What the results depend on beside the case, such as a hash of the input: results under another key, or of
-        another version of this package, are not taken.
+        Further inputs of the results, such as a hash of a file: results with another key, or of another version of this
+        package, are not used.
     callback : callable, optional
-        Called with (done, of, case), at first for those that were kept.
+        Called with (done, of, case), first for cases with a kept result.
 
     Returns
     -------
@@ -70,22 +70,22 @@ def study(
     Raises
     ------
     InputError
-        dask is missing, the scheduler does not answer, the folder cannot be written, a kept file cannot be read.
+        dask is missing, the scheduler does not answer, the folder cannot be written, a result cannot be read.
     NoSolutionError
-        Workers die again and again.
+        Workers fail repeatedly.
     """
     paths = [None if folder is None else Path(folder) / f"{_digest(key, case)}.npz" for case in cases]
     results: dict[int, Any] = {k: _kept(path) for k, path in enumerate(paths) if path is not None and path.is_file()}
     done = 0
 
-    def tell(number: int) -> None:
+    def report_progress(number: int) -> None:
         nonlocal done
         done += 1
         if callback is not None:
             callback(done, len(cases), cases[number])
 
     for number in results:
-        tell(number)
+        report_progress(number)
     missing = [k for k in range(len(cases)) if k not in results]
     if folder is not None and missing:
         _make(Path(folder))
@@ -96,12 +96,12 @@ def study(
             if path is not None:
                 write_bytes(path, data)
             results[number] = loads(data)
-            tell(number)
+            report_progress(number)
     return [results[k] for k in range(len(cases))]
 
 
 def _run(task: Task, case: Any) -> bytes:
-    """Run one case, where the worker is."""
+    """Run one case in a worker."""
     return dumps(task(case))
 
 
@@ -124,7 +124,7 @@ def _kept(path: Path) -> Any:
 
 
 def dumps(result: Any) -> bytes:
-    """Bytes of a result: JSON, its arrays beside it, no pickle; numbers to their last bit."""
+    """Bytes of a result: JSON and arrays without pickle; numbers keep their last bit."""
     arrays: list[npt.NDArray[Any]] = []
 
     def keep(value: object) -> object:
@@ -142,9 +142,9 @@ def dumps(result: Any) -> bytes:
 
 
 def loads(data: bytes) -> Any:
-    """Result of its bytes; see :func:`dumps`."""
-    with np.load(io.BytesIO(data), allow_pickle=False) as found:
-        arrays = dict(found)
+    """Inverse of :func:`dumps`."""
+    with np.load(io.BytesIO(data), allow_pickle=False) as content:
+        arrays = dict(content)
 
     def place(value: dict[str, Any]) -> Any:
         return arrays[f"array{value[_ARRAY]}"] if _ARRAY in value else value
