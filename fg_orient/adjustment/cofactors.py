@@ -1,14 +1,14 @@
 """Cofactors of images and ground points from the reduced camera system.
 
-The inverse of the reduced system holds the cofactors Q of the images. A point follows from the images that see it: with
-``K = H^-1 sum G^T J`` its cofactors are ``H^-1 + K Q K^T``, and ``-K Q`` jointly with the images.
+The inverse of the reduced system contains the cofactors Q of the images. With ``K = H^-1 sum G^T J`` of the images that
+see a point, its cofactors are ``H^-1 + K Q K^T``, and its joint cofactors with the images ``-K Q``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -27,11 +27,11 @@ Index = npt.NDArray[np.intp]
 
 #: Image points whose Jacobians are in memory at once.
 CHUNK: Final = 50_000
-#: Image unknowns up to which all their cofactors are formed to give those of all points: 0.3 GB.
+#: Image unknowns up to which one matrix of all their cofactors is formed: 0.3 GB.
 WHOLE_LIMIT: Final = 6000
 #: Image points up to which "auto" gives statistics of every observation: 3 s, 13 us each.
 AUTO_LIMIT: Final = 200_000
-#: Joint blocks of images that are kept.
+#: Number of joint blocks of images in memory.
 KNOWN: Final = 1000
 
 # images that see an unknown point, in ascending order, its H^-1 (3, 3) and K (3, u)
@@ -39,24 +39,25 @@ Gain = tuple[tuple[int, ...], Array, Array]
 
 
 def full_statistics(options: Options, n_image_points: int, n_image_unknowns: int) -> bool:
-    """Whether a run gives statistics of every observation; "auto" omits them where they would cost most of the time."""
+    """Whether a run gives statistics of every observation; "auto" omits them if they would take most of the time."""
     if options.statistics != "auto":
         return options.statistics == "full"
     return n_image_points <= AUTO_LIMIT and n_image_unknowns <= WHOLE_LIMIT
 
 
 def cofactors_of_points(problem: Problem, state: State, index: Index, blocks: Callable[[Index], Array]) -> Array:
-    """Cofactors (n, 3, 3) m^2 of ground points from those of the images; zero for those that are no unknowns.
+    """Cofactors (n, 3, 3) m^2 of ground points from cofactors of images; zero for points that are not unknowns.
 
     Parameters
     ----------
     problem : Problem
     state : State
-        Where to linearise: the solution.
+        The solution.
     index : (n,) int array
         Ground points.
     blocks : callable
-        Joint cofactors (B, k, k) in prior sigmas of pairs of images (B, 2), row <= column; filled up with zeros.
+        Joint cofactors (B, k, k) in prior sigmas of pairs of images (B, 2), row <= column; shorter blocks end with
+        zeros.
     """
     out = np.zeros((len(index), 3, 3))
     wanted = np.flatnonzero(problem.active[index])
@@ -66,12 +67,12 @@ def cofactors_of_points(problem: Problem, state: State, index: Index, blocks: Ca
     pairs, block = _pairs(problem, order)
     q, size = blocks(pairs), np.diff(problem.first)
     for part in _parts(problem, state, index[wanted], order):
-        found, free = np.empty((len(part.points), 3, 3)), np.ones(len(part.points), np.int64)
+        q_points, free = np.empty((len(part.points), 3, 3)), np.ones(len(part.points), np.int64)
         ray_cofactors(
-            0, len(found), part.first, part.image, size, free, part.d_image, part.d_ground, part.inverse, block, q,
-            found, None, None,
+            0, len(q_points), part.first, part.image, size, free, part.d_image, part.d_ground, part.inverse, block, q,
+            q_points, None, None,
         )  # fmt: skip
-        out[wanted[part.places]] = found
+        out[wanted[part.places]] = q_points
     return out
 
 
@@ -82,14 +83,14 @@ class RayCofactors:
     Parameters
     ----------
     points : (N, 3, 3) array
-        Cofactors of the ground points, m^2; zero for those that are no unknowns.
+        Cofactors of the ground points, m^2; zero for points that are not unknowns.
     fitted : (n, 2, 2) array
         Cofactors of the adjusted image points, ``A N^-1 A^T``.
     response : (n, 3, 2) array
-        Effect of an error of an image point on its ground point: the point's rows of ``N^-1 A^T``, m.
+        Effect of an error of an image point on its ground point, m: rows of ``N^-1 A^T``.
     on_image : (n, 2) array
-        Effect of a unit error of line and of sample (whitened) on the unknowns of the image, in their own sigmas:
-        root of ``u^T Q^-1 u``; nan where Q of the image is not positive definite.
+        Effect of a unit error of line and of sample (whitened) on the unknowns of the image, in their sigmas: root of
+        ``u^T Q^-1 u``; nan if Q of the image is not positive definite.
     images : (M, k, k) array
         Cofactors of the images, prior sigmas.
     """
@@ -102,9 +103,9 @@ class RayCofactors:
 
 
 def cofactors_of_rays(problem: Problem, state: State, blocks: Callable[[Index], Array]) -> RayCofactors:
-    """Cofactors of all adjusted image points, with those of points and images; see :func:`cofactors_of_points`.
+    """Cofactors of all adjusted image points, of points and images; see :func:`cofactors_of_points`.
 
-    Not valid for ground points with extra observations: they depend on more than their image points.
+    Not valid for ground points with extra observations, because these also depend on the extra observations.
     """
     n, order = len(problem.observations), _order(problem)
     pairs, block = _pairs(problem, order)
@@ -118,19 +119,19 @@ def cofactors_of_rays(problem: Problem, state: State, blocks: Callable[[Index], 
     lower = q @ np.swapaxes(roots[pairs[:, 1]], 1, 2)
     for part in _parts(problem, state, np.unique(problem.observations.point), order):
         rays = len(part.rows)
-        found, squared = np.empty((len(part.points), 3, 3)), np.empty((rays, 2))
+        q_points, squared = np.empty((len(part.points), 3, 3)), np.empty((rays, 2))
         fitted, response = np.empty((rays, 2, 2)), np.empty((rays, 3, 2))
         common = (part.first, part.image, size, problem.active[part.points].astype(np.int64), part.d_image,
                   part.d_ground, part.inverse, block)  # fmt: skip
-        ray_cofactors(0, len(found), *common, q, found, fitted, response)
-        image_effects(0, len(found), *common, upper, lower, squared)
-        out.points[part.points], out.fitted[part.rows], out.response[part.rows] = found, fitted, response
+        ray_cofactors(0, len(q_points), *common, q, q_points, fitted, response)
+        image_effects(0, len(q_points), *common, upper, lower, squared)
+        out.points[part.points], out.fitted[part.rows], out.response[part.rows] = q_points, fitted, response
         out.on_image[part.rows] = np.sqrt(squared)
     return out
 
 
 def inverse_roots(q: Array, size: Index) -> Array:
-    """L^-1 of ``Q = L L^T`` (M, k, k) of matrices of these sizes; nan for one that is not positive definite."""
+    """L^-1 of ``Q = L L^T`` (M, k, k) of matrices of these sizes; nan for matrices that are not positive definite."""
     out = np.zeros_like(q)
     for k, n in enumerate(size.tolist()):
         try:
@@ -140,33 +141,17 @@ def inverse_roots(q: Array, size: Index) -> Array:
     return out
 
 
-@dataclass(frozen=True)
-class _Part:
-    """Some ground points with all their rays, about :data:`CHUNK` rays.
+class _Part(NamedTuple):
+    """Some ground points with all their rays, about :data:`CHUNK` rays in the order of points and images."""
 
-    Parameters
-    ----------
-    places : slice
-        Of the points among those asked for.
-    points : (P,) int array
-    first : (P + 1,) int array
-        First ray of each point; the rays are in the order of their images.
-    rows, image : (n,) int arrays
-        Rows of ``problem.observations``, and their images.
-    d_image, d_ground : (n, 2, k), (n, 2, 3) arrays
-        Whitened Jacobians.
-    inverse : (P, 3, 3) array
-        H^-1; zero for points that are no unknowns.
-    """
-
-    places: slice
-    points: Index
-    first: Index
-    rows: Index
-    image: Index
-    d_image: Array
-    d_ground: Array
-    inverse: Array
+    places: slice  # of the points among the requested points
+    points: Index  # (P,)
+    first: Index  # (P + 1,) first ray of each point
+    rows: Index  # (n,) of ``problem.observations``
+    image: Index  # (n,)
+    d_image: Array  # (n, 2, k) whitened
+    d_ground: Array  # (n, 2, 3)
+    inverse: Array  # (P, 3, 3) H^-1; zero for points that are not unknowns
 
 
 def _order(problem: Problem) -> Index:
@@ -200,7 +185,7 @@ def _part(problem: Problem, state: State, places: slice, points: Index, first: I
 
 
 def blocks_of_images(problem: Problem, joint: Callable[[tuple[int, ...]], Array], pairs: Index) -> Array:
-    """Joint blocks (B, k, k) of pairs of images; of up to WHOLE_LIMIT unknowns from one joint matrix of all images.
+    """Joint blocks (B, k, k) of pairs of images; for up to WHOLE_LIMIT unknowns from one matrix of all images.
 
     Parameters
     ----------
@@ -210,13 +195,11 @@ def blocks_of_images(problem: Problem, joint: Callable[[tuple[int, ...]], Array]
     pairs : (B, 2) int array
         Row <= column.
     """
-    first, widest = problem.first, int(np.diff(problem.first).max())
+    first, place = problem.first, problem.columns
     if first[-1] <= WHOLE_LIMIT:
-        whole = np.pad(joint(tuple(range(problem.n_images))), (0, 1))  # zeros where an image has no such unknown
-        place = first[:-1, None] + np.arange(widest)
-        place = np.where(place < first[1:, None], place, first[-1])
+        whole = np.pad(joint(tuple(range(problem.n_images))), (0, 1))  # zeros for unused columns
         return np.asarray(whole[place[pairs[:, 0]][:, :, None], place[pairs[:, 1]][:, None, :]])
-    out = np.zeros((len(pairs), widest, widest))
+    out = np.zeros((len(pairs), place.shape[1], place.shape[1]))
     for b, (i, j) in enumerate(pairs.tolist()):
         n, m = first[i + 1] - first[i], first[j + 1] - first[j]
         out[b, :n, :m] = joint((i,) if i == j else (i, j))[:n, -m:]
@@ -224,10 +207,7 @@ def blocks_of_images(problem: Problem, joint: Callable[[tuple[int, ...]], Array]
 
 
 def _pairs(problem: Problem, order: Index) -> tuple[Index, Index]:
-    """Pairs of images (B, 2) that see a common unknown point, row <= column, and each with itself; places (M, M).
-
-    ``order`` sorts the image points by ground point, then by image.
-    """
+    """Pairs of images (B, 2) with a common unknown point, row <= column, also of equal images; places (M, M)."""
     order = order[problem.active[problem.observations.point[order]]]
     image, point = problem.observations.image[order], problem.observations.point[order]
     together = np.eye(problem.n_images, dtype=bool)
@@ -242,10 +222,7 @@ def _pairs(problem: Problem, order: Index) -> tuple[Index, Index]:
 
 @dataclass(frozen=True)
 class SummedSystem:
-    """Reduced system at the solution of an adjustment in parts, priors included.
-
-    ``reduced(damping)`` factorises it and raises ``Singular`` if it is not positive definite.
-    """
+    """Reduced system at the solution of an adjustment in parts, with priors; ``reduced(damping)`` factorises it."""
 
     state: State
     reduced: Callable[[float], Reduced]
@@ -272,10 +249,10 @@ class ReducedCofactors:
         self._whole: Array | None = None
         self._order = _order(problem)
         self._first = np.searchsorted(problem.observations.point[self._order], np.arange(len(problem.active) + 1))
-        self._of((0,))  # an ill-conditioned system raises its error here
+        self._of((0,))  # raises the error of an ill-conditioned system
 
     def _of(self, images: tuple[int, ...]) -> Array:
-        """Joint cofactors of images in ascending order, kept for the next call."""
+        """Joint cofactors of images in ascending order, which are kept."""
         if self._whole is not None:
             index = np.concatenate([np.arange(self._problem.first[k], self._problem.first[k + 1]) for k in images])
             return np.asarray(self._whole[np.ix_(index, index)])
@@ -297,8 +274,8 @@ class ReducedCofactors:
         if not self._problem.active[j]:
             return np.zeros((3, 3))
         images, inverse, gain = self._gain(j)
-        found = inverse + gain @ self._of(images) @ gain.T
-        return np.asarray(0.5 * (found + found.T))
+        q = inverse + gain @ self._of(images) @ gain.T
+        return np.asarray(0.5 * (q + q.T))
 
     def points(self, index: npt.NDArray[np.intp]) -> Array:
         """See ``Cofactors``."""
@@ -317,15 +294,15 @@ class ReducedCofactors:
         at = np.concatenate([np.zeros(0, np.intp), *(columns[k] for k in images)])
         seen = [np.concatenate([columns[k] for k in who]) for who, _, _ in gains]
         n = len(at)
-        found = np.empty((n + 3 * len(gains), n + 3 * len(gains)))
-        found[:n, :n] = q[np.ix_(at, at)]
+        out = np.empty((n + 3 * len(gains), n + 3 * len(gains)))
+        out[:n, :n] = q[np.ix_(at, at)]
         for a, (_, inverse, gain) in enumerate(gains):
             rows, effect = slice(n + 3 * a, n + 3 * a + 3), -gain @ q[seen[a]]
-            found[rows, :n], found[:n, rows] = effect[:, at], effect[:, at].T
+            out[rows, :n], out[:n, rows] = effect[:, at], effect[:, at].T
             for b in range(len(gains)):
                 same = inverse if unknown[a] == unknown[b] else 0.0
-                found[rows, n + 3 * b : n + 3 * b + 3] = same - effect[:, seen[b]] @ gains[b][2].T
-        return np.asarray(0.5 * (found + found.T))
+                out[rows, n + 3 * b : n + 3 * b + 3] = same - effect[:, seen[b]] @ gains[b][2].T
+        return np.asarray(0.5 * (out + out.T))
 
     def _columns(self, images: tuple[int, ...]) -> dict[int, npt.NDArray[np.intp]]:
         """Columns of images among the unknowns of these images."""

@@ -295,7 +295,7 @@ class DenseBackend:
         return excess + 0.5 * float(np.sum((root * residual) ** 2))
 
     def squares(self, state: State) -> tuple[Array, Array]:
-        """See ``robust.RobustBackend``."""
+        """See ``stages.RobustBackend``."""
         return squares(self.problem, state)
 
     def _weights(self, robust: Robust, residual: Array, state: State) -> tuple[Array, float]:

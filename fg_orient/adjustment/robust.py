@@ -1,15 +1,15 @@
-"""Robust losses of an adjustment: weights of the rows, and the scale of the residuals.
+"""Robust losses of an adjustment: weights of the rows and the scale of the residuals.
 
 The cost is the sum of rho(t) over image points (t: whitened norm of 2 residuals) and control points (3), plus half the
 sum of squares of priors and extra observations. Rows multiplied by the root of their weight give the Gauss-Newton steps
 of iteratively reweighted least squares (Holland & Welsch 1977). Their gradient is the gradient of the cost.
 
-Each loss contains the share :data:`FLOOR` of the square. A ground point whose image points have lost all weight is
-therefore still determined: by the intersection of its rays. With fixed weights the problem is an ordinary least-squares
+Each loss contains the share :data:`FLOOR` of the square. Therefore the intersection of its rays still determines a
+ground point whose image points have no other weight. With fixed weights the problem is an ordinary least-squares
 problem (:func:`weighted_problem`); covariances under a loss are the covariances of that problem.
 
-:func:`robust_scale` measures by how many times the residuals exceed the sigmas, from their median. A residual is
-smaller than its error, because the unknowns absorb a part. With ground points free and the orientation of each image
+:func:`robust_scale` gives the ratio of residuals to sigmas from their median. A residual is smaller than its error,
+because the unknowns absorb a part. With ground points free and the orientation of each image
 free (the others held fixed), image point i keeps ``Q_i = Q_g - Q_g B N_k^-1 B^T Q_g``, ``Q_g = I - C M_j^-1 C^T``
 (B, C: whitened Jacobians of image and point; M_j, N_k: their normal matrices). Without gross errors
 ``T_i = v^T Q_i^+ v`` is nearly chi-square of rank d, and::
@@ -23,7 +23,7 @@ For d = 1 this is the square of 1.4826 median|v| (Hampel 1974); for two dimensio
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final, Protocol, TypeVar
+from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -42,13 +42,13 @@ Array = npt.NDArray[np.float64]
 FLOOR: Final = 1e-6
 IMAGE, CONTROL = 2, 3
 NONE: Final = "none"
-#: Weightings without a cost function, iterated in cycles (``fg_orient.adjustment.irls``).
+#: Rules without a cost function, iterated in cycles (``fg_orient.adjustment.irls``).
 IN_CYCLES: Final = ("danish_original", "lad")
-#: Of these the rules whose weights, 1/t, are not shares of an observation's information: they may exceed 1.
+#: Rules with weights 1/t, which may exceed 1 and are not shares of the information of an observation.
 UNWEIGHED: Final = ("lad",)
 #: Scales of image points and control points: 1 sigma.
 A_PRIORI: Final = (1.0, 1.0)
-#: Directions that keep a smaller share of their error are left out of the scale: their share is approximate.
+#: Directions with a smaller share of their error in the residual are excluded from the scale: it is approximate.
 CHECKED: Final = 0.1
 #: With fewer residuals the scale is 1.
 LEAST: Final = 10
@@ -120,19 +120,6 @@ class FixedWeights:
         return self.image, self.control, cost
 
 
-S_contra = TypeVar("S_contra", contravariant=True)
-
-
-class RobustBackend(Protocol[S_contra]):
-    """Backend that weights its rows."""
-
-    robust: Robust | None
-
-    def squares(self, state: S_contra) -> tuple[Array, Array]:
-        """Squared whitened norms of image points (n,) and control points (m,), in any order."""
-        ...
-
-
 @dataclass(frozen=True)
 class Weights:
     """Weights at a state, of image points (n,) and of ground points (N,), which are 1 except at control points.
@@ -146,19 +133,13 @@ class Weights:
 
 
 def are_information(loss: str, weights: Weights) -> bool:
-    """Whether cofactors with these weights are meaningful: no weight may be above 1."""
+    """Whether cofactors with these weights have a meaning: no weight may exceed 1."""
     largest = max(float(weights.image.max(initial=0.0)), float(weights.control.max(initial=0.0)))
     return loss not in UNWEIGHED and largest <= 1.0 + 1e-12
 
 
 def find_loss(name: str) -> Loss:
-    """Find a loss.
-
-    Raises
-    ------
-    InputError
-        There is no loss of this name.
-    """
+    """Find a loss; InputError if there is no loss of this name."""
     loss = find(name)
     if loss is None:
         known = ", ".join((NONE, *losses(), *ALIASES, *IN_CYCLES))
@@ -197,7 +178,7 @@ def weights_at(problem: Problem, state: State, robust: Robust) -> tuple[Weights,
 
 
 def weighted_problem(problem: Problem, weights: Weights) -> Problem:
-    """Problem whose least squares has these weights: sigmas are divided by their roots."""
+    """Least-squares problem with these weights: sigmas are divided by their roots."""
     o, root = problem.observations, np.sqrt(weights.image)
     weighted = replace(o, sigma_line_px=o.sigma_line_px / root, sigma_sample_px=o.sigma_sample_px / root)
     control = problem.control_records.copy()

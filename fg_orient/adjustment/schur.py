@@ -352,7 +352,7 @@ class SchurBackend:
         return cost + 0.5 * self.prior * self.problem.prior_squares(state) + self._half_extras(state)
 
     def squares(self, state: State) -> tuple[Array, Array]:
-        """See ``robust.RobustBackend``; image points in the order of the structure."""
+        """See ``stages.RobustBackend``; image points in the order of the structure."""
         image = [np.einsum("ni,ni->n", value, value) for value in self._values(state)]
         return np.concatenate(image), self.control_squares(state)
 

@@ -38,7 +38,6 @@ from fg_orient.adjustment.robust import (
     IMAGE,
     NONE,
     Robust,
-    RobustBackend,
     ScaledLoss,
     find_loss,
     inlier_limit,
@@ -73,31 +72,15 @@ FACTOR: Final = 1.4
 LARGEST_MU: Final = 1e4
 
 
-class Plan(Protocol):
-    """Stages before a loss, from PLAIN to EXACT."""
-
-    def robust(self, mu: float, scale: Scale = A_PRIORI) -> Robust:
-        """Losses of a stage in units of these scales."""
-        ...
-
-    def iterations(self, mu: float) -> int:
-        """Maximum number of iterations of a stage before the last."""
-        ...
-
-    def following(self, mu: float, squares: tuple[Array, Array], settled: bool = True) -> float:
-        """The mu after a stage, from the squared norms at its end and whether the scale has converged."""
-        ...
-
-
 @dataclass(frozen=True)
 class Direct:
-    """A loss after least squares and, if ``from_huber``, Huber's loss."""
+    """Stages before a loss: least squares and, if ``from_huber``, Huber's loss, or wider losses after resections."""
 
     loss: Loss
     from_huber: bool
 
     def robust(self, mu: float, scale: Scale = A_PRIORI) -> Robust:
-        """See :class:`Plan`."""
+        """Losses of a stage in units of these scales."""
         if mu == PLAIN:
             return Robust(*(ScaledLoss(np.ones_like, half_square, s) for s in scale))
         if mu < WIDE:
@@ -106,13 +89,13 @@ class Direct:
         return scaled(self.loss if mu == EXACT else HUBER, scale)
 
     def iterations(self, mu: float) -> int:
-        """See :class:`Plan`."""
+        """Maximum number of iterations of a stage before the last."""
         if mu < WIDE:
             return WIDE_ITERATIONS
         return PLAIN_ITERATIONS if mu == PLAIN else START_ITERATIONS
 
     def following(self, mu: float, squares: tuple[Array, Array], settled: bool = True) -> float:
-        """See :class:`Plan`."""
+        """The mu after a stage, from the squared norms at its end and whether the scale has converged."""
         if mu == PLAIN:
             return START if self.from_huber else EXACT
         if mu < WIDE:
@@ -222,11 +205,11 @@ class Graduated:
         return Robust(ScaledLoss(weight, cost, self.image_limit), ScaledLoss(weight, cost, self.control_limit))
 
     def iterations(self, mu: float) -> int:
-        """See :class:`Plan`."""
+        """See :class:`Direct`."""
         return STAGE_ITERATIONS
 
     def following(self, mu: float, squares: tuple[Array, Array], settled: bool = True) -> float:
-        """See :class:`Plan`."""
+        """See :class:`Direct`."""
         schedule, (image, control) = SCHEDULES[self.loss], squares
         excess = np.concatenate([image / self.image_limit**2, control / self.control_limit**2])
         return schedule.first(float(excess.max(initial=0.0))) if mu == PLAIN else schedule.next(mu, excess)
@@ -247,6 +230,10 @@ def stages_left(mus: Sequence[float]) -> int | None:
     return max(math.ceil(math.log(factor) / math.log(FACTOR)), 1)
 
 
+#: Stages before a loss, from PLAIN to EXACT.
+Plan = Direct | Graduated
+
+
 def plan_of(options: Options) -> Plan | None:
     """Stages before the loss of the options; None for least squares."""
     if options.loss == NONE:
@@ -257,12 +244,18 @@ def plan_of(options: Options) -> Plan | None:
     return Direct(loss, options.robust_scale == "mad" or (loss.redescending and options.robust_start == "huber"))
 
 
-class StagedBackend(Backend[S], RobustBackend[S], Protocol[S]):
-    """Backend of the loop with a loss."""
+class RobustBackend(Backend[S], Protocol[S]):
+    """Backend that weights its rows."""
+
+    robust: Robust | None
+
+    def squares(self, state: S) -> tuple[Array, Array]:
+        """Squared whitened norms of image points (n,) and control points (m,), in any order."""
+        ...
 
 
 def run_stages(
-    backend: StagedBackend[S],
+    backend: RobustBackend[S],
     optimise: Callable[[Carried[S], int, float], LoopResult[S]],
     plan: Plan,
     carried: Carried[S],

@@ -224,7 +224,7 @@ class PartedBackend:
         return self._last_error[1] if self._last_error and self._last_error[0] == state.name else None
 
     def squares(self, state: State) -> tuple[Array, Array]:
-        """See ``fg_orient.adjustment.robust.RobustBackend``; one part after the other."""
+        """See ``fg_orient.adjustment.stages.RobustBackend``; one part after the other."""
         image, control = self.total(tasks.squares, self._parted(state))
         return np.concatenate(image), np.concatenate(control)
 
