@@ -1,4 +1,4 @@
-"""Image models of a block: each sensor gives its own (``fg_orient.sensors.base``)."""
+"""Image models of a block, from the sensors (``fg_orient.sensors.base``)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
 
 def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel, ...]:
-    """Give the model of each image.
+    """Model of each image.
 
     Raises
     ------
     InputError
-        The sensor of an image has no image model; images with a shared unknown begin with different values of it;
-        ``image_unknowns`` names an unknown that no image has, or none that an image has.
+        A sensor has no image model; approximate values of a shared unknown differ; ``image_unknowns`` names an unknown
+        that no image has, or no unknown of an image.
     """
     starts: dict[tuple[str, str], float] = {}
     for image in images:
@@ -38,7 +38,7 @@ def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel,
 
 def groups(models: Sequence[ImageModel]) -> list[list[int]]:
     """Images with the same equation and the same unknowns, by number, in the order of their first image."""
-    found: dict[tuple[str, bytes], list[int]] = {}
+    out: dict[tuple[str, bytes], list[int]] = {}
     for k, model in enumerate(models):
-        found.setdefault((model.equation.name, model.parameters.setup.tobytes()), []).append(k)
-    return list(found.values())
+        out.setdefault((model.equation.name, model.parameters.setup.tobytes()), []).append(k)
+    return list(out.values())

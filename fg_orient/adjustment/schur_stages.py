@@ -1,7 +1,7 @@
 """Stages of the Schur backend for a range of points: rows, point blocks, sums over pairs; and their memory.
 
-A thread runs all stages of its range before threads synchronise: a synchronisation takes up to 50 us, and rows that
-were just written are still in the cache when they are used.
+A thread runs all stages of its range before threads synchronise, because a synchronisation takes up to 50 us, and new
+rows are still in the cache when they are used.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def _aligned(*shape: int) -> Array:
 
 
 def row_arrays(n: int, c: int) -> tuple[Array, Array]:
-    """Jacobians of n image points; the first has padding at its end, see ``fg_orient.kernels.vectors``."""
+    """Jacobians of n image points; the first array is padded at its end, see ``fg_orient.kernels.vectors``."""
     space = np.empty(2 * n * c + SLACK)
     space[2 * n * c :] = 0.0
     return space[: 2 * n * c].reshape(n, 2, c), np.empty((n, 2, 3))
@@ -94,7 +94,7 @@ class Stages:
 
     def __init__(self, problem: Problem, structure: Structure) -> None:
         self.problem, self.structure = problem, structure
-        # in the order of the input, records cost 40 ns more per image point and iteration (measured at 1e5)
+        # records in the order of the input cost 40 ns more per image point and iteration (measured at 1e5)
         self._records, self._row = problem.records, structure.row
         if len(structure.row) <= ALL_KEPT:
             self._records, self._row = problem.records[structure.row], np.arange(len(structure.row), dtype=np.int32)
@@ -137,7 +137,7 @@ class Stages:
     def chunks(
         self, lo: int, hi: int, rows: TileRows, state: State, wide: Array | None, damping: float, b: Buffers
     ) -> None:  # fmt: skip
-        """Eliminate the ground points of chunks lo to hi; with ``wide``, their rows are first computed and weighted."""
+        """Eliminate the ground points of chunks lo to hi; with ``wide`` their rows are computed and weighted before."""
         s = self.structure
         if wide is not None:
             self._weighted_rows(lo, hi, rows, state, wide, b)

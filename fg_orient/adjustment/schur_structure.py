@@ -1,4 +1,4 @@
-"""A problem compiled to arrays for the Schur backend, once: sorted observations, columns, pieces, chunks, tiles.
+"""A problem compiled to arrays for the Schur backend: sorted observations, columns, pieces, chunks, tiles.
 
 Image points are sorted by ground point, and ground points by the images that see them, so that data used together are
 adjacent in memory. The layout is that of ``fg_orient.kernels.batch``, ``fg_orient.kernels.batch_points`` and
@@ -27,23 +27,23 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 Small = npt.NDArray[np.int32]
 
-#: Up to so many image points one thread is used: a second thread costs 50 us at each stage (measured).
+#: Number of image points below which one thread is used: a second thread costs 50 us at each stage (measured).
 SERIAL_LIMIT: Final = 2000
-#: Number of chunks, least and largest number of their image points. Each chunk has separate sums (some blocks of 6 kB);
-#: threads share the chunks.
+#: Number of chunks, least and largest number of their image points. Each chunk has separate sums (a few blocks of 6
+#: kB); threads divide the chunks.
 CHUNKS: Final = 12
 LEAST_CHUNK: Final = 768
 MOST_CHUNK: Final = 16384
-#: Time that the rows of an image point take, in pairs of rays (measured: 110 and 50 ns).
+#: Time for the rows of an image point, in units of a pair of rays (measured: 110 and 50 ns).
 RAY_COST: Final = 2
-#: Limits of the sums of the chunks: bytes per image point, bytes that are always allowed; least number of chunks.
+#: Limits for the sums of the chunks: bytes per image point, bytes that are always allowed, least number of chunks.
 SUMS: Final = 48
 LEAST_SUMS: Final = 32_000_000
 LEAST_CHUNKS: Final = 4
 #: Image points whose rows are computed together: 25 MB.
 TILE: Final = 131_072
-#: Up to so many image points all rows are kept, 200 bytes each. Larger blocks keep this share, so that the working set
-#: stays below 256 bytes per image point; the other rows are computed three times instead of once.
+#: Number of image points up to which all rows are kept, 200 bytes each. Larger blocks keep this share: the working set
+#: is below 256 bytes per image point, and the other rows are computed three times instead of once.
 ALL_KEPT: Final = 300_000
 KEPT_SHARE: Final = 0.28
 #: Records that are copied at once.
@@ -174,12 +174,12 @@ def compile_structure(problem: Problem) -> Structure:
     row, image, point, first = _sorted(problem)
     number = point[first[:-1]]
     free = np.where(problem.active[number], np.where(problem.observed[number], 2, 1), 0).astype(np.int8)
-    found = _groups(problem, image)
+    image_groups = _groups(problem, image)
     n_basis, n_components, size = (np.zeros(problem.n_images, np.int64) for _ in range(3))
     widest = int(np.diff(problem.first).max())
     wide, scale = np.zeros((problem.n_images, widest), np.int64), np.zeros((problem.n_images, widest))
-    basis = np.zeros((len(row), max(g.n_basis for g in found)))
-    for g in found:
+    basis = np.zeros((len(row), max(g.n_basis for g in image_groups)))
+    for g in image_groups:
         k = len(g.columns.scale)
         n_basis[g.images], n_components[g.images], size[g.images] = g.n_basis, g.columns.n_components, k
         wide[g.images, :k], scale[g.images, :k] = g.columns.wide, g.columns.scale
@@ -190,8 +190,8 @@ def compile_structure(problem: Problem) -> Structure:
     pairs = np.append(pieces[1:, 4], _entries(pieces)) - pieces[:, 4]
     cost = np.concatenate([[0], np.cumsum((pairs + RAY_COST * pieces[:, 3]) * pieces[:, 2])])[chunks]
     return Structure(
-        found, row, image, point, number, free, first, basis, n_basis, n_components, size, wide, scale, pieces, chunks,
-        chunk_places=chunk_places, cost=cost, tiles=_tiles(first, chunk_places), **slots,
+        image_groups, row, image, point, number, free, first, basis, n_basis, n_components, size, wide, scale, pieces,
+        chunks, chunk_places=chunk_places, cost=cost, tiles=_tiles(first, chunk_places), **slots,
     )  # fmt: skip
 
 
@@ -272,14 +272,14 @@ def _slots(
     exists = kind >= 0
     blocks, block = np.unique(key[exists], return_inverse=True)
     chunk, own = np.divmod(kind[exists], 2)
-    found, slot = np.unique((chunk * len(blocks) + block) * 2 + own, return_inverse=True)
+    slot_key, slot = np.unique((chunk * len(blocks) + block) * 2 + own, return_inverse=True)
     slots = np.full(len(key), -1, np.int32)
     slots[exists] = slot
-    begin = np.searchsorted(found // (2 * len(blocks)), np.arange(len(chunks)))
-    slot_block = found // 2 % len(blocks)
+    begin = np.searchsorted(slot_key // (2 * len(blocks)), np.arange(len(chunks)))
+    slot_block = slot_key // 2 % len(blocks)
     block_begin = np.concatenate([[0], np.cumsum(np.bincount(slot_block, minlength=len(blocks)))])
     return {
-        "slots": slots, "slot_begin": begin.astype(np.int64), "slot_own": (found % 2).astype(np.int32),
+        "slots": slots, "slot_begin": begin.astype(np.int64), "slot_own": (slot_key % 2).astype(np.int32),
         "block_row": blocks // n_images, "block_column": blocks % n_images,
         "block_begin": block_begin.astype(np.int64),
         "block_slots": np.argsort(slot_block, kind="stable").astype(np.int32),

@@ -243,16 +243,16 @@ class _Job:
 
     def optimise(self, backend: Any, to_state: Callable[[S], State], of_state: Callable[[State], S]) -> LoopResult[S]:
         """Run the optimiser on a backend; ``to_state`` and ``of_state`` convert its states for the checkpoint."""
-        options, first = self.options, self._first
+        options = self.options
+        first: Carried[Any] = self._first
         carried: Carried[Any] = replace(first, state=of_state(first.state))
         if self._callback is not None:
             for record in carried.log:
                 self._callback(record)
 
-        def keep(carried: Carried[S]) -> None:
+        def keep(carried: Carried[Any]) -> None:
             if self._checkpoint is not None:
-                kept: Carried[Any] = replace(carried, state=to_state(carried.state))
-                self._checkpoint.keep(self.problem, self.backend, kept)
+                self._checkpoint.keep(self.problem, self.backend, replace(carried, state=to_state(carried.state)))
 
         def run(start: Carried[S], max_iterations: int, tolerance: float) -> LoopResult[S]:
             return OPTIMIZERS[options.optimizer](

@@ -1,9 +1,9 @@
-"""Unknowns shared by several images: one camera's interior orientation, the drift of one strip.
+"""Unknowns shared by several images, such as the interior orientation of a camera or the drift of a strip.
 
-Each image keeps a complete vector (the *wide* unknowns x, one image after the other), so that equations, rows and
-cofactors do not depend on ties. The solution is for the *free* unknowns z, first the own unknowns of each image, then
-those of each id: ``x = T z`` with a 0-1 matrix T. Hence J becomes J T, the reduced camera system S becomes T^T S T, and
-cofactors of x are ``T Q T^T``: block-invariant self-calibration without a further equation.
+Each image has a complete vector (the *wide* unknowns x, one image after the other), so that equations, rows and
+cofactors do not depend on ties. The *free* unknowns z are solved for: first those of single images, then those of each
+shared id. ``x = T z`` with a 0-1 matrix T. Hence J becomes J T, the reduced camera system S becomes T^T S T, and
+cofactors of x are ``T Q T^T``: block-invariant self-calibration without further equations.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class Ties:
     Parameters
     ----------
     of : (w,) int array
-        Free unknown of each wide one.
+        Free unknown of each wide unknown.
     part : (M + G + 1,) int array
-        First free unknown of each image, then of each of the G ids; their number.
+        First free unknown of each image and of each of the G shared ids; number of free unknowns.
     ids : tuple of str
-        The G ids.
+        The G shared ids.
     """
 
     of: Index
@@ -49,7 +49,7 @@ class Ties:
 
     @cached_property
     def place(self) -> Index:
-        """First wide unknown (z,) of each free one."""
+        """First wide unknown (z,) of each free unknown."""
         out = np.empty(len(self), np.intp)
         out[self.of[::-1]] = np.arange(len(self.of))[::-1]
         return out
@@ -82,18 +82,9 @@ class Ties:
 
 
 def ties_of(parameters: Sequence[ImageParameters], names: Sequence[str]) -> Ties | None:
-    """Ties of images; None if images share no unknowns.
+    """Ties of images with these ids; None if images share no unknowns.
 
-    Parameters
-    ----------
-    parameters : sequence of ImageParameters
-    names : sequence of str
-        Ids of the images, for messages.
-
-    Raises
-    ------
-    InputError
-        A shared unknown has different prior sigmas.
+    InputError if a shared unknown has different prior sigmas.
     """
     own = [p.own for p in parameters]
     if all(mask.all() for mask in own):

@@ -1,4 +1,4 @@
-"""Result of an adjustment: state, fit, observability, accuracy; covariance and tests on demand.
+"""Result of an adjustment: state, fit, observability, accuracy; covariance and tests are computed at first use.
 
 Cofactors are in prior scale (sigma0 = 1 a priori), as tests of predictions require. :meth:`Solution.covariance`
 multiplies them by the a posteriori variance factor ``sigma0^2``, as reports require.
@@ -51,7 +51,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Seconds:
-    """Wall-clock seconds by phase; ``read`` is filled by the command line."""
+    """Wall-clock seconds of each phase; the command line sets ``read``."""
 
     read: float = 0.0
     structure: float = 0.0
@@ -76,21 +76,21 @@ class Solution(AdjustmentResult):
     end : Finding
         Reason for the end of the iteration; ``ended`` is its sentence.
     ground_m : (N, 3) array
-        Adjusted ECEF coordinates in file order; excluded check points are intersected, points
-        without image observations nan.
+        Adjusted ECEF coordinates in file order; excluded check points are intersected; nan for points without image
+        points.
     residuals_px : (n, 2) array
         Line and sample residuals, adjusted minus observed, of ``problem.observations``.
     sigma0_interval : (float, float)
         99.9 % interval of sigma0 if model and weights are right; nan under a loss and with variance components.
     observability : tuple of ImageObservability
     block_view : BlockObservability or None
-        The whole block without its priors, where there are none or where they fix the datum.
+        Observability of the whole block without priors; only if there are no priors or they fix the datum.
     accuracy : Accuracy
-        Control and check points against their measured coordinates.
+        Differences at control and check points.
     backend, solver : str
         Backend, and linear solver of the dense backend ("" otherwise).
     memory : Need or None
-        Memory that the run was expected to need, and its limit.
+        Estimated memory of the run, and its limit.
     resumed_at : int
         Iterations of an interrupted run that this run continued.
     snooping : Search or None
@@ -151,8 +151,7 @@ class Solution(AdjustmentResult):
         """Correction of an image in physical units, for ``project``, ``locate`` and ``rays`` of its sensor.
 
         ``Correction`` of a pushbroom image, compensation (6,) in pixels of an RPC image (``factors.cameras.rfm``).
-
-        Another name of an image raises InputError.
+        InputError if there is no such image.
         """
         if image not in [i.id for i in self.block.images]:
             raise InputError.of("covariance.no_such", place="correction", value=image)
@@ -163,8 +162,8 @@ class Solution(AdjustmentResult):
 
         "image:left" (all its parameters), "image:left.x_0" (one), "point:12", "point:12.z", "observation:left/12"
         (adjusted line and sample of an image point), "residual:left/12". Units are physical: m, m/s, rad for
-        images, ECEF metres for points, pixels; see ``fg_orient.quality.joint``. A name that does not exist, or a point
-        that is not an unknown, raises InputError.
+        images, ECEF metres for points, pixels; see ``fg_orient.quality.joint``. InputError for a name that does not
+        exist, or a point that is not an unknown.
         """
         from fg_orient.quality.joint import joint_cofactors
 
@@ -199,9 +198,9 @@ class Solution(AdjustmentResult):
         dem : HeightSurface, optional
             Surface instead of a height; its slope propagates the error of its height to East and North.
         height_sigma_m : float
-            Standard deviation of the height, or of the DEM's.
+            Standard deviation of the height, or of the heights of the DEM.
         sigma_px : (line, sample), optional
-            Standard deviations of the measurement; default: the median of the image's own, times sigma0.
+            Standard deviations of the measurement; default: the median of the image, times sigma0.
 
         Raises
         ------
@@ -218,9 +217,9 @@ class Solution(AdjustmentResult):
     def intersect(
         self, pixels: Mapping[str, tuple[float, float]], *, sigma_px: tuple[float, float] | None = None
     ) -> LocatedPoint:
-        """Intersect the rays of two images or more with the adjusted orientation; see :meth:`locate`.
+        """Intersect rays of two or more images with the adjusted orientation; see :meth:`locate`.
 
-        ``pixels``: line and sample of the same point by image id.
+        ``pixels`` are line and sample of the point by image id.
         """
         from fg_orient.quality.located_point import intersect
 
@@ -236,7 +235,7 @@ class Solution(AdjustmentResult):
     def reliability(self, *, alpha: float = ALPHA, power: float = POWER) -> BlockReliability:
         """Redundancy numbers, minimal detectable biases and their effects, of all observations.
 
-        See ``fg_orient.quality.reliability``; sigmas are those a priori.
+        See ``fg_orient.quality.reliability``; sigmas are a priori.
 
         Parameters
         ----------
@@ -251,15 +250,11 @@ class Solution(AdjustmentResult):
             There is no covariance, or a loss is set: its weights change both probabilities.
         """
         self._require_unweighted("statistics.reliability_weighted")
-        known = (alpha, power)
-        if known not in self._reliability:
+        known: dict[tuple[float, float], BlockReliability] = self.__dict__.setdefault("_reliability", {})
+        if (alpha, power) not in known:
             q = self.residual_cofactors
-            self._reliability[known] = reliability(self.problem, self.state, q, alpha=alpha, power=power)
-        return self._reliability[known]
-
-    @cached_property
-    def _reliability(self) -> dict[tuple[float, float], BlockReliability]:
-        return {}
+            known[alpha, power] = reliability(self.problem, self.state, q, alpha=alpha, power=power)
+        return known[alpha, power]
 
     def suspicious(
         self, *, level: float | None = None, test: str | None = None, control: str | None = None, kind: Kind = "groups"
@@ -280,7 +275,7 @@ class Solution(AdjustmentResult):
     def variance_components(
         self, *, groups: tuple[str, ...] = USUAL_GROUPS, method: Method = "helmert"
     ) -> VarianceComponents:
-        """Variance components of groups of observations from this one solution.
+        """Variance components of groups of observations from this solution.
 
         See ``fg_orient.quality.variance_components``; ``adjust(variance_components=...)`` iterates. NoSolutionError:
         there is no covariance, or it contains the weights of a loss.
@@ -291,14 +286,10 @@ class Solution(AdjustmentResult):
     def in_datum(self, *names: str) -> FreeNetwork:
         """S-transformation of a free network to the datum of images ("image:3") and points ("point:12").
 
-        Without names: the datum it was adjusted in, inner constraints on all ground points.
+        Without names: datum of the adjustment, inner constraints on all ground points.
 
-        Raises
-        ------
-        NoSolutionError
-            Not a free network (``datum = "inner"``), or it has no covariance.
-        InputError
-            No such image or point, or they do not fix all motions.
+        NoSolutionError: not a free network (``datum = "inner"``), or no covariance. InputError: no such image or point,
+        or they do not fix all motions.
         """
         network = getattr(self.cofactors, "network", None)
         if network is None:
@@ -306,7 +297,7 @@ class Solution(AdjustmentResult):
         return network.in_datum(*names) if names else network  # type: ignore[no-any-return]
 
     def significance(self, *, level: float = SIGNIFICANCE_LEVEL) -> Significance:
-        """Test every unknown of the images, and groups of them; see ``fg_orient.quality.significance``.
+        """Test all unknowns of the images and groups of them; see ``fg_orient.quality.significance``.
 
         NoSolutionError: no covariance, a loss, no redundancy, or variance components in a block too large for their
         degrees of freedom.
@@ -315,7 +306,7 @@ class Solution(AdjustmentResult):
         return significance(self.problem, self.state, q, self.sigma0, level=level, freedom=self.unknown_freedom)
 
     def prediction_test(self) -> PredictionTest:
-        """Compare the predicted accuracy with the check points; see ``fg_orient.quality.accuracy``.
+        """Compare predicted and actual accuracy at check points; see ``fg_orient.quality.accuracy``.
 
         NoSolutionError: no covariance, no check points, or check points that are not unknowns.
         """
@@ -325,8 +316,8 @@ class Solution(AdjustmentResult):
 
     @cached_property
     def regularisation(self) -> Regularisation | None:
-        """L-curve and chosen kappas of a Tikhonov solver (``fg_orient.quality.conditioning``); None for others."""
-        if not self.solver:  # another backend: the kappa rules are not loaded
+        """L-curve and kappas of a Tikhonov solver (``fg_orient.quality.conditioning``); None for other solvers."""
+        if not self.solver:  # another backend: do not load the kappa rules
             return None
         from fg_orient.quality.conditioning import regularisation
 
@@ -335,10 +326,7 @@ class Solution(AdjustmentResult):
     def compare_dem(self, dem: HeightSurface | str | Path, *, role: str | None = None) -> DemComparison:
         """Compare adjusted heights (of one role: "control", "check", "tie") with a DEM of ellipsoidal heights.
 
-        Raises
-        ------
-        InputError
-            The DEM cannot be read, no such point lies over it, or the block is not georeferenced.
+        InputError: the DEM cannot be read, it contains none of these points, or the block is not georeferenced.
         """
         from fg_orient.quality.dem_accuracy import compare_points
 
@@ -350,7 +338,7 @@ class Solution(AdjustmentResult):
 
     @cached_property
     def result(self) -> Result:
-        """Record of this solution: content of its result folder, tables."""
+        """Record of this solution: content of the result folder, tables."""
         from fg_orient.result.summary import result_of
         from fg_orient.rpc.files import corrected_models
 
@@ -358,21 +346,10 @@ class Solution(AdjustmentResult):
         return result_of(self, corrected_models(self), folder=project.parent)
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Result:
-        """Write the result folder that ``fg-orient adjust`` writes, whole or not at all.
+        """Write the result folder like ``fg-orient adjust``, whole or not at all.
 
-        :func:`fg_orient.read_result` reads it; ``fg-orient replay`` needs a folder of ``fg-orient adjust``.
-
-        Parameters
-        ----------
-        folder : path
-            Folder to be made.
-        overwrite : bool
-            Replace an existing result folder.
-
-        Raises
-        ------
-        InputError
-            The folder exists or cannot be written.
+        :func:`fg_orient.read_result` reads it; ``fg-orient replay`` requires a folder of ``fg-orient adjust``.
+        ``overwrite`` replaces an existing result folder. InputError: the folder exists or cannot be written.
         """
         from fg_orient.formats.atomic import require_free, staged_folder, writing
         from fg_orient.report import write_page
@@ -385,11 +362,11 @@ class Solution(AdjustmentResult):
         return result
 
     def to_frame(self, table: str = "points") -> pandas.DataFrame:
-        """Give a table as ``pandas.DataFrame``; see :meth:`fg_orient.Result.to_frame`."""
+        """A table as ``pandas.DataFrame``; see :meth:`fg_orient.Result.to_frame`."""
         return self.result.to_frame(table)
 
     def to_geo(self) -> dict[str, Any]:
-        """Give the points as a GeoJSON FeatureCollection; see :meth:`fg_orient.Result.to_geo`."""
+        """The points as a GeoJSON FeatureCollection; see :meth:`fg_orient.Result.to_geo`."""
         return self.result.to_geo()
 
     def _overview(self) -> dict[str, Any]:
