@@ -92,7 +92,7 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
     records = 8 * (pushbroom.RECORD.size + options.curve_intervals)
     common = n * (2 * records + 48) + len(block.points.ids) * 8 * PER_POINT
     backend = suitable_backend(block)
-    working = {"schur": _schur, "graph": _graph, "dense": _dense}[backend](block, n, u, max(sizes))
+    working = _working(backend, block, n, u, max(sizes))
     if backend == "schur" and elsewhere:
         working -= n * SCHUR
     elif backend == "schur" and n <= ALL_KEPT:  # small blocks have a second copy of their records
@@ -106,25 +106,18 @@ def _statistics(images: int, n: int, widest: int) -> float:
     return n * STATISTICS + min(n, CHUNK) * STATISTICS_CHUNK + 2 * 8 * widest**2 * images * (images + 1) / 2
 
 
-def _schur(block: Block, n: int, u: int, widest: int) -> float:
-    """Working set, reduced matrix with factor and inverse, blocks of pairs of images and their sums."""
-    images = len(block.images)
-    whole = 3 * 8 * u**2 if u <= WHOLE_LIMIT else 0
-    return n * SCHUR + whole + (2 + LEAST_CHUNKS) * 8 * widest**2 * images * (images + 1) / 2
-
-
-def _graph(block: Block, n: int, u: int, widest: int) -> float:
-    """Memory of GTSAM; joint cofactors of the images."""
-    return n * GRAPH + 2 * 8 * u**2
-
-
-def _dense(block: Block, n: int, u: int, widest: int) -> float:
-    """Jacobian, its scaled copy and its factorisation; cofactors."""
-    points = block.points
+def _working(backend: str, block: Block, n: int, u: int, widest: int) -> float:
+    """Memory of a backend for n image points and u image unknowns, ``widest`` of them of one image."""
+    if backend == "graph":  # GTSAM; joint cofactors of the images
+        return n * GRAPH + 2 * 8 * u**2
+    images, points = len(block.images), block.points
+    if backend == "schur":  # rows, reduced matrix with factor and inverse, blocks of pairs of images and their sums
+        whole = 3 * 8 * u**2 if u <= WHOLE_LIMIT else 0
+        return n * SCHUR + whole + (2 + LEAST_CHUNKS) * 8 * widest**2 * images * (images + 1) / 2
     fixed = int(points.known.fixed.sum())
     unknowns = u + 3 * (len(points.ids) - fixed)
     rows = 2 * n + 3 * (len(points.where(Role.CONTROL)) - fixed) + (u if block.options.priors else 0)
-    return 8 * (3 * rows * unknowns + 2 * unknowns**2)
+    return 8 * (3 * rows * unknowns + 2 * unknowns**2)  # Jacobian, scaled copy, factorisation; cofactors
 
 
 def require_memory(block: Block, *, elsewhere: bool = False) -> Need:

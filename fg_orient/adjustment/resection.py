@@ -268,17 +268,10 @@ STEP_M = 1e-6
 
 @dataclass(frozen=True)
 class LocatedPoints:
-    """Points located with the orientation of a state held fixed.
+    """Ground points ``index`` (n,) located with the image unknowns of a state held fixed.
 
-    Parameters
-    ----------
-    problem : Problem
-        All rays of these points, its only unknown ground points.
-    state : State
-    index : (n,) int array
-        Ground points.
-    lost : (m,) int array
-        Points without coordinates: their steps do not converge, because their rays hardly intersect.
+    ``problem`` contains all their rays, and only these points are unknowns. ``lost`` (m,) are points without
+    coordinates: their steps do not converge, because their rays hardly intersect.
     """
 
     problem: Problem

@@ -68,12 +68,8 @@ class Group:
 class Tile:
     """Consecutive chunks whose rows are computed and used together.
 
-    Parameters
-    ----------
-    points, places, chunks : (2,) int tuples
-        First and end of its image points, of its places among the ground points, of its chunks.
-    kept : bool
-        Whether its rows are kept; otherwise they are computed again for each use.
+    First and end of its image points, of its places among the ground points, and of its chunks; ``kept``: whether its
+    rows stay in memory, else they are computed for each use.
     """
 
     points: tuple[int, int]

@@ -37,26 +37,11 @@ REST_M: Final = 1e-3
 
 @dataclass(frozen=True)
 class DemAdjustment:
-    """Result of :func:`adjust_with_dem`.
+    """Result of :func:`adjust_with_dem`: solution of the last of ``rounds`` adjustments, the first without the model.
 
-    Parameters
-    ----------
-    solution : Solution
-        Solution of the last round.
-    dem : str
-        Name of the model.
-    ids : tuple of str
-        Points with observed heights.
-    outside : tuple of str
-        Points without a height in the model.
-    height_m : (n,) array
-        Adjusted heights above the model.
-    sigma_m : float
-        Standard deviation of a height.
-    rounds : int
-        Number of adjustments, including the first one without the model.
-    moved_m : float
-        Largest movement of a point in the last round; above 1 mm the points are still moving.
+    ``ids`` are the points with observed heights, ``outside`` points without a height in the model ``dem``; ``height_m``
+    (n,) adjusted heights above the model, ``sigma_m`` the standard deviation of a height. ``moved_m`` is the largest
+    movement of a point in the last round; above 1 mm the points are still moving.
     """
 
     solution: Solution

@@ -49,17 +49,10 @@ SEED: Final = 1
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """Prediction errors.
+    """Prediction errors, predicted minus measured.
 
-    Parameters
-    ----------
-    n_folds : int
-    ids : tuple of str
-        Points of the rows of ``ground_m``.
-    image_px : (n, 2) array
-        Predicted minus measured line and sample.
-    ground_m : (p, 3) array
-        Predicted minus measured East, North, Up (X, Y, Z in a local system) of points in two images or more.
+    ``image_px`` (n, 2) are line and sample; ``ground_m`` (p, 3) East, North, Up (X, Y, Z in a local system) of the
+    points ``ids``, which are in two images or more.
     """
 
     n_folds: int
@@ -154,17 +147,10 @@ def _without_check_points(block: Block, *, keep_rays: bool) -> Block:
 
 @dataclass(frozen=True)
 class Criteria:
-    """Criteria of one model.
+    """Criteria of one model with n observations, without priors.
 
-    Parameters
-    ----------
-    n : int
-        Observations without priors.
-    k : float
-        Number of unknowns that the observations determine, plus one for the unit weight.
-    sigma0 : float
-    log_likelihood, aic, aicc, bic : float or None
-        None for an exact fit, whose likelihood has no maximum; ``aicc`` also if n <= k + 1.
+    k is the number of unknowns that the observations determine, plus one for the unit weight. Values are None for an
+    exact fit, whose likelihood has no maximum; ``aicc`` also if n <= k + 1.
     """
 
     n: int
@@ -180,17 +166,8 @@ class Criteria:
 class Step:
     """One model of a reduction.
 
-    Parameters
-    ----------
-    unknowns : tuple of str
-    changed : str
-        Coefficient that was dropped or added; "" for the first model.
-    test : GroupTest or None
-        Test of this coefficient.
-    tests : tuple of GroupTest
-        Tests of all coefficients of the model, least significant first.
-    criteria : Criteria
-    validation : CrossValidation or None
+    ``changed`` is the coefficient that was dropped or added ("" for the first model), ``test`` its test. ``tests`` of
+    all coefficients of the model begin with the least significant.
     """
 
     unknowns: tuple[str, ...]
@@ -203,17 +180,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Reduction:
-    """All models of a reduction, in order.
-
-    Parameters
-    ----------
-    direction : str
-    level : float
-        Level of each step.
-    steps : tuple of Step
-    solution : Solution
-        Solution of the last model.
-    """
+    """All models of a reduction in their order, the level of each step, and the solution of the last model."""
 
     direction: Direction
     level: float

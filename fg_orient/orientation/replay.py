@@ -39,24 +39,10 @@ TABLES: Final = (
 class Replay:
     """Result of a repeated run.
 
-    Parameters
-    ----------
-    out : str or None
-        Result folder of the repeated run; None without solution.
-    status : str
-        Status of the repeated run.
-    inputs : tuple of Finding
-        Allowed inputs that changed, are missing or are new.
-    n_inputs : int
-        Number of inputs of the first run.
-    n_compared : int
-        Number of compared values of ``result.json``.
-    differences : tuple of dict
-        ``key``, ``then``, ``now`` of each value that differs; None for a missing value.
-    tables : dict
-        For each table, whether its bytes are equal.
-    versions : tuple of dict
-        ``name``, ``then``, ``now`` of software and platform that differ.
+    ``out`` is its result folder, or None without solution. ``inputs`` are allowed inputs that changed, are missing or
+    new; ``n_inputs`` counts the inputs of the first run. ``differences`` have ``key``, ``then`` and ``now`` of each of
+    the ``n_compared`` values of ``result.json`` that differs, None for a missing value. ``tables`` contains for each table
+    whether its bytes are equal. ``versions`` have ``name``, ``then`` and ``now`` of software and platform that differ.
     """
 
     out: str | None

@@ -75,20 +75,9 @@ RuleFunction = Callable[[LinearSystem, Given], KappaChoice]
 
 @dataclass(frozen=True)
 class KappaRule:
-    """A registered rule.
+    """A registered rule; ``needs`` are the fields of :class:`Given` that must be set.
 
-    Parameters
-    ----------
-    name, label : str
-        Such as "gcv", "Generalised cross-validation".
-    function : callable
-        See the module docstring.
-    source : str
-        Author year, equation.
-    published : bool
-        One of the rules of Terlemezoğlu 2019.
-    needs : tuple of str
-        Fields of :class:`Given` that must be set.
+    ``published`` rules are those of Terlemezoğlu 2019, ``source`` is author, year and equation.
     """
 
     name: str

@@ -22,20 +22,10 @@ CURVE_POINTS: Final = 121
 
 @dataclass(frozen=True)
 class Choice:
-    """The kappa of one rule and its point on the curve.
+    """The kappa of one rule and its point on the curve: |A x - l| and |x|.
 
-    Parameters
-    ----------
-    rule, label : str
-        Such as "gcv", "Generalised cross-validation".
-    kappa : float
-        nan if the rule fails.
-    residual_norm, solution_norm : float
-        |A x - l| and |x| of the solution; nan if the rule fails.
-    notes : tuple of str
-        Remarks: clamping; kappa at the end of the range.
-    failure : str
-        Reason why the rule fails; "" otherwise.
+    The numbers are nan if the rule fails, for the reason in ``failure``. ``notes`` are remarks: clamping, kappa at the
+    end of the range.
     """
 
     rule: str

@@ -36,23 +36,9 @@ START: Final = "start"
 
 @dataclass(frozen=True)
 class At:
-    """A state of a part.
+    """A state of a part: image unknowns (M, k) in prior sigmas, and ground points in a file with the name of the state.
 
-    Parameters
-    ----------
-    folder : str
-        Work folder.
-    part : int
-    name : str
-        Name of the state and of the file of its ground points.
-    image : (M, k) array
-        Image unknowns, prior sigmas.
-    threads : int or None
-        Threads of the kernels.
-    robust : Robust or None
-        Losses; None for least squares.
-    loss : int
-        Changes with the losses.
+    ``threads`` are those of the kernels; ``robust`` are losses, ``loss`` their number, which changes with them.
     """
 
     folder: str
