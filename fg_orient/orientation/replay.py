@@ -41,8 +41,9 @@ class Replay:
 
     ``out`` is its result folder, or None without solution. ``inputs`` are allowed inputs that changed, are missing or
     new; ``n_inputs`` counts the inputs of the first run. ``differences`` have ``key``, ``then`` and ``now`` of each of
-    the ``n_compared`` values of ``result.json`` that differs, None for a missing value. ``tables`` contains for each table
-    whether its bytes are equal. ``versions`` have ``name``, ``then`` and ``now`` of software and platform that differ.
+    the ``n_compared`` values of ``result.json`` that differs, None for a missing value. ``tables`` contains for each
+    table whether its bytes are equal. ``versions`` have ``name``, ``then`` and ``now`` of software and platform that
+    differ.
     """
 
     out: str | None
