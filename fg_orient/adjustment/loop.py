@@ -106,7 +106,7 @@ class Carried(Generic[S]):
     ----------
     state : S
     control : float
-        Damping or radius; nan: the optimiser's initial value.
+        Damping or radius; nan: initial value of the optimiser.
     growth : float
         Factor of the damping after the next rejected step.
     previous : float
@@ -116,10 +116,8 @@ class Carried(Generic[S]):
     log : tuple of IterationRecord
     begun_at : int
         Iterations of earlier stages.
-    mu : float
-        Stage of graduated non-convexity (``fg_orient.adjustment.stages``); nan without.
-    image_scale, control_scale : float
-        Units of the losses of the stage, in sigmas.
+    mu, image_scale, control_scale : float
+        Stage (``fg_orient.adjustment.stages``; nan without loss) and units of its losses, in sigmas.
     """
 
     state: S
@@ -158,16 +156,9 @@ class LoopResult(Generic[S]):
 
 
 class Course(Generic[S]):
-    """Progress of a loop.
+    """Progress of a loop from a state, or from the input of the next iteration of an interrupted loop.
 
-    Parameters
-    ----------
-    start : S or Carried
-        A state, or what an interrupted loop carried.
-    callback : callable or None
-        Receives each record.
-    keep : callable or None
-        Receives what is carried after each iteration except the last.
+    ``callback`` receives each record; ``keep`` receives the input of each further iteration.
     """
 
     def __init__(
@@ -266,18 +257,9 @@ def gauss_newton(
 class _Control:
     """Control of the steps by a damping or radius.
 
-    Parameters
-    ----------
-    first : float
-        Initial value.
-    solve : callable
-        Step under a value.
-    follow : callable
-        Next value and growth, from value, growth and record.
-    regular : bool
-        A larger value makes singular equations regular: they do not end the loop.
-    max_rejected : int
-        Consecutive rejected steps that end the loop.
+    ``first`` is its initial value, ``solve`` the step for a value, ``follow`` the next value and growth from value,
+    growth and record. ``regular``: a larger value makes singular equations regular, so that they do not end the loop.
+    ``max_rejected`` consecutive rejected steps end the loop.
     """
 
     first: float

@@ -40,18 +40,9 @@ DEPENDENT: Final = 1e-10
 
 @dataclass(frozen=True)
 class Variable:
-    """Unknowns that belong together.
+    """Unknowns that belong together: name for messages, approximate values (k,), names of the elements.
 
-    Parameters
-    ----------
-    name : str
-        Name for messages.
-    start : (k,) array
-        Approximate values.
-    labels : tuple of str
-        Names of the elements.
-    is_point : bool
-        Whether GTSAM uses a Point3.
+    ``is_point``: GTSAM uses a Point3.
     """
 
     name: str
@@ -64,18 +55,8 @@ class Variable:
 class Observation:
     """An equation between variables.
 
-    Parameters
-    ----------
-    equation : Equation
-    unknowns : tuple of int or array
-        For each argument of the equation the number of a variable, or a constant.
-    record, setup : arrays
-        See ``factors._contract``.
-    n_residuals : int
-    label : str
-        Name for messages.
-    hard : bool
-        Whether the residual must vanish.
+    ``unknowns`` contains the number of a variable, or a constant, for each argument of the equation. ``record`` and
+    ``setup``: see ``factors._contract``. ``label`` is for messages. ``hard``: the residual must vanish.
     """
 
     equation: Equation

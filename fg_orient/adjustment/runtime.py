@@ -28,12 +28,7 @@ Index = npt.NDArray[np.int64]
 
 
 class Workers:
-    """Threads that share a range of a kernel; results do not depend on their number.
-
-    Parameters
-    ----------
-    threads : int
-    """
+    """Threads that divide a range of a kernel; results do not depend on their number."""
 
     def __init__(self, threads: int) -> None:
         self.threads = threads

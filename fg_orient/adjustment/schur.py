@@ -127,24 +127,17 @@ class SchurSystem:
         return rows
 
     def reduced(self, damping: float) -> Reduced:
-        """Eliminate the points: the reduced camera system, damped by ``damping`` times the identity.
+        """Eliminate the points: reduced camera system with ``damping`` times the identity added.
 
-        Raises
-        ------
-        Singular
-            A ground point, or the reduced system, is not determined.
+        Singular if a ground point, or the reduced system, is not determined.
         """
         return self._backend.reduced(self._eliminated(damping), self._backend.prior + damping)
 
     def partial(self, damping: float) -> tuple[Array, Array]:
         """Eliminate the points: blocks (B, k, k) without priors and damping of the images, and gradient (u,).
 
-        These are the contributions of the points to the reduced normal equations of a larger block.
-
-        Raises
-        ------
-        Singular
-            A ground point is not determined.
+        They are contributions to the reduced normal equations of a larger block. Singular if a ground point is not
+        determined.
         """
         blocks = self._eliminated(damping)
         return blocks, self._gathered_gradient()
@@ -192,13 +185,7 @@ class SchurSystem:
         return free + self._backend.prior * problem.image_vector(self.state)
 
     def solve(self, damping: float) -> SchurStep:
-        """Eliminate the points, solve for the images, substitute back.
-
-        Raises
-        ------
-        RuntimeError
-            The normal equations are singular.
-        """
+        """Eliminate the points, solve for the images, substitute back; RuntimeError for singular equations."""
         damping = max(damping, self._backend.problem.least_damping)
         if damping == 0.0 and self._newton is not None:
             return self._newton
@@ -335,13 +322,7 @@ class SchurBackend:
         return self.problem.start
 
     def linearise(self, state: State) -> SchurSystem:
-        """Linearise at a state.
-
-        Raises
-        ------
-        NotFiniteError
-            A residual or Jacobian is nan or inf; names the observation.
-        """
+        """Linearise at a state; NotFiniteError names an observation with a residual or Jacobian of nan or inf."""
         return SchurSystem(self, state)
 
     def error(self, state: State) -> float:
@@ -382,13 +363,7 @@ class SchurBackend:
         return State(state.image + self.problem.image_matrix(image), moved)
 
     def evaluate(self, rows: TileRows, state: State, *, want: bool) -> None:
-        """Write the residuals of a tile's image points and, if wanted, their Jacobians.
-
-        Raises
-        ------
-        NotFiniteError
-            A residual or Jacobian is nan or inf; names the observation.
-        """
+        """Write the residuals of a tile's image points and, if requested, their Jacobians; see :meth:`linearise`."""
         (lo, hi), wide = rows.tile.points, self.structure.widened(state.image)
         self.workers.run(self.stages.rows, hi - lo, rows, state, wide, want, start=lo)
 

@@ -212,16 +212,9 @@ def inverse_norm(solve: Callable[[Array], Array], n: int) -> float:
 
 @dataclass(frozen=True)
 class Order:
-    """An order of the images.
+    """An order of the images: first unknown (M,) of each image, and all unknowns (u,).
 
-    Parameters
-    ----------
-    place : (M,) int array
-        First unknown of each image in this order.
-    unknowns : (u,) int array
-        All unknowns in this order.
-    band : int
-        Elements of a column of the lower triangle below the diagonal.
+    ``band`` is the number of elements of a column of the lower triangle below the diagonal.
     """
 
     place: Index

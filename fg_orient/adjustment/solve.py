@@ -70,16 +70,14 @@ class Estimate:
     state : State
     chi2 : float
         Weighted sum of squares; under a loss with the weights at the state held fixed.
-    backend : str
-        "graph", "schur" or "dense".
-    solver : str
-        Linear solver of the dense backend; "" for the others.
+    backend, solver : str
+        "graph", "schur" or "dense"; linear solver of the dense backend, else "".
     linear : GraphSystem, SchurSystem, DenseSystem or SummedSystem
         The undamped linearisation at the state, for cofactors.
     structure_s, solve_s : float
         Wall-clock seconds of compilation and optimisation.
     weights : Weights or None
-        Under a loss the weights at the state.
+        Weights at the state under a loss.
     resumed_at : int
         Iterations of an interrupted run that this run continued.
     """
@@ -117,7 +115,7 @@ def solve(
     ----------
     problem : Problem
     callback : callable, optional
-        Receives each record, first those of an interrupted run that is continued.
+        Receives each record, first the records of an interrupted run.
     schur : callable, optional
         Makes a backend that replaces the backend of the options (``fg_orient.adjustment.parts``).
     checkpoint : Checkpoint, optional
@@ -133,7 +131,7 @@ def solve(
     NoSolutionError
         The equations become singular or not finite.
     KeyboardInterrupt
-        Its text says whether a checkpoint was written.
+        Its text contains the checkpoint if it was written.
     """
     require_possible(problem.block.options)
     try:

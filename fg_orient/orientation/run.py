@@ -54,7 +54,7 @@ def run_project(
     Parameters
     ----------
     project : path
-        The TOML file.
+        TOML file.
     out : path
         New result folder.
     overwrite : bool

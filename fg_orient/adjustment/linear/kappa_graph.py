@@ -28,20 +28,8 @@ Curve = Callable[[float], float]
 class Ridge:
     """Tikhonov solutions of a system for all kappa.
 
-    Parameters
-    ----------
-    values : (p,) array
-        Singular values of A, descending.
-    beta : (p,) array
-        U^T l.
-    right : (p, u) array
-        V^T.
-    outside : float
-        Squared length of the part of l outside the range of A.
-    rows : int
-        r.
-    rule : str
-        Name of the rule, for messages.
+    Singular values (p,) of A, descending, beta = U^T l (p,), V^T (p, u), squared length of the part of l outside the
+    range of A, number of rows of A, and the name of the rule for messages.
     """
 
     values: Array

@@ -27,23 +27,11 @@ _MODULES = ("inverses", "elimination", "tikhonov", "modern")
 
 @dataclass(frozen=True)
 class Solver:
-    """A registered solver.
+    """A registered solver with a unique name; published methods have the names of the tables ("gauss_inverse").
 
-    Parameters
-    ----------
-    name : str
-        Unique; published methods have the names of the tables ("gauss_inverse").
-    label : str
-        Text for tables and plots ("Gauss inverse").
-    family : "inverse", "elimination", "tikhonov" or "modern"
-    published : bool
-        One of the methods of Terlemezoğlu 2019.
-    needs_design : bool
-        Requires A, not only N.
-    source : str
-        Author year, equation.
-    function : callable
-        See the module docstring.
+    ``label`` is the text for tables and plots ("Gauss inverse"), ``source`` author, year and equation. ``published``
+    methods are those of Terlemezoğlu 2019. ``needs_design``: N alone is not sufficient. ``function``: see the module
+    docstring.
     """
 
     name: str

@@ -88,13 +88,7 @@ class PartedSystem:
         return partial
 
     def solve(self, damping: float) -> PartedStep:
-        """Eliminate the points of all parts, solve for the images, substitute back.
-
-        Raises
-        ------
-        RuntimeError
-            The normal equations are singular.
-        """
+        """Eliminate the points of all parts, solve for the images, substitute back; see ``SchurSystem.solve``."""
         damping = max(damping, self._least)
         if damping == self._least and self._newton is not None:
             return self._newton
@@ -199,13 +193,7 @@ class PartedBackend:
         return PartedState(self.problem.start.image, START, self._gathered)
 
     def linearise(self, state: State) -> PartedSystem:
-        """Linearise at a state.
-
-        Raises
-        ------
-        NotFiniteError
-            A residual or Jacobian is nan or inf; names the observation.
-        """
+        """Linearise at a state; see ``SchurBackend.linearise``."""
         here = self._parted(state)
         if here.name != self._kept[-1]:
             self._kept = [self._kept[-1], here.name]

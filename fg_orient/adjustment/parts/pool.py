@@ -228,15 +228,12 @@ def opened(execution: Execution) -> Iterator[Pool]:
         yield Cluster(client)
 
 
-@contextmanager
-def _connected(address: str) -> Iterator[Any]:
+def _connected(address: str) -> Any:
     """Client of a running scheduler; InputError if it does not answer."""
     try:
-        client = _distributed().Client(address, timeout=CONNECT_S, set_as_default=False)
+        return _distributed().Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError.of("parallel.unreachable", option="scheduler", value=address) from error
-    with client:
-        yield client
 
 
 @contextmanager
