@@ -19,7 +19,7 @@ import numpy.typing as npt
 from factors.cameras.image_corrections import NAMES
 from fg_orient.closerange.photo import Photo, PhotoInterior, rotation_from_aerial
 from fg_orient.formats.closerange import LARGEST, SMALLEST
-from fg_orient.formats.tables import Faults, Row, read_table
+from fg_orient.formats.tables import Faults, Row, read_table, sha256_of
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.points import check_roles, numbers_of
 
@@ -105,7 +105,7 @@ def _read(path: Path, layouts: list[tuple[str, ...]]) -> Observed:
         tuple(row.cells["id"] for row in rows), tuple(row.cells.get("photo", "") for row in rows),
         _numbers(rows, IMAGE if "x" in columns else (), faults),
         _numbers(rows, GROUND if "x_m" in columns else (), faults), sigma if sigma_names else None,
-        check_roles(rows, faults), table.sha256 if table else "",
+        check_roles(rows, faults), sha256_of(path) if table else "",
     )  # fmt: skip
     seen = set[tuple[str, str]]()
     for row, key in zip(rows, zip(points.ids, points.photos, strict=True), strict=True):

@@ -6,7 +6,7 @@ Only control coordinates and image positions are used; the coordinates of check 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -20,9 +20,9 @@ from fg_orient.model.names import Role
 
 #: Ids named in one message.
 _NAMED: Final = 10
-#: Below this number of control points an error in one of them hardly shows.
+#: Below this number of control points an error in one of them is hardly detectable.
 FEW_CONTROL: Final = 6
-#: ASPRS Positional Accuracy Standards, edition 2 (2023): least number of check points.
+#: ASPRS Positional Accuracy Standards, edition 2 (2023): minimum number of check points.
 FEW_CHECK: Final = 30
 #: Width over length (standard deviations) below which points count as a line.
 LINE_RATIO: Final = 0.05
@@ -32,7 +32,7 @@ CLUSTER_SPAN: Final = 0.25
 
 @dataclass(frozen=True)
 class Assembly:
-    """Points that take part, their observations, and what was found on the way."""
+    """Points of the block, their observations, sealed check points, faults and remarks."""
 
     points: GroundPoints
     observations: ImagePoints
@@ -46,9 +46,8 @@ def assemble(
 ) -> Assembly:
     """Leave out unmeasured points; refuse, or ``drop``, check and tie points with a single ray.
 
-    Control points with a single ray stay: their coordinates complete it. An image without
-    any measured point is refused, and so is a block without measured control, unless the
-    adjustment is to be ``relative``.
+    Control points with a single ray stay: their coordinates complete it. An image without measured points is refused,
+    and a block without measured control points, unless the adjustment is ``relative``.
     """
     problems: list[Finding] = []
     remarks: list[Finding] = []
@@ -58,9 +57,9 @@ def assemble(
     lonely = (rays == 1) & ~control
     file, point_file = str(observations.path), str(points.path)
     if lonely.any():
-        code, found = ("remark.seen_once", remarks) if drop else ("observations.seen_once", problems)
+        code, listed = ("remark.seen_once", remarks) if drop else ("observations.seen_once", problems)
         named = _named(_with_image(points.points.ids, image_ids, observations.observations), np.flatnonzero(lonely))
-        found.append(finding(code, file=file, place="column id", value=named, count=int(lonely.sum())))
+        listed.append(finding(code, file=file, place="column id", value=named, count=int(lonely.sum())))
     unmeasured = np.flatnonzero(rays == 0)
     if len(unmeasured):
         named = _named(points.points.ids, unmeasured)
@@ -85,19 +84,17 @@ def _named(ids: Sequence[str], rows: Index) -> str:
 
 
 def _with_image(ids: Sequence[str], image_ids: Sequence[str], observations: ImagePoints) -> list[str]:
-    """Ids of points, each with one image that it is measured in."""
+    """Ids of points, each with one image in which it is measured."""
     only = dict(zip(observations.point.tolist(), observations.image.tolist(), strict=True))
     return [f"{name} (image {image_ids[only[j]]})" if j in only else name for j, name in enumerate(ids)]
 
 
 def _renumber(observations: ImagePoints, kept: Index, n_points: int) -> ImagePoints:
-    """Observations of the kept points, numbered anew."""
+    """Observations of the kept points, with their new positions."""
     number = np.full(n_points, -1, np.intp)
     number[kept] = np.arange(len(kept))
     taken = observations.take(number[observations.point] >= 0)
-    return ImagePoints(
-        taken.image, number[taken.point], taken.line, taken.sample, taken.sigma_line_px, taken.sigma_sample_px
-    )
+    return replace(taken, point=number[taken.point])
 
 
 # --- distribution --------------------------------------------------------------------------------
@@ -106,20 +103,7 @@ def _renumber(observations: ImagePoints, kept: Index, n_points: int) -> ImagePoi
 def geometry_remarks(
     images: Sequence[Image], points: GroundPoints, observations: ImagePoints, file: str
 ) -> tuple[Finding, ...]:
-    """Give remarks on number and distribution of control and check points.
-
-    Parameters
-    ----------
-    images, points, observations
-        The parts of a block.
-    file : str
-        Name of the point file, for the messages.
-
-    Returns
-    -------
-    tuple of Finding
-        Codes ``remark.*``; empty if there is nothing to say.
-    """
+    """Remarks on number and distribution of control and check points; ``file`` is the name of the point file."""
     control, n_check = points.where(Role.CONTROL), len(points.where(Role.CHECK))
     remarks: list[Finding] = []
     if len(control) < FEW_CONTROL:
@@ -148,7 +132,7 @@ def _line(points: GroundPoints, file: str) -> list[Finding]:
 
 
 def _clusters(images: Sequence[Image], control: Index, o: ImagePoints, file: str) -> list[Finding]:
-    """Images in which control covers a small part only, and blocks with control in one image."""
+    """Images in which control covers a small part only, and blocks with control in one image only."""
     remarks: list[Finding] = []
     is_control = np.isin(o.point, control)
     seen_in = sorted(set(o.image[is_control].tolist()))

@@ -1,8 +1,8 @@
 """Files and folders written whole or not at all: a hidden sibling is filled, then renamed.
 
-An existing folder is kept until the new one is complete. Only a folder that holds an output of ours and nothing else
-may be replaced: neither ``out`` pointing at a home directory by mistake, nor a result kept inside a simulated project,
-may cost data.
+An existing folder is kept until the new one is complete. A folder is only replaced if it contains an output of this
+program and nothing else. This protects a home directory that was given by mistake as ``out``, and a result that is kept
+inside a simulated project.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fg_orient.model.errors import InputError
 
 @contextlib.contextmanager
 def staged_file(path: str | os.PathLike[str], *, place: str = "", suffix: str = "") -> Iterator[Path]:
-    """Give a hidden sibling of a file that is renamed to it if the block ends well, else removed.
+    """Hidden sibling of a file, renamed to the file if the block ends without an exception, else removed.
 
     Parameters
     ----------
@@ -30,12 +30,12 @@ def staged_file(path: str | os.PathLike[str], *, place: str = "", suffix: str = 
     place : str
         Option that named it, for messages.
     suffix : str
-        End of the hidden name, for writers that look at it.
+        End of the hidden name, for writers that depend on it.
 
     Raises
     ------
     InputError
-        An ``OSError`` inside the block, or of the renaming.
+        An ``OSError`` of the block or of the renaming.
     """
     target = Path(path)
     temporary = target.with_name(f".{target.name[:200]}.{secrets.token_hex(4)}.tmp{suffix}")
@@ -53,25 +53,13 @@ def staged_file(path: str | os.PathLike[str], *, place: str = "", suffix: str = 
 
 
 def write_bytes(path: str | os.PathLike[str], data: bytes, *, durable: bool = True) -> None:
-    """Write a file atomically; an existing one is replaced.
+    """Write a file atomically; an existing file is replaced.
 
-    Parameters
-    ----------
-    path : path
-        Target; its folder must exist.
-    data : bytes
-        The whole content.
-    durable : bool
-        Wait until the disk has it: the file then survives a power cut.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written (folder missing, no permission, disk full); no part of
-        it is left behind.
+    ``durable`` waits until the data are on the disk: the file then survives a power cut. An InputError (folder missing,
+    no permission, disk full) leaves no part of the file.
     """
     with staged_file(path) as temporary:
-        # O_EXCL: never through a foreign link; 0o666 is cut by the umask
+        # O_EXCL: never through a foreign link; the umask restricts 0o666
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
         with os.fdopen(descriptor, "wb") as stream:
             stream.write(data)
@@ -100,16 +88,16 @@ class Contents:
     Parameters
     ----------
     mark : str
-        A file that only our own output has.
+        A file that only this output has.
     names : tuple of str
-        Every file we write, relative to the folder, with ``*`` for any name.
+        All files of the output, relative to the folder, with ``*`` for any name.
     """
 
     mark: str
     names: tuple[str, ...]
 
     def first_foreign(self, folder: Path) -> str:
-        """Name the first file or folder that is not ours; "" if there is none."""
+        """First file or folder that does not belong to the output; "" if there is none."""
         for path in sorted(folder.rglob("*")):
             name = path.relative_to(folder)
             is_folder = path.is_dir() and not path.is_symlink()
@@ -129,21 +117,21 @@ RESULT: Final = Contents(
 
 
 def require_free(out: Path, *, overwrite: bool, contents: Contents = RESULT) -> None:
-    """Refuse an output folder that may not be written; ask before computing anything.
+    """Refuse an output folder that may not be written; call it before computing.
 
     Parameters
     ----------
     out : Path
-        The folder to come.
+        The output folder.
     overwrite : bool
-        Allow an existing folder that is empty, or holds the mark and nothing of others.
+        Allow an existing folder that is empty, or has the mark and no foreign files.
     contents : Contents
-        What our output holds.
+        Of the output.
 
     Raises
     ------
     InputError
-        It exists and may not be replaced; the first file that is not ours is named.
+        It exists and may not be replaced; the first foreign file is named.
     """
     if not (out.exists() or out.is_symlink()):
         return
@@ -160,7 +148,7 @@ def require_free(out: Path, *, overwrite: bool, contents: Contents = RESULT) -> 
 
 @contextlib.contextmanager
 def writing(out: str | Path) -> Iterator[None]:
-    """Turn an OSError of writing into an InputError that names the output; for short blocks that only write."""
+    """Convert an OSError into an InputError that names the output; for short blocks that only write."""
     try:
         yield
     except OSError as error:
@@ -169,27 +157,21 @@ def writing(out: str | Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def staged_folder(out: str | Path, *, overwrite: bool = False, contents: Contents = RESULT) -> Iterator[Path]:
-    """Give a temporary folder that becomes ``out`` if the block ends well, else vanishes.
+    """Empty sibling of ``out``, renamed to it if the block ends without an exception, else removed.
 
     Parameters
     ----------
     out : path
-        The folder to come; missing parents are made.
+        The output folder; missing parents are made.
     overwrite : bool
-        Replace an existing folder of ours once the new one is complete.
+        Replace an existing output once the new one is complete.
     contents : Contents
-        What our output holds.
-
-    Yields
-    ------
-    Path
-        An empty sibling of ``out``.
+        Of the output.
 
     Raises
     ------
     InputError
-        ``out`` exists and may not be replaced, or cannot be written. Exceptions of the block
-        pass unchanged.
+        ``out`` exists and may not be replaced, or cannot be written. Exceptions of the block are not changed.
     """
     target = Path(out).absolute()
     require_free(target, overwrite=overwrite, contents=contents)
@@ -200,7 +182,7 @@ def staged_folder(out: str | Path, *, overwrite: bool = False, contents: Content
         with writing(out):
             staging.mkdir(parents=True)
         yield staging
-        require_free(target, overwrite=overwrite, contents=contents)  # another process may have been faster
+        require_free(target, overwrite=overwrite, contents=contents)  # another process may have made it meanwhile
         with writing(out):
             _replace(target, staging)
         done = True
@@ -213,7 +195,7 @@ def staged_folder(out: str | Path, *, overwrite: bool = False, contents: Content
 
 
 def _replace(target: Path, staging: Path) -> None:
-    """Rename the complete folder to its name; the old one goes last."""
+    """Rename the complete folder; the old one is removed last."""
     if not target.exists():
         staging.rename(target)
         return

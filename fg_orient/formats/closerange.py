@@ -15,12 +15,12 @@ import numpy as np
 from pydantic import Field
 
 from fg_orient.formats.schema import Table, Text, read_toml
-from fg_orient.model.errors import InputError, finding
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
 
-#: Coordinates beyond this (m, mm or pixels) have not a tenth of a unit's thousandth left in double precision.
+#: Coordinates beyond this (m, mm or pixels) have a resolution of more than 1e-4 in double precision.
 LARGEST: Final = 1e12
-#: Standard deviations and focal lengths below this belong to no measurement, in any unit.
+#: Standard deviations and focal lengths below this do not occur in measurements, in any unit.
 SMALLEST: Final = 1e-12
 #: Coefficients, of coordinates in m to the power of -7 at most.
 _COEFFICIENT: Final = 1e30
@@ -93,14 +93,14 @@ def read_photos(path: Path) -> Photos:
     entries: dict[str, PhotoEntry] = {}
     for k, entry in enumerate(read_toml(path, PhotoFile).photos):
         if entry.name in entries:
-            raise InputError(finding("project.image_twice", file=path, place=f"photos[{k + 1}].name", value=entry.name))
+            raise InputError.of("project.image_twice", file=path, place=f"photos[{k + 1}].name", value=entry.name)
         _require_rotation(entry, f"photos[{k + 1}].rotation of {entry.name}", path)
         entries[entry.name] = entry
     return Photos(str(path), entries)
 
 
 def _require_rotation(entry: PhotoEntry, place: str, path: Path) -> None:
-    """Refuse a matrix that is no rotation: by as much as ``sensors.frame`` does."""
+    """Refuse a matrix that is not a rotation, with the tolerance of ``sensors.frame``."""
     if entry.rotation is None:
         return
     away = float(away_from_rotation(np.array(entry.rotation)))

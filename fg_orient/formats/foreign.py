@@ -1,12 +1,11 @@
-"""Points and image points of a project that stand in files of other programs: read by the readers of ``convert``.
+"""Points and image points of a project in other programs' files, read by the readers of ``convert``.
 
-A table of a project names the ``format`` of its file and what that file does not say. Everything is checked as in our
-own tables; coordinates of check points stay sealed until the file is read again.
+A table of a project names the ``format`` of its file and gives the values that the file lacks. The checks are those of
+our own tables; coordinates of check points stay sealed until the file is read again.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,9 +18,9 @@ import numpy.typing as npt
 from fg_orient.formats.exchange.convert import Fill, filled, read_survey
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.observations import PLAUSIBLE_SIGMA_PX, ObservationFile
-from fg_orient.formats.points import PointFile, Record, located, point_file
+from fg_orient.formats.points import PointFile, point_file
 from fg_orient.formats.registry import Holds, Settings, format_named
-from fg_orient.formats.tables import Faults, did_you_mean, sigma_remarks
+from fg_orient.formats.tables import Faults, did_you_mean, sha256_of, sigma_remarks
 from fg_orient.model.block import Coordinates, GroundPoints, ImagePoints
 from fg_orient.model.errors import Finding, InputError
 from fg_orient.model.names import Role
@@ -58,17 +57,11 @@ class Table:
 
     @cached_property
     def absolute(self) -> tuple[Path, ...]:
-        """The same where the folder was when the project was read: they are read again, perhaps from elsewhere."""
+        """Absolute paths when the project was read: the files may be read again from another working directory."""
         return tuple(path.absolute() for path in self.paths)
 
-    def read(self, project: str) -> Survey:
-        """Read the file; messages name entries of the project, not options.
-
-        Raises
-        ------
-        InputError
-            See :func:`fg_orient.formats.exchange.convert.read_survey`.
-        """
+    def read(self, project: str, faults: Faults) -> Survey | None:
+        """Read the file; None, with the faults noted, if it is unusable. Messages name entries of the project."""
         entry = self.entry
         try:
             format_ = format_named(entry.format, place=f"{self.name}.format")
@@ -83,32 +76,22 @@ class Table:
             survey, _ = read_survey(self.absolute, format_, settings, accept_unverified=entry.accept_unverified)
             return filled(survey, self._fill())
         except InputError as error:
-            raise InputError(*(self._in_project(p, project) for p in error.problems)) from None
+            faults.take(*(self._in_project(p, project) for p in error.problems))
+            return None
 
     def _fill(self) -> Fill:
         entry = self.entry
         return Fill(getattr(entry, "sigma_m", None), getattr(entry, "sigma_px", None),
                     getattr(entry, "height_m", None), tuple(getattr(entry, "check", ())))  # fmt: skip
 
-    def _in_project(self, found: Finding, project: str) -> Finding:
-        place = f"{self.name}.{_ENTRIES.get(found.option, found.option)}" if found.option else found.place
+    def _in_project(self, fault: Finding, project: str) -> Finding:
+        place = f"{self.name}.{_ENTRIES.get(fault.option, fault.option)}" if fault.option else fault.place
         named = dict(zip(map(str, self.absolute), map(str, self.paths), strict=True))
-        return replace(found, file=named.get(found.file, found.file) or project, option="", place=place, names=_ENTRIES)
-
-
-def sha256_of(paths: tuple[Path, ...]) -> str:
-    """SHA-256 of one file; of several, or of those of a folder, of their names and contents."""
-    files = [f for p in paths for f in (sorted(q for q in p.rglob("*") if q.is_file()) if p.is_dir() else [p])]
-    if len(files) == 1 and not paths[0].is_dir():
-        return hashlib.sha256(files[0].read_bytes()).hexdigest()
-    digest = hashlib.sha256()
-    for file in files:
-        digest.update(file.name.encode() + b"\0" + hashlib.sha256(file.read_bytes()).digest())
-    return digest.hexdigest()
+        return replace(fault, file=named.get(fault.file, fault.file) or project, option="", place=place, names=_ENTRIES)
 
 
 def read_foreign_points(table: Table, project: str, faults: Faults, scenes: list[Scene]) -> PointFile | None:
-    """Read ground points; None, with the reasons in ``faults``, if the file is unusable.
+    """Read ground points; None, with the faults noted, if the file is unusable.
 
     Parameters
     ----------
@@ -118,23 +101,17 @@ def read_foreign_points(table: Table, project: str, faults: Faults, scenes: list
     faults : Faults
         Of the file.
     scenes : list of Scene
-        Where the images look.
+        Footprints of the images.
     """
 
-    def parse(faults: Faults) -> Record | None:
-        try:
-            survey = table.read(project)
-        except InputError as error:
-            faults.take(*error.problems)
+    def parse(faults: Faults) -> Survey | None:
+        survey = table.read(project, faults)
+        if survey is None:
             return None
         _require_whole(survey, faults)
-        none = np.where(survey.located[:, None], survey.coordinates, np.nan)
-        coordinates = Coordinates(none, survey.sigma_enu_m, survey.fixed)
-        digest = sha256_of(table.absolute)
-        found = Record(survey.ids, survey.roles, survey.lines, none, coordinates, None, digest, survey.crs)
-        return located(found, faults)
+        return replace(survey, coordinates=np.where(survey.located[:, None], survey.coordinates, np.nan))
 
-    return point_file(table.path, parse, faults, scenes)
+    return point_file(table.path, table.absolute, parse, faults, scenes)
 
 
 def _require_whole(survey: Survey, faults: Faults) -> None:
@@ -153,17 +130,13 @@ def read_foreign_observations(
     table: Table, project: str, sizes: Mapping[str, tuple[int, int] | None] | None, points: PointFile | None,
     faults: Faults,
 ) -> tuple[ObservationFile, PointFile] | None:  # fmt: skip
-    """Read image points against the points; those that only this file has join them as tie points.
+    """Read image points of known ground points; other points of the file become tie points.
 
-    None, with the reasons in ``faults``, if anything is wrong; parameters as
+    None, with the faults noted, if anything is wrong; parameters as in
     :func:`fg_orient.formats.observations.read_observations`.
     """
-    try:
-        survey = table.read(project)
-    except InputError as error:
-        faults.take(*error.problems)
-        return None
-    if sizes is None or points is None:
+    survey = table.read(project, faults)
+    if survey is None or sizes is None or points is None:
         return None
     image = _images(survey, list(sizes), table.entry, faults)
     _check_pixels(survey, image, list(sizes.items()), faults)
@@ -177,13 +150,13 @@ def read_foreign_observations(
     remarks = sigma_remarks(
         "remark.sigma_image", faults.file, sigma, PLAUSIBLE_SIGMA_PX, lambda k: f"point {survey.ids[o.point[k]]}"
     )
-    return ObservationFile(table.path, sha256_of(table.absolute), found, remarks), points
+    return ObservationFile(table.path, sha256_of(*table.absolute), found, remarks), points
 
 
 def _images(
     survey: Survey, known: list[str], entry: PointsEntry | ObservationsEntry, faults: Faults
 ) -> npt.NDArray[np.intp]:
-    """Position of each image of the file in the project: by ``images``, by its name, or by that without its end."""
+    """Position of each image of the file in the project: by ``images``, by its name, or by its name without suffix."""
     renamed = getattr(entry, "images", {})
     out = np.zeros(len(survey.images), np.intp)
     for k, name in enumerate(survey.images):
@@ -220,7 +193,7 @@ def _place(survey: Survey, k: int) -> str:
 
 
 def _with_ties(points: PointFile, survey: Survey) -> PointFile:
-    """Points with those that only the image points name: tie points."""
+    """Points, and as tie points those that only the image points name."""
     known, old = set(points.points.ids), points.points
     seen = np.bincount(survey.observed.point, minlength=len(survey.ids)) > 0
     new = tuple(name for name, yes in zip(survey.ids, seen, strict=True) if yes and name not in known)

@@ -1,8 +1,8 @@
-"""GDAL: rasterio imported on demand, and the letter case that GDAL expects.
+"""GDAL: rasterio imported on demand, and the locale that GDAL needs.
 
-GDAL compares names without regard to case by the C library, and so by the user's locale. In Turkish and Azerbaijani i
-is not the small form of I: GDAL then takes its own options for unknown and writes dozens of lines to standard error.
-It also leaves the decimal point of the program that it works in at that of "C" (seen with 3.12, writing a GeoPackage).
+GDAL compares names without regard to case by the C library, and so by the user's locale. In Turkish and Azerbaijani, i
+is not the lower case of I: GDAL then does not recognise its own options and writes dozens of lines to standard error.
+It also resets the decimal point of the calling program to that of "C" (seen with 3.12, writing a GeoPackage).
 """
 
 from __future__ import annotations
@@ -16,20 +16,7 @@ from fg_orient.model.errors import InputError
 
 
 def rasterio_of(file: object, code: str = "ortho.no_rasterio") -> Any:
-    """Import rasterio.
-
-    Parameters
-    ----------
-    file : path
-        File that needs it, for the message.
-    code : str
-        Message if it is not installed.
-
-    Raises
-    ------
-    InputError
-        It is not installed.
-    """
+    """Import rasterio; InputError with this ``code`` for ``file``, which needs it, if it is not installed."""
     try:
         import rasterio
         import rasterio.windows
@@ -40,7 +27,7 @@ def rasterio_of(file: object, code: str = "ortho.no_rasterio") -> Any:
 
 @contextmanager
 def plain_case() -> Iterator[None]:
-    """Classify letters as in the locale "C" while GDAL is imported or works; then the locale is as before."""
+    """Use the letter case of the locale "C" while GDAL is imported or works; then restore the locale."""
     before = locale.setlocale(locale.LC_ALL)
     locale.setlocale(locale.LC_CTYPE, "C")
     try:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.tables import Faults, read_numbers
+from fg_orient.formats.tables import Faults, read_numbers, sha256_of
 from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind, to_ecef
 from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitude
 
@@ -54,7 +54,7 @@ def read_navigation(path: Path, crs: str) -> tuple[tuple[Fix, ...], str]:
     faults.raise_if_any()
     ecef = to_ecef(crs, *values[:, 1:4].T)
     ids = zip(table.cells["image"], table.cells["strip"], strict=True)
-    return tuple(_fix(i, s, v, at) for (i, s), v, at in zip(ids, values, ecef, strict=True)), table.sha256
+    return tuple(_fix(i, s, v, at) for (i, s), v, at in zip(ids, values, ecef, strict=True)), sha256_of(path)
 
 
 def _fix(image: str, strip: str, values: Array, ecef_m: Array) -> Fix:

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.formats.tables import Faults, read_table, sigma_remarks
+from fg_orient.formats.tables import Faults, read_table, sha256_of, sigma_remarks
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import Finding
 
@@ -76,4 +76,4 @@ def read_observations(
     remarks = sigma_remarks(
         "remark.sigma_image", faults.file, values[:, 2:], PLAUSIBLE_SIGMA_PX, lambda k: table.row(k).place()
     )
-    return ObservationFile(path, table.sha256, ImagePoints(image, point, *values.T), remarks)
+    return ObservationFile(path, sha256_of(path), ImagePoints(image, point, *values.T), remarks)

@@ -16,8 +16,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.scenes import Scene, check_positions
-from fg_orient.formats.tables import Faults, Row, Table, read_table, sigma_remarks
+from fg_orient.formats.tables import Faults, Row, Table, read_table, sha256_of, sigma_remarks
 from fg_orient.geodesy import COORDINATE_COLUMNS, Kind, Operation, crs_kind, to_ecef_with_operation
 from fg_orient.model.block import Coordinates, GroundPoints, WithheldCoordinates
 from fg_orient.model.errors import Finding, InputError, finding
@@ -35,37 +36,8 @@ LOSES_IDS: Final = {"table.cell_count", "table.quotes", "table.long_line", "poin
 PLAUSIBLE_SIGMA_M: Final = (1e-5, 1e4)
 
 
-@dataclass(frozen=True)
-class Record:
-    """Ground points of a file, check points included; outside ``formats``, their coordinates are sealed.
-
-    Parameters
-    ----------
-    ids, roles : tuples of length n
-    lines : (n,) int array
-        Line of each point in its file; 0 if it has no lines.
-    given : (n, 3) array
-        Coordinates as in the file; nan for points without coordinates.
-    coordinates : Coordinates
-        Of control and check points.
-    operation : Operation or None
-        Operation by which they became ECEF.
-    sha256, crs : str
-        Of the file.
-    """
-
-    ids: tuple[str, ...]
-    roles: tuple[Role, ...]
-    lines: npt.NDArray[np.int64]
-    given: Array
-    coordinates: Coordinates
-    operation: Operation | None
-    sha256: str
-    crs: str
-
-
-#: Reads the points of a file; None, with the faults noted, if it is unusable.
-Parse = Callable[[Faults], Record | None]
+#: Reads the points of a file, check points included; None, with the faults noted, if it is unusable.
+Parse = Callable[[Faults], Survey | None]
 
 
 @dataclass(frozen=True)
@@ -82,8 +54,8 @@ class PointFile:
         Operation by which the coordinates became ECEF; None if no point has coordinates.
     remarks : tuple of Finding
         Warnings that require no correction.
-    parse : callable
-        Reads the file again, for the coordinates of check points.
+    opened : callable
+        Reads the file again and gives the coordinates of the points with these ids.
     """
 
     path: Path
@@ -92,22 +64,12 @@ class PointFile:
     points: GroundPoints
     operation: Operation | None
     remarks: tuple[Finding, ...]
-    parse: Parse
+    opened: Callable[[tuple[str, ...]], Coordinates]
 
     def withheld(self, ids: Sequence[str]) -> WithheldCoordinates:
         """Seal the coordinates of these check points until they are opened."""
-        # absolute: the working directory may change before they are opened
-        wanted, path, sha256, parse = tuple(ids), self.path.absolute(), self.sha256, self.parse
-
-        def reader() -> Coordinates:
-            faults = Faults(str(path))
-            again = parse(faults)
-            if again is None or faults or again.sha256 != sha256:
-                raise InputError.of("points.changed", file=path, place="check points")
-            row = {name: k for k, name in enumerate(again.ids)}
-            return _take(again.coordinates, np.array([row[name] for name in wanted], int))
-
-        return WithheldCoordinates(wanted, reader)
+        wanted = tuple(ids)
+        return WithheldCoordinates(wanted, lambda: self.opened(wanted))
 
 
 def read_points(path: Path, crs: str, faults: Faults, scenes: Sequence[Scene] = ()) -> PointFile | None:
@@ -136,25 +98,34 @@ def read_points(path: Path, crs: str, faults: Faults, scenes: Sequence[Scene] = 
         The CRS is unusable.
     """
     where = path.absolute()  # the working directory may change before check points are opened
-    return point_file(path, lambda noted: parse_points(where, crs, noted), faults, scenes)
+    return point_file(path, (where,), lambda noted: parse_points(where, crs, noted), faults, scenes)
 
 
-def point_file(path: Path, parse: Parse, faults: Faults, scenes: Sequence[Scene] = ()) -> PointFile | None:
-    """Points of a file of any format, those of check points sealed; ``parse`` reads them, now and to open the seal."""
-    parsed = parse(faults)
-    if parsed is None:
+def point_file(
+    path: Path, files: tuple[Path, ...], parse: Parse, faults: Faults, scenes: Sequence[Scene] = ()
+) -> PointFile | None:
+    """Points of a file of any format, those of check points sealed.
+
+    ``parse`` reads the ``files`` (absolute paths) now, and again to open the seal.
+    """
+    survey = parse(faults)
+    if survey is None:
         return None
-    check_positions(scenes, parsed.crs, parsed.given, parsed.coordinates.ecef_m, parsed.lines, faults)
-    known = _are(parsed.roles, Role.CONTROL)
-    points = GroundPoints(parsed.ids, parsed.roles, _mask(parsed.coordinates, known))
-    remarks = _remarks(str(path), parsed)
-    return PointFile(path, parsed.crs, parsed.sha256, points, parsed.operation, remarks, parse)
+    digest = sha256_of(*files)
+    coordinates, operation = located(survey, faults)
+    check_positions(scenes, survey.crs, survey.coordinates, coordinates.ecef_m, survey.lines, faults)
 
+    def opened(wanted: tuple[str, ...]) -> Coordinates:
+        noted = Faults(str(files[0]))
+        again = parse(noted)
+        if again is None or noted or sha256_of(*files) != digest:
+            raise InputError.of("points.changed", file=files[0], place="check points")
+        row = {name: k for k, name in enumerate(again.ids)}
+        return _take(located(again, noted)[0], np.array([row[name] for name in wanted], int))
 
-def located(points: Record, faults: Faults) -> Record:
-    """Points with coordinates in ECEF, from those in their CRS."""
-    ecef, operation = _ecef(points.crs, points.given, _are(points.roles, Role.CONTROL), points.lines, faults)
-    return replace(points, coordinates=replace(points.coordinates, ecef_m=ecef), operation=operation)
+    points = GroundPoints(survey.ids, survey.roles, _mask(coordinates, _are(survey.roles, Role.CONTROL)))
+    remarks = _remarks(str(path), survey, operation)
+    return PointFile(path, survey.crs, digest, points, operation, remarks, opened)
 
 
 # --- parsing -------------------------------------------------------------------------------------
@@ -166,7 +137,7 @@ def _layouts(first: Kind) -> list[tuple[str, ...]]:
     return [*usual, ("id", "role", *COORDINATE_COLUMNS["geocentric"], *_SIGMA_XYZ)]
 
 
-def parse_points(path: Path, crs: str, faults: Faults) -> Record | None:
+def parse_points(path: Path, crs: str, faults: Faults) -> Survey | None:
     """Read a table of ground points, check points included; see :func:`read_points`."""
     kind = crs_kind(crs)
     table = read_table(path, _layouts(kind), faults)
@@ -188,11 +159,8 @@ def parse_points(path: Path, crs: str, faults: Faults) -> Record | None:
     given = _coordinates(table, kind, measured, np.any([filled[n] for n in COORDINATE_COLUMNS[kind]], axis=0))
     sigma, fixed = _sigmas(table, _are(roles, Role.CHECK), measured)
     table.report(faults)
-    points = Record(
-        ids, tuple(role or Role.TIE for role in roles), table.lines, given, Coordinates(given, sigma, fixed), None,
-        table.sha256, crs,
-    )  # fmt: skip
-    return located(points, faults)
+    known_roles = tuple(role or Role.TIE for role in roles)
+    return Survey(crs, ids, known_roles, given, sigma, fixed, lines=table.lines)
 
 
 def _are(roles: Sequence[Role | None], wanted: Role | None) -> Mask:
@@ -251,23 +219,19 @@ def _id(row: Row) -> str:
     return row.cells["id"]
 
 
-def _ecef(
-    crs: str, given: Array, control: Mask, lines: npt.NDArray[np.int64], faults: Faults
-) -> tuple[Array, Operation | None]:
-    """ECEF of rows with coordinates; only control points decide on the operation."""
-    ecef = np.full_like(given, np.nan)
-    rows = np.flatnonzero(np.isfinite(given).all(axis=1))
-    if not len(rows):
-        return ecef, None
-    try:
-        xyz, operation = to_ecef_with_operation(
-            crs, *given[rows].T, labels=[f"line {k}" for k in lines[rows]], deciding=control[rows]
-        )
-    except InputError as error:
-        faults.take(*(replace(p, file=faults.file) for p in error.problems))
-        return ecef, None
-    ecef[rows] = xyz
-    return ecef, operation
+def located(survey: Survey, faults: Faults) -> tuple[Coordinates, Operation | None]:
+    """Coordinates in ECEF and the operation, on which only control points decide."""
+    ecef, operation = np.full_like(survey.coordinates, np.nan), None
+    rows = np.flatnonzero(np.isfinite(survey.coordinates).all(axis=1))
+    if len(rows):
+        try:
+            ecef[rows], operation = to_ecef_with_operation(
+                survey.crs, *survey.coordinates[rows].T, labels=[f"line {k}" for k in survey.lines[rows]],
+                deciding=_are(survey.roles, Role.CONTROL)[rows],
+            )  # fmt: skip
+        except InputError as error:
+            faults.take(*(replace(p, file=faults.file) for p in error.problems))
+    return Coordinates(ecef, survey.sigma_enu_m, survey.fixed), operation
 
 
 def _mask(coordinates: Coordinates, known: Mask) -> Coordinates:
@@ -290,12 +254,9 @@ def take_points(points: GroundPoints, rows: npt.NDArray[np.int_]) -> GroundPoint
     )
 
 
-def _remarks(file: str, parsed: Record) -> tuple[Finding, ...]:
-    sigma = parsed.coordinates.sigma_enu_m
-    remarks = [
-        *sigma_remarks("remark.sigma_ground", file, sigma, PLAUSIBLE_SIGMA_M, lambda k: f"line {parsed.lines[k]}")
-    ]
-    operation = parsed.operation
+def _remarks(file: str, survey: Survey, operation: Operation | None) -> tuple[Finding, ...]:
+    sigma, lines = survey.sigma_enu_m, survey.lines
+    remarks = [*sigma_remarks("remark.sigma_ground", file, sigma, PLAUSIBLE_SIGMA_M, lambda k: f"line {lines[k]}")]
     if operation is not None and operation.missing_grids:
         accuracy = "an unknown accuracy" if np.isnan(operation.accuracy_m) else f"{operation.accuracy_m:g} m"
         grids = ", ".join(operation.missing_grids)

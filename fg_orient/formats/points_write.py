@@ -1,7 +1,8 @@
-"""Writes point tables, observation tables and project files in the formats we read.
+"""Writers of point tables, observation tables and project files in our own formats.
 
-Numbers are written with the fewest digits that read back to the same double. Files appear
-whole or not at all (:mod:`fg_orient.formats.atomic`).
+Numbers are written with the fewest digits that read back to the same double. Files are written whole or not at all
+(:mod:`fg_orient.formats.atomic`). All writers raise ValueError if an id or comment could not be read back or lengths
+differ, and InputError if the file cannot be written.
 """
 
 from __future__ import annotations
@@ -42,12 +43,10 @@ def write_points(
     Parameters
     ----------
     path : str or Path
-        Target file.
     ids, roles : sequences of length n
-        Ids and roles.
     coordinates : (n, 3) array
-        Longitude, latitude (degrees), height (m); easting, northing, height (m); or x, y, z
-        (m), as ``kind`` says. nan rows become empty cells.
+        Longitude, latitude (degrees), height (m); easting, northing, height (m); or x, y, z (m), by ``kind``. nan rows
+        become empty cells.
     sigma_enu_m : (n, 3) array
         Standard deviations East, North, Up at the point, m; nan rows become empty cells.
     kind : str
@@ -55,14 +54,7 @@ def write_points(
     fixed : (n,) array of bool, optional
         Points whose sigma cells get the word ``fixed``.
     comments : sequence of str
-        Lines put before the header, after ``#``.
-
-    Raises
-    ------
-    ValueError
-        An id or comment could not be read back, or lengths differ.
-    InputError
-        The file cannot be written.
+        Lines before the header, after ``#``.
     """
     constant = np.zeros(len(ids), bool) if fixed is None else fixed
     header = ("id", "role", *COORDINATE_COLUMNS[kind], *SIGMA_COLUMNS)
@@ -87,7 +79,6 @@ def write_observations(
     Parameters
     ----------
     path : str or Path
-        Target file.
     image_ids, point_ids : sequences of length n
         Image and point of each record.
     pixels : (n, 2) array
@@ -95,14 +86,7 @@ def write_observations(
     sigma_px : (n, 2) array or broadcastable to it
         Standard deviations of line and sample.
     comments : sequence of str
-        Lines put before the header, after ``#``.
-
-    Raises
-    ------
-    ValueError
-        An id or comment could not be read back, or lengths differ.
-    InputError
-        The file cannot be written.
+        Lines before the header, after ``#``.
     """
     sigma = np.broadcast_to(sigma_px, np.shape(pixels))
     records = (
@@ -124,33 +108,24 @@ def write_project(
     points_seen_once: str = "error",
     comments: Sequence[str] = (),
 ) -> None:
-    """Write a project file; paths are taken relative to its folder when it is read.
+    """Write a project file; a reader takes the paths in it relative to its folder.
 
     Parameters
     ----------
     path : str or Path
-        Target file.
     name : str
         Name of the block.
     images : sequence of (id, metadata path)
-        The images.
     points, observations : str
         Paths of the tables.
     crs : str
         EPSG code of the points.
     options : Options, optional
-        Every option is written out, also the defaults.
+        Every option is written, also the defaults.
     points_seen_once : str
         "error" or "drop".
     comments : sequence of str
-        Lines put at the top, after ``#``.
-
-    Raises
-    ------
-    ValueError
-        A comment holds a line break.
-    InputError
-        The file cannot be written.
+        First lines, after ``#``.
     """
     lines = [*_comments(comments), *entries({"schema": 1, "name": name})]
     tables: list[tuple[str, Mapping[str, object]]] = [
@@ -179,7 +154,7 @@ def _comments(comments: Sequence[str]) -> list[str]:
 
 
 def _text(name: str) -> str:
-    """Cell of an id; quoted where a reader, or a spreadsheet, would take it for something else."""
+    """Cell of an id; in quotes if a reader or a spreadsheet would misinterpret it."""
     if not name or name != name.strip() or any(mark in name for mark in "\n\r\0"):
         raise ValueError(f"the id {name!r} cannot be written: it is empty, or has outer blanks or line breaks")
     return '"' + name.replace('"', '""') + '"' if any(mark in name for mark in ',"#') or name[0] in "=@" else name

@@ -1,15 +1,13 @@
 """Project file: reads a whole adjustment block from one TOML file and the files it names.
 
-Every fault of every file is reported in one error, so that a user mends them in one go;
-``docs/file-formats.md`` describes the format. Paths are relative to the project file.
+All faults of all files are reported in one error. ``docs/file-formats.md`` describes the format. Paths are relative
+to the project file.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -19,7 +17,7 @@ from fg_orient.formats.observations import ObservationFile, read_observations
 from fg_orient.formats.points import LOSES_IDS, PointFile, read_points
 from fg_orient.formats.registry import format_named
 from fg_orient.formats.scenes import Scene
-from fg_orient.formats.tables import Faults
+from fg_orient.formats.tables import Faults, sha256_of
 from fg_orient.formats.toml import parse_toml
 from fg_orient.geodesy import crs_kind
 from fg_orient.model.block import Block, Image, Options, Source
@@ -33,7 +31,7 @@ if TYPE_CHECKING:
 
 #: Format of our own tables.
 OWN: Final = "csv"
-#: A remark of ``validate`` only: the adjustment warns of the same, about the points it could use.
+#: A remark of ``validate`` only: the adjustment gives the same warning about the points that it uses.
 FEW_CHECK_CODE: Final = "remark.few_check"
 
 
@@ -70,18 +68,16 @@ def read_project(path: str | Path, **overrides: object) -> Block:
 
 
 def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Block, tuple[Finding, ...]]:
-    """Do :func:`read_project` and give the remarks as records, too."""
+    """Block as :func:`read_project` gives it, and the remarks as records."""
     path = Path(path)
     project = _read_toml(path, overrides)
-    options, found = _options(project, str(path))
-    problems = [_blame(p, overrides) for p in found]
+    options, problems = _options(project, str(path), overrides)
     folder = path.parent
-    images, sources, image_problems = _images(project, folder, str(path))
-    tables = _tables(project, folder, str(path), images)
-    problems += [*image_problems, *tables.problems]
-    if problems or tables.points is None or tables.observations is None:
+    images, image_problems = _images(project, folder, str(path))
+    points, observations, table_problems = _tables(project, folder, str(path), images)
+    problems += [*image_problems, *table_problems]
+    if problems or points is None or observations is None:
         raise InputError(*problems)
-    points, observations = tables.points, tables.observations
     known = tuple(image for image in images.values() if image is not None)
     drop = project.values_of(Reading)["points_seen_once"] == "drop"
     ready = assemble(
@@ -98,14 +94,17 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
         observations=ready.observations,
         withheld=ready.withheld,
         options=options,
-        sources=(_source(path), *sources, *_table_sources(project, folder, points, observations)),
+        sources=(
+            *(_source(file) for file in (path, *(folder / entry.metadata for entry in project.images))),
+            *(Source(str(table.path), table.sha256) for table in (points, observations)),
+        ),
         notes=_notes(known, points, [p for p in remarks if p.code != FEW_CHECK_CODE]),
     )
     return _navigated(block, project, folder, str(path)), remarks
 
 
 def checked_project(path: str | Path, **overrides: object) -> tuple[Block | None, list[Finding]]:
-    """Read a project with all its files and list what is found.
+    """Read a project with all its files and list errors or remarks.
 
     Parameters
     ----------
@@ -119,7 +118,7 @@ def checked_project(path: str | Path, **overrides: object) -> tuple[Block | None
     block : Block or None
         None with errors.
     problems : list of Finding
-        Either failures, with which ``adjust`` would refuse the project, or notes; empty if all is well.
+        Failures, for which ``adjust`` would refuse the project, or notes; empty if there are neither.
     """
     try:
         block, remarks = read_project_with_remarks(path, **overrides)
@@ -140,7 +139,7 @@ def require_files(path: str | Path, **overrides: object) -> None:
     project = _read_toml(path, overrides)
     problems = list(filter(None, (_missing(project, k, path) for k in range(len(project.images)))))
     if problems or not all((path.parent / table.file).exists() for table in (project.points, project.observations)):
-        problems += _tables(project, path.parent, str(path), {}).problems
+        problems += _tables(project, path.parent, str(path), {})[2]
     if problems:
         raise InputError(*problems)
 
@@ -155,7 +154,7 @@ def _missing(project: ProjectFile, k: int, path: Path) -> Finding | None:
 
 
 def _navigated(block: Block, project: ProjectFile, folder: Path, file: str) -> Block:
-    """The block with what was observed on board of its frame images, if the project names it."""
+    """Block with positions and attitudes observed on board of its frame images, if the project names them."""
     entry = project.navigation
     if entry is None:
         return block
@@ -168,13 +167,13 @@ def _navigated(block: Block, project: ProjectFile, folder: Path, file: str) -> B
     try:
         crs_kind(entry.crs)
     except InputError as error:
-        raise InputError(*(dataclasses.replace(p, file=file, place="navigation.crs") for p in error.problems)) from None
+        raise InputError(*(replace(p, file=file, place="navigation.crs") for p in error.problems)) from None
     fixes, sha256 = read_navigation(path, entry.crs)
     try:
         block = with_navigation(block, fixes, mounting_of(entry))
     except InputError as error:
-        raise InputError(*(dataclasses.replace(p, file=str(path)) for p in error.problems)) from None
-    return dataclasses.replace(block, sources=(*block.sources, Source(str(path), sha256)))
+        raise InputError(*(replace(p, file=str(path)) for p in error.problems)) from None
+    return replace(block, sources=(*block.sources, Source(str(path), sha256)))
 
 
 # --- the TOML file -------------------------------------------------------------------------------
@@ -190,10 +189,10 @@ def _read_toml(path: Path, overrides: Mapping[str, object]) -> ProjectFile:
             table = content.setdefault(_table_of(name), {})
             if isinstance(table, dict):
                 table[name] = value
-    found = validate(content, str(path))
-    if isinstance(found, tuple):
-        raise InputError(*(_blame(p, overrides) for p in found))
-    return found
+    checked = validate(content, str(path))
+    if isinstance(checked, tuple):
+        raise InputError(*(_blame(p, overrides) for p in checked))
+    return checked
 
 
 def _table_of(name: str) -> str:
@@ -201,68 +200,59 @@ def _table_of(name: str) -> str:
     return declared(Options, Reading)[name].group.table
 
 
-def _blame(found: Finding, overrides: Mapping[str, object]) -> Finding:
-    """Put a fault of an overriding option on the option: the file is not to blame."""
+def _blame(fault: Finding, overrides: Mapping[str, object]) -> Finding:
+    """Fault of an overriding option, with the option in place of the file."""
     for name, value in overrides.items():
         place = f"{_table_of(name)}.{name}"
-        if value is not None and (found.place == place or found.place.startswith(f"{place}[")):
-            found = dataclasses.replace(found, file="", option=name, place=found.place.removeprefix(place))
-    return found
+        if value is not None and (fault.place == place or fault.place.startswith(f"{place}[")):
+            fault = replace(fault, file="", option=name, place=fault.place.removeprefix(place))
+    return fault
 
 
-def _options(project: ProjectFile, file: str) -> tuple[Options, list[Finding]]:
-    """Options of the block; problems that the schema cannot see."""
+def _options(project: ProjectFile, file: str, overrides: Mapping[str, object]) -> tuple[Options, list[Finding]]:
+    """Options of the block; faults that the schema cannot detect."""
     problems: list[Finding] = []
     values = project.values_of(Options)
     try:
         values["eop_set"] = eop_set_number(values["eop_set"])
     except InputError as error:
         values["eop_set"] = Options.eop_set
-        problems += [dataclasses.replace(p, file=file, option="", place="orientation.eop_set") for p in error.problems]
+        problems += [replace(p, file=file, option="", place="orientation.eop_set") for p in error.problems]
     ids = [entry.id for entry in project.images]
     for k, name in enumerate(ids):
         if name in ids[:k]:
             problems.append(finding("project.image_twice", file=file, place=f"images[{k + 1}].id", value=name))
-    return Options(**values), problems
+    return Options(**values), [_blame(p, overrides) for p in problems]
 
 
 # --- the files it names --------------------------------------------------------------------------
 
 
-def _images(
-    project: ProjectFile, folder: Path, file: str
-) -> tuple[dict[str, Image | None], list[Source], list[Finding]]:
-    """Images by id, None where the metadata file is unusable."""
+def _images(project: ProjectFile, folder: Path, file: str) -> tuple[dict[str, Image | None], list[Finding]]:
+    """Images by id, None if the metadata file is unusable; and faults."""
     import fg_orient.formats.sensor as sensor_reader
 
     images: dict[str, Image | None] = {}
-    sources: list[Source] = []
     problems: list[Finding] = []
+    seconds = project.values_of(Reading)["extrapolate_attitude_s"]
     for k, entry in enumerate(project.images):
         images.setdefault(entry.id, None)
-        metadata, missing = folder / entry.metadata, _missing(project, k, Path(file))
+        missing = _missing(project, k, Path(file))
         if missing is not None:
             problems.append(missing)
             continue
         try:
-            seconds = project.values_of(Reading)["extrapolate_attitude_s"]
-            sensor = sensor_reader.read_sensor(metadata, extrapolate_attitude_s=seconds)
+            sensor = sensor_reader.read_sensor(folder / entry.metadata, extrapolate_attitude_s=seconds)
             images[entry.id] = Image(entry.id, sensor)
-            sources.append(_source(metadata))
         except InputError as error:
             problems += error.problems
-    return images, sources, problems
+    return images, problems
 
 
-@dataclass(frozen=True)
-class _Tables:
-    points: PointFile | None
-    observations: ObservationFile | None
-    problems: tuple[Finding, ...]
-
-
-def _tables(project: ProjectFile, folder: Path, file: str, images: Mapping[str, Image | None]) -> _Tables:
-    """Read the points, then the observations against them."""
+def _tables(
+    project: ProjectFile, folder: Path, file: str, images: Mapping[str, Image | None]
+) -> tuple[PointFile | None, ObservationFile | None, tuple[Finding, ...]]:
+    """Points, then the observations, whose names are checked against the points; and faults of both."""
     point_path, observation_path = folder / project.points.file, folder / project.observations.file
     point_faults, observation_faults = Faults(str(point_path)), Faults(str(observation_path))
     points, crs_problems = None, _entry_problems(project, file)
@@ -272,7 +262,7 @@ def _tables(project: ProjectFile, folder: Path, file: str, images: Mapping[str, 
             points = read_points(point_path, project.points.crs or "", point_faults, scenes)
         else:
             points = read_foreign_points(_foreign(project, folder, "points"), file, point_faults, scenes)
-    # names are checked only against lists that are themselves in order: no faults that follow from faults
+    # names are checked only against lists without faults: no faults that follow from other faults
     sizes = {name: (i.sensor.n_lines, i.sensor.n_samples) if i is not None else None for name, i in images.items()}
     known_images = sizes if len(sizes) == len(project.images) else None
     sound = points if not point_faults.codes & LOSES_IDS else None
@@ -284,26 +274,26 @@ def _tables(project: ProjectFile, folder: Path, file: str, images: Mapping[str, 
         table = _foreign(project, folder, "observations")
         both = read_foreign_observations(table, file, known_images, sound, observation_faults)
         observations, points = both or (None, points)
-    # both tables may name one file of another program: its faults are said once
+    # both tables may name the same file of another program: its faults are listed once
     problems = dict.fromkeys((*crs_problems, *point_faults.problems, *observation_faults.problems))
-    return _Tables(points, observations, tuple(problems))
+    return points, observations, tuple(problems)
 
 
 def _scenes(images: Mapping[str, Image | None], tables: Sequence[Path]) -> list[Scene]:
-    """Footprints of the images; none if a file is missing: this is reported before kernels are compiled."""
+    """Footprints of the images; none if a file is missing, which is reported before kernels are compiled."""
     if None in images.values() or not all(path.exists() for path in tables):
         return []
     return [Scene.from_footprint(image.id, image.sensor.footprint()) for image in images.values() if image is not None]
 
 
 def _foreign(project: ProjectFile, folder: Path, name: str) -> Table:
-    """The files of a table of another program: both tables of one format that has two files name one each."""
+    """Files of another program's table; the tables of a format with two files name one file each."""
     entry = project.points if name == "points" else project.observations
     paths: tuple[Path, ...] = (folder / entry.file,)
     if project.points.format == project.observations.format and project.points.file != project.observations.file:
         both = (folder / project.points.file, folder / project.observations.file)
         paths = both if len(format_named(entry.format, place=f"{name}.format").files) > 1 else paths
-    if name == "observations" and project.points.format == entry.format:  # what is said of the one holds for the other
+    if name == "observations" and project.points.format == entry.format:  # entries of the points apply to both
         given: dict[str, object] = {"crs": entry.crs or project.points.crs}
         if project.points.accept_unverified:
             given["accept_unverified"] = True
@@ -312,40 +302,32 @@ def _foreign(project: ProjectFile, folder: Path, name: str) -> Table:
 
 
 def _entry_problems(project: ProjectFile, file: str) -> list[Finding]:
-    """Faults of the entries ``[points]`` and ``[observations]`` that their types do not show."""
-    found = []
+    """Faults of the entries ``[points]`` and ``[observations]`` that the schema cannot detect."""
+    faults = []
     for name, entry in (("points", project.points), ("observations", project.observations)):
         if entry.format == OWN:
             given = entry.model_fields_set - {"file", "format"} - ({"crs"} if name == "points" else set())
-            found += [finding("project.own_table", file=file, place=f"{name}.{key}") for key in sorted(given)]
+            faults += [finding("project.own_table", file=file, place=f"{name}.{key}") for key in sorted(given)]
     if project.points.crs is None and project.points.format == OWN:
         expected = 'an EPSG code in quotes, such as "EPSG:4979"'
-        found.append(finding("project.missing", file=file, place="points.crs", expected=expected))
+        faults.append(finding("project.missing", file=file, place="points.crs", expected=expected))
     for name, crs in (("points", project.points.crs), ("observations", project.observations.crs)):
         try:
             if crs is not None:
                 crs_kind(crs)
         except InputError as error:
-            found += [dataclasses.replace(p, file=file, place=f"{name}.crs") for p in error.problems]
-    return found
+            faults += [replace(p, file=file, place=f"{name}.crs") for p in error.problems]
+    return faults
 
 
 def _source(path: Path) -> Source:
-    return Source(str(path), hashlib.sha256(path.read_bytes()).hexdigest())
-
-
-def _table_sources(
-    project: ProjectFile, folder: Path, points: PointFile, observations: ObservationFile
-) -> tuple[Source, Source]:
-    return (
-        Source(str(folder / project.points.file), points.sha256),
-        Source(str(folder / project.observations.file), observations.sha256),
-    )
+    return Source(str(path), sha256_of(path))
 
 
 def _notes(images: Sequence[Image], points: PointFile, remarks: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Everything worth a line in the report: remarks first, then how coordinates were converted."""
+    """Notes for the report: remarks, notes of the sensors, and the conversion of the coordinates."""
     sensor = [replace(note, place=f"image {image.id}") for image in images for note in image.sensor.notes]
     place = f"coordinates of {points.path.name}"
-    done = points.operation
-    return (*remarks, *sensor, *([] if done is None else [finding("points.operation", place=place, operation=done)]))
+    if points.operation is None:
+        return (*remarks, *sensor)
+    return (*remarks, *sensor, finding("points.operation", place=place, operation=points.operation))

@@ -69,14 +69,14 @@ POINTS_AND_MARKS: Final = TIES_ONLY | {
 
 @dataclass(frozen=True)
 class Settings:
-    """Information from the user where a file lacks it.
+    """Values from the user that a file lacks.
 
     Parameters
     ----------
     crs : str
         CRS of the coordinates, ``EPSG:n`` or ``EPSG:n+m``; "" if the file states it.
     image : str
-        Image of a format that holds one image without its name.
+        Image of a format that contains one image without its name.
     sigma_axes : str
         "ecef" or "enu": axes of the standard deviations in ASP's .gcp.
     image_sizes : mapping of str to (n_lines, n_samples)
@@ -89,13 +89,7 @@ class Settings:
     image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=lambda: MappingProxyType({}))
 
     def require_images(self, names: Sequence[str], file: object) -> None:
-        """Refuse sizes of images that a file does not have.
-
-        Raises
-        ------
-        InputError
-            Names the first one.
-        """
+        """Raise InputError for sizes of images that a file does not have; it names the first one."""
         for name in self.image_sizes:
             if name not in names:
                 known = ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")
@@ -111,14 +105,14 @@ class Format:
     name : str
         For options and project files; unique.
     title : str
-        In words, with the program it belongs to.
+        In words, with its program.
     help : str
         Description of the files; default: the docstring of the module of its functions.
     suffixes : tuple of str
         Lower-case ends of its file names. They identify the format if no other format has them.
     sniff : callable, optional
         ``sniff(path, head)`` recognises a file by its name and its first 64 kB as text (bytes one to one; "" if there
-        is no such file). It must not raise. None: the suffix is sufficient.
+        is no such file). It must not raise. If it is None, the suffix is sufficient.
     files : tuple of str
         Contents of each of its files; the second is named after the first and this word.
     first_pixel : tuple of float or None
@@ -201,14 +195,14 @@ def register_format(format_: Format) -> Format:
     """
     format_ = replace(format_, help=format_.help or sys.modules[_sources(format_)[0][0]].__doc__ or "")
     present = _REGISTRY.get(format_.name, format_)
-    if present != format_ and (present.title, _sources(present)) != (format_.title, _sources(format_)):
+    if (present.title, _sources(present)) != (format_.title, _sources(format_)):
         raise ValueError(f"a format named {format_.name!r} is registered already")
     _REGISTRY[format_.name] = format_
     return format_
 
 
 def _sources(format_: Format) -> list[tuple[str, str]]:
-    """Module and name of each function: they stay when a user's file is loaded again."""
+    """Module and name of each function: both are the same if a user's file is loaded again."""
     values = (getattr(format_, f.name) for f in fields(format_) if f.name.startswith(("read", "write")))
     return [(value.__module__, value.__qualname__) for value in values if value is not None]
 
@@ -219,7 +213,7 @@ def formats(contents: Contents = "points") -> dict[str, Format]:
 
 
 def _each(contents: Contents) -> Iterator[Format]:
-    """Formats with these contents: users' own, then ours; a module is imported when its turn comes."""
+    """Formats with these contents: users' own, then ours; each module is imported just before its formats."""
     seen: set[str] = set()
     package = import_module(_PACKAGES[contents])
     for module in ("", *sorted(info.name for info in iter_modules(package.__path__))):
@@ -234,13 +228,7 @@ def _each(contents: Contents) -> Iterator[Format]:
 
 
 def format_named(name: str, contents: Contents = "points", *, place: object = "format") -> Format:
-    """Find a format by its name.
-
-    Raises
-    ------
-    InputError
-        There is no such format.
-    """
+    """Format of a name; InputError if there is none."""
     known = formats(contents)
     if name not in known:
         raise InputError.of("interchange.format", place=place, value=name, hint=did_you_mean(name, list(known)))
@@ -248,13 +236,7 @@ def format_named(name: str, contents: Contents = "points", *, place: object = "f
 
 
 def format_of(path: Path, *, place: object) -> Format:
-    """Find the only format of points whose files end like this one; the longer end wins.
-
-    Raises
-    ------
-    InputError
-        No format or several formats have this end.
-    """
+    """Format of points whose suffix the file has, the longest if several match; InputError if it is not unique."""
     name, known = path.name.lower(), formats()
     fit = {f: max((len(s) for s in f.suffixes if name.endswith(s)), default=0) for f in known.values()}
     longest = [f for f, length in fit.items() if length and length == max(fit.values())]
@@ -265,13 +247,7 @@ def format_of(path: Path, *, place: object) -> Format:
 
 
 def format_claiming(path: Path, contents: Contents) -> Format | None:
-    """First format that recognises a file; None if there is none.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read.
-    """
+    """First format that recognises a file, None if there is none; InputError if the file cannot be read."""
     head = read_bytes(path, HEAD_BYTES).removeprefix(BOM_UTF8).decode("latin-1") if path.is_file() else ""
     for one in _each(contents):
         if one.sniff(path, head) if one.sniff else path.name.lower().endswith(one.suffixes):

@@ -1,10 +1,9 @@
 """Footprints of the images, and ground points that cannot lie in any of them.
 
-The usual causes are exchanged columns and a wrong CRS. Both put a point far outside every
-footprint, so the test may be coarse: a point is refused if it is farther from an image's
-centre than 1.5 times the image's diagonal, i.e. outside it by more than the image's size.
-Direct orientation is good to some hundred metres and relief shifts a footprint by a few
-kilometres: neither can trip it.
+The usual causes are exchanged columns and a wrong CRS. Both move a point far outside every footprint, so the test is
+coarse: a point is refused if its distance from every image centre exceeds 1.5 diagonals of the image. Direct
+orientation is accurate to some hundred metres, and relief shifts a footprint by a few kilometres; the test tolerates
+both.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ class Scene:
 
     @classmethod
     def from_footprint(cls, image: str, footprint_deg: Array) -> Scene:
-        """Make it from the four corners, (4, 2) longitude and latitude in degrees."""
+        """Scene of four corners (4, 2), longitude and latitude in degrees."""
         corners = geodetic_to_ecef(footprint_deg[:, 0], footprint_deg[:, 1], np.zeros(len(footprint_deg)))
         apart = np.linalg.norm(corners[:, None] - corners[None], axis=2)
         return cls(image, np.asarray(corners.mean(axis=0)), float(apart.max()))
@@ -45,7 +44,7 @@ class Scene:
 def check_positions(
     scenes: Sequence[Scene], crs: str, given: Array, ecef_m: Array, lines: npt.NDArray[np.int64], faults: Faults
 ) -> None:
-    """Note points far from every image; if exchanging two columns brings them in, say that instead.
+    """Note points far from every image; or that two columns are exchanged, if the exchange moves most into images.
 
     Parameters
     ----------
@@ -58,7 +57,7 @@ def check_positions(
     lines : (n,) int array
         Line of each point in its file.
     faults : Faults
-        Takes what is found.
+        Receives the faults.
     """
     rows = np.flatnonzero(np.isfinite(ecef_m).all(axis=1))
     if not scenes or not len(rows):
@@ -67,15 +66,15 @@ def check_positions(
     if not len(far):
         return
     kind = crs_kind(crs)
-    mended = _exchanged(scenes, crs, given[far])
-    if kind != "geocentric" and 2 * mended.sum() > len(far):
+    exchanged = _exchanged(scenes, crs, given[far])
+    if kind != "geocentric" and 2 * exchanged.sum() > len(far):
         first, second = COORDINATE_COLUMNS[kind][:2]
-        example = " ".join(f"{v:.10g}" for v in given[far[mended]][0, :2])
+        example = " ".join(f"{v:.10g}" for v in given[far[exchanged]][0, :2])
         faults.add(
-            "points.swapped", place=f"line {lines[far[mended][0]]}, columns {first} and {second}", value=example,
-            first=first, second=second, count=int(mended.sum()), total=len(rows),
+            "points.swapped", place=f"line {lines[far[exchanged][0]]}, columns {first} and {second}", value=example,
+            first=first, second=second, count=int(exchanged.sum()), total=len(rows),
         )  # fmt: skip
-        far = far[~mended]
+        far = far[~exchanged]
     for k in far:
         nearest = min(scenes, key=lambda scene: float(np.linalg.norm(ecef_m[k] - scene.centre_m)))
         distance = float(np.linalg.norm(ecef_m[k] - nearest.centre_m))
@@ -92,12 +91,12 @@ def _in_reach(scenes: Sequence[Scene], ecef_m: Array) -> Array:
 
 
 def _exchanged(scenes: Sequence[Scene], crs: str, given: Array) -> npt.NDArray[np.bool_]:
-    """Tell which points lie in an image once their first two coordinates are exchanged."""
-    mended = np.zeros(len(given), bool)
+    """Points that lie in an image if their first two coordinates are exchanged."""
+    exchanged = np.zeros(len(given), bool)
     for k, (first, second, third) in enumerate(given):
         try:
             xyz = to_ecef(crs, second, first, third)
         except InputError:
             continue
-        mended[k] = _in_reach(scenes, xyz)[0] <= 1.0
-    return mended
+        exchanged[k] = _in_reach(scenes, xyz)[0] <= 1.0
+    return exchanged

@@ -1,8 +1,7 @@
-"""The project file's content as pydantic models: the border where TOML becomes options.
+"""Contents of the project file as pydantic models.
 
-Unknown keys, wrong types, nan and infinity are refused, all at once. ``description`` of a
-field is what an error message tells the user to give. Entries of options are made from their
-declaration (``fg_orient.model.options``).
+Unknown keys, wrong types, nan and infinity are refused, all in one error. The ``description`` of a field is the
+expected value in its messages. Entries of options are made from their declaration (``fg_orient.model.options``).
 """
 
 from __future__ import annotations
@@ -72,7 +71,7 @@ class ObservationsEntry(_Foreign):
 
 
 def _rotation(value: tuple[Row, Row, Row] | None) -> tuple[Row, Row, Row] | None:
-    """Refuse a matrix that turns nothing: columns that are not orthonormal, or a reflection."""
+    """Refuse a matrix that is not a rotation: columns that are not orthonormal, or a reflection."""
     if value is not None:
         from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation  # not above: it loads numba
 
@@ -106,15 +105,15 @@ _TYPES: Final[dict[Any, Any]] = {
 
 
 def _entry(option: Option) -> Any:
-    """Type and default of an option in a project file; its declaration judges the value."""
+    """Type and default of an option in a project file; its declaration checks the value."""
 
-    def judge(value: Any) -> Any:
+    def check(value: Any) -> Any:
         if not option.allows(value):
             raise ValueError
         return value
 
     kind = _TYPES.get(option.kind, option.kind)
-    kind = kind | Text if option.named else Annotated[kind, AfterValidator(judge)]
+    kind = kind | Text if option.named else Annotated[kind, AfterValidator(check)]
     name = f" or a name such as {toml(option.such)}" if option.named else ""
     return kind | None if option.optional else kind, Field(default=option.default, description=option.expected + name)
 
@@ -153,7 +152,7 @@ class ProjectFile(Table):
 
 
 def validate(content: dict[str, Any], file: str) -> ProjectFile | tuple[Finding, ...]:
-    """Check the parsed TOML; give the project, or every fault with its place and remedy."""
+    """Project of a parsed TOML file, or all faults with place and remedy."""
     try:
         return ProjectFile.model_validate(content)
     except ValidationError as error:
@@ -166,7 +165,7 @@ def read_toml(path: str | Path, model: type[Model]) -> Model:
     Raises
     ------
     InputError
-        The file cannot be read, or every fault of it.
+        The file cannot be read, or all faults of it.
     """
     try:
         return model.model_validate(parse_toml(Path(path)))
@@ -175,20 +174,16 @@ def read_toml(path: str | Path, model: type[Model]) -> Model:
 
 
 def problems_of(error: ValidationError, file: str, root: type[BaseModel]) -> tuple[Finding, ...]:
-    """Every fault of a file that should have been a ``root``, with its place and remedy."""
+    """All faults of a file that is not a valid ``root``, with place and remedy."""
     places: dict[str, Finding] = {}
     details = error.errors(include_url=False, include_context=False)
     for detail in details:
-        if detail["type"] == "too_short" and any(_inside(other["loc"], detail["loc"]) for other in details):
-            continue  # an array counts as short of those of its items that have faults of their own
-        found = _problem(detail["type"], detail["loc"], detail["input"], file, root)
-        places.setdefault(found.place, found)  # a union reports one fault per member
+        loc = detail["loc"]
+        if detail["type"] == "too_short" and any(o["loc"][: len(loc)] == loc and o["loc"] != loc for o in details):
+            continue  # an array counts as short if its items have faults
+        fault = _problem(detail["type"], loc, detail["input"], file, root)
+        places.setdefault(fault.place, fault)  # a union reports one fault per member
     return tuple(places.values())
-
-
-def _inside(loc: tuple[int | str, ...], outer: tuple[int | str, ...]) -> bool:
-    """Tell whether a place lies inside another place."""
-    return len(loc) > len(outer) and loc[: len(outer)] == outer
 
 
 def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str, root: type[BaseModel]) -> Finding:

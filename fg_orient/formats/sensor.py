@@ -22,22 +22,22 @@ def read_sensor(path: str | Path, *, model: str = "auto", extrapolate_attitude_s
         ``METADATA.DIM`` of a SPOT 1-5 level 1A scene, ``DIM_*.XML`` of a Pléiades or SPOT 6/7 sensor product, a
         PHR_DIMAP; a file with RPC (see :func:`fg_orient.formats.rpc.read_rpc`); a sensor description
         (TOML, :mod:`fg_orient.formats.metadata.pushbroom`), whose states are never extrapolated; a frame image
-        (TOML, :mod:`fg_orient.formats.metadata.frame`); a file of a registered format of your own.
+        (TOML, :mod:`fg_orient.formats.metadata.frame`); a file of a user's registered format.
     model : {"auto", "rigorous", "rpc"}
-        Which model of the file; ``"auto"``: the rigorous one if the file holds it.
+        Model of the file; ``"auto"``: the rigorous model if the file contains it.
     extrapolate_attitude_s : float
-        Attitudes that do not cover the image are extrapolated by at most so many seconds with the
+        Maximum time, s, by which attitudes that do not cover the image are extrapolated with the
         last rate (:class:`fg_orient.sensors.pushbroom.PushbroomSensor`); RPC have none.
 
     Returns
     -------
-    PushbroomSensor, RpcSensor, FrameSensor, or the sensor of a format of your own
+    PushbroomSensor, RpcSensor, FrameSensor, or the sensor of a user's format
         Pixels (line, sample) with (0, 0) = centre of the first pixel, ECEF metres.
 
     Raises
     ------
     InputError
-        The file is not usable, or holds no model of the kind; the message names file, line, value and remedy.
+        The file is not usable, or does not contain such a model; the message names file, line, value and remedy.
     """
     path = Path(path)
     if model not in MODELS:
@@ -60,7 +60,7 @@ def read_sensor(path: str | Path, *, model: str = "auto", extrapolate_attitude_s
         return RpcSensor(read_rpc(path))
     from fg_orient.formats.metadata.dimap import read_sensor as read_dimap_sensor
 
-    return read_dimap_sensor(path)  # raises: it names what the file is
+    return read_dimap_sensor(path)  # raises: it names the kind of the file
 
 
 def _read(form: Format, path: Path, extrapolate_attitude_s: float) -> Any:

@@ -93,13 +93,7 @@ class Faults:
         return (*self._problems, more)
 
     def raise_if_any(self) -> None:
-        """Raise all faults as one error.
-
-        Raises
-        ------
-        InputError
-            At least one fault was noted.
-        """
+        """Raise all faults as one InputError, if there are any."""
         if self:
             raise InputError(*self.problems)
 
@@ -122,21 +116,16 @@ class Table:
 
     Parameters
     ----------
-    file : str
     columns : tuple of str
     cells : dict of str to sequence of str
         Text of the records in file order, by column.
     lines : (n,) int array
         Line number of each record in the file, from 1.
-    sha256 : str
-        Of the file.
     """
 
-    file: str
     columns: tuple[str, ...]
     cells: dict[str, Sequence[str]]
     lines: npt.NDArray[np.int64]
-    sha256: str
     _refused: list[tuple[Index, str, str, dict[str, Any]]] = field(default_factory=list)
 
     def __len__(self) -> int:
@@ -230,33 +219,30 @@ def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> 
     columns : sequence of sequences of str
         The allowed layouts, each a complete set of column names; their order in the file is free.
     faults : Faults
-        Takes the faults found.
+        Receives the faults.
 
     Returns
     -------
     Table or None
-        None if the file as a whole is unusable; the reasons are then in ``faults``.
-        Records with a wrong number of cells are left out, and noted.
+        None if the file as a whole is unusable. Records with a wrong number of cells are left out, and noted.
     """
-    data = _read_bytes(path, faults)
-    text = None if data is None else _decode(data, faults)
-    if data is None or text is None:
+    text = read_text(path, faults)
+    if text is None:
         return None
     numbers, lines = _lines(text, faults)
-    header = next(filter(None, (_cells(n, line, faults) for n, line in zip(numbers, lines, strict=True))), None)
-    if header is None:
+    headers = ((n, _cells(n, line, faults)) for n, line in zip(numbers, lines, strict=True))
+    first, cells = next(((n, cells) for n, cells in headers if cells is not None), (0, None))
+    if cells is None:
         faults.add("table.empty", place="line 1", columns=", ".join(columns[0]))
         return None
-    first, cells = header
     names = _header(first, cells, columns, faults)
     if names is None:
         return None
     start = numbers.index(first) + 1
-    kept, found = _records(numbers[start:], lines[start:], names, faults)
+    kept, by_column = _records(numbers[start:], lines[start:], names, faults)
     if not kept and not faults:
         faults.add("table.no_records", place=f"line {first}")
-    digest = hashlib.sha256(data).hexdigest()
-    return Table(faults.file, names, found, np.array(kept, np.int64), digest)
+    return Table(names, by_column, np.array(kept, np.int64))
 
 
 def read_numbers(path: Path, layouts: Sequence[Sequence[str]], words: Sequence[str] = ()) -> tuple[Array, Table]:
@@ -280,10 +266,38 @@ def read_numbers(path: Path, layouts: Sequence[Sequence[str]], words: Sequence[s
 
 
 def read_text(path: Path, faults: Faults) -> str | None:
-    """Text of a UTF-8 file without byte order mark, its lines ended by LF; None, with the reason noted, if unusable."""
-    data = _read_bytes(path, faults)
-    text = None if data is None else _decode(data, faults)
-    return None if text is None else text.replace("\r\n", "\n").replace("\r", "\n")
+    """Text of a UTF-8 file without byte order mark, with LF as line end; None, with the fault noted, if unusable."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        faults.add("table.missing_file")
+        return None
+    except OSError as error:
+        faults.add("table.unreadable", value=error.strerror or type(error).__name__)
+        return None
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        faults.add("table.utf16", place="line 1")
+        return None
+    if b"\0" in data:
+        faults.add("table.nul", place=f"line {data[: data.index(0)].count(10) + 1}")
+        return None
+    try:
+        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        faults.add("table.not_utf8", place=f"line {line}", value=f"byte 0x{data[error.start]:02x}")
+        return None
+
+
+def sha256_of(*paths: Path) -> str:
+    """SHA-256 of one file; of several files, or those of a folder, of their names and contents."""
+    files = [f for p in paths for f in (sorted(q for q in p.rglob("*") if q.is_file()) if p.is_dir() else [p])]
+    if len(files) == 1 and not paths[0].is_dir():
+        return hashlib.sha256(files[0].read_bytes()).hexdigest()
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.name.encode() + b"\0" + hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()
 
 
 def number(row: Row, column: str, faults: Faults) -> float:
@@ -339,37 +353,12 @@ def did_you_mean(word: str, known: Sequence[str]) -> str:
     return f"known: {', '.join(known[:10])}{more}"
 
 
-# --- from bytes to records -----------------------------------------------------------------------
-
-
-def _read_bytes(path: Path, faults: Faults) -> bytes | None:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        faults.add("table.missing_file")
-    except OSError as error:
-        faults.add("table.unreadable", value=error.strerror or type(error).__name__)
-    return None
-
-
-def _decode(data: bytes, faults: Faults) -> str | None:
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        faults.add("table.utf16", place="line 1")
-        return None
-    if b"\0" in data:
-        faults.add("table.nul", place=f"line {data[: data.index(0)].count(10) + 1}")
-        return None
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data[: error.start].count(b"\n") + 1
-        faults.add("table.not_utf8", place=f"line {line}", value=f"byte 0x{data[error.start]:02x}")
-        return None
+# --- from text to records ------------------------------------------------------------------------
 
 
 def _lines(text: str, faults: Faults) -> tuple[list[int], list[str]]:
     """Numbers and text of the lines that are neither blank nor a comment."""
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = text.split("\n")
     kept = [
         n for n, line in enumerate(lines, start=1)
         if line[:1] not in _ODD_STARTS or (not line.startswith("#") and line.strip(" \t,"))
@@ -382,14 +371,22 @@ def _lines(text: str, faults: Faults) -> tuple[list[int], list[str]]:
     return kept, [lines[n - 1] for n in kept]
 
 
-def _cells(number: int, line: str, faults: Faults) -> tuple[int, list[str]] | None:
-    """Number and stripped cells of a line; None, with the fault noted, if its quotes are wrong."""
+def _cells(number: int, line: str, faults: Faults, width: int | None = None) -> list[str] | None:
+    """Stripped cells of a line; None, with the fault noted, if quotes or the number of cells are wrong.
+
+    Empty cells beyond the last column are left out.
+    """
     try:
-        cells = next(csv.reader([line], strict=True))
+        cells = [cell.strip() for cell in next(csv.reader([line], strict=True))]
     except csv.Error as error:
         faults.add("table.quotes", place=f"line {number}", value=str(error))
         return None
-    return number, [cell.strip() for cell in cells]
+    while cells and not cells[-1] and (width is None or len(cells) > width):
+        cells.pop()
+    if width not in (None, len(cells)):
+        faults.add("table.cell_count", place=f"line {number}", value=f"{len(cells)} cells", count=width)
+        return None
+    return cells
 
 
 def _records(
@@ -405,20 +402,13 @@ def _records(
         if not text.isascii() or any(space in text for space in _SPACES):
             flat = [cell.strip() for cell in flat]
         return numbers, {name: flat[k::width] for k, name in enumerate(names)}
-    kept, rows = [], []
-    for n, line in zip(numbers, lines, strict=True):
-        found = _cells(n, line, faults)
-        cells = None if found is None else _fitting(*found, width, faults)
-        if cells is not None:
-            kept.append(n)
-            rows.append(cells)
-    return kept, {name: [cells[k] for cells in rows] for k, name in enumerate(names)}
+    split = {n: _cells(n, line, faults, width) for n, line in zip(numbers, lines, strict=True)}
+    rows = {n: cells for n, cells in split.items() if cells is not None}
+    return list(rows), {name: [cells[k] for cells in rows.values()] for k, name in enumerate(names)}
 
 
 def _header(line: int, cells: list[str], layouts: Sequence[Sequence[str]], faults: Faults) -> tuple[str, ...] | None:
     """Column names, checked against the layouts; None if they fit none of them."""
-    while cells and not cells[-1]:
-        cells.pop()
     place = f"line {line}"
     if len(cells) == 1 and any(mark in cells[0] for mark in ";\t|"):
         faults.add("table.delimiter", place=place, value=cells[0])
@@ -438,13 +428,3 @@ def _header(line: int, cells: list[str], layouts: Sequence[Sequence[str]], fault
         if name not in cells and name not in misspelt:
             faults.add("table.column_missing", place=place, value=name, columns=", ".join(layout))
     return None if len(faults.problems) > before else tuple(cells)
-
-
-def _fitting(line: int, cells: list[str], width: int, faults: Faults) -> list[str] | None:
-    """Cells without empty ones beyond the last column; None, with the fault noted, if their number is wrong."""
-    while len(cells) > width and not cells[-1]:
-        cells.pop()
-    if len(cells) != width:
-        faults.add("table.cell_count", place=f"line {line}", value=f"{len(cells)} cells", count=width)
-        return None
-    return cells

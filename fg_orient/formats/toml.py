@@ -1,4 +1,4 @@
-"""TOML files: read with faults as input errors, and written."""
+"""Reader of TOML files, with faults as input errors, and their lines for writers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fg_orient.model.errors import FgOrientError, InputError
 
 
 def no_project_file(path: Path) -> FgOrientError:
-    """Error of a path that does not exist, or is a folder; then with a project file in it."""
+    """Error of a path that does not exist, or is a folder; then it names a project file in it."""
     if path.is_dir():
         inside = next(iter(sorted(path.glob("*.toml"))), path / "project.toml")
         return InputError.of("project.folder", file=path, inside=inside)

@@ -1,13 +1,11 @@
-"""Coordinate reference systems: the module that talks to PROJ (so does rectification.projections), with its guards.
+"""Coordinate reference systems: access to PROJ (also used by rectification.projections), with checks.
 
-Inside the package a ground point is Earth-fixed Cartesian (ECEF, WGS84, EPSG:4978) in
-metres. Borders speak any EPSG code. What PROJ would do silently is refused here: axis
-order is always easting/longitude first, results must be finite, a "ballpark"
-transformation (which returns heights unchanged when a geoid grid is missing) is never
-used, and the network is off. Heights are ellipsoidal, above the ellipsoid of the named
-CRS, unless a compound code such as ``EPSG:4326+5773`` names a vertical CRS. One operation
-is chosen for all points of a call, the best for their area; its name and accuracy are
-given back for the record.
+Inside the package a ground point is Earth-fixed Cartesian (ECEF, WGS84, EPSG:4978) in metres. Files may use any EPSG
+code. Silent behaviour of PROJ is excluded: the axis order is always easting or longitude first, results must be finite,
+a "ballpark" transformation (which returns heights unchanged if a geoid grid is missing) is never used, and the network
+is off. Heights are ellipsoidal, above the ellipsoid of the named CRS, unless a compound code such as ``EPSG:4326+5773``
+names a vertical CRS. One operation, the best for their area, is chosen for all points of a call; its name and accuracy
+are returned for the record.
 """
 
 from __future__ import annotations
@@ -50,7 +48,7 @@ _AREA_MARGIN_DEG: Final = 0.01
 
 @dataclass(frozen=True)
 class Operation:
-    """The coordinate operation PROJ used: for the provenance record.
+    """Coordinate operation of PROJ, for the provenance record.
 
     Parameters
     ----------
@@ -59,7 +57,7 @@ class Operation:
     name : str
         PROJ's name of the operation.
     accuracy_m : float
-        Its stated accuracy; nan if PROJ does not know it.
+        Its stated accuracy; nan if PROJ states none.
     missing_grids : tuple of str
         Grid files that a more accurate operation would need; empty if the best one was used.
     """
@@ -76,7 +74,7 @@ class Operation:
 
 
 def crs_kind(crs: str) -> Kind:
-    """Tell whether coordinates in ``crs`` are geographic, projected or geocentric.
+    """Kind of the coordinates in ``crs``: geographic, projected or geocentric.
 
     Raises
     ------
@@ -91,8 +89,6 @@ def to_ecef(
     east_or_lon: npt.ArrayLike,
     north_or_lat: npt.ArrayLike,
     height: npt.ArrayLike,
-    *,
-    labels: Sequence[str] | None = None,
 ) -> Array:
     """Transform N points of any EPSG CRS to ECEF.
 
@@ -102,9 +98,7 @@ def to_ecef(
         ``EPSG:n``, or ``EPSG:n+m`` with a vertical CRS.
     east_or_lon, north_or_lat, height : (N,) array_like
         Easting and northing (m) or longitude and latitude (degrees), height (m); x, y, z
-        (m) if the CRS is geocentric. The order is the same whatever the CRS definition says.
-    labels : sequence of str, optional
-        Place of each point in its file, for messages.
+        (m) if the CRS is geocentric. The order does not depend on the definition of the CRS.
 
     Returns
     -------
@@ -116,7 +110,7 @@ def to_ecef(
     InputError
         Unknown CRS, no exact operation (a grid is missing), or a point outside its domain.
     """
-    return to_ecef_with_operation(crs, east_or_lon, north_or_lat, height, labels=labels)[0]
+    return to_ecef_with_operation(crs, east_or_lon, north_or_lat, height)[0]
 
 
 def to_ecef_with_operation(
@@ -128,10 +122,10 @@ def to_ecef_with_operation(
     labels: Sequence[str] | None = None,
     deciding: npt.NDArray[np.bool_] | None = None,
 ) -> tuple[Array, Operation]:
-    """Do :func:`to_ecef` and give the operation used, too.
+    """ECEF coordinates as in :func:`to_ecef`, and the operation.
 
-    ``deciding`` (N,) selects the points whose area decides on the operation; all points do
-    if it is absent or selects none.
+    Messages contain the places ``labels`` of the points. The area of the points ``deciding`` (N,) decides
+    on the operation, or that of all points if it is absent or selects none.
     """
     first, second, third = (np.atleast_1d(np.asarray(a, float)) for a in (east_or_lon, north_or_lat, height))
     source = spatial_crs(crs)
@@ -141,20 +135,16 @@ def to_ecef_with_operation(
     lonlat = _longitude_latitude(crs, source, kind, given, labels)
     some = deciding is not None and bool(deciding.any())
     group = operations_to_ecef(crs, source, lonlat[deciding] if some else lonlat)
-    chosen = group.transformers[0]
-    xyz = np.stack(chosen.transform(first, second, third), axis=1)
+    xyz = np.stack(group.transformers[0].transform(first, second, third), axis=1)
     require_finite(crs, xyz, given, labels)
-    grids = {grid.short_name for operation in group.unavailable_operations[:1] for grid in operation.grids}
-    missing = () if group.best_available else tuple(sorted(grids))
-    accuracy = chosen.accuracy if chosen.accuracy >= 0.0 else np.nan
-    return np.ascontiguousarray(xyz), Operation(crs, chosen.description, float(accuracy), missing)
+    return np.ascontiguousarray(xyz), operation_of(crs, group)
 
 
 def geodetic_to_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike) -> Array:
     """Transform WGS84 longitude, latitude (degrees), ellipsoidal height (m) of N points to (N, 3) ECEF m."""
     given = np.stack([np.atleast_1d(np.asarray(a, float)) for a in (lon_deg, lat_deg, height_m)], axis=1)
     require_finite("EPSG:4979", given, given, None)
-    # one operation wherever the points lie: it need not be searched for each time
+    # one operation for all places: it is not searched for each time
     xyz = np.stack(_transformer("EPSG:4979", ECEF).transform(*given.T), axis=1)
     require_finite("EPSG:4979", xyz, given, None)
     return np.ascontiguousarray(xyz)
@@ -164,8 +154,8 @@ def ecef_to_geodetic(xyz_m: npt.ArrayLike) -> tuple[Array, Array, Array]:
     """Transform (N, 3) ECEF m to WGS84 longitude, latitude (degrees) and ellipsoidal height (m), each (N,).
 
     Iterates on the latitude (docs/equations.md 5; the error shrinks by e^2 = 0.0067 each
-    time). PROJ is not used: it takes a single step, which errs by 1e-6 m at 9 km height and
-    7 mm at that of a satellite.
+    time). PROJ is not used: its single step has errors of 1e-6 m at 9 km height and of
+    7 mm at the height of a satellite.
 
     Raises
     ------
@@ -206,10 +196,7 @@ def from_geographic(crs: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) ->
     InputError
         The CRS is unknown, or no exact operation leads to it.
     """
-    lon, lat = np.atleast_1d(np.asarray(lon_deg, float)), np.atleast_1d(np.asarray(lat_deg, float))
-    x, y = (np.asarray(a) for a in _transformer("EPSG:4326", crs, horizontal=True).transform(lon, lat))
-    inside = np.isfinite(x) & np.isfinite(y)
-    return np.where(inside, x, np.nan), np.where(inside, y, np.nan)
+    return _horizontal("EPSG:4326", crs, lon_deg, lat_deg)
 
 
 def to_geographic(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[Array, Array]:
@@ -217,21 +204,26 @@ def to_geographic(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[Array, 
 
     Inverse of :func:`from_geographic`, with its parameters and errors; nan outside the domain of the CRS.
     """
-    first, second = np.atleast_1d(np.asarray(x, float)), np.atleast_1d(np.asarray(y, float))
-    lon, lat = (np.asarray(a) for a in _transformer(crs, "EPSG:4326", horizontal=True).transform(first, second))
-    inside = np.isfinite(lon) & np.isfinite(lat)
-    return np.where(inside, lon, np.nan), np.where(inside, lat, np.nan)
+    return _horizontal(crs, "EPSG:4326", x, y)
+
+
+def _horizontal(source: str, target: str, first: npt.ArrayLike, second: npt.ArrayLike) -> tuple[Array, Array]:
+    """Horizontal coordinates of N points in another CRS; nan outside its domain."""
+    first, second = np.atleast_1d(np.asarray(first, float)), np.atleast_1d(np.asarray(second, float))
+    x, y = (np.asarray(a) for a in _transformer(source, target, horizontal=True).transform(first, second))
+    inside = np.isfinite(x) & np.isfinite(y)
+    return np.where(inside, x, np.nan), np.where(inside, y, np.nan)
 
 
 def same_crs(one: str, other: str) -> bool:
-    """Tell whether two CRS (WKT or EPSG codes) are the same, whatever the order of their axes.
+    """True if two CRS (WKT or EPSG codes) are the same but for the order of their axes.
 
     Raises
     ------
     InputError
         A CRS is unknown.
     """
-    return bool(_known(one).equals(_known(other), ignore_axis_order=True))
+    return bool(known_crs(one).equals(known_crs(other), ignore_axis_order=True))
 
 
 def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
@@ -242,32 +234,23 @@ def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
     InputError
         The CRS is unknown.
     """
-    area = _known(crs).area_of_use
+    area = known_crs(crs).area_of_use
     return None if area is None else (area.west, area.south, area.east, area.north)
 
 
 def vertical_reference(crs: str) -> tuple[str, str]:
-    """Name of the vertical CRS that heights given in ``crs`` refer to, and the unit of its height axis.
+    """Name of the vertical CRS of heights in ``crs`` (WKT or EPSG code), and the unit of its height axis.
 
-    Parameters
-    ----------
-    crs : str
-        WKT or EPSG code.
-
-    Returns
-    -------
-    tuple of str
-        ``""`` as name if there is none: the heights are ellipsoidal; ``""`` as unit if the CRS has
-        no height axis.
+    The name of ellipsoidal heights is ``""``; so is the unit if the CRS has no height axis.
 
     Raises
     ------
     InputError
         The CRS is unknown.
     """
-    found = _known(crs)
-    names = [part.name for part in (found, *found.sub_crs_list) if part.is_vertical and not part.is_compound]
-    units = [axis.unit_name for axis in found.axis_info if axis.direction in ("up", "down")]
+    whole = known_crs(crs)
+    names = [part.name for part in (whole, *whole.sub_crs_list) if part.is_vertical and not part.is_compound]
+    units = [axis.unit_name for axis in whole.axis_info if axis.direction in ("up", "down")]
     return (names[0] if names else ""), (units[0] if units else "")
 
 
@@ -277,13 +260,13 @@ def with_vertical(crs: str, vertical: str) -> tuple[str, str]:
     Raises
     ------
     InputError
-        A CRS is unknown, or ``vertical`` is no vertical CRS.
+        A CRS is unknown, or ``vertical`` is not a vertical CRS.
     """
-    found = _known(crs)
-    flat = found.sub_crs_list[0] if found.is_compound else found.to_2d()
+    whole = known_crs(crs)
+    flat = _flat(whole)
     if not vertical:
-        return str(flat.to_wkt()), str(found.to_wkt())
-    heights = _known(vertical)
+        return str(flat.to_wkt()), str(whole.to_wkt())
+    heights = known_crs(vertical)
     if not heights.is_vertical or heights.is_compound:
         raise InputError.of("geodesy.not_vertical", place="vertical crs", value=f"{vertical}, {heights.name}")
     both = offline_pyproj().crs.CompoundCRS(f"{flat.name} + {heights.name}", [flat, heights])
@@ -300,9 +283,8 @@ def undulation_m(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
     InputError
         The grid of the geoid is missing, or does not cover a point.
     """
-    source = offline_pyproj().CRS.from_user_input(crs)
-    flat = np.stack([np.asarray(x, float), np.asarray(y, float)], axis=1)
-    given = np.column_stack([flat, np.zeros(len(flat))])
+    source = known_crs(crs)
+    given = np.stack([np.asarray(x, float), np.asarray(y, float), np.zeros(np.shape(x))], axis=1)
     kind: Kind = "projected" if source.sub_crs_list[0].is_projected else "geographic"
     lonlat = _longitude_latitude(source.name, source, kind, given, None)
     xyz = np.stack(operations_to_ecef(source.name, source, lonlat).transformers[0].transform(*given.T), axis=1)
@@ -341,12 +323,11 @@ def offline_pyproj() -> Any:
 
 @cache
 def _transformer(source: str, target: str, *, horizontal: bool = False) -> Transformer:
-    """Make the transformer between two CRS, once: easting or longitude first, never a ballpark."""
+    """Transformer between two CRS, made once: easting or longitude first, never a ballpark."""
     proj = offline_pyproj()
     try:
         goal = proj.CRS.from_user_input(target)
-        if horizontal:
-            goal = goal.sub_crs_list[0] if goal.is_compound else goal.to_2d()
+        goal = _flat(goal) if horizontal else goal
         made: Transformer = proj.Transformer.from_crs(source, goal, always_xy=True, allow_ballpark=False)
     except proj.exceptions.CRSError:
         raise InputError.of("geodesy.unknown_crs", place="crs", value=target) from None
@@ -356,7 +337,7 @@ def _transformer(source: str, target: str, *, horizontal: bool = False) -> Trans
 
 
 def spatial_crs(crs: str) -> CRS:
-    """CRS of the code, with an ellipsoidal height axis where none is named."""
+    """CRS of the code, with an ellipsoidal height axis if it has no height axis."""
     text = str(crs).strip()
     if not _CODE.fullmatch(text):
         raise InputError.of("geodesy.not_epsg", place="crs", value=crs)
@@ -365,28 +346,37 @@ def spatial_crs(crs: str) -> CRS:
 
 @cache
 def _spatial(crs: str) -> CRS:
-    found = _known(crs)
-    return found if found.is_compound or found.is_geocentric or found.is_vertical else found.to_3d()
+    own = known_crs(crs)
+    return own if own.is_compound or own.is_geocentric or own.is_vertical else own.to_3d()
 
 
 @cache
-def _known(crs: str) -> CRS:
+def known_crs(crs: str) -> CRS:
+    """CRS of a code, WKT or PROJ string.
+
+    Raises
+    ------
+    InputError
+        PROJ does not know it.
+    """
     proj = offline_pyproj()
     try:
-        found: CRS = proj.CRS.from_user_input(crs)
+        known: CRS = proj.CRS.from_user_input(crs)
     except proj.exceptions.CRSError:
         raise InputError.of("geodesy.unknown_crs", place="crs", value=crs) from None
-    return found
+    return known
+
+
+def _flat(crs: CRS) -> CRS:
+    """Horizontal part of a CRS."""
+    return crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
 
 
 def _kind(crs: str, source: CRS) -> Kind:
-    kind: Kind | None = None
-    if source.is_geocentric:
-        kind = "geocentric"
-    elif source.is_projected:
-        kind = "projected"
-    elif source.is_geographic:
-        kind = "geographic"
+    tests: dict[Kind, bool] = {
+        "geocentric": source.is_geocentric, "projected": source.is_projected, "geographic": source.is_geographic,
+    }  # fmt: skip
+    kind = next((name for name, fits in tests.items() if fits), None)
     if kind is None or len(source.axis_info) != 3:
         raise InputError.of("geodesy.not_spatial", place="crs", value=f"{crs}, {source.name}")
     horizontal = "degree" if kind == "geographic" else "metre"
@@ -399,7 +389,7 @@ def _kind(crs: str, source: CRS) -> Kind:
 
 
 def _longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels: Sequence[str] | None) -> Array:
-    """Longitude, latitude (degrees) on the CRS's own datum, good enough to choose an operation: (N, 2)."""
+    """Longitude, latitude (N, 2) degrees on the CRS's own datum, accurate enough to choose an operation."""
     if kind == "geographic":
         return np.asarray(given[:, :2])
     if kind == "geocentric":
@@ -407,8 +397,7 @@ def _longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels:
         angles = np.stack([np.arctan2(given[:, 1], given[:, 0]), np.arctan2(given[:, 2], p)], axis=1)
         return np.asarray(np.degrees(angles))
     proj = offline_pyproj()
-    horizontal = source.sub_crs_list[0] if source.is_compound else source
-    flat = horizontal.to_2d()
+    flat = _flat(source).to_2d()
     back = proj.Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
     lonlat = np.stack(back.transform(given[:, 0], given[:, 1]), axis=1)
     require_finite(crs, lonlat, given, labels)
@@ -416,7 +405,7 @@ def _longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels:
 
 
 def operations_to_ecef(crs: str, source: CRS, lonlat: Array) -> TransformerGroup:
-    """Operations to ECEF for the area of the points, best first, none of them a ballpark."""
+    """Operations to ECEF for the area of the points, best first, without ballparks."""
     proj = offline_pyproj()
     from pyproj.transformer import AreaOfInterest, TransformerGroup
 
@@ -436,8 +425,17 @@ def operations_to_ecef(crs: str, source: CRS, lonlat: Array) -> TransformerGroup
     return group
 
 
+def operation_of(crs: str, group: TransformerGroup) -> Operation:
+    """Best operation of a group, with the grids of a better one."""
+    chosen = group.transformers[0]
+    accuracy = chosen.accuracy if chosen.accuracy >= 0.0 else np.nan
+    grids = {grid.short_name for operation in group.unavailable_operations[:1] for grid in operation.grids}
+    missing = () if group.best_available else tuple(sorted(grids))
+    return Operation(crs, chosen.description, float(accuracy), missing)
+
+
 def require_finite(crs: str, values: Array, given: Array, labels: Sequence[str] | None) -> None:
-    """Refuse points whose ``values`` are not finite; ``given`` and ``labels`` say which."""
+    """Refuse points whose ``values`` are not finite; messages contain ``given`` and ``labels``."""
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):
         raise InputError(*(

@@ -1,6 +1,6 @@
-"""Names of coordinate reference systems in files, the order of their axes, the inverse transformation from ECEF.
+"""Names of coordinate reference systems in files, the order of their axes, and the transformation from ECEF.
 
-Files of other programs name their CRS by WKT, by a PROJ string or by words; inside it is an EPSG code.
+Other programs' files name their CRS by WKT, by a PROJ string or by words; this package names it by an EPSG code.
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ from fg_orient.geodesy import (
     Operation,
     crs_kind,
     ecef_to_geodetic,
+    known_crs,
     offline_pyproj,
+    operation_of,
     operations_to_ecef,
     require_finite,
     same_crs,
     spatial_crs,
     with_vertical,
 )
-from fg_orient.model.errors import InputError
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -32,9 +33,9 @@ Array = npt.NDArray[np.float64]
 
 #: WGS84 longitude, latitude, ellipsoidal height.
 WGS84: Final = "EPSG:4979"
-#: Per cent of agreement from which PROJ's search for an EPSG code is believed: all but the names is equal.
+#: Per cent of agreement from which the result of PROJ's search for an EPSG code is used: all but the names is equal.
 _CONFIDENCE: Final = 70
-#: Begin of the names of a datum that a file leaves open, as a PROJ string with an ellipsoid alone does.
+#: Names of an unspecified datum begin so, for instance that of a PROJ string with an ellipsoid alone.
 _NO_DATUM: Final = ("unknown", "unspecified", "not specified")
 _UTM = re.compile(r"WGS ?84[ /]+UTM(?: zone)?[ /]+([0-9]{1,2}) ?([NS])", re.IGNORECASE)
 _CODE = re.compile(r"EPSG:{1,2}([0-9]{1,6}(?:\+[0-9]{1,6})?)", re.IGNORECASE)
@@ -43,10 +44,7 @@ _CODE = re.compile(r"EPSG:{1,2}([0-9]{1,6}(?:\+[0-9]{1,6})?)", re.IGNORECASE)
 def epsg_code(text: str) -> str:
     """EPSG code of a CRS that a file names by code, WKT, PROJ string or as ``WGS84 UTM 32N``.
 
-    Returns
-    -------
-    str
-        ``EPSG:n``, or ``EPSG:n+m`` if it has a vertical part; "" if it is no CRS of EPSG.
+    ``EPSG:n``, or ``EPSG:n+m`` if it has a vertical part; "" if it is not a CRS of EPSG.
     """
     words = text.strip()
     zone = _UTM.fullmatch(words)
@@ -68,7 +66,7 @@ def epsg_code(text: str) -> str:
 
 
 def _without_null_shift(found: CRS) -> CRS:
-    """CRS that a file binds to WGS84 by a shift of zero, as ``TOWGS84[0,0,0,0,0,0,0]``; any other stays."""
+    """CRS that a file binds to WGS84 by a shift of zero, as ``TOWGS84[0,0,0,0,0,0,0]``; other CRS are unchanged."""
     if not found.is_bound or found.source_crs is None or found.coordinate_operation is None:
         return found
     shift = found.coordinate_operation.towgs84  # empty for a grid of shifts
@@ -76,19 +74,19 @@ def _without_null_shift(found: CRS) -> CRS:
 
 
 def _code_of(found: CRS) -> int | None:
-    """EPSG number of a CRS without heights of its own: the one it states, else the one that PROJ finds equal."""
+    """EPSG number of a horizontal CRS: the stated number, else that of the CRS that PROJ finds equal."""
     stated = found.to_json_dict().get("id", {})
     if stated.get("authority") == "EPSG":
         return int(stated["code"])
     datum = found.datum
     if datum is not None and datum.name.lower().startswith(_NO_DATUM):
-        return None  # PROJ would find any datum of this ellipsoid equal, several hundred metres away or not
+        return None  # PROJ takes every datum of this ellipsoid as equal, even several hundred metres away
     number: int | None = found.to_epsg(min_confidence=_CONFIDENCE)
     return number
 
 
 def same_horizontal(one: str, other: str) -> bool:
-    """Tell whether two CRS are the same, their heights aside.
+    """True if the horizontal parts of two CRS are the same.
 
     Raises
     ------
@@ -99,7 +97,7 @@ def same_horizontal(one: str, other: str) -> bool:
 
 
 def north_first(crs: str) -> bool:
-    """Tell whether the definition of a CRS puts latitude or northing first.
+    """True if the definition of a CRS puts latitude or northing first.
 
     Raises
     ------
@@ -117,12 +115,8 @@ def wkt(crs: str) -> str:
     InputError
         The CRS is unknown.
     """
-    proj = offline_pyproj()
-    try:
-        found = proj.CRS.from_user_input(crs)
-    except proj.exceptions.CRSError:
-        raise InputError.of("geodesy.unknown_crs", place="crs", value=crs) from None
-    flat = found if found.is_compound or len(found.axis_info) == 2 or found.is_geocentric else found.to_2d()
+    own = known_crs(crs)
+    flat = own if own.is_compound or len(own.axis_info) == 2 or own.is_geocentric else own.to_2d()
     return str(flat.to_wkt("WKT1_GDAL"))
 
 
@@ -132,8 +126,8 @@ def from_ecef(crs: str, xyz_m: npt.ArrayLike, labels: Sequence[str] | None = Non
     Returns
     -------
     tuple
-        (n, 3) easting, northing, height or longitude, latitude, height (or x, y, z), and the operation, named in its
-        direction to ECEF.
+        (n, 3) easting, northing, height or longitude, latitude, height (or x, y, z), and the operation with its name
+        in the direction to ECEF.
 
     Raises
     ------
@@ -144,11 +138,11 @@ def from_ecef(crs: str, xyz_m: npt.ArrayLike, labels: Sequence[str] | None = Non
     lon, lat, height = ecef_to_geodetic(xyz)
     crs_kind(crs)
     source = spatial_crs(crs)
-    chosen = operations_to_ecef(crs, source, np.stack([lon, lat], axis=1)).transformers[0]
-    accuracy = chosen.accuracy if chosen.accuracy >= 0.0 else np.nan
-    operation = Operation(crs, chosen.description, float(accuracy))
+    group = operations_to_ecef(crs, source, np.stack([lon, lat], axis=1))
+    operation = operation_of(crs, group)
     if same_crs(crs, WGS84):
         return np.stack([lon, lat, height], axis=1), operation
-    out = np.stack(chosen.transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], direction="INVERSE"), axis=1)
+    x, y, z = xyz.T
+    out = np.stack(group.transformers[0].transform(x, y, z, direction="INVERSE"), axis=1)
     require_finite(crs, out, xyz, labels)
     return np.ascontiguousarray(out), operation

@@ -15,7 +15,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.tables import Faults, Row, Table, number, read_table
+from fg_orient.formats.tables import Faults, Row, Table, number, read_table, sha256_of
 from fg_orient.geodesy import crs_kind, from_geographic
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.fit import Observations, TransformationFit, fit, plain_rmse, require_redundancy
@@ -104,7 +104,7 @@ def read_map_points(path: Path, crs: str = "") -> MapPoints:
     faults.raise_if_any()
     if geographic:
         ground[:, :2] = _projected(path, crs, table, ground)
-    return MapPoints(ids, check, image, ground, sigmas[0], sigmas[1], crs, table.sha256)
+    return MapPoints(ids, check, image, ground, sigmas[0], sigmas[1], crs, sha256_of(path))
 
 
 def _layouts() -> list[tuple[str, ...]]:

@@ -185,7 +185,8 @@ def test_unusable_crs_are_refused(crs, code, named):
 @pytest.mark.parametrize(
     ("ask", "code", "place", "value"),
     [
-        (lambda: geodesy.to_ecef("EPSG:32636", [4e5, 1e30], [4.5e6, 4.5e6], [0.0, 0.0], labels=["line 2", "line 3"]),
+        (lambda: geodesy.to_ecef_with_operation(
+            "EPSG:32636", [4e5, 1e30], [4.5e6, 4.5e6], [0.0, 0.0], labels=["line 2", "line 3"]),
          "geodesy.outside", "line 3", "1e+30"),
         *((lambda bad=bad: geodesy.to_ecef("EPSG:4979", 31.8, bad, 0.0), "", "", "") for bad in (np.nan, np.inf)),
         *((lambda bad=bad: geodesy.ecef_to_geodetic([[4e6, bad, 4e6]]), "", "", "") for bad in (np.nan, np.inf)),

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from fg_orient.formats.exchange.survey import Survey, decided_crs, no_image_points
+from fg_orient.formats.exchange.survey import Survey, decided_crs
 from fg_orient.formats.exchange.text import stated_in
 from fg_orient.formats.observations import COLUMNS, read_observations
-from fg_orient.formats.points import parse_points
+from fg_orient.formats.points import located, parse_points
 from fg_orient.formats.points_write import write_observations, write_points
 from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import Faults, read_table
@@ -26,23 +27,19 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     crs, notes = decided_crs(stated_in(paths[0], _CRS), settings.crs, paths[0])
     faults = Faults(str(paths[0]))
     points = parse_points(paths[0], crs, faults)
+    if points is not None:
+        located(points, faults)
     faults.raise_if_any()
     if points is None:
         raise InputError.of("interchange.empty", file=paths[0])
-    images: tuple[str, ...] = ()
-    observed = no_image_points()
     if len(paths) > 1:
         faults = Faults(str(paths[1]))
         table = read_table(paths[1], [COLUMNS], faults)
         images = tuple(dict.fromkeys(table.cells["image"])) if table is not None else ()
-        found = None if faults else read_observations(paths[1], dict.fromkeys(images), points.ids, faults)
+        read = None if faults else read_observations(paths[1], dict.fromkeys(images), points.ids, faults)
         faults.raise_if_any()
-        observed = found.observations if found is not None else observed
-    known = points.coordinates
-    return Survey(
-        crs, points.ids, points.roles, points.given, known.sigma_enu_m, known.fixed, images, observed, points.lines,
-        notes,
-    )  # fmt: skip
+        points = points if read is None else replace(points, images=images, observed=read.observations)
+    return replace(points, notes=notes)
 
 
 def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:

@@ -1,7 +1,7 @@
 """Frame images in TOML: files of one image with its exterior orientation, and the camera files that they name.
 
 docs/frame-cameras.md describes both. A camera file states the direction of its polynomial. Coefficients have the form
-that the programs print: ``brown_ideal_to_measured`` with OpenCV's p1 and p2 and no unit,
+in which the programs print them: ``brown_ideal_to_measured`` with OpenCV's p1 and p2 and no unit,
 ``brown_measured_to_ideal`` with the photogrammetric P1 and P2 (y up) in the file's unit of length.
 """
 
@@ -56,13 +56,7 @@ class CameraFile(Table):
 
 
 def read_camera(path: str | Path) -> Interior:
-    """Read a camera file.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or a value is missing or not possible: all faults at once.
-    """
+    """Read a camera file; InputError with all faults, or if it cannot be read."""
     file = read_toml(path, CameraFile)
     px = 1.0 if file.pixel_mm is None else 1.0 / file.pixel_mm
     x, y = file.principal
@@ -76,9 +70,9 @@ def read_camera(path: str | Path) -> Interior:
 
 
 def write_camera(path: str | Path, interior: Interior) -> None:
-    """Write a camera file in pixels, the first pixel's centre being 0; with the polynomial's unit as 1 mm.
+    """Write a camera file in pixels, (0, 0) = centre of the first pixel; the polynomial's unit is written as 1 mm.
 
-    Every number is written with all its digits: reading gives the same camera.
+    Numbers are written with all digits: reading gives the same camera.
     """
     corrects = interior.model == MEASURED_TO_IDEAL
     px = float(interior.unit_px or interior.focal_px) if corrects else 1.0
@@ -114,12 +108,7 @@ class FrameFile(Table):
 
 
 def read_frame_file(path: str | Path) -> FrameSensor:
-    """Read a frame image and its camera.
-
-    Parameters
-    ----------
-    path : str or Path
-        The TOML file; the path of the camera is relative to it.
+    """Read a frame image in TOML, and its camera, whose path is relative to it.
 
     Raises
     ------
@@ -127,37 +116,31 @@ def read_frame_file(path: str | Path) -> FrameSensor:
         One of the files cannot be read, or a value is missing or not possible.
     """
     path = Path(path)
-    found = read_toml(path, FrameFile)
-    if (found.omega_phi_kappa_deg is None) == (found.rotation is None):
+    read = read_toml(path, FrameFile)
+    if (read.omega_phi_kappa_deg is None) == (read.rotation is None):
         raise InputError.of("frame.angles", file=path, place="omega_phi_kappa_deg, rotation")
-    interior = read_camera(path.parent / found.camera)
+    interior = read_camera(path.parent / read.camera)
     try:
-        centre = to_ecef(found.crs, *(np.array([value]) for value in found.centre))[0]
-        camera = interior.camera(_rotation(found, centre), centre, found.sigma, found.shared)
+        centre = to_ecef(read.crs, *(np.array([value]) for value in read.centre))[0]
+        camera = interior.camera(_rotation(read, centre), centre, read.sigma, read.shared)
     except InputError as error:
         raise InputError(*(replace(p, file=str(path)) for p in error.problems)) from None
     return FrameSensor(camera, interior.n_lines, interior.n_samples, file=str(path))
 
 
-def _rotation(found: FrameFile, centre_m: Array) -> Array:
-    """Camera axes from Earth-fixed ones; angles turn East, North, Up at the projection centre."""
-    if found.rotation is not None:
-        return np.array(found.rotation)
+def _rotation(read: FrameFile, centre_m: Array) -> Array:
+    """Camera axes from Earth-fixed axes; angles refer to East, North, Up at the projection centre."""
+    if read.rotation is not None:
+        return np.array(read.rotation)
     lon, lat, _ = ecef_to_geodetic(centre_m[None])
-    assert found.omega_phi_kappa_deg is not None  # or the rotation
-    return np.asarray(rotation_of_opk(*np.radians(found.omega_phi_kappa_deg)) @ enu_from_ecef(lon, lat)[0])
+    assert read.omega_phi_kappa_deg is not None  # or the rotation
+    return np.asarray(rotation_of_opk(*np.radians(read.omega_phi_kappa_deg)) @ enu_from_ecef(lon, lat)[0])
 
 
 def write_frame_file(path: str | Path, sensor: FrameSensor, camera: str) -> None:
-    """Write a frame image in Earth-fixed coordinates, with all digits of its orientation.
+    """Write a georeferenced frame image with first pixel (0, 0) in Earth-fixed coordinates, with all digits.
 
-    Parameters
-    ----------
-    path : str or Path
-    sensor : FrameSensor
-        Georeferenced, its first pixel being (0, 0).
-    camera : str
-        Path of its camera file, relative to ``path`` (:func:`write_camera`).
+    ``camera`` is the path of its camera file, relative to ``path`` (:func:`write_camera`).
     """
     own = sensor.camera
     head = {

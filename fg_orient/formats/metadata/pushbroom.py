@@ -1,6 +1,6 @@
-"""Sensor descriptions: TOML files that stand for a pushbroom image, so that a new sensor needs no code.
+"""Sensor descriptions: TOML files of pushbroom images, so that a new sensor needs no code.
 
-``docs/sensor-description.md`` describes the format; tables of states and directions are CSV files beside it.
+``docs/sensor-description.md`` describes the format; tables of states and directions are CSV files.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ Three = tuple[Number, Number, Number]
 Coefficients = Annotated[tuple[Number, ...], Field(min_length=1, max_length=12)]
 Count = Annotated[int, Field(strict=True, ge=2, le=10_000_000)]
 
-#: Distance from the Earth's centre (m) and speed (m/s) of what can carry a sensor over the ground.
+#: Possible distances of a platform from the Earth's centre (m), and possible speeds (m/s).
 RADIUS_M: Final = (6.40e6, 5.0e7)
 SPEED_M_S: Final = (1.0, 1.2e4)
-#: Look no farther than this from the axis.
+#: Largest tangent of a viewing direction.
 WIDEST_TANGENT: Final = 5.0
 _STATE: Final = ("time_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
 _ANGLES: Final = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
@@ -54,7 +54,7 @@ _DIRECTIONS: Final = ("sample", "tan_forward", "tan_left")
 _KIND: Final = re.compile(r"""^\s*kind\s*=(?!\s*["']pushbroom["'])""", re.MULTILINE)
 _ARC_SECOND: Final = np.pi / 180.0 / 3600.0
 _RECORD: Final = re.compile(r"^\s*\d{4}\s+\d{1,2}\s+\d{1,2}\s")
-#: Largest pole coordinate (arc seconds) and UT1 - UTC (s) that can be right.
+#: Largest possible pole coordinates (arc seconds) and UT1 - UTC (s).
 _LIMITS: Final = (1.0, 1.0, 1.0)
 
 
@@ -151,16 +151,16 @@ def read_sensor_file(path: str | Path) -> GeneralMetadata:
         All faults of the description, or those of a table.
     """
     path = Path(path)
-    found = read_toml(path, SensorFile)
-    epoch, timing = _timing(found.time, path)
-    orbit, attitude = _orbit(found.orbit, path), _attitude(found.attitude, path)
-    earth, notes = _earth(found, epoch, orbit, attitude, path)
+    read = read_toml(path, SensorFile)
+    epoch, timing = _timing(read.time, path)
+    orbit, attitude = _orbit(read.orbit, path), _attitude(read.attitude, path)
+    earth, notes = _earth(read, epoch, orbit, attitude, path)
     return GeneralMetadata(
-        file=str(path), mission=found.mission, instrument=found.instrument, epoch=epoch, n_lines=found.image.lines,
-        n_samples=found.image.samples, timing=timing, camera=_camera(found, path),
-        offset_m=np.array(found.mounting.offset_m), mounting=_mounting(found.mounting, path), orbit=orbit,
-        attitude=attitude, orbital_frame=found.attitude.orbital_frame, earth=earth,
-        effects=LightEffects(**dict(found.light)), notes=notes,
+        file=str(path), mission=read.mission, instrument=read.instrument, epoch=epoch, n_lines=read.image.lines,
+        n_samples=read.image.samples, timing=timing, camera=_camera(read, path),
+        offset_m=np.array(read.mounting.offset_m), mounting=_mounting(read.mounting, path), orbit=orbit,
+        attitude=attitude, orbital_frame=read.attitude.orbital_frame, earth=earth,
+        effects=LightEffects(**dict(read.light)), notes=notes,
     )  # fmt: skip
 
 
@@ -174,40 +174,31 @@ def _timing(table: TimeTable, path: Path) -> tuple[np.datetime64, LineTiming]:
     return epoch, LineTiming(table.reference_line, table.reference_time_s, table.line_period_s)
 
 
-def _camera(found: SensorFile, path: Path) -> Camera:
-    """The lens or the table; exactly one of them is complete."""
-    c, n = found.camera, found.image.samples
+def _camera(read: SensorFile, path: Path) -> Camera:
+    """Lens or table of directions; exactly one of them is complete."""
+    c, n = read.camera, read.image.samples
     lens = (c.focal_length_m, c.pitch_m, c.principal_sample)
-    if c.directions is not None and lens == (None,) * 3:
-        return _directions(path.parent / c.directions, n)
-    if c.directions is not None or None in lens:
+    if (c.directions is None) == (None in lens) or (c.directions is not None and lens != (None,) * 3):
         raise InputError.of("earth.camera", file=path, place="camera")
-    delta = (np.array(c.delta_forward_m), np.array(c.delta_left_m))
-    camera = LineCamera(*lens, c.forward_m, n, *delta)  # type: ignore[arg-type]  # none of them is None
-    _require_angles(camera, n, path)
-    return camera
-
-
-def _directions(file: Path, n_samples: int) -> Camera:
-    sample, forward, left = read_numbers(file, [_DIRECTIONS])[0].T
-    if len(sample) < 2 or (np.diff(sample) <= 0.0).any():
-        raise InputError.of("earth.order", file=file, place="column sample", value=f"{len(sample)} records")
-    if sample[0] > 0.0 or sample[-1] < n_samples - 1:
-        value = f"{sample[0]:g} .. {sample[-1]:g}"
-        raise InputError.of("earth.directions", file=file, place="column sample", value=value, last=n_samples - 1)
-    camera = DirectionTable(sample, forward, left)
-    _require_angles(camera, n_samples, file)
-    return camera
-
-
-def _require_angles(camera: Camera, n_samples: int, file: Path) -> None:
-    widest = float(np.abs(camera.tangents(np.linspace(0.0, n_samples - 1.0, 101))).max())
+    camera: Camera
+    if c.directions is None:
+        delta = (np.array(c.delta_forward_m), np.array(c.delta_left_m))
+        camera = LineCamera(*lens, c.forward_m, n, *delta)  # type: ignore[arg-type]  # none of them is None
+    else:
+        path = path.parent / c.directions
+        sample, forward, left = _increasing(path, _DIRECTIONS).T
+        if sample[0] > 0.0 or sample[-1] < n - 1:
+            value = f"{sample[0]:g} .. {sample[-1]:g}"
+            raise InputError.of("earth.directions", file=path, place="column sample", value=value, last=n - 1)
+        camera = DirectionTable(sample, forward, left)
+    widest = float(np.abs(camera.tangents(np.linspace(0.0, n - 1.0, 101))).max())
     if widest > WIDEST_TANGENT:
-        raise InputError.of("earth.wide", file=file, place="camera", value=f"tangent {widest:.3g}", most=WIDEST_TANGENT)
+        raise InputError.of("earth.wide", file=path, place="camera", value=f"tangent {widest:.3g}", most=WIDEST_TANGENT)
+    return camera
 
 
 def _mounting(table: MountingTable, path: Path) -> Array:
-    """Payload from camera: the matrix, or that of the angles."""
+    """Payload from camera: the stated matrix, or the matrix of the angles."""
     if table.matrix is None:
         return np.asarray(kepler.attitude_matrices(np.radians([table.angles_deg]))[0])
     m = np.array(table.matrix)
@@ -218,15 +209,17 @@ def _mounting(table: MountingTable, path: Path) -> Array:
     return m
 
 
-def _increasing(file: Path, time_s: Array) -> None:
-    if len(time_s) < 2 or (np.diff(time_s) <= 0.0).any():
-        raise InputError.of("earth.order", file=file, place="column time_s", value=f"{len(time_s)} records")
+def _increasing(file: Path, columns: tuple[str, ...]) -> Array:
+    """Table (n, k) of at least two records whose first column increases."""
+    values = read_numbers(file, [columns])[0]
+    if len(values) < 2 or (np.diff(values[:, 0]) <= 0.0).any():
+        raise InputError.of("earth.order", file=file, place=f"column {columns[0]}", value=f"{len(values)} records")
+    return values
 
 
 def _orbit(table: OrbitTable, path: Path) -> Orbit:
     file = path.parent / table.file
-    values = read_numbers(file, [_STATE])[0]
-    _increasing(file, values[:, 0])
+    values = _increasing(file, _STATE)
     p, v = np.ascontiguousarray(values[:, 1:4]), np.ascontiguousarray(values[:, 4:7])
     for what, size, (low, high) in (("distance from the Earth's centre", p, RADIUS_M), ("speed", v, SPEED_M_S)):
         length = np.linalg.norm(size, axis=1)
@@ -241,8 +234,7 @@ def _orbit(table: OrbitTable, path: Path) -> Orbit:
 def _attitude(table: AttitudeTable, path: Path) -> Attitude:
     file = path.parent / table.file
     orbital = table.frame == "orbital"
-    values = read_numbers(file, [_ANGLES if orbital else _QUATERNION])[0]
-    _increasing(file, values[:, 0])
+    values = _increasing(file, _ANGLES if orbital else _QUATERNION)
     time_s = np.ascontiguousarray(values[:, 0])
     if orbital:
         return Attitude(table.frame, time_s, angles_rad=np.radians(values[:, 1:]))
@@ -254,23 +246,22 @@ def _attitude(table: AttitudeTable, path: Path) -> Attitude:
 
 
 def _earth(
-    found: SensorFile, epoch: np.datetime64, orbit: Orbit, attitude: Attitude, path: Path
+    read: SensorFile, epoch: np.datetime64, orbit: Orbit, attitude: Attitude, path: Path
 ) -> tuple[EarthRotation | None, tuple[Finding, ...]]:
-    """Orientation of the Earth where a frame needs it, and what is to be said of it."""
+    """Orientation of the Earth if a frame needs it, and notes."""
     inertial = {f for f in (orbit.frame, attitude.frame) if f in ("GCRS", "EME2000")}
     if not inertial:
-        unused = () if found.earth is None else (finding("image.earth_not_needed"),)
-        return None, unused
+        return None, () if read.earth is None else (finding("image.earth_not_needed"),)
     if len(inertial) > 1:
         raise InputError.of("earth.two_frames", file=path, place="attitude.frame", value=", ".join(sorted(inertial)))
     span = (float(orbit.time_s[0]), float(orbit.time_s[-1]))
     if span[0] < -DAY_S or span[1] > 2.0 * DAY_S:
-        raise InputError(finding("earth.seconds", file=path, place="orbit.file", value=f"{span[0]:g} .. {span[1]:g} s"))
+        raise InputError.of("earth.seconds", file=path, place="orbit.file", value=f"{span[0]:g} .. {span[1]:g} s")
     frame: Literal["GCRS", "EME2000"] = "GCRS" if "GCRS" in inertial else "EME2000"
-    if found.earth is None:
+    if read.earth is None:
         ground_side = orbit.position_m[len(orbit.position_m) // 2]
         return EarthRotation(epoch, span, frame), (neglected(ground_side),)
-    series = read_earth_orientation(path.parent / found.earth.orientation)
+    series = read_earth_orientation(path.parent / read.earth.orientation)
     return EarthRotation(epoch, span, frame, series), series.notes
 
 
@@ -280,32 +271,31 @@ def _earth(
 def read_earth_orientation(path: str | Path) -> EarthOrientation:
     """Read a C04 file, or a part of one with at least two days.
 
-    Celestial pole offsets that refer to the equinox (columns dPsi, dEps, against IAU 1980) are left out, with a note:
+    Celestial pole offsets that refer to the equinox (columns dPsi, dEps, against IAU 1980) are not used, with a note:
     against IAU 2006/2000A they are below 1 mas, 3 cm on the ground.
 
     Raises
     ------
     InputError
-        The file cannot be read, holds no such records, has gaps, or a value that cannot be right.
+        The file cannot be read, has no such records, has gaps, or an impossible value.
     """
     try:
         text = Path(path).read_bytes().decode("latin-1")
     except OSError as error:
         raise InputError.of("earth.unreadable", file=path, value=error.strerror) from None
     lines = text.replace("\r\n", "\n").split("\n")
-    found = [(n, line.split()) for n, line in enumerate(lines, 1) if _RECORD.match(line)]
-    if len(found) < 2:
-        raise InputError.of("earth.no_records", file=path, value=f"{len(found)} records")
-    # year, month, day (, hour), MJD, x, y, UT1 - UTC; then LOD, dX, dY, or since C04 20 dX, dY at once
-    hours = _c04_number(path, *found[0], 3) < 100.0
+    records = [(n, line.split()) for n, line in enumerate(lines, 1) if _RECORD.match(line)]
+    if len(records) < 2:
+        raise InputError.of("earth.no_records", file=path, value=f"{len(records)} records")
+    # year, month, day (, hour), MJD, x, y, UT1 - UTC; then LOD, dX, dY, or since C04 20 dX, dY directly
+    hours = _c04_number(path, *records[0], 3) < 100.0
     columns = (4, 5, 6, 7, 8, 9) if hours else (3, 4, 5, 6, 8, 9)
-    table = np.array([[_c04_number(path, n, words, k) for k in columns] for n, words in found])
-    gaps = np.flatnonzero(np.abs(np.diff(table[:, 0]) - 1.0) > 1e-9)
-    if len(gaps):
-        raise InputError.of("earth.gap", file=path, place=f"line {found[gaps[0] + 1][0]}", value=table[gaps[0] + 1, 0])
+    table = np.array([[_c04_number(path, n, words, k) for k in columns] for n, words in records])
+    gaps = np.flatnonzero(np.abs(np.diff(table[:, 0]) - 1.0) > 1e-9) + 1
     bad = np.flatnonzero((np.abs(table[:, 1:4]) > _LIMITS).any(axis=1))
-    if len(bad):
-        raise InputError.of("earth.value", file=path, place=f"line {found[bad[0]][0]}", value=table[bad[0], 1:4])
+    for code, rows, cells in (("earth.gap", gaps, 0), ("earth.value", bad, slice(1, 4))):
+        if len(rows):
+            raise InputError.of(code, file=path, place=f"line {records[rows[0]][0]}", value=table[rows[0], cells])
     offset, notes = table[:, 4:6] * _ARC_SECOND, tuple[Finding, ...]()
     if "dpsi" in text[:5000].lower():
         offset, notes = 0.0 * offset, (finding("image.pole_offsets"),)

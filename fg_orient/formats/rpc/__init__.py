@@ -1,4 +1,4 @@
-"""RPC files, read and written; each module of this package registers one format or two related ones."""
+"""Readers and writers of RPC files; each module of this package registers one format or two related formats."""
 
 from __future__ import annotations
 
@@ -14,13 +14,7 @@ __all__ = ["read_rpc", "write_rpc"]
 
 
 def rpc_format(path: str | os.PathLike[str]) -> Format | None:
-    """RPC format of a file by its content; None if it is not a known one.
-
-    Raises
-    ------
-    InputError
-        The file does not exist or cannot be read.
-    """
+    """RPC format of a file by its content; None if it is unknown. InputError if the file cannot be read."""
     return format_claiming(Path(path), "rpc")
 
 
@@ -47,7 +41,7 @@ def read_rpc(path: str | os.PathLike[str], *, order: str = USUAL_ORDER, first_pi
     Raises
     ------
     InputError
-        The file is not usable: one line with file, place, value and remedy.
+        The file is not usable: one message with file, place, value and remedy.
     """
     reading = Reading(order, first_pixel)
     form = rpc_format(path)
@@ -59,18 +53,11 @@ def read_rpc(path: str | os.PathLike[str], *, order: str = USUAL_ORDER, first_pi
 
 
 def rpc_writer(path: Path) -> Format:
-    """Format to write by the end of a file's name.
-
-    Raises
-    ------
-    InputError
-        No RPC format that can be written has this end.
-    """
-    found = (f for f in formats("rpc").values() if f.write_rpc and path.suffix.lower() in f.suffixes)
-    form = next(found, None)
-    if form is None:
-        raise InputError.of("rpc.target", file=path, value=path.name)
-    return form
+    """Format to write, by the suffix of a file; InputError if no RPC format with this suffix can be written."""
+    for form in formats("rpc").values():
+        if form.write_rpc and path.suffix.lower() in form.suffixes:
+            return form
+    raise InputError.of("rpc.target", file=path, value=path.name)
 
 
 def write_rpc(path: str | os.PathLike[str], model: RpcModel) -> None:
@@ -82,7 +69,7 @@ def write_rpc(path: str | os.PathLike[str], model: RpcModel) -> None:
     Raises
     ------
     InputError
-        The name has another end, or the file cannot be written.
+        The name has another suffix, or the file cannot be written.
     """
     write = rpc_writer(Path(path)).write_rpc
     assert write is not None  # of a format that can be written
