@@ -6,7 +6,7 @@ Only control coordinates and image positions are used; the coordinates of check 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -15,7 +15,7 @@ from fg_orient.formats.observations import ObservationFile
 from fg_orient.formats.points import PointFile, take_points
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.model.block import GroundPoints, Image, ImagePoints, Index, WithheldCoordinates
-from fg_orient.model.errors import Finding, finding
+from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 
 #: Ids named in one message.
@@ -30,24 +30,19 @@ LINE_RATIO: Final = 0.05
 CLUSTER_SPAN: Final = 0.25
 
 
-@dataclass(frozen=True)
-class Assembly:
-    """Points of the block, their observations, sealed check points, faults and remarks."""
-
-    points: GroundPoints
-    observations: ImagePoints
-    withheld: WithheldCoordinates
-    problems: tuple[Finding, ...]
-    remarks: tuple[Finding, ...]
-
-
 def assemble(
     image_ids: Sequence[str], points: PointFile, observations: ObservationFile, *, drop: bool, relative: bool = False
-) -> Assembly:
-    """Leave out unmeasured points; refuse, or ``drop``, check and tie points with a single ray.
+) -> tuple[GroundPoints, ImagePoints, WithheldCoordinates, tuple[Finding, ...]]:
+    """Points of the block, their observations, sealed check points and remarks.
 
+    Unmeasured points are left out. Check and tie points with a single ray are refused, or left out by ``drop``.
     Control points with a single ray stay: their coordinates complete it. An image without measured points is refused,
     and a block without measured control points, unless the adjustment is ``relative``.
+
+    Raises
+    ------
+    InputError
+        All these faults.
     """
     problems: list[Finding] = []
     remarks: list[Finding] = []
@@ -73,9 +68,11 @@ def assemble(
     taken = _renumber(observations.observations, kept, len(rays))
     for k in np.flatnonzero(np.bincount(taken.image, minlength=len(image_ids)) == 0).tolist():
         problems.append(finding("observations.image_unused", file=file, place="column image", value=image_ids[k]))
+    if problems:
+        raise InputError(*problems)
     left = take_points(points.points, kept)
     withheld = points.withheld([left.ids[k] for k in left.where(Role.CHECK)])
-    return Assembly(left, taken, withheld, tuple(problems), tuple(remarks))
+    return left, taken, withheld, tuple(remarks)
 
 
 def _named(ids: Sequence[str], rows: Index) -> str:

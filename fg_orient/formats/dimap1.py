@@ -40,7 +40,7 @@ from fg_orient.sensors.metadata import AngleAttitude, LineTiming, LookAngleTable
 Array = npt.NDArray[np.float64]
 
 PROFILES = ("SPOTSCENE_1A", "SPOTSEGMENT_1A")
-#: Records hold roll, pitch, yaw = these signs times the file's values.
+#: Roll, pitch, yaw of the records = these signs times the values of the file.
 ATTITUDE_SIGN = np.array([-1.0, -1.0, 1.0])
 #: Longest time for which an angular speed is extended (its own interval is 0.125 s).
 SPEED_HOLD_S = 0.2
@@ -54,19 +54,14 @@ _LAYOUT = checks.Layout(
 
 
 def read_dimap1(root: XmlNode) -> PushbroomMetadata:
-    """Read a DIMAP 1.1 document of SPOT 1 to 5, level 1A.
-
-    Parameters
-    ----------
-    root : XmlNode
-        Root of the document; :func:`fg_orient.formats.metadata.dimap.read_dimap` has checked its profile.
+    """Metadata of a document of SPOT 1 to 5, level 1A.
 
     Raises
     ------
     InputError
         A value is missing, malformed or implausible.
     OutOfTimeRange
-        Angular speeds leave more than 0.2 s of the image open.
+        Angular speeds do not cover more than 0.2 s of the image.
     """
     size = n_lines, n_samples = checks.image_size(root, _LAYOUT)
     scene = root.one("Dataset_Sources/Source_Information/Scene_Source")
@@ -110,19 +105,14 @@ def _look_angles(root: XmlNode, n_samples: int) -> tuple[LookAngleTable, tuple[F
 
 
 def straight_line(sample: Array, psi_x_rad: Array, psi_y_rad: Array) -> LookAngleTable:
-    """Look angles of every detector from those of some; the detectors lie on a straight line in the focal plane.
+    """Look angles of every detector, one row each; the detectors lie on a straight line in the focal plane.
 
     Parameters
     ----------
     sample : (n,) array
-        0-based numbers of these detectors, increasing; the first and the last detector are among them.
+        0-based numbers of some detectors, increasing, with the first and the last detector; their rows are unchanged.
     psi_x_rad, psi_y_rad : (n,) arrays
         Their look angles along and across track.
-
-    Returns
-    -------
-    LookAngleTable
-        One row per detector; given rows are unchanged.
     """
     every = np.arange(sample[0], sample[-1] + 1.0)
     if len(every) == len(sample):
@@ -145,12 +135,15 @@ def _attitude(
     if index == 5:
         nodes = source.every("Corrected_Attitudes/Corrected_Attitude/Angles", 2)
         time_s, angles = _rows(nodes, epoch, RADIANS)
-        return AngleAttitude(time_s, ATTITUDE_SIGN * angles), _flagged(nodes)
+        return AngleAttitude(time_s, ATTITUDE_SIGN * angles), checks.flagged(
+            nodes, "OUT_OF_RANGE", "N", "image.attitude_flags"
+        )
     raw = source.one("Raw_Attitudes/Aocs_Attitude")
     speed_nodes = raw.every("Angular_Speeds_List/Angular_Speeds", 2)
     angle_nodes = raw.every("Angles_List/Angles", 1)
     time_s, angles, notes = _integrate(speed_nodes, angle_nodes, epoch, ends_s)
-    return AngleAttitude(time_s, ATTITUDE_SIGN * angles), _flagged(speed_nodes + angle_nodes) + notes
+    flags = checks.flagged(speed_nodes + angle_nodes, "OUT_OF_RANGE", "N", "image.attitude_flags")
+    return AngleAttitude(time_s, ATTITUDE_SIGN * angles), flags + notes
 
 
 def _rows(nodes: list[XmlNode], epoch: np.datetime64, quantity: Quantity) -> tuple[Array, Array]:
@@ -159,12 +152,6 @@ def _rows(nodes: list[XmlNode], epoch: np.datetime64, quantity: Quantity) -> tup
     limit = checks.MAX_ATTITUDE_RAD  # rad, and rad/s for angular speeds
     tags = ("ROLL", "PITCH", "YAW")
     return time_s, np.array([[n.one(tag).number(quantity, -limit, limit) for tag in tags] for n in nodes])
-
-
-def _flagged(nodes: list[XmlNode]) -> tuple[Finding, ...]:
-    flags = [node.maybe("OUT_OF_RANGE") for node in nodes]
-    count = sum(flag is not None and flag.text() != "N" for flag in flags)
-    return (finding("image.attitude_flags", count=count, n=len(nodes)),) if count else ()
 
 
 def _integrate(

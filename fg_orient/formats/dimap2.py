@@ -59,18 +59,7 @@ _PHR_LAYOUT = checks.Layout(
 
 
 def read_dimap2(root: XmlNode) -> PushbroomMetadata:
-    """Read a DIMAP 2.x document of a Pléiades 1A/1B or SPOT 6/7 sensor product.
-
-    Parameters
-    ----------
-    root : XmlNode
-        Root of the document; :func:`fg_orient.formats.metadata.dimap.read_dimap` has checked its profile.
-
-    Raises
-    ------
-    InputError
-        A value is missing, malformed or implausible.
-    """
+    """Metadata of a Pléiades 1A/1B or SPOT 6/7 sensor product; InputError for the first invalid value."""
     size = checks.image_size(root, _LAYOUT)
     head, model = root.one("Metadata_Identification"), root.one(MODEL)
     mission, instrument = _mission(root)
@@ -119,9 +108,7 @@ def _attitude(
     polynomial = source.maybe("Polynomial_Quaternions")
     if polynomial is None:
         return _quaternion_list(source, epoch)
-    notes: tuple[Finding, ...] = ()
-    if source.maybe("Quaternion_List"):
-        notes = (finding("image.two_attitudes"),)
+    notes = (finding("image.two_attitudes"),) if source.maybe("Quaternion_List") else ()
     return _quaternion_polynomial(polynomial, polynomial, span_s), notes
 
 
@@ -131,9 +118,7 @@ def _quaternion_list(source: XmlNode, epoch: np.datetime64) -> tuple[QuaternionL
     time_s = checks.times([n.one("TIME") for n in nodes], epoch)
     quaternion = np.array([[n.one(f"Q{j}").number() for j in range(4)] for n in nodes])
     checks.require_unit_quaternions(nodes, quaternion)
-    flags = [node.maybe("Q_STATUS") for node in nodes]
-    count = sum(flag is not None and flag.text() != "NOMINAL" for flag in flags)
-    notes = (finding("image.quaternion_flags", count=count, n=len(nodes)),) if count else ()
+    notes = checks.flagged(nodes, "Q_STATUS", "NOMINAL", "image.quaternion_flags")
     return QuaternionList(time_s, sign_aligned(quaternion)), notes
 
 
@@ -229,12 +214,7 @@ def _bias_note(model: XmlNode) -> tuple[Finding, ...]:
 
 
 def read_dimap_phr(root: XmlNode) -> PushbroomMetadata:
-    """Read the rigorous model of a PHR_DIMAP document.
-
-    Parameters
-    ----------
-    root : XmlNode
-        Root of the document, ``PHR_Dimap_Document``.
+    """Metadata of a PHR_DIMAP document.
 
     Raises
     ------

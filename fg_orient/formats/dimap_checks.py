@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.xml import DEGREES, METRES, METRES_PER_SECOND, Quantity, XmlNode
-from fg_orient.model.errors import finding
+from fg_orient.model.errors import Finding, finding
 from fg_orient.sensors.metadata import Ephemeris, FramePoint, LineTiming, PushbroomMetadata
 
 Array = npt.NDArray[np.float64]
@@ -86,13 +86,7 @@ def metadata(
 
 
 def times(nodes: Sequence[XmlNode], epoch: np.datetime64) -> Array:
-    """Strictly increasing times of TIME elements: (n,) seconds since ``epoch``.
-
-    Raises
-    ------
-    InputError
-        A time is malformed or not later than the one before.
-    """
+    """Times of TIME elements: (n,) seconds since ``epoch``; InputError unless they are strictly increasing."""
     time_s = np.array([node.seconds_since(epoch) for node in nodes])
     wrong = np.flatnonzero(np.diff(time_s) <= 0.0)
     if len(wrong):
@@ -134,6 +128,13 @@ def require_unit_quaternions(nodes: Sequence[XmlNode], quaternion: Array) -> Non
         raise nodes[int(wrong[0])].fault(
             "dimap.quaternion_norm", f"norm {norm[wrong[0]]:.6g}", tolerance=QUATERNION_NORM_TOLERANCE
         )
+
+
+def flagged(nodes: Sequence[XmlNode], tag: str, good: str, code: str) -> tuple[Finding, ...]:
+    """Note that counts the elements with another flag than ``good``; none if there are none."""
+    flags = [node.maybe(tag) for node in nodes]
+    count = sum(flag is not None and flag.text() != good for flag in flags)
+    return (finding(code, count=count, n=len(nodes)),) if count else ()
 
 
 def _frame_points(frame: XmlNode | None, layout: Layout) -> tuple[FramePoint, ...]:

@@ -147,7 +147,7 @@ def _elements(pairs: Iterable[tuple[str, Any]]) -> Iterator[str]:
 
 
 def _repeats(value: object) -> bool:
-    """Tell a list of contents of one element from a list of pairs."""
+    """True for a list of contents of one element, False for a list of pairs."""
     return isinstance(value, list) and not (value and isinstance(value[0], tuple))
 
 

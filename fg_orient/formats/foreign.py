@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from fg_orient.formats.scenes import Scene
     from fg_orient.formats.schema import ObservationsEntry, PointsEntry
 
-#: Options of ``convert`` that messages name, and the entries of a project that take their place.
+#: Options of ``convert`` in messages, and the corresponding entries of a project.
 _ENTRIES: Final = {"from": "format", "accept_unverified": "accept_unverified = true"}
 
 

@@ -158,7 +158,7 @@ def frame_block(
 
 
 def adjusted_model(model: FrameModel, corrections: Sequence[Array], ground_m: Array) -> FrameModel:
-    """Give a model its adjusted poses, cameras and points.
+    """Model with adjusted poses, cameras and points.
 
     Parameters
     ----------

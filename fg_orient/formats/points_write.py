@@ -108,7 +108,7 @@ def write_project(
     points_seen_once: str = "error",
     comments: Sequence[str] = (),
 ) -> None:
-    """Write a project file; a reader takes the paths in it relative to its folder.
+    """Write a project file; its paths are relative to its folder.
 
     Parameters
     ----------

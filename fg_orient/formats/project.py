@@ -80,19 +80,16 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
         raise InputError(*problems)
     known = tuple(image for image in images.values() if image is not None)
     drop = project.values_of(Reading)["points_seen_once"] == "drop"
-    ready = assemble(
-        [image.id for image in known], points, observations, drop=drop, relative=options.datum != "control"
-    )
-    if ready.problems:
-        raise InputError(*ready.problems)
-    geometry = geometry_remarks(known, ready.points, ready.observations, str(points.path))
-    remarks = (*points.remarks, *observations.remarks, *ready.remarks, *geometry)
+    ids, relative = [image.id for image in known], options.datum != "control"
+    kept, measured, withheld, left_out = assemble(ids, points, observations, drop=drop, relative=relative)
+    geometry = geometry_remarks(known, kept, measured, str(points.path))
+    remarks = (*points.remarks, *observations.remarks, *left_out, *geometry)
     block = Block(
         name=project.name,
         images=known,
-        points=ready.points,
-        observations=ready.observations,
-        withheld=ready.withheld,
+        points=kept,
+        observations=measured,
+        withheld=withheld,
         options=options,
         sources=(
             *(_source(file) for file in (path, *(folder / entry.metadata for entry in project.images))),
@@ -196,7 +193,7 @@ def _read_toml(path: Path, overrides: Mapping[str, object]) -> ProjectFile:
 
 
 def _table_of(name: str) -> str:
-    """Table of the project file that holds an option."""
+    """Table of an option in the project file."""
     return declared(Options, Reading)[name].group.table
 
 

@@ -39,7 +39,7 @@ _ROOT: Final = re.compile(r"<([A-Za-z_][\w.-]*)")
 
 
 class Holds(StrEnum):
-    """Information that a format can hold. Other information is reported as lost."""
+    """Information that a format can contain. Other information is reported as lost."""
 
     GROUND = "ground points"
     IMAGE = "image points"
@@ -164,7 +164,7 @@ class Format:
 
     @property
     def verified(self) -> bool:
-        """Whether a foreign file was read, or a file of ours by another program."""
+        """True if a foreign file was read, or another program has read our file."""
         return bool(self.evidence)
 
     @property

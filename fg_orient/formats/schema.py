@@ -46,7 +46,7 @@ class _Foreign(Table):
     """Entries of a table about another program's file."""
 
     format: Text = Field(default="csv", description='the name of a format, such as "metashape-xml" (docs/formats)')
-    image: str = Field(default="", description="the image of a format that holds one image and not its name")
+    image: str = Field(default="", description="the image of a format that contains one image without its name")
     sigma_axes: Literal["ecef", "enu"] = Field(default="ecef", description='"ecef" or "enu"')
     accept_unverified: Switch = Field(default=False, description="true or false")
 
@@ -81,7 +81,7 @@ def _rotation(value: tuple[Row, Row, Row] | None) -> tuple[Row, Row, Row] | None
 
 
 class NavigationEntry(Table):
-    """The ``[navigation]`` table: what a receiver and an inertial unit observed on board of frame images."""
+    """The ``[navigation]`` table: observations of a receiver and an inertial unit on board of frame images."""
 
     file: Text = Field(description="the path of the navigation table in quotes")
     crs: Text = Field(description='an EPSG code in quotes, such as "EPSG:4979"')
@@ -119,7 +119,7 @@ def _entry(option: Option) -> Any:
 
 
 def options_table(table: str, *records: type) -> type[Table]:
-    """Model of a table of the project file that holds the declared options of its groups."""
+    """Model of a table of the project file with the declared options of its groups."""
     entries = {name: _entry(one) for name, one in declared(*records).items() if one.group.table == table}
     return create_model(table.title(), __base__=Table, **entries)
 
@@ -219,7 +219,7 @@ def _walk(loc: tuple[int | str, ...], root: type[BaseModel]) -> tuple[str, Field
 
 
 def _table_of(field: FieldInfo | None) -> type[BaseModel] | None:
-    """Model that a field holds, directly or as the items of an array; None for a plain value."""
+    """Model of a field, or of the items of its array; None for a plain value."""
     annotation = field.annotation if field is not None else None
     for candidate in (annotation, *getattr(annotation, "__args__", ())):
         if isinstance(candidate, type) and issubclass(candidate, BaseModel):

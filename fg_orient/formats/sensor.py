@@ -65,7 +65,7 @@ def read_sensor(path: str | Path, *, model: str = "auto", extrapolate_attitude_s
 
 def _read(form: Format, path: Path, extrapolate_attitude_s: float) -> Any:
     """Read an image; unexpected exceptions of a user's own reader are reported with its file and line."""
-    assert form.read_image is not None  # the format holds images
+    assert form.read_image is not None  # a format of images
     how = {"extrapolate_attitude_s": extrapolate_attitude_s} if form.extrapolates else {}
     if form.read_image.__module__.startswith("fg_orient."):
         return form.read_image(path, **how)

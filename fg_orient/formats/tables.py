@@ -71,10 +71,8 @@ class Faults:
         """Note faults built elsewhere."""
         room = MAX_FAULTS - len(self._problems)
         self._problems.extend(faults[:room])
-        for fault in faults[:room]:
-            self.codes.add(fault.code)
-        for fault in faults[room:]:
-            self.count(fault.code, 1)
+        self.codes.update(fault.code for fault in faults)
+        self._dropped += max(0, len(faults) - room)
 
     def count(self, code: str, n: int) -> None:
         """Count ``n`` faults that are not listed."""

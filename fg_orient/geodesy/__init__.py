@@ -76,10 +76,7 @@ class Operation:
 def crs_kind(crs: str) -> Kind:
     """Kind of the coordinates in ``crs``: geographic, projected or geocentric.
 
-    Raises
-    ------
-    InputError
-        The code is unknown, or its axes are not degrees / metres towards east, north, up.
+    InputError if the code is unknown, or its axes are not degrees / metres towards east, north, up.
     """
     return _kind(crs, spatial_crs(crs))
 
@@ -176,20 +173,10 @@ def ecef_to_geodetic(xyz_m: npt.ArrayLike) -> tuple[Array, Array, Array]:
 
 
 def from_geographic(crs: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> tuple[Array, Array]:
-    """Transform WGS84 longitude, latitude (degrees) of N points to horizontal coordinates of a raster's CRS.
+    """Transform WGS84 longitude, latitude (N,) degrees to horizontal coordinates (N,) of a raster's CRS.
 
-    Parameters
-    ----------
-    crs : str
-        WKT or EPSG code; a vertical part is ignored.
-    lon_deg, lat_deg : (N,) array_like
-        WGS84 longitude and latitude.
-
-    Returns
-    -------
-    tuple of two (N,) arrays
-        Easting and northing, or longitude and latitude, in the units of the CRS; nan
-        outside its domain.
+    The CRS is WKT or an EPSG code; its vertical part is ignored. The result has the units of the CRS; it is nan outside
+    its domain.
 
     Raises
     ------
@@ -200,9 +187,9 @@ def from_geographic(crs: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) ->
 
 
 def to_geographic(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[Array, Array]:
-    """Transform horizontal coordinates of N points of a raster's CRS to WGS84 longitude, latitude (degrees).
+    """Transform horizontal coordinates (N,) of a raster's CRS to WGS84 longitude, latitude (N,) degrees.
 
-    Inverse of :func:`from_geographic`, with its parameters and errors; nan outside the domain of the CRS.
+    Inverse of :func:`from_geographic`, with its errors; nan outside the domain of the CRS.
     """
     return _horizontal(crs, "EPSG:4326", x, y)
 
@@ -216,24 +203,12 @@ def _horizontal(source: str, target: str, first: npt.ArrayLike, second: npt.Arra
 
 
 def same_crs(one: str, other: str) -> bool:
-    """True if two CRS (WKT or EPSG codes) are the same but for the order of their axes.
-
-    Raises
-    ------
-    InputError
-        A CRS is unknown.
-    """
+    """True if two CRS (WKT or EPSG codes) are the same but for the order of their axes; InputError if unknown."""
     return bool(known_crs(one).equals(known_crs(other), ignore_axis_order=True))
 
 
 def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
-    """West, south, east, north (degrees) of the area for which a CRS was made; None if it states none.
-
-    Raises
-    ------
-    InputError
-        The CRS is unknown.
-    """
+    """West, south, east, north (degrees) of the area for which a CRS was made; None if it states none."""
     area = known_crs(crs).area_of_use
     return None if area is None else (area.west, area.south, area.east, area.north)
 
@@ -242,11 +217,6 @@ def vertical_reference(crs: str) -> tuple[str, str]:
     """Name of the vertical CRS of heights in ``crs`` (WKT or EPSG code), and the unit of its height axis.
 
     The name of ellipsoidal heights is ``""``; so is the unit if the CRS has no height axis.
-
-    Raises
-    ------
-    InputError
-        The CRS is unknown.
     """
     whole = known_crs(crs)
     names = [part.name for part in (whole, *whole.sub_crs_list) if part.is_vertical and not part.is_compound]
@@ -352,13 +322,7 @@ def _spatial(crs: str) -> CRS:
 
 @cache
 def known_crs(crs: str) -> CRS:
-    """CRS of a code, WKT or PROJ string.
-
-    Raises
-    ------
-    InputError
-        PROJ does not know it.
-    """
+    """CRS of a code, WKT or PROJ string; InputError if it is unknown."""
     proj = offline_pyproj()
     try:
         known: CRS = proj.CRS.from_user_input(crs)

@@ -86,35 +86,17 @@ def _code_of(found: CRS) -> int | None:
 
 
 def same_horizontal(one: str, other: str) -> bool:
-    """True if the horizontal parts of two CRS are the same.
-
-    Raises
-    ------
-    InputError
-        A CRS is unknown.
-    """
+    """True if the horizontal parts of two CRS are the same; InputError if one is unknown."""
     return same_crs(with_vertical(one, "")[0], with_vertical(other, "")[0])
 
 
 def north_first(crs: str) -> bool:
-    """True if the definition of a CRS puts latitude or northing first.
-
-    Raises
-    ------
-    InputError
-        The CRS is unknown.
-    """
+    """True if the definition of a CRS puts latitude or northing first; InputError if it is unknown."""
     return bool(spatial_crs(crs).axis_info[0].direction == "north")
 
 
 def wkt(crs: str) -> str:
-    """Definition of a CRS as WKT 1, the form that most programs read, on one line.
-
-    Raises
-    ------
-    InputError
-        The CRS is unknown.
-    """
+    """Definition of a CRS on one line as WKT 1, which most programs read; InputError if it is unknown."""
     own = known_crs(crs)
     flat = own if own.is_compound or len(own.axis_info) == 2 or own.is_geocentric else own.to_2d()
     return str(flat.to_wkt("WKT1_GDAL"))

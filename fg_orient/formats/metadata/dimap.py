@@ -1,7 +1,7 @@
 """DIMAP metadata files of pushbroom images: recognition of the version, and the reader to use.
 
 Read: DIMAP 1.1 of SPOT 1 to 5 at level 1A, DIMAP 2.x sensor products of Pléiades 1A/1B and SPOT 6/7, and the PHR_DIMAP
-of CNES. For other recognised files, the message names the file and the product that is needed instead.
+of CNES. For other known files, the message names the file and the product to use instead.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def read_dimap(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> P
     InputError
         The file is unusable: one line with file, place, value and remedy.
     OutOfTimeRange
-        Angular speeds (SPOT 1 to 4) leave more than 0.2 s of the image open.
+        Angular speeds (SPOT 1 to 4) do not cover more than 0.2 s of the image.
     """
     root = read_xml(path, max_bytes=max_bytes)
     if root.tag == dimap2.PHR_ROOT:
@@ -80,7 +80,7 @@ def read_dimap(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> P
 
 
 def _is_rigorous(path: Path, head: str) -> bool:
-    """Tell a file of the rigorous model; a PHR_DIMAP may hold it in addition to its RPC."""
+    """True for a file of the rigorous model, which a PHR_DIMAP may contain in addition to its RPC."""
     root = xml_root(head)
     if root == dimap2.PHR_ROOT:
         return read_xml(path).maybe(dimap2.PHR_MODEL) is not None

@@ -44,7 +44,7 @@ class CameraFile(Table):
     pixel_mm: Positive | None = Field(
         default=None, description="size of a pixel, mm: focal length, principal point and coefficients are then in mm"
     )
-    focal: Positive = Field(description="focal length in pixels, or in mm beside pixel_mm")
+    focal: Positive = Field(description="focal length in pixels, or in mm with pixel_mm")
     principal: tuple[Number, Number] = Field(description="x (right) and y (down) of the principal point")
     first_pixel: Number = Field(default=0.0, description="coordinates of the first pixel's centre, px: 0, 0.5 or 1")
     k1: Number = Field(default=0.0, description="a number")

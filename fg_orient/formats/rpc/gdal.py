@@ -1,4 +1,4 @@
-"""RPC of GDAL: GeoTIFF tag 50844, or files beside the image (extra ``geo``); metadata domain ``RPC`` of .vrt, .aux.xml.
+"""RPC of GDAL: GeoTIFF tag 50844, or files next to the image (extra ``geo``); domain ``RPC`` of .vrt and .aux.xml.
 
 Only the XML of a virtual raster is read, not its raster, which can be any file or address. RPC count from the centre
 of the first pixel, as in RPC00B.
