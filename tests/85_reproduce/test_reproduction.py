@@ -93,9 +93,9 @@ def records_of(path: Path) -> tuple[list[str], list[dict[str, str]]]:
 
 def key_of(record: dict[str, str]) -> CellKey:
     """Key of a published record."""
-    return CellKey(record["table"], record["eop_set_no"], record["stage"], record["pre_adjustment_type"],
-                   record["point_role"], record["quantity"], record["method"], record.get("parameter", ""),
-                   record.get("point_set", ""))  # fmt: skip
+    columns = ("table", "eop_set_no", "stage", "pre_adjustment_type", "point_role", "quantity", "method", "parameter",
+               "point_set")  # fmt: skip
+    return CellKey(*(record.get(column, "") for column in columns))
 
 
 def alter(path: Path, row: int) -> CellKey:
