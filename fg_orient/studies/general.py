@@ -1,8 +1,8 @@
 """General adjustments: indirect observations (Gauss-Markov) and conditions with unknowns (Gauss-Helmert).
 
 Notation of Terlemezoğlu 2019, sections 2.6 and 2.7: ``Q_ll = W^-1``, ``Q_xx = N^-1``, ``m0`` the standard
-deviation of unit weight. Both minimise v^T W v and are linearised and iterated; the stop is ours (the sources name
-none).
+deviation of unit weight. Both minimise v^T W v by iterated linearisation. The sources give no
+stopping rule; the rule here is our own.
 
 :func:`gauss_markov`, ``L + v = f(x)`` (eqs. 2.58-2.63, 2.74, 2.75): ``dx = (A^T W A)^-1 A^T W (L - f(x))``.
 
@@ -14,8 +14,10 @@ the **original** observations, ``w_k = F(l_k, P_k) + B (L - l_k)`` (Pope's itera
 Source: Terlemezoğlu 2019, eqs. 2.68-2.70, 2.74-2.77, and Topan & Maktav 2010, eqs. 14-18, with the signs and
 the cofactors ``Q_lP = -Q_ll B^T M^-1 A N^-1`` that a Monte Carlo simulation confirms: eq. 2.69 lacks the minus,
 2.70 has a plus, 2.76 has ``A A^T M^-1 A`` in place of ``A N^-1``. Without unknowns it is the adjustment of
-conditions only. The sources repeat the adjustment with adjusted values as new observations instead, which
-does not minimise v^T W v of the originals.
+conditions only. The sources use the adjusted values as new observations in the next iteration. This does not minimise
+v^T W v of the original observations.
+
+The Gauss-Markov model is computed as the Gauss-Helmert model ``f(x) - l = 0``, B = -I.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.model.options import Options
 
 EPS = float(np.finfo(np.float64).eps)
-#: A change that no longer shrinks is rounding if it is below so many times the rounding of the misclosure.
+#: A change that no longer shrinks is rounding if it is below this multiple of the rounding of the misclosure.
 ROUNDING = 1e3
 
 
@@ -56,15 +58,15 @@ class Adjustment:
     redundancy : int
         Observations (conditions) minus the rank of the design matrix.
     cofactors_x : (u, u) array
-        Q_xx; where N is singular the pseudo-inverse in columns of unit length, and ``notes`` say so.
+        Q_xx; for a singular N the pseudo-inverse of the design with columns of unit length, with a remark in ``notes``.
     cofactors_v, cofactors_adjusted : (n, n) arrays
         Q_vv and ``Q_ll - Q_vv``.
     cofactors_adjusted_x : (n, u) array
-        Between adjusted observations and unknowns.
+        Q_lx of adjusted observations and unknowns.
     iterations : int
     converged : bool
     reason : str
-        Why the iteration ended.
+        Reason for the end of the iteration.
     notes : tuple of str
         Remarks of the solver and on rank.
     """
@@ -114,8 +116,11 @@ def _correlations(cofactors: Array, rows: Array, columns: Array) -> Array:
 def _cofactor_matrix(n: int, weights: Array | None, cofactors: Array | None) -> Array:
     """Q_ll (n, n) from weights or cofactors, each (n,) or (n, n); unit weights if neither is given.
 
-    Refused are both, wrong shapes, values that are not finite, matrices that are not symmetric, weights that are not
-    positive definite and cofactors with a negative eigenvalue.
+    Raises
+    ------
+    InputError
+        Both are given; a wrong shape; a value that is not finite; a matrix that is not symmetric; weights that are not
+        positive definite; cofactors with a negative eigenvalue.
     """
     if weights is not None and cofactors is not None:
         raise InputError.of("classical.weights_twice", place="weights, cofactors")
@@ -143,7 +148,7 @@ def _cofactor_matrix(n: int, weights: Array | None, cofactors: Array | None) -> 
 
 
 def _as_vector(values: Array, name: str) -> Array:
-    """Copy a vector; refuse what is not one-dimensional and finite."""
+    """Copy a vector; raise InputError unless it is one-dimensional and finite."""
     vector: Array = np.array(values, dtype=np.float64)
     if vector.ndim != 1 or not np.isfinite(vector).all():
         raise InputError.of("classical.vector", place=name, value=f"shape {vector.shape}")
@@ -153,43 +158,39 @@ def _as_vector(values: Array, name: str) -> Array:
 def _called(
     function: Callable[..., tuple[Array, ...]], arguments: tuple[Array, ...], wanted: tuple[int, ...]
 ) -> list[Array]:
-    """Value and Jacobians of the user's function, with their number, shapes and finite values checked.
+    """Value and Jacobians of the user's function; their number, shapes and values are checked.
 
-    ``wanted`` are the lengths (n or -1 = any for the value), then the widths of the Jacobians.
+    ``wanted`` contains the length of the value (-1: any), then the number of columns of each Jacobian.
     """
-    found = [np.asarray(a, dtype=np.float64) for a in function(*(a.copy() for a in arguments))]
-    rows = found[0].size if wanted[0] < 0 else wanted[0]
+    arrays = [np.asarray(a, dtype=np.float64) for a in function(*(a.copy() for a in arguments))]
+    rows = arrays[0].size if wanted[0] < 0 else wanted[0]
     shapes = [(rows,), *((rows, width) for width in wanted[1:])]
-    if [a.shape for a in found] != shapes:
-        seen = ", ".join(str(a.shape) for a in found)
+    if [a.shape for a in arrays] != shapes:
+        seen = ", ".join(str(a.shape) for a in arrays)
         raise InputError.of("classical.function", place="function", value=seen, expected=", ".join(map(str, shapes)))
-    if not all(np.isfinite(a).all() for a in found):
+    if not all(np.isfinite(a).all() for a in arrays):
         raise NoSolutionError.of("classical.function_not_finite", place="function")
-    return found
+    return arrays
 
 
-@dataclass(frozen=True)
-class _Spectrum:
-    """Whitened design ``A' = U S V^T D`` with columns scaled by D: rank, cofactors of x, and U of the rank."""
+def _spectrum(design: Array) -> tuple[int, Array, Array, tuple[str, ...]]:
+    """Singular value decomposition ``U S V^T D`` of a whitened design (r, u), columns scaled by D; u may be 0.
 
-    rank: int
-    cofactors: Array
-    left: Array
-    notes: tuple[str, ...]
-
-    @classmethod
-    def of(cls, design: Array) -> _Spectrum:
-        """Decompose a whitened design matrix (r, u); u may be 0."""
-        rows, u = design.shape
-        if not u:
-            return cls(0, np.zeros((0, 0)), np.zeros((rows, 0)), ())
-        length = np.linalg.norm(design, axis=0)
-        scale = np.where(length > 0.0, length, 1.0)
-        left, values, right = np.linalg.svd(design / scale, full_matrices=False)
-        rank = int((values > max(rows, u) * EPS * values[0]).sum()) if values[0] > 0.0 else 0
-        half = (right[:rank].T / values[:rank]) / scale[:, None]
-        note = f"the normal matrix has rank {rank} of {u}: cofactors by pseudo-inverse of the column-scaled design"
-        return cls(rank, half @ half.T, left[:, :rank], () if rank == u else (note,))
+    Returns
+    -------
+    int, (u, u) array, (r, rank) array, tuple of str
+        Rank, cofactors of the unknowns, U of the rank, a remark if the rank is below u.
+    """
+    rows, u = design.shape
+    if not u:
+        return 0, np.zeros((0, 0)), np.zeros((rows, 0)), ()
+    length = np.linalg.norm(design, axis=0)
+    scale = np.where(length > 0.0, length, 1.0)
+    left, values, right = np.linalg.svd(design / scale, full_matrices=False)
+    rank = int((values > max(rows, u) * EPS * values[0]).sum()) if values[0] > 0.0 else 0
+    half = (right[:rank].T / values[:rank]) / scale[:, None]
+    note = f"the normal matrix has rank {rank} of {u}: cofactors by pseudo-inverse of the column-scaled design"
+    return rank, half @ half.T, left[:, :rank], () if rank == u else (note,)
 
 
 def _has_converged(change: float, previous: float, size: float, rounding: float, tolerance: float) -> bool:
@@ -199,41 +200,10 @@ def _has_converged(change: float, previous: float, size: float, rounding: float,
     return change > 0.5 * previous and change <= 1e2 * tolerance * size + ROUNDING * rounding
 
 
-@dataclass(frozen=True)
-class _End:
-    """End of an iteration: count, success, largest whitened change of the last step, remarks of the solver."""
-
-    iterations: int
-    converged: bool
-    change: float
-    notes: tuple[str, ...]
-
-    @property
-    def reason(self) -> str:
-        """The end in words."""
-        if self.converged:
-            return "the step is below the tolerance"
-        return f"no convergence within {self.iterations} iterations: the last whitened step is {self.change:.1e}"
-
-
-def _require_iterations(count: int) -> None:
-    """Refuse a number of iterations outside the range of options of adjustments."""
-    option = declared(Options)["max_iterations"]
-    if not option.allows(count):
-        raise InputError.of("options.value", place=option.name, value=count, expected=option.expected)
-
-
 def gauss_markov(
-    function: Callable[[Array], tuple[Array, Array]],
-    observed: Array,
-    start: Array,
-    *,
-    weights: Array | None = None,
-    cofactors: Array | None = None,
-    solver: str = "qr",
-    max_iterations: int = 50,
-    tolerance: float = 1e-8,
-) -> Adjustment:
+    function: Callable[[Array], tuple[Array, Array]], observed: Array, start: Array, *, weights: Array | None = None,
+    cofactors: Array | None = None, solver: str = "qr", max_iterations: int = 50, tolerance: float = 1e-8,
+) -> Adjustment:  # fmt: skip
     """Adjust observations that are functions of the unknowns.
 
     Parameters
@@ -243,66 +213,36 @@ def gauss_markov(
     observed : (n,) array
         L.
     start : (u,) array
-        Approximate unknowns, any finite ones if f is linear.
+        Approximate unknowns, any finite values if f is linear.
     weights, cofactors : (n,) or (n, n) array, optional
         W or Q_ll = W^-1 (not both; unit weights if neither); positive definite.
-    solver : str
-        Name in the registry of linear solvers; it gets the whitened design matrix.
-    max_iterations : int
-    tolerance : float
-        Stop when the largest step, each unknown times the norm of its whitened column, is below this
-        share of the norm of the whitened residuals (or is rounding).
-
-    Returns
-    -------
-    Adjustment
-        ``converged`` says whether the stop was reached.
+    solver, max_iterations, tolerance
+        As in :func:`gauss_helmert`.
 
     Raises
     ------
     InputError
-        Arrays that do not fit; fewer observations than unknowns; no such solver.
+        Arrays that do not fit; fewer observations than unknowns; unknown solver.
     NoSolutionError
         The function gives values that are not finite, or the solver breaks down.
     """
-    observed, x = _as_vector(observed, "observed"), _as_vector(start, "start")
-    n, u = len(observed), len(x)
+    observed, start = _as_vector(observed, "observed"), _as_vector(start, "start")
+    n, u = len(observed), len(start)
     if not u or n < u:
         raise InputError.of("classical.redundancy", place="observed", value=n, unknowns=u)
     q_ll = _cofactor_matrix(n, weights, cofactors)
     try:
-        root: Array = np.asarray(np.linalg.cholesky(q_ll), dtype=np.float64)
+        np.linalg.cholesky(q_ll)
     except np.linalg.LinAlgError:
         raise InputError.of("classical.not_definite", place="cofactors", value="no Cholesky factor") from None
-    _require_iterations(max_iterations)
-    change, converged, notes = math.inf, False, tuple[str, ...]()
-    for iteration in range(1, max_iterations + 1):  # noqa: B007
+
+    def conditions(at: Array, x: Array) -> tuple[Array, Array, Array]:
         value, jacobian = _called(function, (x,), (n, u))
-        design, misclosure = (solve_triangular(root, a, lower=True) for a in (jacobian, observed - value))
-        found = solve(solver, LinearSystem.from_design(design, misclosure))
-        length = np.linalg.norm(design, axis=0)
-        rounding = EPS * (np.linalg.norm(solve_triangular(root, observed, lower=True)) + np.linalg.norm(length * x))
-        x, notes = x + found.x, found.notes
-        previous, change = change, float(np.abs(found.x * length).max())
-        if converged := _has_converged(change, previous, float(np.linalg.norm(misclosure)), float(rounding), tolerance):
-            break
-    return _result(function, observed, x, q_ll, root, _End(iteration, converged, change, notes))
+        return value - at, jacobian, -np.eye(n)
 
-
-def _result(
-    function: Callable[[Array], tuple[Array, Array]], observed: Array, x: Array, q_ll: Array, root: Array, end: _End
-) -> Adjustment:
-    """Residuals and cofactors at the last unknowns; ``A N^-1 A^T = S U U^T S^T`` with Q_ll = S S^T."""
-    value, jacobian = _called(function, (x,), (len(observed), len(x)))
-    design, residual = (solve_triangular(root, a, lower=True) for a in (jacobian, value - observed))
-    spectrum = _Spectrum.of(design)
-    half = root @ spectrum.left
-    q_adjusted = half @ half.T
-    return Adjustment(
-        x, value - observed, value, float(residual @ residual), len(observed) - spectrum.rank, spectrum.cofactors,
-        q_ll - q_adjusted, q_adjusted, jacobian @ spectrum.cofactors, end.iterations, end.converged, end.reason,
-        end.notes + spectrum.notes,
-    )  # fmt: skip
+    return gauss_helmert(
+        conditions, observed, start, cofactors=q_ll, solver=solver, max_iterations=max_iterations, tolerance=tolerance
+    )
 
 
 @dataclass(frozen=True)
@@ -318,16 +258,10 @@ class _Linearised:
 
 
 def gauss_helmert(
-    function: Callable[[Array, Array], tuple[Array, Array, Array]],
-    observed: Array,
-    start: Array,
-    *,
-    weights: Array | None = None,
-    cofactors: Array | None = None,
-    solver: str = "qr",
-    max_iterations: int = 50,
+    function: Callable[[Array, Array], tuple[Array, Array, Array]], observed: Array, start: Array, *,
+    weights: Array | None = None, cofactors: Array | None = None, solver: str = "qr", max_iterations: int = 50,
     tolerance: float = 1e-8,
-) -> Adjustment:
+) -> Adjustment:  # fmt: skip
     """Adjust conditions between observations and unknowns.
 
     Parameters
@@ -340,50 +274,56 @@ def gauss_helmert(
     start : (u,) array
         Approximate unknowns; empty for conditions only.
     weights, cofactors : (n,) or (n, n) array, optional
-        W or Q_ll (not both; unit weights if neither). Q_ll may be singular, an observation of
-        cofactor 0 stays as it is, as long as ``B Q_ll B^T`` is regular.
+        W or Q_ll (not both; unit weights if neither). Q_ll may be singular if ``B Q_ll B^T`` is regular: an observation
+        with cofactor 0 keeps its value.
     solver : str
-        Name in the registry of linear solvers; it gets ``M^-1/2 A``.
+        Name in the registry of linear solvers; its design matrix is ``M^-1/2 A``.
     max_iterations : int
     tolerance : float
-        Stop when steps of the unknowns, changes of residuals and what is left of F, all whitened, are
+        Stop when steps of the unknowns, changes of the residuals and the values of F, all whitened, are
         below this share of the norm of the whitened residuals (or are rounding).
-
-    Returns
-    -------
-    Adjustment
-        ``converged`` says whether the stop was reached.
 
     Raises
     ------
     InputError
-        Arrays that do not fit; fewer conditions than unknowns; no such solver.
+        Arrays that do not fit; fewer conditions than unknowns; unknown solver.
     NoSolutionError
         Conditions that depend on each other; values that are not finite; the solver breaks down.
     """
     observed, x = _as_vector(observed, "observed"), _as_vector(start, "start")
     q_ll = _cofactor_matrix(len(observed), weights, cofactors)
-    _require_iterations(max_iterations)
+    option = declared(Options)["max_iterations"]
+    if not option.allows(max_iterations):
+        raise InputError.of("options.value", place=option.name, value=max_iterations, expected=option.expected)
     sigma = np.sqrt(np.diag(q_ll))
+    varies = sigma > 0.0
     change, converged, notes, v = math.inf, False, tuple[str, ...](), np.zeros(len(observed))
     at = _linearise(function, observed, v, x, q_ll)
     residual = at.value
     for iteration in range(1, max_iterations + 1):  # noqa: B007
         misclosure = at.value - solve_triangular(at.root, at.d_observed @ v, lower=True)
-        step, notes = _step(solver, at.design, misclosure)
+        step = np.zeros(0)
+        if len(x):
+            solution = solve(solver, LinearSystem.from_design(at.design, -misclosure))
+            step, notes = solution.x, solution.notes
         residual = at.design @ step + misclosure
         x, before, v = x + step, v, -at.spread @ residual
-        moved = [np.abs(step * np.linalg.norm(at.design, axis=0)), _in_sigmas(v - before, sigma)]
+        moved = [np.abs(step * np.linalg.norm(at.design, axis=0)), np.abs(v - before)[varies] / sigma[varies]]
         at = _linearise(function, observed, v, x, q_ll)
         previous, change = change, float(np.concatenate([*moved, np.abs(at.value)]).max())
         if converged := _has_converged(change, previous, float(np.linalg.norm(residual)), at.rounding, tolerance):
             break
-    return _helmert_result(at, observed, x, v, residual, q_ll, _End(iteration, converged, change, notes))
-
-
-def _in_sigmas(values: Array, sigma: Array) -> Array:
-    """Values over sigmas; constants (sigma 0) do not move."""
-    return np.asarray(np.abs(values[sigma > 0.0]) / sigma[sigma > 0.0])
+    reason = "the step is below the tolerance"
+    if not converged:
+        reason = f"no convergence within {iteration} iterations: the last whitened step is {change:.1e}"
+    # Q_vv = G (I - U U^T) G^T with G = Q_ll B^T M^-T/2, U of the design at the last point
+    rank, q_x, left, rank_notes = _spectrum(at.design)
+    across = at.spread @ left
+    q_v = at.spread @ at.spread.T - across @ across.T
+    return Adjustment(
+        x, v, observed + v, float(residual @ residual), len(at.value) - rank, q_x, q_v, q_ll - q_v,
+        -at.spread @ at.design @ q_x, iteration, converged, reason, notes + rank_notes,
+    )  # fmt: skip
 
 
 def _linearise(
@@ -397,32 +337,10 @@ def _linearise(
     spread = q_ll @ d_observed.T
     m = d_observed @ spread
     scale = np.sqrt(np.diag(m))
-    # a correlation of 1 - eps between conditions has no Cholesky factor worth the name
+    # rounding dominates the Cholesky factor of conditions with a correlation of 1 - eps
     if not scale.all() or np.linalg.eigvalsh(m / np.outer(scale, scale))[0] <= len(m) * EPS:
         raise NoSolutionError.of("classical.dependent_conditions", place="conditions", value=len(m))
     root: Array = np.asarray(np.linalg.cholesky(m), dtype=np.float64)
     size = (np.abs(d_observed) @ np.abs(adjusted) + np.abs(design) @ np.abs(x)) / scale
     white = [solve_triangular(root, a, lower=True) for a in (value, design, spread.T)]
     return _Linearised(root, white[0], white[1], d_observed, white[2].T, EPS * float(np.linalg.norm(size)))
-
-
-def _step(solver: str, design: Array, misclosure: Array) -> tuple[Array, tuple[str, ...]]:
-    """Step of the unknowns; nothing to solve without any."""
-    if not design.shape[1]:
-        return np.zeros(0), ()
-    found = solve(solver, LinearSystem.from_design(design, -misclosure))
-    return found.x, found.notes
-
-
-def _helmert_result(
-    at: _Linearised, observed: Array, x: Array, v: Array, residual: Array, q_ll: Array, end: _End
-) -> Adjustment:
-    """Cofactors at the last point: ``Q_vv = G (I - U U^T) G^T`` with G = Q_ll B^T M^-T/2, U of the design."""
-    spectrum = _Spectrum.of(at.design)
-    across = at.spread @ spectrum.left
-    q_v = at.spread @ at.spread.T - across @ across.T
-    return Adjustment(
-        x, v, observed + v, float(residual @ residual), len(at.value) - spectrum.rank, spectrum.cofactors,
-        q_v, q_ll - q_v, -at.spread @ at.design @ spectrum.cofactors, end.iterations, end.converged, end.reason,
-        end.notes + spectrum.notes,
-    )  # fmt: skip
