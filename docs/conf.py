@@ -66,7 +66,7 @@ _INTERNAL = """
     fg_orient/orientation/run.py fg_orient/orientation/replay.py
     fg_orient/result/s*.py fg_orient/result/tables.py fg_orient/result/provenance.py
     fg_orient/simulate/* fg_orient/studies/claims*.py fg_orient/studies/comparison/* fg_orient/studies/published
-    fg_orient/studies/reproduce fg_orient/studies/switch_effects.py fg_orient/studies/tables_*.py
+    fg_orient/studies/reproduce fg_orient/studies/tables_*.py
 """.split()
 _IMPORTED = """
     fg_orient/adjustment/image_models.py fg_orient/adjustment/problem.py fg_orient/adjustment/regression.py

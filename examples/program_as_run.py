@@ -13,9 +13,36 @@ from pathlib import Path
 
 import numpy as np
 
-from fg_orient.studies.switch_effects import MEASURES, effects
-from fg_orient.studies.switches import NUMBERED, label, names
+from fg_orient.adjustment.linear.conditioning import diagnose
+from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.studies.claims import AS_RUN_TWIN, Study
+from fg_orient.studies.switches import NUMBERED, PROGRAM, TEXT, Switches, label, names
+from fg_orient.studies.tables_spot5 import norm_condition
+from fg_orient.studies.two_stage import TwoStage
+from fg_orient.studies.two_stage_results import AxisErrors
 
+SOLVER = "gauss_inverse"
+PSEUDO_INVERSE = "moore_penrose_inverse"
+#: EOP sets whose type-2 bundle is measured.
+BUNDLES = (1, 14, 15, 16, 18, 19)
+#: Words and unit of each measure.
+MEASURES = {
+    "uncorrected": ("control points without corrections", "m"),
+    "step_1": ("control points after step 1", "m"),
+    "step_1_check": ("check points after step 1", "m"),
+    "w_rms": ("misclosures of step 2, rms", "rad"),
+    "dp_1": ("largest correction of step 2, set 1", "m"),
+    **{f"bundle_{k}": (f"control points after the type-2 bundle, set {k}", "m") for k in BUNDLES},
+    "cured_13": ("control points after the type-2 bundle, set 13, Moore-Penrose", "m"),
+    "check_1": ("check points after the type-2 bundle, set 1", "m"),
+    "rank_a_5": ("rank of A, set 5 (9 unknowns)", ""),
+    "rank_a_13": ("rank of A, set 13 (18 unknowns)", ""),
+    "rank_n_1": ("rank of N, set 1 (9 unknowns)", ""),
+    "cond_1": ("|N| |N^-1|, set 1", ""),
+    "cond_15": ("|N| |N^-1|, set 15", ""),
+    "cond_19": ("|N| |N^-1|, set 19", ""),
+    "iterations_19": ("iterations of step 2, set 19, misclosures of 1e-8 rad", ""),
+}
 #: Measures in the figure, with the titles of their panels.
 PANELS = {
     "step_1": "control points after step 1, m", "bundle_15": "type-2 bundle, set 15, m",
@@ -40,6 +67,58 @@ def main() -> None:
         arguments.out.mkdir(parents=True, exist_ok=True)
         draw(arguments.out / "program-as-run.svg", found, chosen)
         print(f"figure: {arguments.out / 'program-as-run.svg'}")
+
+
+def effects(seed: int, chosen: tuple[str, ...]) -> dict[str, dict[str, float]]:
+    """Measure the equations, the program, and both with each switch changed, on the synthetic block of a seed.
+
+    The keys are "text", "program", "text + NAME" and "program - NAME"; the values are those of MEASURES. The block has
+    radial velocity and attitude.
+    """
+    procedures = {"text": TEXT, "program": PROGRAM}
+    procedures |= {f"text + {name}": TEXT.with_(name) for name in chosen}
+    procedures |= {f"program - {name}": PROGRAM.without(name) for name in chosen}
+    return {name: measure(seed, which) for name, which in procedures.items()}
+
+
+def measure(seed: int, switches: Switches) -> dict[str, float]:
+    """Values of MEASURES; nan where the solver breaks down. Errors are 3-D RMSE."""
+    with one_blas_thread():  # rounding noise is a part of the measures
+        run = Study(seed, switches, AS_RUN_TWIN).two_stage
+        step_1 = run.look_only()
+        first = run.pre_adjust(0, 1, SOLVER)
+        _, w = first.system.require_design("w")
+        out = {
+            "uncorrected": length(run.uncorrected().gcp_rmse), "step_1": length(step_1.gcp_rmse),
+            "step_1_check": length(step_1.icp_rmse), "w_rms": float(np.sqrt(np.mean(w**2))),
+            "dp_1": float(np.abs(first.dP).max()),
+        }  # fmt: skip
+        errors = {number: bundle(run, number) for number in BUNDLES}
+        out["cured_13"] = length(bundle(run, 13, PSEUDO_INVERSE).gcp_rmse)
+        out |= {f"bundle_{number}": length(error.gcp_rmse) for number, error in errors.items()}
+        out["check_1"] = length(errors[1].icp_rmse)
+        out |= {f"rank_a_{number}": float(np.linalg.matrix_rank(design_of(run, number))) for number in (5, 13)}
+        out["rank_n_1"] = float(diagnose(first.system).rank)
+        out |= {
+            f"cond_{number}": norm_condition(run.pre_adjust(0, number, SOLVER).system, SOLVER) for number in (1, 15, 19)
+        }
+        out["iterations_19"] = float(run.pre_adjust(0, 19, SOLVER, polynomial_misclosures=True).repeats)
+    return {name: out[name] for name in MEASURES}
+
+
+def bundle(run: TwoStage, number: int, solver: str = SOLVER) -> AxisErrors:
+    """Errors of the type-2 bundle."""
+    return run.bundle(number, 2, solver).accuracy
+
+
+def design_of(run: TwoStage, number: int) -> np.ndarray:
+    """A of step 2, left image."""
+    return run.pre_adjust(0, number, PSEUDO_INVERSE).system.require_design("A")[0]
+
+
+def length(rmse: np.ndarray) -> float:
+    """RMSE in space, from its three axes."""
+    return float(np.linalg.norm(rmse))
 
 
 def show(found: dict[str, dict[str, float]], chosen: tuple[str, ...]) -> None:

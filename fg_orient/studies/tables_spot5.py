@@ -18,13 +18,13 @@ from factors._contract import Array
 from fg_orient.adjustment.linear import conditioning
 from fg_orient.adjustment.linear.conditioning import diagnose
 from fg_orient.adjustment.linear.l_curve import LCurve, l_curve_of
+from fg_orient.adjustment.linear.registry import attempt
 from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.model.cells import CellKey
 from fg_orient.model.names import COMPONENTS, EOP_SETS, Role
 from fg_orient.model.parameters import N_EOP, eop_codes
 from fg_orient.simulate.zonguldak import CHECK_COUNT
 from fg_orient.studies.claims import ILL_CONDITIONED
-from fg_orient.studies.switch_effects import norm_condition
 from fg_orient.studies.switches import TEXT, Switches
 from fg_orient.studies.tables_twin import (
     LEAST_SQUARES,
@@ -234,6 +234,18 @@ def _conditioning(run: TwoStage, table: str) -> Cells:
         }  # fmt: skip
         out |= {key._replace(quantity=name): float(value) for name, value in values.items()}
     return out
+
+
+def norm_condition(system: LinearSystem, solver: str) -> float:
+    """|N| |N^-1| from the inverse as the solver forms it, T(3.11), Frobenius norm; nan if the solver forms none.
+
+    The smallest singular value of such a matrix is a rounding error of the largest; the explicit inverse is not.
+    T(3.11) names no norm. The program's numbers for sets 1, 15 and 19 result from the Frobenius norm.
+    """
+    inverse = attempt(solver, system).inverse
+    if inverse is None:
+        return math.nan
+    return float(np.linalg.norm(system.normal) * np.linalg.norm(inverse))
 
 
 def _double(sign: float, log10: float) -> float:

@@ -7,9 +7,10 @@ import pytest
 
 from fg_orient.model.cells import CellKey
 from fg_orient.studies.published.tables import PublishedTables
-from fg_orient.studies.reproduce.reproduction import SOURCES, Row, counts, pair, shuffled
+from fg_orient.studies.reproduce.reproduction import SOURCES, Row, pair
 from fg_orient.studies.tables_spot5 import STEP_1_CLOSED, WITHOUT_BUNDLE
 from fg_orient.studies.tables_twin import twin
+from tests.support.shuffled import counts, shuffled
 
 Printed = dict[str, PublishedTables]
 #: A part of the tables that runs in seconds: ranks, corrections, bundles of three solvers.

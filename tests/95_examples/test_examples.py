@@ -66,7 +66,11 @@ def test_own_factor(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.behaviour
 def test_program_as_run(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    run(repository, "program_as_run.py", "--only", "D5", "--out", "figures")
+    out = run(repository, "program_as_run.py", "--only", "D5", "--out", "figures")
+    text, program = (
+        float(v) for v in re.search(r"after step 1: equations (\S+), program (\S+) m", out).groups()
+    )  # fmt: skip
+    assert text < 1e-6 < 0.1 < program
     assert (tmp_path / "figures" / "program-as-run.svg").stat().st_size > 10_000
 
 

@@ -1,16 +1,11 @@
-"""Published and reproduced values, cell by cell, with the claims: the work behind ``fg-orient reproduce``.
-
-:func:`counts` can also compare shuffled values: the published values of a table are exchanged among its EOP sets,
-images and solvers; quantity, coefficient, axis, role and type of a value stay. A verdict that shuffled values get as
-often as the true ones shows that the quantity has this size in the table, not that the cell has this value.
-"""
+"""Published and reproduced values, cell by cell, with the claims: computation of ``fg-orient reproduce``."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,7 +16,7 @@ from fg_orient.adjustment.linear.l_curve import LCurve
 from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
 from fg_orient.studies.claims import ClaimResult, all_claims, run_claims
-from fg_orient.studies.published.tables import PublishedCell, PublishedTables, load
+from fg_orient.studies.published.tables import PublishedTables, load
 from fg_orient.studies.reproduce import ayhan1996, ipbuker1994
 from fg_orient.studies.reproduce.sources import TERLEMEZOGLU, TOPAN, Source
 from fg_orient.studies.reproduce.verdict import KINDS, CellComparison, assess_runs
@@ -213,49 +208,3 @@ def pair(
             "; ".join(filter(None, (found.reason, known))), cell.text or cell.printed, cell.unit, cell.note,
         ))  # fmt: skip
     return tuple(rows)
-
-
-def shuffled(cells: Sequence[PublishedCell], seed: int) -> tuple[PublishedCell, ...]:
-    """Exchange the printed values of cells that differ by EOP set, image and solver alone.
-
-    Parameters
-    ----------
-    cells : sequence of PublishedCell
-    seed : int
-        Of the permutations.
-    """
-    groups: dict[CellKey, list[int]] = {}
-    for place, cell in enumerate(cells):
-        if cell.text:
-            groups.setdefault(cell.key._replace(eop_set="", stage="", method=""), []).append(place)
-    out, rng = list(cells), np.random.default_rng(seed)
-    for places in groups.values():
-        for to, origin in zip(places, rng.permutation(places), strict=True):
-            other = cells[int(origin)]
-            out[to] = replace(cells[to], value=other.value, text=other.text, printed=other.printed)
-    return tuple(out)
-
-
-def counts(
-    printed: PublishedTables, computed: Mapping[CellKey, Array], source: Source, tables: Sequence[str],
-    seeds: Iterable[int] = (),
-) -> dict[str, dict[str, float]]:  # fmt: skip
-    """Verdicts by table: those of the published values, or the mean over shuffled ones.
-
-    Parameters
-    ----------
-    printed, computed, source, tables
-        As in :func:`fg_orient.studies.reproduce.reproduction.pair`.
-    seeds : iterable of int
-        One shuffle each; none leaves the values where they are.
-
-    Returns
-    -------
-    dict
-        Table to verdict to number of cells.
-    """
-    variants = [replace(printed, cells=shuffled(printed.cells, seed)) for seed in seeds] or [printed]
-    total: Counter[tuple[str, str]] = Counter()
-    for variant in variants:
-        total.update((row.table, row.verdict) for row in pair(variant, computed, source, tables))
-    return {table: {kind: total[table, kind] / len(variants) for kind in KINDS} for table in tables}

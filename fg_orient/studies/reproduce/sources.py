@@ -1,11 +1,11 @@
-"""Publications: what computes their cells, the claims about them, known reasons of differences."""
+"""Publications: functions that compute their cells, claims about them, known reasons for differences."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
@@ -19,8 +19,6 @@ from fg_orient.studies.published.tables import PublishedCell, PublishedTables
 from fg_orient.studies.reproduce import spot6
 from fg_orient.studies.reproduce.verdict import ICP_LIMIT_M, Cells, Comparisons, Values, assess_value
 
-Progress = Callable[[int, int], None]
-
 #: Basis of most numbers of the studies on SPOT-5.
 ON_TWIN: Final = (
     "The points and images of the publication are not available. Each seed is a twin with points, errors and noise of "
@@ -28,32 +26,6 @@ ON_TWIN: Final = (
     "can. "
     '"Reproduced" is the median of the runs, the range their smallest and largest value.'
 )
-
-
-class Compute(Protocol):
-    """Computes the cells of some tables for some seeds."""
-
-    def __call__(
-        self, tables: Collection[str], seeds: Sequence[int], *, as_run: bool, progress: Progress | None
-    ) -> dict[CellKey, Array]:
-        """Values (n,) of each cell."""
-
-
-class Curves(Protocol):
-    """Computes the L-curves that the kappas of some tables lie on, on the twin of a seed."""
-
-    def __call__(self, tables: Collection[str], seed: int, *, as_run: bool) -> dict[int, LCurve]:
-        """Curve of each EOP set."""
-
-
-class Compare(Protocol):
-    """Compares the cells of tables that need no twin."""
-
-    def __call__(
-        self, printed: PublishedTables, tables: Collection[str], data: Path | None, *, permutations: int,
-        progress: Progress | None,
-    ) -> Comparisons:  # fmt: skip
-        """Comparison of each cell."""
 
 
 @dataclass(frozen=True)
@@ -65,48 +37,50 @@ class Source:
     name, title : str
         Folder of the published tables; author, year and subject.
     compute : callable or None
-        See :class:`Compute`; None if nothing is computed on the twin.
+        ``compute(tables, seeds, as_run=, progress=)``: values (n,) of each cell on n synthetic blocks, one per seed.
+        None if nothing is computed on synthetic blocks.
     claims : tuple of str
         Ids of the claims about it.
     explain : callable
-        Gives a sentence on a known reason why a cell differs, as published or as run, or "".
+        ``explain(cell, as_run)``: sentence with the known reason for a difference, or "".
     real : callable, optional
-        See :class:`Compare`.
+        ``real(printed, tables, data, permutations=, progress=)``: comparison of each cell of tables that need no
+        synthetic block.
     real_tables : tuple of str
-        Its tables; they do not use the twin.
+        Tables for ``real``.
     about : str
         Basis of the numbers, for the report.
     meanings : mapping, optional
-        Meaning of a verdict where it is not that of runs on the twin.
+        Meaning of a verdict where it differs from that for runs on synthetic blocks.
     counted, patterned : str
         Summary of the numbers with the verdicts ``rounding`` and ``pattern``.
     curves : callable, optional
-        See :class:`Curves`.
+        ``curves(tables, seed, as_run=)``: L-curve of each EOP set whose kappas are in these tables.
     """
 
     name: str
     title: str
-    compute: Compute | None = None
+    compute: Callable[..., dict[CellKey, Array]] | None = None
     claims: tuple[str, ...] = ()
     explain: Callable[[PublishedCell, bool], str] = lambda *_: ""
-    real: Compare | None = None
+    real: Callable[..., Comparisons] | None = None
     real_tables: tuple[str, ...] = ()
     about: str = ON_TWIN
     meanings: Mapping[str, str] = field(default_factory=dict)
     counted: str = "are rounding noise inside the spread of the runs"
     patterned: str = "lie on the same side of the limit"
-    curves: Curves | None = None
+    curves: Callable[..., dict[int, LCurve]] | None = None
 
 
 def recomputed_tables(
     computers: Mapping[str, Sequence[Callable[[Values], Cells]]], reasons: Mapping[str, str], otherwise: str
-) -> Compare:
-    """Comparison of tables that follow from printed numbers.
+) -> Callable[..., Comparisons]:
+    """Comparison of tables that follow from printed numbers, for ``Source.real``.
 
     Parameters
     ----------
     computers : mapping
-        Table to functions that recompute cells from all printed values.
+        Table to functions that compute cells from all printed values.
     reasons : mapping
         Table to the reason why its other cells cannot be reproduced.
     otherwise : str
@@ -114,15 +88,15 @@ def recomputed_tables(
     """
 
     def compare(
-        printed: PublishedTables, tables: Collection[str], data: Path | None, *, permutations: int = 0,
-        progress: Progress | None = None,
+        printed: PublishedTables, tables: Collection[str], _: Path | None, *, permutations: int = 0,
+        progress: Callable[[int, int], None] | None = None,
     ) -> Comparisons:  # fmt: skip
         values: Values = {cell.key: np.float64(cell.value) for cell in printed.cells}
         chosen = [table for table in printed.titles if table in tables]
         out: Comparisons = {}
         for done, table in enumerate(chosen, start=1):
             cells, unknown = Cells(), reasons.get(table, otherwise)
-            with one_blas_thread(), np.errstate(all="ignore"):  # a copy may hold any number: nan then differs
+            with one_blas_thread(), np.errstate(all="ignore"):  # a copy may contain any number: nan then differs
                 try:
                     for compute in computers.get(table, ()):
                         cells |= compute(values)
