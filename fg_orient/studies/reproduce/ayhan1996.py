@@ -1,13 +1,15 @@
 """Ayhan (1996): surfaces of revolution by close-range photogrammetry, from its own printed measurements.
 
-Raw data are printed: comparator coordinates of 15 points, refined ones of 49, geodetic coordinates. What follows from
-them is recomputed. Where the thesis' program computed in single precision, or with other parameters, the spread that
-this explains is stated beside the number. Here: rings, geodetic points, fitted surfaces, mapping and sums.
+The thesis prints raw data: comparator coordinates of 15 points, refined coordinates of 49 points, geodetic
+coordinates. Numbers that follow from these data are recomputed. If the thesis' program computed in single precision or
+with other parameters, a spread for this effect is stated with the number. This module: rings, geodetic points, fitted
+surfaces, mapping and sums.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -15,7 +17,6 @@ import numpy as np
 from factors._contract import Array
 from fg_orient.closerange.surface import Kind, Surface, map_points
 from fg_orient.closerange.surface_fit import fit_surface
-from fg_orient.model.cells import CellKey
 from fg_orient.studies.reproduce import ayhan1996_photos as photos
 from fg_orient.studies.reproduce.ayhan1996_photos import (
     GEODETIC,
@@ -28,7 +29,7 @@ from fg_orient.studies.reproduce.ayhan1996_photos import (
     points_of,
 )
 from fg_orient.studies.reproduce.sources import Source, recomputed_tables
-from fg_orient.studies.reproduce.verdict import Cells, Recomputed, Values
+from fg_orient.studies.reproduce.verdict import Cells, Recomputed, Values, row_key
 
 #: First and last point of the rings.
 RINGS: Final = ((1, 16), (17, 24), (25, 32), (33, 40), (41, 44), (45, 48), (49, 49))
@@ -43,22 +44,17 @@ MISFITS: Final = ("fx_cm", "fy_cm", "fz_cm")
 LARGE_CM: Final = 5.0
 
 
-def _text(values: Values, row: str, quantity: str) -> float:
-    return values[CellKey("text", quantity=quantity, parameter=row)]
-
-
 def ring_cells(values: Values) -> Cells:
     """Tables 1 and 2: distance of each ring from the centre of the surface (eqs. 174, 175), diameters of the text."""
+    rings = [f"ring {k}" for k in range(1, len(RINGS) + 1)]
+    across, along, ball = (values[row_key("text", "rig", name)] for name in ("design_a", "design_b", "design_radius"))
+    radius = points_of(values, "1", ["radius_m"], rings)
     out: Cells = {}
-    across, along, ball = (_text(values, "rig", name) for name in ("design_a", "design_b", "design_radius"))
-    for k in range(1, len(RINGS) + 1):
-        radius = values[CellKey("1", quantity="radius_m", parameter=f"ring {k}")]
-        for table, (a, b) in (("1", (across, along)), ("2", (ball, ball))):
-            distance = b * np.sqrt(max(1.0 - (radius / a) ** 2, 0.0))
-            key = CellKey(table, quantity="distance_m", parameter=f"ring {k}")
-            out[key] = Recomputed(float(distance), "b sqrt(1 - r^2/a^2)")
-        key = CellKey("1", quantity="diameter_in_text_m", parameter=f"ring {k}")
-        out[key] = Recomputed(2.0 * float(radius), "twice the radius", is_exact=True)
+    for table, a, b in (("1", across, along), ("2", ball, ball)):
+        distance = b * np.sqrt(np.maximum(1.0 - (radius / a) ** 2, 0.0))
+        out |= cells_of(table, ["distance_m"], rings, distance, "b sqrt(1 - r^2/a^2)")
+    for key, cell in cells_of("1", ["diameter_in_text_m"], rings, 2.0 * radius, "twice the radius").items():
+        out[key] = replace(cell, is_exact=True)
     return out
 
 
@@ -67,7 +63,7 @@ def geodetic_cells(values: Values) -> Cells:
     out: Cells = {}
     for table in ("3", "4"):
         alpha, reading, _, y, _ = points_of(values, table, ("alpha_gon", "level_reading_mm", *XYZ)).T
-        x = _text(values, "theodolite", "x") - (y - 1000.0) / np.tan(alpha * GON)
+        x = values[row_key("text", "theodolite", "x")] - (y - 1000.0) / np.tan(alpha * GON)
         z = LEVEL_Z_M - 1e-3 * reading
         out |= cells_of(table, ("x_m",), POINTS, x, "X of the theodolite minus (Y - 1000) cot alpha")
         out |= cells_of(table, ("z_m",), POINTS, z, f"{LEVEL_Z_M} m minus the reading")
@@ -77,29 +73,21 @@ def geodetic_cells(values: Values) -> Cells:
 def surface_cells(values: Values) -> Cells:
     """Appendix 3: the land spheroid from the coordinates of appendix 1, and differences of the printed surfaces."""
     fitted = fit_surface(points_of(values, "ek1.points", GEODETIC), "spheroid", method="algebraic")
-    out: Cells = {}
+    names = list(fitted.parameters)
+    land, photo = points_of(values, "ek3.surfaces", ("land_49pt_m", "photo_case_i_m"), names).T
+    remark = "the numbers beside it, the first with four decimals"
+    out = cells_of("ek3.surfaces", ["difference_cm"], names, 100.0 * (land - photo), remark, 0.005)
     for name, value in fitted.parameters.items():
-        key = CellKey("ek3.surfaces", quantity="land_49pt_m", parameter=name)
         remark = "least squares of eq. 142 over 49 points of appendix 1; table 3 gives another Y0 and b"
-        out[key] = Recomputed(round(value, 4), remark, value - 0.5e-4, value + 0.5e-4)
-        photo = values[key._replace(quantity="photo_case_i_m")]
-        difference = 100.0 * (values[key] - photo)
-        remark = "the numbers beside it, the first with four decimals"
-        out[key._replace(quantity="difference_cm")] = Recomputed.around(difference, 0.005, remark)
+        cell = Recomputed(round(value, 4), remark, value - 0.5e-4, value + 0.5e-4)
+        out[row_key("ek3.surfaces", name, "land_49pt_m")] = cell
     return out
-
-
-def _printed_spheroid(values: Values) -> Surface:
-    """Spheroid of case I as printed."""
-    names = ("a", "b", "x0", "y0", "z0")
-    a, b, *centre = (values[CellKey("ek3.surfaces", quantity="photo_case_i_m", parameter=name)] for name in names)
-    return Surface("spheroid", np.array(centre), np.array([a, b, a]))
 
 
 def ring_radius(points: Array, centre: Array) -> Array:
     """Half the distance between the extreme targets of a point's ring; at the apex its own |X - X0|. (49,).
 
-    Recomputed by trial: seven other definitions miss the printed points.
+    This definition was found by trial: seven other definitions do not give the printed points.
     """
     out = np.empty(N)
     for first, last in RINGS:
@@ -116,10 +104,12 @@ def _mapped(points: Array, surface: Surface) -> Array:
 
 
 def mapping_cells(values: Values) -> Cells:
-    """Appendix 3: land points mapped to the spheroid of case I."""
-    land, surface = points_of(values, "ek1.points", GEODETIC), _printed_spheroid(values)
-    ours, rng = _mapped(land, surface), np.random.default_rng(1)
-    runs = []
+    """Appendix 3: land points mapped to the printed spheroid of case I."""
+    land, rng = points_of(values, "ek1.points", GEODETIC), np.random.default_rng(1)
+    names = ("a", "b", "x0", "y0", "z0")
+    a, b, *centre = points_of(values, "ek3.surfaces", ["photo_case_i_m"], names)[:, 0].tolist()
+    surface = Surface("spheroid", np.array(centre), np.array([a, b, a]))
+    ours, runs = _mapped(land, surface), []
     for _ in range(RUNS):
         moved = Surface("spheroid", surface.centre + rng.uniform(-SINGLE_M, SINGLE_M, 3), surface.semi_axes)
         runs.append(_mapped(land + rng.uniform(-SINGLE_M, SINGLE_M, land.shape), moved))
@@ -134,18 +124,17 @@ def mapping_cells(values: Values) -> Cells:
 
 
 def sum_cells(values: Values) -> Cells:
-    """Tables 5 to 12: [Fpp] from the three sums of its row."""
-    out: Cells = {}
-    for key in values:
-        if key.quantity == "fpp_cm2":
-            parts = float(sum(values[key._replace(quantity=q)] for q in SUMS))
-            # each of the four has two decimals
-            out[key] = Recomputed.around(parts, 0.015, "sum of the three beside it")
-    return out
+    """Tables 5 to 12: [Fpp] from the three sums of its row, each with two decimals."""
+    return {
+        key: Recomputed.around(
+            sum(values[key._replace(quantity=q)] for q in SUMS), 0.015, "sum of the three beside it"
+        )
+        for key in values if key.quantity == "fpp_cm2"
+    }  # fmt: skip
 
 
 def six_point_cells(values: Values) -> Cells:
-    """Tables 13 to 20: case I of table 13 is that of appendix 3; for others what large values tell."""
+    """Tables 13 to 20: case I of table 13 is that of appendix 3; large values of other cases are noise."""
     out: Cells = {}
     for key, value in values.items():
         if key.quantity == "db_cm" and abs(value) > LARGE_CM:
@@ -156,36 +145,29 @@ def six_point_cells(values: Values) -> Cells:
             )
             out[key] = Recomputed(float("nan"), remark, kind="not_reproducible")
     for name in ("a", "b", "x0", "y0", "z0"):
-        key = CellKey("13", quantity=f"d{name}_cm", parameter="case 1")
-        same = values[CellKey("ek3.surfaces", quantity="difference_cm", parameter=name)]
-        out[key] = Recomputed(same, "appendix 3" + ("; there with the other sign" if name == "a" else ""))
+        same = values[row_key("ek3.surfaces", name, "difference_cm")]
+        remark = "appendix 3" + ("; there with the other sign" if name == "a" else "")
+        out[row_key("13", "case 1", f"d{name}_cm")] = Recomputed(same, remark)
     return out
 
 
 def text_cells(values: Values) -> Cells:
     """Numbers in the text: the base, the sums of appendix 1, the largest deviation from the surfaces."""
-
-    def station(photo: str) -> Array:
-        return np.array([values[CellKey("ek1.cameras", quantity=q, parameter=photo)] for q in ("x0", "y0", "z0")])
-
-    base = float(np.linalg.norm(station("photo 2") - station("photo 1")))
-    key, remark = CellKey("text", quantity="computed_base", parameter="camera"), "distance of the printed stations"
-    out = {key: Recomputed(base, remark)}
-    differences = points_of(values, "ek1.points", ("dx_cm", "dy_cm", "dz_cm"))
-    for name, total in zip(("fxfx", "fyfy", "fzfz"), np.sum(differences**2, axis=0).tolist(), strict=True):
-        half = 3.0 * 2.0 * np.sqrt(total / 12.0) * 1e-4  # of four decimals, rounded
-        remark = "squares of the printed differences; spread: their rounding"
-        out[CellKey("text", quantity=name, parameter="sums")] = Recomputed.around(total, half, remark)
+    stations = points_of(values, "ek1.cameras", photos.STATION, photos.PHOTOS)
+    base = float(np.linalg.norm(stations[1] - stations[0]))
+    out = {row_key("text", "camera", "computed_base"): Recomputed(base, "distance of the printed stations")}
+    totals = np.sum(points_of(values, "ek1.points", photos.DIFFERENCE) ** 2, axis=0)
+    half = 3.0 * 2.0 * np.sqrt(totals / 12.0) * 1e-4  # of four decimals, rounded
+    remark = "squares of the printed differences; spread: their rounding"
+    out |= cells_of("text", ("fxfx", "fyfy", "fzfz"), ["sums"], totals, remark, half)
     fields: tuple[tuple[Kind, Array], ...] = (
         ("spheroid", points_of(values, "ek1.points", GEODETIC)), ("sphere", points_of(values, "4", XYZ)),
     )  # fmt: skip
     for name, points in fields:
-        fitted = fit_surface(points, name, method="algebraic")
-        each = 1e3 * np.abs(fitted.deviations_m)
+        each = 1e3 * np.abs(fit_surface(points, name, method="algebraic").deviations_m)
         words = "/".join(f"{v:.2f}" for v in each.max(axis=0))
-        worst = int(np.argmax(each.max(axis=1))) + 1
-        key = CellKey("text", quantity=name, parameter="deviation of field points")
-        out[key] = Recomputed(float(each.max()), f"largest along X/Y/Z: {words} mm, point {worst}")
+        remark = f"largest along X/Y/Z: {words} mm, point {int(np.argmax(each.max(axis=1))) + 1}"
+        out[row_key("text", "deviation of field points", name)] = Recomputed(float(each.max()), remark)
     return out
 
 

@@ -9,6 +9,7 @@ relative to the printed m0). The observed stations are the listing's own result:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -22,8 +23,7 @@ from fg_orient.closerange.constraints import Constraint
 from fg_orient.closerange.dlt import DltFit, fit_dlt
 from fg_orient.closerange.intersection import Intersection, intersect_photos, normal_case
 from fg_orient.closerange.photo import Photo, PhotoInterior, ayhan_from_rotation, rotation_from_ayhan
-from fg_orient.model.cells import CellKey
-from fg_orient.studies.reproduce.verdict import Cells, Kind, Recomputed, Values
+from fg_orient.studies.reproduce.verdict import Cells, Recomputed, Values, row_key
 
 N: Final = 49
 POINTS: Final = tuple(range(1, N + 1))
@@ -33,6 +33,8 @@ COMPARATOR: Final = ("x1_mm", "z1_mm", "x2_mm", "z2_mm")
 REFINED: Final = ("xs1_mm", "zs1_mm", "xs2_mm", "zs2_mm")
 GEODETIC: Final = ("x_geodetic_m", "y_geodetic_m", "z_geodetic_m")
 PHOTO: Final = ("x_photo_m", "y_photo_m", "z_photo_m")
+DIFFERENCE: Final = ("dx_cm", "dy_cm", "dz_cm")
+DLT_INPUT: Final = ("x_input_m", "y_input_m", "z_input_m")
 DLT_POINT: Final = ("x_dlt_m", "y_dlt_m", "z_dlt_m")
 SUMS: Final = ("fxx_cm2", "fyy_cm2", "fzz_cm2")
 GON: Final = np.pi / 200.0
@@ -40,50 +42,51 @@ GON: Final = np.pi / 200.0
 GRID_MM: Final = 0.001
 #: Runs of the emulated single precision.
 RUNS: Final = 200
-#: Cells by their largest printed rounding, of coordinates with four decimals in differences, cm.
+#: Largest printed rounding of differences of coordinates with four decimals, cm.
 ROUNDED_CM: Final = 0.011
 SINGLE: Final = f"three standard deviations of {RUNS} runs in single precision (the program's is not known)"
+#: A row of a table by its name, or a point by its number.
+Row = int | str
 
 
-def points_of(values: Values, table: str, quantities: Sequence[str], points: Sequence[int] = POINTS) -> Array:
-    """Printed numbers (n, k) of some points of a table."""
-    return np.array([
-        [values[CellKey(table, quantity=q, parameter=f"point {k}")] for q in quantities] for k in points
-    ])  # fmt: skip
+def _name(row: Row) -> str:
+    return row if isinstance(row, str) else f"point {row}"
+
+
+def points_of(values: Values, table: str, quantities: Sequence[str], points: Sequence[Row] = POINTS) -> Array:
+    """Printed numbers (n, k) of some points (or other rows) of a table."""
+    return np.array([[values[row_key(table, _name(row), q)] for q in quantities] for row in points])
 
 
 def cells_of(
-    table: str, quantities: Sequence[str], points: Sequence[int], numbers: Array, remark: str,
+    table: str, quantities: Sequence[str], points: Sequence[Row], numbers: npt.ArrayLike, remark: str,
     half: npt.ArrayLike = np.nan,
 ) -> Cells:  # fmt: skip
-    """Cells of a table of points from numbers (n, k) with spreads of a size ``half``."""
-    numbers = numbers.reshape(len(points), -1)
-    halves = np.broadcast_to(half, numbers.shape)
+    """Cells of some points (or other rows) of a table from numbers (n, k) with spreads of a size ``half``."""
+    shape = len(points), len(quantities)
+    pairs = np.reshape(numbers, shape), np.broadcast_to(half, shape)
     return {
-        CellKey(table, quantity=q, parameter=f"point {k}"): Recomputed.around(numbers[i, j], halves[i, j], remark)
-        for i, k in enumerate(points)
+        row_key(table, _name(row), q): Recomputed.around(pairs[0][i, j], pairs[1][i, j], remark)
+        for i, row in enumerate(points)
         for j, q in enumerate(quantities)
     }
 
 
-def _camera(values: Values, photo: str) -> dict[str, float]:
-    return {key.quantity: v for key, v in values.items() if key.table == "ek1.cameras" and key.parameter == photo}
-
-
 def interior(values: Values, photo: str) -> PhotoInterior:
     """Interior orientation of a photo as printed."""
-    c = _camera(values, photo)
-    names = ("k1", "k2", "k3", "p1", "p2", "ap", "bp")
-    return PhotoInterior(c["c"], np.array([c["xo"], c["zo"]]), np.array([c[name] for name in names]))
+    names = ("c", "xo", "zo", "k1", "k2", "k3", "p1", "p2", "ap", "bp")
+    c, *others = points_of(values, "ek1.cameras", names, [photo])[0].tolist()
+    return PhotoInterior(c, np.array(others[:2]), np.array(others[2:]))
 
 
 def oriented(values: Values) -> list[Photo]:
     """Photos as printed, for refined image coordinates."""
     out = []
     for photo in PHOTOS:
-        c = _camera(values, photo)
-        rotation = rotation_from_ayhan(c["omega"] * GON, c["phi"] * GON, c["kappa"] * GON)
-        out.append(Photo.of(photo, PhotoInterior(c["c"]), rotation, [c["x0"], c["y0"], c["z0"]]))
+        numbers = points_of(values, "ek1.cameras", ("c", "omega", "phi", "kappa", *STATION), [photo])
+        c, omega, phi, kappa, *station = numbers[0].tolist()
+        rotation = rotation_from_ayhan(omega * GON, phi * GON, kappa * GON)
+        out.append(Photo.of(photo, PhotoInterior(c), rotation, station))
     return out
 
 
@@ -96,15 +99,15 @@ def _as_program(camera: PhotoInterior, measured: Array) -> Array:
 
 
 def comparator(values: Values) -> Array:
-    """Comparator coordinates (49, 4), mm: printed refined ones taken back and put on the grid of 1 um."""
-    refined, out = points_of(values, "ek1.refined", REFINED), np.empty((N, 4))
-    for k, photo in enumerate(PHOTOS):
-        camera, wanted = interior(values, photo), refined[:, 2 * k : 2 * k + 2]
-        at = wanted + camera.principal
+    """Comparator coordinates (49, 4), mm: inverse of the printed refined ones, rounded to the grid of 1 um."""
+    out = []
+    for photo, refined in zip(PHOTOS, np.hsplit(points_of(values, "ek1.refined", REFINED), 2), strict=True):
+        camera = interior(values, photo)
+        at = refined + camera.principal
         for _ in range(30):  # corrections change by less than 1 % of a step: a fixed point
-            at = at + wanted - _as_program(camera, at)
-        out[:, 2 * k : 2 * k + 2] = at
-    return np.asarray(np.round(out / GRID_MM) * GRID_MM)
+            at = at + refined - _as_program(camera, at)
+        out.append(at)
+    return np.asarray(np.round(np.hstack(out) / GRID_MM) * GRID_MM)
 
 
 def comparator_cells(values: Values) -> Cells:
@@ -116,9 +119,9 @@ def comparator_cells(values: Values) -> Cells:
 
 def refined_cells(values: Values) -> Cells:
     """Appendix 1: refined coordinates of the control points, within one step of single precision of the raw ones."""
-    raw, out = points_of(values, "ek1.comparator", COMPARATOR, CONTROL), np.empty((len(CONTROL), 4))
-    for k, photo in enumerate(PHOTOS):
-        out[:, 2 * k : 2 * k + 2] = _as_program(interior(values, photo), raw[:, 2 * k : 2 * k + 2])
+    raw = points_of(values, "ek1.comparator", COMPARATOR, CONTROL)
+    sides = zip(PHOTOS, np.hsplit(raw, 2), strict=True)
+    out = np.hstack([_as_program(interior(values, photo), side) for photo, side in sides])
     step = np.spacing(raw.astype(np.float32)).astype(float)
     remark = "the P2 term of z doubled, as the program does; spread: one step of single precision of the raw coordinate"
     return cells_of("ek1.refined", REFINED, CONTROL, out, remark, step)
@@ -127,20 +130,25 @@ def refined_cells(values: Values) -> Cells:
 def _intersected(photos: Sequence[Photo], image: Array, *, reweighted: bool = False) -> Intersection:
     """All points from image coordinates (n, 4) of both photos."""
     n = len(image)
-    both = np.concatenate([image[:, :2], image[:, 2:]])
+    both = np.concatenate(np.hsplit(image, 2))
     return intersect_photos(photos, np.repeat([0, 1], n), np.tile(np.arange(n), 2), both, reweighted=reweighted)
+
+
+def _refined_points(values: Values) -> Array:
+    """All points (49, 3) from the printed refined coordinates."""
+    return _intersected(oriented(values), points_of(values, "ek1.refined", REFINED), reweighted=True).points_m
 
 
 def _single_precision(values: Values) -> Array:
     """Points (runs, 49, 3) of the equations of section 2.5 in single precision, raw numbers moved by half a step."""
-    rng, photos = np.random.default_rng(1), oriented(values)
-    refined, runs = points_of(values, "ek1.refined", REFINED), []
+    rng, photos, runs = np.random.default_rng(1), oriented(values), []
+    refined = np.hsplit(points_of(values, "ek1.refined", REFINED), 2)
     near = points_of(values, "ek1.points", PHOTO)
     for _ in range(RUNS):
         normal, right = np.zeros((N, 3, 3), np.float32), np.zeros((N, 3), np.float32)
-        for k, photo in enumerate(photos):
+        for photo, side in zip(photos, refined, strict=True):
             matrix = _rounded(photo.matrix[:, :3], rng)
-            centre, image = _rounded(photo.origin_m, rng), _rounded(refined[:, 2 * k : 2 * k + 2], rng)
+            centre, image = _rounded(photo.origin_m, rng), _rounded(side, rng)
             depth = ((near - photo.origin_m) @ photo.matrix[2, :3]).astype(np.float32)
             rows = (image[:, :, None] * matrix[2] - matrix[:2]) / depth[:, None, None]
             normal += np.einsum("nij,nik->njk", rows, rows)
@@ -150,29 +158,27 @@ def _single_precision(values: Values) -> Array:
 
 
 def _rounded(numbers: Array, rng: np.random.Generator) -> npt.NDArray[np.float32]:
-    """Single precision of numbers, moved by up to half a step: which way a program rounds is chance."""
+    """Single precision of numbers, moved at random by up to half a step, because the program's rounding is unknown."""
     step = np.spacing(numbers.astype(np.float32))
     return np.asarray((numbers + rng.uniform(-0.5, 0.5, numbers.shape) * step).astype(np.float32))
 
 
 def point_cells(values: Values) -> Cells:
     """Appendix 1: intersection of the points that are no control points, and differences from the geodetic ones."""
-    ours = _intersected(oriented(values), points_of(values, "ek1.refined", REFINED), reweighted=True).points_m
     spread = 3.0 * np.std(_single_precision(values), axis=0)
     others = [k for k in POINTS if k not in CONTROL]
     rows = np.array(others) - 1
+    out = cells_of("ek1.points", PHOTO, others, _refined_points(values)[rows], SINGLE, spread[rows])
     difference = 100.0 * (points_of(values, "ek1.points", GEODETIC) - points_of(values, "ek1.points", PHOTO))
     remark = "the coordinates beside it, which have four decimals"
-    return cells_of("ek1.points", PHOTO, others, ours[rows], SINGLE, spread[rows]) | cells_of(
-        "ek1.points", ("dx_cm", "dy_cm", "dz_cm"), POINTS, difference, remark, ROUNDED_CM
-    )
+    return out | cells_of("ek1.points", DIFFERENCE, POINTS, difference, remark, ROUNDED_CM)
 
 
 def dlt_photos(values: Values, distortion: Sequence[str] = ()) -> list[DltFit]:
     """DLT of both photos from the 15 control points."""
-    ground = points_of(values, "ek2.control", ("x_input_m", "y_input_m", "z_input_m"), CONTROL)
-    raw = points_of(values, "ek1.comparator", COMPARATOR, CONTROL)
-    return [fit_dlt(ground, raw[:, 2 * k : 2 * k + 2], distortion=distortion, name=p) for k, p in enumerate(PHOTOS)]
+    ground = points_of(values, "ek2.control", DLT_INPUT, CONTROL)
+    sides = zip(PHOTOS, np.hsplit(points_of(values, "ek1.comparator", COMPARATOR, CONTROL), 2), strict=True)
+    return [fit_dlt(ground, side, distortion=distortion, name=photo) for photo, side in sides]
 
 
 def dlt_points(values: Values) -> Intersection:
@@ -183,29 +189,29 @@ def dlt_points(values: Values) -> Intersection:
 
 
 def dlt_parameter_cells(values: Values) -> Cells:
-    """Appendix 2: 11 parameters within the printed standard deviation of theirs, orientation within ours."""
+    """Appendix 2: 11 parameters within the printed standard deviations, orientation within our own."""
     out: Cells = {}
+    names = [f"L{k}" for k in range(1, 12)]
     for fit, photo in zip(dlt_photos(values), PHOTOS, strict=True):
         matrix = fit.photo.about(np.zeros(3)) * np.array([[1e-3], [1e-3], [1.0]])
-        ours = (matrix / matrix[2, 3]).ravel()[:11]
-        for k, value in enumerate(ours.tolist(), start=1):
-            key = CellKey("ek2.dlt", quantity=f"L{k}", parameter=photo)
-            half = values[key._replace(quantity=f"L{k}_std")]
-            remark = "spread: the printed standard deviation; 11 parameters here, 16 there"
-            if k in (4, 8):
-                remark = "ten times the printed number: with that the projection gives 0.032 m for 0.124 m"
-            out[key] = Recomputed.around(value, half, remark)
+        half = points_of(values, "ek2.dlt", [f"{name}_std" for name in names], [photo])
+        remark = "spread: the printed standard deviation; 11 parameters here, 16 there"
+        out |= cells_of("ek2.dlt", names, [photo], (matrix / matrix[2, 3]).ravel()[:11], remark, half)
+        for key in (row_key("ek2.dlt", photo, name) for name in ("L4", "L8")):
+            remark = "ten times the printed number: with that the projection gives 0.032 m for 0.124 m"
+            out[key] = replace(out[key], remark=remark)
         r = fit.recovered
         omega, phi, kappa = (angle / GON for angle in ayhan_from_rotation(r.rotation))
         assert r.sigma is not None
         angle = r.sigma["turn_x"] / GON, r.sigma["turn_y"] / GON, r.sigma["turn_z"] / GON
-        size = np.array([r.sigma["x0"], r.sigma["y0"], r.sigma["cx"], *angle])
         # kappa there is that of the x axis (eq. 43), here that of the y axis
-        numbers = (*r.principal, 0.5 * (r.cx + r.cy), -omega, phi, kappa - r.skew / GON)
-        names = ("xo_mm", "zo_mm", "c_mm", "omega_gon", "phi_gon", "kappa_gon")
-        for name, v, s in zip(names, numbers, size, strict=True):
+        for name, value, sigma in (
+            ("xo_mm", r.principal[0], r.sigma["x0"]), ("zo_mm", r.principal[1], r.sigma["y0"]),
+            ("c_mm", 0.5 * (r.cx + r.cy), r.sigma["cx"]), ("omega_gon", -omega, angle[0]),
+            ("phi_gon", phi, angle[1]), ("kappa_gon", kappa - r.skew / GON, angle[2]),
+        ):  # fmt: skip
             remark = "spread: our standard deviation" + ("; of the other sense of rotation" if name[0] == "o" else "")
-            out[CellKey("ek2.dlt", quantity=name, parameter=photo)] = Recomputed.around(v, s, remark)
+            out[row_key("ek2.dlt", photo, name)] = Recomputed.around(value, sigma, remark)
     return out
 
 
@@ -233,36 +239,27 @@ def dlt_point_cells(values: Values) -> Cells:
 
 def accuracy_cells(values: Values) -> Cells:
     """Table 5: the rows whose raw data are printed."""
-    land = points_of(values, "ek1.points", GEODETIC)
-    control = np.isin(POINTS, CONTROL)
-    adjusted = points_of(values, "ek1.points", PHOTO)
-    ours = _intersected(oriented(values), points_of(values, "ek1.refined", REFINED), reweighted=True).points_m
-    runs = np.array([_sums(land, np.where(control[:, None], adjusted, run)) for run in _single_precision(values)])
-    value, half = _sums(land, np.where(control[:, None], adjusted, ours)), 3.0 * np.std(runs, axis=0)
+    land, adjusted = points_of(values, "ek1.points", GEODETIC), points_of(values, "ek1.points", PHOTO)
+    control = np.isin(POINTS, CONTROL)[:, None]
+
+    def sums(points: Array) -> Array:
+        """Sums [Fxx], [Fyy], [Fzz], cm^2."""
+        return np.array(compare_points(land, points, np.zeros(len(land), bool)).every.sums_cm2[:3])
+
+    runs = np.array([sums(np.where(control, adjusted, run)) for run in _single_precision(values)])
+    ours, half = sums(np.where(control, adjusted, _refined_points(values))), 3.0 * np.std(runs, axis=0)
     remark = f"our intersection, control points as printed; appendix 1 itself has four decimals; spread: {SINGLE}"
-    out: Cells = {}
-    for k, quantity in enumerate(SUMS):
-        out[CellKey("5", quantity=quantity, parameter="collinearity 15")] = Recomputed.around(value[k], half[k], remark)
-    for row, points, why in (
-        ("dlt 15", dlt_points(values).points_m, "our DLT; appendix 2 itself gives 0.36-0.46, 4.3-4.5, 1.43-1.52"),
-        ("parallax", parallax_points(values), "principal points of the bundle; the fiducial ones are not printed, and "
-         "the convergence is ignored"),
-    ):  # fmt: skip
-        for quantity, sum_ in zip(SUMS, _sums(land, points), strict=True):
-            out[CellKey("5", quantity=quantity, parameter=row)] = Recomputed(float(sum_), why)
-    return out
-
-
-def _sums(land: Array, points: Array) -> Array:
-    """[Fxx], [Fyy], [Fzz], cm^2."""
-    return np.array(compare_points(land, points, np.zeros(len(land), bool)).every.sums_cm2[:3])
+    out = cells_of("5", SUMS, ["collinearity 15"], ours, remark, half)
+    remark = "our DLT; appendix 2 itself gives 0.36-0.46, 4.3-4.5, 1.43-1.52"
+    out |= cells_of("5", SUMS, ["dlt 15"], sums(dlt_points(values).points_m), remark)
+    remark = "principal points of the bundle; the fiducial ones are not printed, and the convergence is ignored"
+    return out | cells_of("5", SUMS, ["parallax"], sums(parallax_points(values)), remark)
 
 
 def parallax_points(values: Values) -> Array:
     """All points by the parallax equations of unequal principal distances."""
-    raw, cameras = comparator(values), [interior(values, photo) for photo in PHOTOS]
-    sides = [raw[:, 2 * k : 2 * k + 2] - cameras[k].principal for k in (0, 1)]
-    photos = oriented(values)
+    cameras, photos = [interior(values, photo) for photo in PHOTOS], oriented(values)
+    sides = [raw - camera.principal for raw, camera in zip(np.hsplit(comparator(values), 2), cameras, strict=True)]
     base = float(np.linalg.norm(photos[1].origin_m - photos[0].origin_m))
     return normal_case(sides[0], sides[1], base, cameras[0].focal, cameras[1].focal, photos[0].origin_m)
 
@@ -277,9 +274,9 @@ STATION: Final = ("x0", "y0", "z0")
 SIGMA_CONDITION: Final = 100.0
 SIGMA_OBSERVED: Final = 10.0
 BASE_M: Final = 1.199
-#: Start of the principal point, mm: the middle of the comparator's field; the print starts from whole millimetres.
+#: Approximate principal point, mm: the middle of the comparator's field; the print starts from whole millimetres.
 MIDDLE: Final = (115.0, 143.0)
-#: Ratio of a mean error to its print that is still called the same pattern.
+#: Largest relative difference between a mean error and its print with the verdict ``pattern``.
 RATIO: Final = 0.05
 INFERRED: Final = "weights inferred from this listing"
 OWN: Final = "observed as the listing's own result: agreement would say nothing"
@@ -296,34 +293,31 @@ def bundle(values: Values, *, backend: str = "dense", with_base: bool = True) ->
     with_base : bool
         Hold the base. The printed mean errors are those of the normal equations without that condition.
     """
-    observed, photos = SIGMA_OBSERVED * _m0(values), []
+    m0 = values[row_key("ek1.bundle", "adjustment", "m0")]
+    observed, photos = SIGMA_OBSERVED * m0, []
     for photo in PHOTOS:
-        c = values[CellKey("ek1.bundle", quantity="c_observed", parameter=photo)]
-        station = [values[CellKey("ek1.cameras", quantity=q, parameter=photo)] for q in STATION]
+        c = values[row_key("ek1.bundle", photo, "c_observed")]
+        station = points_of(values, "ek1.cameras", STATION, [photo])[0]
         photos.append(BundlePhoto(
-            photo, PhotoInterior(c, np.array(MIDDLE)), rotation_from_ayhan(0.0, 0.0, 0.0), np.array(station), UNKNOWN,
+            photo, PhotoInterior(c, np.array(MIDDLE)), rotation_from_ayhan(0.0, 0.0, 0.0), station, UNKNOWN,
             observed={"c": (c, observed)}, sigma_centre_m=np.full(3, observed), sigma_turn_rad=np.full(3, observed),
         ))  # fmt: skip
-    land = points_of(values, "ek2.control", ("x_input_m", "y_input_m", "z_input_m"), CONTROL)
+    land = points_of(values, "ek2.control", DLT_INPUT, CONTROL)
     raw, n = points_of(values, "ek1.comparator", COMPARATOR, CONTROL), len(CONTROL)
     ids = [str(k) for k in CONTROL]
     return adjust_bundle(
-        photos, ids, land, np.repeat([0, 1], n), np.tile(np.arange(n), 2), np.concatenate([raw[:, :2], raw[:, 2:]]),
-        sigma=SIGMA_CONDITION * _m0(values), control={name: (at, observed) for name, at in zip(ids, land, strict=True)},
+        photos, ids, land, np.repeat([0, 1], n), np.tile(np.arange(n), 2), np.concatenate(np.hsplit(raw, 2)),
+        sigma=SIGMA_CONDITION * m0, control={name: (at, observed) for name, at in zip(ids, land, strict=True)},
         constraints=[Constraint("base", PHOTOS, BASE_M)] if with_base else [], residual="condition", backend=backend,
     )  # fmt: skip
-
-
-def _m0(values: Values) -> float:
-    return values[CellKey("ek1.bundle", quantity="m0", parameter="adjustment")]
 
 
 def parameters(found: BundleResult, photo: int) -> dict[str, tuple[float, float]]:
     """Numbers of a photo by the names of the print, angles in gon: value and root of its cofactor."""
     one = found.photos[photo]
-    values = dict(zip(PRINTED, one.values.tolist(), strict=True))
-    values |= dict(zip(PRINTED[10:13], (a / GON for a in ayhan_from_rotation(found.rotations[photo])), strict=True))
-    return {name: (values[name], float(q)) for name, q in zip(PRINTED, np.sqrt(one.cofactors), strict=True)}
+    values = one.values.tolist()
+    values[10:13] = (a / GON for a in ayhan_from_rotation(found.rotations[photo]))
+    return dict(zip(PRINTED, zip(values, np.sqrt(one.cofactors).tolist(), strict=True), strict=True))
 
 
 def point_roots(found: BundleResult) -> Array:
@@ -332,41 +326,44 @@ def point_roots(found: BundleResult) -> Array:
     return np.asarray(np.sqrt([found.cofactors[k : k + 3] for k in rows]))
 
 
-def _near(printed: float, value: float, half: float, remark: str) -> Recomputed:
-    kind: Kind = "pattern" if abs(value - printed) <= half else "differs"
-    return Recomputed.around(value, half, f"{INFERRED}; {remark}", kind)
+def _near(
+    values: Values, table: str, quantities: Sequence[str], rows: Sequence[Row], numbers: Array, half: Array, remark: str
+) -> Cells:
+    """Cells with the verdict ``pattern`` inside the spread, else ``differs``."""
+    cells = cells_of(table, quantities, rows, numbers, f"{INFERRED}; {remark}", half)
+    inside = (np.abs(numbers - points_of(values, table, quantities, rows)) <= half).ravel()
+    return {
+        key: replace(cell, kind="pattern" if near else "differs")
+        for (key, cell), near in zip(cells.items(), inside.tolist(), strict=True)
+    }
 
 
 def camera_cells(values: Values) -> Cells:
     """Appendix 1: adjusted cameras, within a printed mean error."""
-    found, out = bundle(values), Cells()
-    for k, photo in enumerate(PHOTOS):
-        for name, (value, _) in parameters(found, k).items():
-            key = CellKey("ek1.cameras", quantity=name, parameter=photo)
-            error = values[CellKey("ek1.bundle", quantity=f"m_{name}", parameter=photo)]
-            half = error / GON if name in PRINTED[10:13] else error
-            out[key] = (Recomputed(value, OWN, kind="not_reproducible") if name in STATION
-                        else _near(values[key], value, half, "spread: the printed mean error"))  # fmt: skip
+    found = bundle(values)
+    numbers = np.array([[value for value, _ in parameters(found, k).values()] for k in range(len(PHOTOS))])
+    half = points_of(values, "ek1.bundle", [f"m_{name}" for name in PRINTED], PHOTOS)
+    half[:, 10:13] /= GON
+    out = _near(values, "ek1.cameras", PRINTED, PHOTOS, numbers, half, "spread: the printed mean error")
+    for key in (row_key("ek1.cameras", photo, name) for photo in PHOTOS for name in STATION):
+        out[key] = Recomputed(out[key].value, OWN, kind="not_reproducible")
     return out
 
 
 def bundle_cells(values: Values) -> Cells:
     """Appendix 1: 77 mean errors, 15 adjusted control points, m0."""
     held, free = bundle(values), bundle(values, with_base=False)
-    errors = {
-        CellKey("ek1.bundle", quantity=f"m_{name}", parameter=photo): root
-        for k, photo in enumerate(PHOTOS) for name, (_, root) in parameters(free, k).items()
-    }  # fmt: skip
-    out: Cells = {}
-    for i, (k, roots) in enumerate(zip(CONTROL, point_roots(free), strict=True)):
-        for j, axis in enumerate("xyz"):
-            mean = CellKey("ek1.bundle", quantity=f"m_{axis}_m", parameter=f"point {k}")
-            errors[mean] = float(roots[j])
-            key = mean._replace(quantity=f"{axis}_adjusted_m")
-            out[key] = _near(values[key], float(held.points_m[i, j]), values[mean], "spread: the printed mean error")
-    for key, root in errors.items():
-        out[key] = _near(values[key], root, RATIO * root, f"with the printed m0, without the base; spread: {RATIO:.0%}")
+    adjusted, errors = (tuple(name.format(axis) for axis in "xyz") for name in ("{}_adjusted_m", "m_{}_m"))
+    half = points_of(values, "ek1.bundle", errors, CONTROL)
+    out = _near(values, "ek1.bundle", adjusted, CONTROL, held.points_m, half, "spread: the printed mean error")
+    roots = np.array([[root for _, root in parameters(free, k).values()] for k in range(len(PHOTOS))])
+    remark = f"with the printed m0, without the base; spread: {RATIO:.0%}"
+    for quantities, rows, numbers in (
+        ([f"m_{name}" for name in PRINTED], PHOTOS, roots), (errors, CONTROL, point_roots(free)),
+    ):  # fmt: skip
+        out |= _near(values, "ek1.bundle", quantities, rows, numbers, RATIO * numbers, remark)
     assert held.m0 is not None
+    key = row_key("ek1.bundle", "adjustment", "m0")
     remark = f"{INFERRED}; redundancy {held.redundancy} here, the print implies 39, the text 37 or 43"
-    out[CellKey("ek1.bundle", quantity="m0", parameter="adjustment")] = Recomputed(held.m0 * _m0(values), remark)
+    out[key] = Recomputed(held.m0 * values[key], remark)
     return out

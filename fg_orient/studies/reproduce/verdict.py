@@ -294,6 +294,11 @@ Values = Mapping[CellKey, float]
 Cells = dict[CellKey, Recomputed]
 
 
+def row_key(table: str, row: str, quantity: str) -> CellKey:
+    """Address of a number in a table of rows and quantities."""
+    return CellKey(table, quantity=quantity, parameter=row)
+
+
 def attempt(call: Callable[..., float], *printed: float) -> float:
     """Call with printed numbers; nan where the call refuses them, as a copy may hold any."""
     try:
