@@ -1,17 +1,16 @@
-"""The condition equations of the published procedure, by the kernel of the factors.
+"""Condition equations of the published procedure, computed by the kernel of the factors.
 
-Per image point two conditions ``F = 0`` and their derivatives ``A`` (EOP coefficients), ``G``
-(ground point) and ``B`` (look angles), Terlemezoğlu 2019, eqs. 2.66-2.67 as corrected; raw units as
-published: metre, m/s, rad, **per line** of the image line x. The kernel
-(``factors.cameras.pushbroom``) is the one of the graph, only its constants differ: tau is the line number, the
-whitening is the identity, prior sigmas are one.
+Each image point has two conditions ``F = 0`` with derivatives ``A`` (EOP coefficients), ``G`` (ground point) and ``B``
+(look angles), Terlemezoğlu 2019, eqs. 2.66-2.67 as corrected. Units are raw, as published: metre, m/s, rad, **per
+line** of the image line x. The kernel (``factors.cameras.pushbroom``) is that of the graph with other constants: tau is
+the line number, the whitening is the identity, prior sigmas are one.
 
-The switches of the authors' program (:mod:`fg_orient.studies.switches`) that concern the equations: x may be
-counted from the scene-centre line; the EOPs of the records are degree-2 polynomials or those interpolated at the
-line; the across-track axis ``V/|V| x Z`` may stay short and the attitude a small-angle matrix, both inverted by
-transposing. The length of the short axis follows the corrections or
-stays at the metadata. Its change is cos(V, Z) = 1e-3 of the effect of a change of direction, but it is the only
-effect of a velocity along the radius, so with V among the unknowns it decides ranks and solutions.
+Some switches of the authors' program (:mod:`fg_orient.studies.switches`) change the equations. x counts from the
+scene-centre line. The EOPs of the records are degree-2 polynomials or interpolated at the line. The across-track axis
+``V/|V| x Z`` is not normalised, and the attitude is a small-angle matrix; both are inverted by transposing. The length
+of the short axis follows the corrections or is that of the metadata. Its change has cos(V, Z) = 1e-3 of the effect of a
+change of direction. But it is the only effect of a velocity along the radius: with V among the unknowns it determines
+ranks and solutions.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ class Linearised:
 
     @property
     def is_finite(self) -> bool:
-        """False where corrections are too wild for numbers."""
+        """False if large corrections have caused an overflow."""
         return all(bool(np.isfinite(part).all()) for part in (self.value, self.eop, self.ground, self.look))
 
 
@@ -77,8 +76,8 @@ class Conditions:
     image, point : (n,) int arrays
         Image and ground point of each row.
     switches : Switches
-        Those that concern values and derivatives. Where the short axis follows corrections, the mounting of the
-        records is that of the sensor.
+        Switches of values and derivatives. If the short axis follows the corrections, the mounting of the records is
+        that of the sensor.
     """
 
     records: Array
@@ -109,7 +108,7 @@ class Conditions:
         return replace(self, records=records, approximate_m=ground_m.copy())
 
     def take(self, rows: Index) -> Conditions:
-        """Some of the rows."""
+        """Conditions of some rows."""
         return replace(
             self, records=self.records[rows], approximate_m=self.approximate_m[rows], image=self.image[rows],
             point=self.point[rows],
@@ -129,7 +128,7 @@ class Conditions:
         eop : (M, k) array
             Their corrections per image: m, m/s, rad, per line and per line squared.
         """
-        with np.errstate(all="ignore"):  # wild corrections overflow: is_finite says so
+        with np.errstate(all="ignore"):  # large corrections overflow: see is_finite
             return self._linearised(codes, eop)
 
     def _linearised(self, codes: tuple[int, ...], eop: Array) -> Linearised:
@@ -169,7 +168,7 @@ class Conditions:
         """A (n, 2, k) as the authors' program forms it."""
         used, place = np.unique(np.array(codes) // 3, return_inverse=True)
         look = np.tan(self.look_rad[:, ::-1]) * np.array([1.0, -1.0])
-        # a short axis that stays at the metadata is in the mounting of the records already
+        # the mounting of the records already contains a short axis of constant length
         by_eop = derivatives(
             at, self.records[:, RECORD.mounting], self.approximate_m - at.position_m, [int(k) for k in used],
             short=self._axis_follows, tangents=look if self.switches.look_quotients else None,
@@ -187,7 +186,7 @@ class Conditions:
         codes, eop
             As in :meth:`linearise`.
         metadata_position : bool
-            Centres from the metadata, only the rotations corrected (``as_run``).
+            Projection centres from the metadata; only the rotations are corrected (``as_run``).
         look_sign : float
             Third component of the viewing direction: -1, or the +1 of the printed equations.
         """
@@ -214,7 +213,7 @@ def build(
     ground_m : (N, 3) array
         Approximate ground coordinates, ECEF.
     switches : Switches
-        Those that concern the equations, see the module docstring.
+        Switches of the equations, see the module docstring.
     line_exact : bool
         EOPs interpolated at the line instead of polynomials of it.
     """

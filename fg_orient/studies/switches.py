@@ -1,14 +1,14 @@
 """The authors' program: switches between its procedure and the published equations, and its own equations.
 
-The program (public, 2013) departs from the equations of Topan & Maktav (2010) and Terlemezoğlu (2019) in the points
-below; D8 is inferred from its numbers. Each is a switch of its own, so that its effect can be shown alone
-(docs/program-as-run.md): ``TEXT`` has none of them, ``PROGRAM`` all. The labels D1 to D8 are those of that page.
+The program (public, 2013) differs from the equations of Topan & Maktav (2010) and Terlemezoğlu (2019) in the points
+below; D8 is inferred from its numbers. Each difference has its own switch, so that its effect can be shown separately
+(docs/program-as-run.md, which uses the same labels D1 to D8): ``TEXT`` has none of them, ``PROGRAM`` all.
 
-Equations that differ from the kernel: the program takes ``X = V/|V| x Z`` without normalising it, and ``Y = Z x X``:
+Equations that differ from the kernel: the program takes ``X = V/|V| x Z`` without normalisation, and ``Y = Z x X``:
 both have the length ``s = sin(V, Z)``. With the orthonormal frame R, ``D = diag(s, s, 1)``, attitude U and mounting M0
-its ray is ``R D U M0 u1`` and its conditions use ``f = M0^T U^T D R^T w``. The kernel gives these values with the
-mounting ``M = U^-1 D U M0``, as ``U M = D U M0``. Derivatives of f are taken here by complex steps, which are exact to
-rounding.
+its ray is ``R D U M0 u1``, and its conditions use ``f = M0^T U^T D R^T w``. The kernel gives these values with the
+mounting ``M = U^-1 D U M0``, because ``U M = D U M0``. Derivatives of f are computed by complex steps, which are exact
+to rounding.
 """
 
 from __future__ import annotations
@@ -24,66 +24,69 @@ from factors._contract import Array
 from factors.geometry import rotations
 
 
-def _switch(label: str, source: str) -> bool:
-    """A switch, off, with its label and its source."""
-    return field(default=False, metadata={"label": label, "source": source})
+def _switch(label: str) -> bool:
+    """A switch, off, with its label in tables."""
+    return field(default=False, metadata={"label": label})
 
 
 @dataclass(frozen=True)
 class Switches:
-    """Departures of the program from the equations; by default there are none.
+    """Differences of the program from the equations; by default there are none.
 
     Parameters
     ----------
     centred_lines : bool
         D1. x of the coefficients counts from the scene-centre line (-6000 to 6000), not from the first line.
     midpoint : bool
-        D2. Two rays are intersected at the middle of their shortest connection, not at its end on the first ray.
+        D2. The intersection of two rays is the middle of their shortest connection (least squares for both ranges, then
+        the mean of both points), not its foot point on the first ray.
     line_exact : bool
-        D3. Step 1, the misclosures of the first step-2 and bundle iterations, and the intersections without EOP
-        corrections use orbit and attitude interpolated at the line; A, later misclosures and all other
-        intersections the degree-2 polynomials. Off: polynomials everywhere.
+        D3. Orbit and attitude are interpolated at the line in step 1, in the misclosures of the first step-2 and bundle
+        iterations and in the intersections without EOP corrections. A, later misclosures and all other intersections
+        use the degree-2 polynomials (T-Table 4.1). Off: polynomials everywhere.
     test_after : bool
         D4. Step 1 tests its conditions after the correction, not before it: one cycle less.
     length_follows : bool
-        D5. The length s of the across-track axis follows the EOP unknowns; off: it stays at the metadata.
+        D5. The length s of the across-track axis follows the EOP unknowns (derivatives of V/|V| x Z as written). Off:
+        the length of the metadata.
     metadata_misclosures : bool
-        D6. Misclosures of the first iteration of the type-2 bundle are those of the metadata EOPs, although A and
-        the check points are those of the EOPs of step 2.
+        D6. Misclosures of the first iteration of the type-2 bundle belong to the metadata EOPs, although A and
+        the check points belong to the EOPs of step 2.
     one_limit : bool
         D7. Step 2 repeats while a correction exceeds one number for all unknowns: 10 in the units of the unknowns,
         10" for sets of attitudes only; at most 1000 times. Off: 10 m, 10 m/s or 10" by unknown, at most 10 times.
     look_quotients : bool
         D8. The derivatives of f1/f3 and f2/f3 in A take these quotients from the look angles: (df1 - tan psi_y
-        df3)/f3. Where a condition is not met, at the check points, A differs by the misclosure, 1e-5.
+        df3)/f3. Where a condition is not met, at the check points, A differs by the misclosure, 1e-5. Inferred: only
+        with this switch the program's numbers of sets 14 to 16 and 18 are reproduced.
     short_axis : bool
-        The across-track axis is V/|V| x Z, which is not a unit vector, and the matrix is inverted by transposing it.
+        The across-track axis is V/|V| x Z without normalisation, and the matrix is inverted by transposing it.
     small_angles : bool
-        The attitude matrix is I + [a]x, inverted by transposing it.
+        The attitude matrix is I + [a]x, inverted by transposing it (T(2.24), P(4)).
     coarse_stop : bool
-        Step 1 ends at 0.1" instead of at rounding.
+        Step 1 ends at 0.1", not at rounding.
     repeated_step_2 : bool
-        Step 2 repeats while corrections are large and A has full rank; off: one iteration.
+        Step 2 repeats while corrections are large and A has full rank. Off: one iteration.
     metadata_positions : bool
         Control points are intersected again from the metadata positions with the corrected rotations.
     complex_roots : bool
-        Square roots of negative numbers are complex, and the real part of the result is taken.
+        Square roots of negative numbers are complex, and the result is its real part.
     """
 
-    centred_lines: bool = _switch("D1", "program: image line minus scene-centre line")
-    midpoint: bool = _switch("D2", "program: least squares for both ranges, then the mean of both points")
-    line_exact: bool = _switch("D3", "program: Lagrange and linear attitude in w, polynomials in A (T-Table 4.1)")
-    test_after: bool = _switch("D4", "program: step 1 corrects, then tests")
-    length_follows: bool = _switch("D5", "program: derivatives of V/|V| x Z as written")
-    metadata_misclosures: bool = _switch("D6", "program: w of the bundle at the metadata EOPs, type 2")
-    one_limit: bool = _switch("D7", "program: one number for all unknowns of step 2")
-    look_quotients: bool = _switch("D8", "inferred: the program's numbers of sets 14 to 16 and 18 fit with it alone")
-    short_axis: bool = _switch("short axis", "program: V/|V| x Z without normalising it again")
-    small_angles: bool = _switch("small angles", "T(2.24), P(4), transposed as inverse")
-    coarse_stop: bool = _switch('0.1"', "program: limit of step 1")
-    repeated_step_2: bool = _switch("repeats", "program: loop of step 2, ended by rank(A) < u")
-    metadata_positions: bool = _switch("positions", "program: centres of the control points' new intersection")
-    complex_roots: bool = _switch("complex", "program: square roots of its language")
+    centred_lines: bool = _switch("D1")
+    midpoint: bool = _switch("D2")
+    line_exact: bool = _switch("D3")
+    test_after: bool = _switch("D4")
+    length_follows: bool = _switch("D5")
+    metadata_misclosures: bool = _switch("D6")
+    one_limit: bool = _switch("D7")
+    look_quotients: bool = _switch("D8")
+    short_axis: bool = _switch("short axis")
+    small_angles: bool = _switch("small angles")
+    coarse_stop: bool = _switch('0.1"')
+    repeated_step_2: bool = _switch("repeats")
+    metadata_positions: bool = _switch("positions")
+    complex_roots: bool = _switch("complex")
 
     def without(self, *names: str) -> Switches:
         """These switches with some of them off."""
@@ -105,11 +108,6 @@ def label(name: str) -> str:
     return str(next(f.metadata["label"] for f in fields(Switches) if f.name == name))
 
 
-def source(name: str) -> str:
-    """Source of a switch."""
-    return str(next(f.metadata["source"] for f in fields(Switches) if f.name == name))
-
-
 #: The published equations.
 TEXT: Final = Switches()
 #: The program.
@@ -119,7 +117,7 @@ NUMBERED: Final = names(f"D{k}" for k in range(1, 9))
 
 
 def switches_of(as_run: bool | Switches) -> Switches:
-    """Switches of an option that may be a plain yes or no."""
+    """Switches of an option that may be True or False."""
     return as_run if isinstance(as_run, Switches) else PROGRAM if as_run else TEXT
 
 
@@ -135,11 +133,11 @@ class States:
     metadata_position_m, position_m : (n, 3) arrays
         Without and with corrections.
     frame_position_m, frame_velocity_m_s : (n, 3) arrays
-        What the orbital frame is made of: that of DIMAP 2 files does not follow corrections.
+        Position and velocity that define the orbital frame; the frame of DIMAP 2 files does not follow corrections.
     angles_rad : (n, 3) array
         Roll, pitch, yaw.
     mounting : (n, 9) array
-        Of the kernel.
+        Mounting for the kernel.
     small : bool
         Form of the attitude.
     follows : (n,) bool array
@@ -206,11 +204,11 @@ def derivatives(
     to_ground : (n, 3) array
         Ground point minus P, ECEF.
     components : sequence of k int
-        Which of the nine EOPs.
+        Positions among the nine EOPs.
     short : bool
-        Whether the axis is short and its length follows the unknowns.
+        The axis is short, and its length follows the unknowns.
     tangents : (n, 2) array or None
-        Quotients f1/f3 and f2/f3 of the derivative of a quotient; None takes them from f itself.
+        Quotients f1/f3 and f2/f3 in the derivative of a quotient; None computes them from f.
 
     Returns
     -------

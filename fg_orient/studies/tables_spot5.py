@@ -275,7 +275,7 @@ def _bundles(run: TwoStage, table: str) -> Cells:
             key = CellKey(table, str(number), "bundle", str(kind), method=method)
             errors = found.accuracy
             if kind == 1 and table in WITHOUT_BUNDLE and run.switches != TEXT:
-                errors = run.step_two_only(number, SOLVER_OF[table]).accuracy
+                errors = run.step_two_only(number, SOLVER_OF[table])
             out |= rmse_cells(key, errors.gcp_rmse, errors.icp_rmse)
             if found.solution.kappa is not None:
                 out[key._replace(quantity="kappa")] = float(found.solution.kappa)

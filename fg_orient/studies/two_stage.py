@@ -1,17 +1,17 @@
 """The two-stage orientation of Topan 2009, as Topan & Maktav 2010 and Terlemezoğlu 2019 use it.
 
-1. **Look-angle pre-adjustment** (first type, per image, control points only, P 19-20): every condition
-   has its own observation, so the whole misclosure, whatever its origin, goes into the look angles.
-   Check points get theirs from a degree-2 polynomial in the column.
-2. **EOP pre-adjustment** (second type, T 4.5): ``A dP + w = Delta`` minimised per image at the look
-   angles of step 1. As ``w`` is rounding noise by then, so is dP.
-3. **Bundle** (P 21, T 2.71): both images, EOP coefficients and check-point coordinates, one iteration.
-   Control-point accuracy is taken from a new intersection of the control points, check-point accuracy
-   from the coordinates of the bundle.
+1. **Look-angle pre-adjustment** (first type, per image, control points only, P 19-20): every condition has its own
+   observation. Therefore the corrections of the look angles absorb the whole misclosure, whatever its origin. A
+   degree-2 polynomial in the column gives the look angles of check points.
+2. **EOP pre-adjustment** (second type, T 4.5): ``A dP + w = Delta`` is minimised per image at the look angles of
+   step 1. ``w`` is then rounding noise, and therefore dP is, too.
+3. **Bundle** (P 21, T 2.71): both images, EOP coefficients and check-point coordinates, one iteration. Control-point
+   accuracy results from a new intersection of the control points, check-point accuracy from the coordinates of the
+   bundle.
 
-This is the procedure with its weaknesses (docs/ill-conditioning.md); for work, use
-:func:`fg_orient.adjust`. ``as_run`` is the procedure of the authors' program instead of the equations of the text;
-each of its departures is a switch (:mod:`fg_orient.studies.switches`, docs/program-as-run.md).
+The module repeats the published procedure with its weaknesses (docs/ill-conditioning.md). For practical work use
+:func:`fg_orient.adjust`. ``as_run`` selects the procedure of the authors' program instead of the equations of the text.
+Each difference is a switch (:mod:`fg_orient.studies.switches`, docs/program-as-run.md).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
-from fg_orient.model.parameters import eop_codes, eop_set_number, parameter_name
+from fg_orient.model.parameters import eop_codes, eop_set_number
 from fg_orient.sensors import initial
 from fg_orient.studies import conditions
 from fg_orient.studies.conditions import Conditions, Linearised
@@ -38,7 +38,6 @@ from fg_orient.studies.two_stage_results import (
     AxisErrors,
     LookAngles,
     PreAdjustment,
-    StepTwoOnly,
     TwoStageResult,
     from_two_rays,
 )
@@ -47,12 +46,12 @@ Index = npt.NDArray[np.intp]
 LookModel = Literal["angles", "corrections"]
 Kind = Literal[1, 2]
 
-#: Step 1 repeats until the largest condition is this small or no longer falls.
+#: Step 1 repeats until the largest condition is at most this value or no longer decreases.
 CLOSED = 1e-15
 CLOSED_AS_RUN = np.radians(0.1 / 3600.0)
 MAX_CYCLES = 10
-#: The program repeats step 2 while a correction exceeds 10 (10" for sets of attitudes), at most so often; by unknown,
-#: it would be 10 m or 10" and need no more than the second number.
+#: The program repeats step 2 while a correction exceeds 10 (10" for sets of attitudes), up to the first number of
+#: repetitions. With a limit per unknown (10 m or 10") the second number is sufficient.
 REPEAT_AS_RUN_M = 10.0
 REPEAT_AS_RUN_RAD = np.radians(10.0 / 3600.0)
 MAX_REPEATS, MAX_REPEATS_BY_UNKNOWN = 1000, 10
@@ -73,14 +72,14 @@ class TwoStage:
     as_run : bool or Switches
         As the authors' program works, with all its departures from the text or with these.
     look_model : "angles" or "corrections"
-        What the degree-2 polynomial describes for the check points: the look angles themselves, as
-        published, or their corrections (free of the cubic part of the angle, about 3e-6 rad).
+        Quantity of the degree-2 polynomial for the check points: the look angles, as published, or their corrections
+        (free of the cubic part of the angle, about 3e-6 rad).
 
     Raises
     ------
     InputError
-        Fewer than two images, or control points in fewer than three columns of an image; later, when
-        first needed: a check or tie point whose rays do not meet.
+        Fewer than two images, or control points in fewer than three columns of an image. At first use: a check or tie
+        point whose rays do not intersect.
     """
 
     def __init__(self, block: Block, *, as_run: bool | Switches = False, look_model: LookModel = "angles") -> None:
@@ -119,18 +118,18 @@ class TwoStage:
 
     @cached_property
     def _polynomials(self) -> Conditions:
-        """:attr:`start` with the EOPs as polynomials of the line: what A and later intersections use."""
+        """:attr:`start` with the EOPs as polynomials of the line, for A and later intersections."""
         return self._built(line_exact=False) if self.switches.line_exact else self.start
 
     def _built(self, *, line_exact: bool) -> Conditions:
         block = self.block
         ground = block.points.known.ecef_m.copy()
-        ground[np.setdiff1d(np.arange(len(ground)), block.observations.point)] = 0.0  # no ray asks for them
+        ground[np.setdiff1d(np.arange(len(ground)), block.observations.point)] = 0.0  # points without rays
         ground = initial.ground_points(block.images, block.observations, block.points.ids, ground)
         return conditions.build(block.images, block.observations, ground, switches=self.switches, line_exact=line_exact)
 
     def _smooth(self, at: Conditions, rows: Index | None = None) -> Conditions:
-        """These conditions (of these rows) with the EOPs as polynomials."""
+        """Replace the EOPs of these conditions (of these rows) by polynomials."""
         if not self.switches.line_exact:
             return at
         return at.with_orbit(self._polynomials if rows is None else self._polynomials.take(rows))
@@ -176,8 +175,8 @@ class TwoStage:
     def uncorrected(self, look_sign: float = -1.0) -> AxisErrors:
         """Stereo intersection with metadata orientation and look angles ("L" of Topan & Maktav 2010, Table 1).
 
-        ``look_sign=+1`` takes the third component of the viewing direction as printed: the rays then
-        meet above the satellites.
+        ``look_sign=+1`` takes the third component of the viewing direction as printed. The rays then intersect above
+        the satellites.
         """
         return self._errors(self._intersect(self.start, (), self._no_eop(), look_sign=look_sign))
 
@@ -198,7 +197,7 @@ class TwoStage:
     def pre_adjust(
         self, image: int, eop_set: int, solver: str, *, polynomial_misclosures: bool = False, once: bool = False
     ) -> PreAdjustment:
-        """Step 2 of one image: EOP corrections at the look angles of step 1, which stay.
+        """Step 2 of one image: EOP corrections at the look angles of step 1, which are held fixed.
 
         Parameters
         ----------
@@ -211,12 +210,12 @@ class TwoStage:
         polynomial_misclosures : bool
             Misclosures of the first iteration from the EOP polynomials, too (1e-8 rad instead of rounding).
         once : bool
-            One iteration, whatever the switches say.
+            One iteration, whatever the switches are.
 
         Raises
         ------
         InputError
-            No such EOP set; no such solver.
+            Unknown EOP set or solver.
         """
         codes = _codes(eop_set)
         rows = self._control_rows[self.pre_adjusted.image[self._control_rows] == image]
@@ -239,7 +238,7 @@ class TwoStage:
                 break
         design, observed = system.require_design("step 2")
         delta = design @ solution.x - observed
-        return PreAdjustment(system, solution, eop[image], delta, _names(codes), repeats)
+        return PreAdjustment(system, solution, eop[image], delta, repeats)
 
     def _repeats(self, codes: tuple[int, ...], dp: Array, system: LinearSystem, repeats: int) -> bool:
         """Condition of the program to repeat: large corrections and a matrix of full rank."""
@@ -253,14 +252,14 @@ class TwoStage:
         design, _ = system.require_design("step 2")
         return bool((np.abs(dp) > limit).any() and np.linalg.matrix_rank(design) == len(codes))
 
-    def step_two_only(self, eop_set: int, solver: str) -> StepTwoOnly:
+    def step_two_only(self, eop_set: int, solver: str) -> AxisErrors:
         """Procedure without bundle: step 2 of all images, then the intersection of all points.
 
-        An inference, not a statement of the sources: the check points of type 1 in T-Tables 4.25 to 4.34 diverge as the
-        control points do. In a bundle check points are unknowns and stay at one pixel; here they are intersected with
-        the wild orientation. The right-hand side of step 2 is then what the EOP polynomials leave of the conditions
-        that step 1 has closed with EOPs interpolated at the line, 1e-8 rad; it is solved once. These misclosures differ
-        from rounding only with the switch ``line_exact``.
+        This procedure is inferred; the sources do not describe it. The check points of type 1 in T-Tables 4.25 to 4.34
+        diverge as the control points do. In a bundle, check points are unknowns and remain within one pixel; here they
+        are intersected with the diverging orientation. Step 1 closes the conditions with EOPs interpolated at the line.
+        With EOP polynomials, misclosures of 1e-8 rad remain. They are the right-hand side of step 2, which is solved
+        once. These misclosures exceed rounding errors only with the switch ``line_exact``.
 
         Parameters
         ----------
@@ -269,17 +268,21 @@ class TwoStage:
         solver : str
             Name in the registry of ``fg_orient.adjustment.linear``.
 
+        Returns
+        -------
+        AxisErrors
+            nan if the solver breaks down.
+
         Raises
         ------
         InputError
-            No such EOP set; no such solver.
+            Unknown EOP set or solver.
         """
         images = range(len(self.block.images))
-        steps = tuple(self.pre_adjust(k, eop_set, solver, polynomial_misclosures=True, once=True) for k in images)
-        failure = next((step.solution.failure for step in steps if step.solution.failure), "")
+        steps = [self.pre_adjust(k, eop_set, solver, polynomial_misclosures=True, once=True) for k in images]
         at, eop = self._smooth(self.pre_adjusted), np.array([step.dP for step in steps])
         ground = self._intersect(at, _codes(eop_set), eop, metadata_position=self.switches.metadata_positions)
-        return StepTwoOnly(steps, self._errors(ground), failure)
+        return self._errors(ground)
 
     # --- bundle ------------------------------------------------------------------------------
 
@@ -295,12 +298,12 @@ class TwoStage:
         solver : str
             Name in the registry of ``fg_orient.adjustment.linear``; also used in step 2.
         iterations : int
-            One as published. Further ones take the adjusted observations as new ones, as the sources do.
+            One as published. Further iterations take the adjusted observations as new ones, as the sources do.
 
         Raises
         ------
         InputError
-            No such EOP set, kind or number of iterations; no such solver.
+            Unknown EOP set, kind or solver; number of iterations below one.
         """
         if kind not in (1, 2) or iterations < 1:
             raise InputError.of("classical.bundle", place="bundle", value=f"kind {kind}, {iterations} iterations")
@@ -328,12 +331,10 @@ class TwoStage:
         ground[self._check] = self._by_point(at)[self._check]
         if not np.isfinite(ground[self._assessed]).all():
             return self._broken(codes, solution, system)
-        return TwoStageResult(
-            system, solution, v[:, ::-1].ravel(), eop, _names(codes), self._errors(ground), *self._counts(codes)
-        )
+        return self._result(system, solution, v[:, ::-1].ravel(), eop, ground)
 
     def _bundle_conditions(self, at: Conditions, codes: tuple[int, ...], eop: Array, *, first: bool) -> Linearised:
-        """Misclosures and derivatives of one iteration; those of the first may be of other EOPs than A."""
+        """Misclosures and derivatives of one iteration; in the first, misclosures may be those of other EOPs."""
         lin = self._smooth(at).linearise(codes, eop)
         at_metadata = first and self.switches.metadata_misclosures
         if at_metadata or (first and self.switches.line_exact):
@@ -377,19 +378,20 @@ class TwoStage:
         whitened = (design * weight[:, :, None]).reshape(2 * n, u)
         return LinearSystem.from_design(whitened, -(lin.value * weight).ravel())
 
-    def _counts(self, codes: tuple[int, ...]) -> tuple[int, int]:
-        return 2 * len(self.start.image), len(self.block.images) * len(codes) + 3 * len(self._check)
+    def _result(
+        self, system: LinearSystem | None, solution: LinearSolution, v: Array, eop: Array, ground_m: Array,
+        failure: str = "",
+    ) -> TwoStageResult:  # fmt: skip
+        n_unknowns = eop.size + 3 * len(self._check)
+        return TwoStageResult(system, solution, v, eop, self._errors(ground_m), len(v), n_unknowns, failure)
 
     def _broken(
         self, codes: tuple[int, ...], solution: LinearSolution, system: LinearSystem | None = None
     ) -> TwoStageResult:
         """A bundle without result."""
-        nothing = np.full((len(self.block.points.ids), 3), np.nan)
-        return TwoStageResult(
-            system, solution, np.full(2 * len(self.start.image), np.nan),
-            np.full((len(self.block.images), len(codes)), np.nan), _names(codes), self._errors(nothing),
-            *self._counts(codes), solution.failure or "the result is not finite",
-        )  # fmt: skip
+        v, ground = np.full(2 * len(self.start.image), np.nan), np.full((len(self.block.points.ids), 3), np.nan)
+        eop = np.full((len(self.block.images), len(codes)), np.nan)
+        return self._result(system, solution, v, eop, ground, solution.failure or "the result is not finite")
 
     # --- geometry ----------------------------------------------------------------------------
 
@@ -403,7 +405,7 @@ class TwoStage:
         return out
 
     def _with_check_points(self, at: Conditions, ground_m: Array) -> Conditions:
-        """Move the check points to these coordinates (N, 3); control points stay."""
+        """Move the check points to these coordinates (N, 3), but not the control points."""
         ground = self._by_point(at)
         ground[self._check] = ground_m[self._check]
         return at.with_ground(ground[at.point])
@@ -414,7 +416,7 @@ class TwoStage:
     ) -> Array:  # fmt: skip
         """Intersect the rays of all points: (N, 3) ECEF m."""
         n = len(self.block.points.ids)
-        with np.errstate(all="ignore"):  # wild corrections overflow: such points are nan
+        with np.errstate(all="ignore"):  # large corrections overflow: such points are nan
             centre, direction = at.rays(codes, eop, metadata_position=metadata_position, look_sign=look_sign)
             if len(self.block.images) == 2:
                 return from_two_rays(centre, direction, at.image, at.point, n, midpoint=self.switches.midpoint)
@@ -422,12 +424,12 @@ class TwoStage:
 
     @cached_property
     def _assessed(self) -> Index:
-        """Control points whose rays meet: not those of one image, or of nearly parallel rays."""
-        found = self._intersect(self.start, (), self._no_eop())[self._control]
-        return self._control[np.isfinite(found).all(axis=1)]
+        """Control points with an intersection: neither in one image only nor with nearly parallel rays."""
+        ground = self._intersect(self.start, (), self._no_eop())[self._control]
+        return self._control[np.isfinite(ground).all(axis=1)]
 
     def _errors(self, ground_m: Array) -> AxisErrors:
-        """Measured minus computed coordinates; opens those of the check points."""
+        """Measured minus computed coordinates; opens the coordinates of the check points."""
         known, points = self.block.points.known, self.block.points
         gcp = known.ecef_m[self._assessed] - ground_m[self._assessed]
         check = [j for j in self._check if points.roles[j] is Role.CHECK]
@@ -441,7 +443,3 @@ class TwoStage:
 
 def _codes(eop_set: int) -> tuple[int, ...]:
     return eop_codes(eop_set_number(eop_set))
-
-
-def _names(codes: tuple[int, ...]) -> tuple[str, ...]:
-    return tuple(parameter_name(code) for code in codes)

@@ -18,14 +18,14 @@ class LookAngles:
     Parameters
     ----------
     adjusted_rad : (n, 2) array
-        psi_x, psi_y of every image point; those of check points from the polynomial.
+        psi_x, psi_y of every image point; at check points from the polynomial.
     v_rad : (n, 2) array
-        Adjusted minus file; of check points what the polynomial adds.
+        Adjusted minus file; at check points the correction by the polynomial.
     cycles : int
     largest_misclosure : float
         max |F| at the control points afterwards.
     m0_rad : float
-        ``sqrt(v^T v / n)`` over the control points: it reflects the errors of the input.
+        ``sqrt(v^T v / n)`` over the control points; it depends on the errors of the input.
     """
 
     adjusted_rad: Array
@@ -48,7 +48,6 @@ class PreAdjustment:
         EOP corrections, nan if the solver broke down.
     delta : (r,) array
         ``A dP + w``.
-    names : tuple of str
     repeats : int
     """
 
@@ -56,27 +55,7 @@ class PreAdjustment:
     solution: LinearSolution
     dP: Array
     delta: Array
-    names: tuple[str, ...]
     repeats: int = 1
-
-
-@dataclass(frozen=True)
-class StepTwoOnly:
-    """Result of the procedure without bundle.
-
-    Parameters
-    ----------
-    steps : tuple of PreAdjustment
-        Step 2 of each image.
-    accuracy : AxisErrors
-        Control and check points, both intersected; nan where a solver broke down.
-    failure : str
-        Why the solver broke down; "" if it did not.
-    """
-
-    steps: tuple[PreAdjustment, ...]
-    accuracy: AxisErrors
-    failure: str = ""
 
 
 @dataclass(frozen=True)
@@ -91,8 +70,7 @@ class TwoStageResult:
     v : (r,) array
         Residuals of the look angles psi_y, psi_x per image point, rad.
     dP : (M, k) array
-        EOP corrections in all.
-    names : tuple of str
+        Total EOP corrections.
     accuracy : AxisErrors
         nan where the solver broke down.
     n_observations, n_unknowns : int
@@ -104,7 +82,6 @@ class TwoStageResult:
     solution: LinearSolution
     v: Array
     dP: Array
-    names: tuple[str, ...]
     accuracy: AxisErrors
     n_observations: int
     n_unknowns: int
@@ -121,7 +98,7 @@ class AxisErrors:
     Parameters
     ----------
     gcp_m : (n, 3) array
-        Control points, computed again by intersection; those of one image only are left out.
+        Control points, computed again by intersection; points in one image only are omitted.
     icp_m : (k, 3) array
         Check points.
     """
@@ -155,14 +132,14 @@ def rms(values_m: Array) -> Array:
     if not len(values_m):
         return np.full(values_m.shape[1], np.nan)
     largest = np.abs(values_m).max(axis=0)
-    scale = np.where(np.isfinite(largest) & (largest > 0.0), largest, 1.0)  # squares of wild values would overflow
+    scale = np.where(np.isfinite(largest) & (largest > 0.0), largest, 1.0)  # squares of large values would overflow
     return np.asarray(np.sqrt(np.mean((values_m / scale) ** 2, axis=0)) * scale)
 
 
 def from_two_rays(
     centre_m: Array, direction: Array, image: Index, point: Index, n_points: int, *, midpoint: bool = False
 ) -> Array:
-    """Foot on the first image's ray of the shortest connection of two rays (T 2.49-2.52 as corrected).
+    """Foot point, on the first image's ray, of the shortest connection of two rays (T 2.49-2.52 as corrected).
 
     Parameters
     ----------
@@ -171,12 +148,12 @@ def from_two_rays(
     image, point : (n,) int arrays
         Image (0 or 1) and point of each ray.
     midpoint : bool
-        The middle of the connection, as the authors' program takes it, instead of its foot on the first ray.
+        The middle of the connection, as in the authors' program, instead of its foot point on the first ray.
 
     Returns
     -------
     (n_points, 3) array
-        ECEF m; nan for points that one image alone sees, and for parallel rays.
+        ECEF m; nan for points in one image only and for parallel rays.
     """
     row = np.full((2, n_points), -1)
     row[image, point] = np.arange(len(image))

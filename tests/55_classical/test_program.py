@@ -15,7 +15,7 @@ from fg_orient.adjustment.linear import registry
 from fg_orient.adjustment.linear.conditioning import diagnose
 from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
 from fg_orient.studies.claims import AS_RUN_TWIN, Study
-from fg_orient.studies.switches import NUMBERED, PROGRAM, TEXT, Switches, label, names, source, switches_of
+from fg_orient.studies.switches import NUMBERED, PROGRAM, TEXT, Switches, label, names, switches_of
 from fg_orient.studies.tables_spot5 import norm_condition
 from fg_orient.studies.two_stage import TwoStage
 from fg_orient.studies.two_stage_results import AxisErrors, from_two_rays
@@ -253,11 +253,9 @@ def test_without_bundle_check_points_diverge_with_the_control_points(
 ) -> None:
     """Set 19 is nearly singular: another machine may move it, so a factor of 1.5 is held."""
     found = run_of().step_two_only(eop_set, "pivot_inverse")
-    assert not found.failure
-    assert [step.repeats for step in found.steps] == [1, 1]
     share = 0.01 if eop_set == 15 else 0.5
-    assert near(found.accuracy.gcp_rmse, control, share)
-    assert near(found.accuracy.icp_rmse, check, share)
+    assert near(found.gcp_rmse, control, share)
+    assert near(found.icp_rmse, check, share)
     assert bundle(eop_set, kind=1).icp_max < 10.0  # those of the bundle stay
 
 
@@ -271,17 +269,15 @@ def test_without_bundle_a_solver_that_breaks_down_leaves_nothing(monkeypatch: py
         raise np.linalg.LinAlgError("singular")
 
     found = run_of(PROGRAM).step_two_only(17, "breaks_down")
-    assert found.failure
-    assert np.isnan(found.accuracy.gcp_m).all()
+    assert np.isnan(found.gcp_m).all()
 
 
 # --- switches --------------------------------------------------------------------------------
 
 
 @pytest.mark.behaviour
-def test_switches_are_named_and_have_a_source() -> None:
+def test_switches_are_named_and_have_a_label() -> None:
     assert [label(name) for name in NUMBERED] == [f"D{k}" for k in range(1, 9)]
-    assert all(source(name) for name in names())
     assert names(["D5", "D2"]) == ("midpoint", "length_follows")
     assert (
         switches_of(True) == PROGRAM

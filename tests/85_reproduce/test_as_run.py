@@ -62,7 +62,7 @@ def test_corrections_of_set_1_are_noise_as_printed(as_run: Cells) -> None:
 def test_type_1_is_the_procedure_without_bundle(as_run: Cells) -> None:
     assert set(TABLES) & WITHOUT_BUNDLE == {"4.30", "4.34"}
     for kind, expected in (
-        ("1", twin(1, as_run=True).step_two_only(15, "cholesky_elimination").accuracy),
+        ("1", twin(1, as_run=True).step_two_only(15, "cholesky_elimination")),
         ("2", twin(1, as_run=True).bundle(15, 2, "cholesky_elimination").accuracy),
     ):
         key = CellKey("4.34", "15", "bundle", kind, "icp", "rmse_x", "cholesky_elimination")

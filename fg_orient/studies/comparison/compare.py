@@ -1,4 +1,4 @@
-"""The comparison: every EOP set with every backend and solver, set by set."""
+"""Comparison of every EOP set with every backend and solver, set by set."""
 
 from __future__ import annotations
 
@@ -55,11 +55,11 @@ def compare(
     Parameters
     ----------
     block : Block
-        Needs control points; check points tell most.
+        Block with control points; check points give the most information.
     eop_sets : str or iterable
         "1-20", "5,13,PUA", or numbers and names.
     solvers : str or iterable
-        "all", "published", or names in the registry of ``fg_orient.adjustment.linear``. The graph has its own.
+        "all", "published", or names in the registry of ``fg_orient.adjustment.linear``; not for the graph.
     backends : str or iterable
         Any of "faithful" (the published two-stage procedure, one iteration), "dense"
         (``adjust(backend="dense")``: scaled, iterated, with priors) and "graph".
@@ -68,15 +68,15 @@ def compare(
     as_run : bool
         The published procedure as the authors' program works.
     look_polynomial : int, optional
-        Degree of the look-angle polynomial of "dense" and "graph"; default: the block's.
+        Degree of the look-angle polynomial of "dense" and "graph"; default: that of the block.
     target_m : float, optional
         RMSE to reach; default: the ground sampling distance, see :func:`ground_sampling_m`.
     workers : int
-        Processes of this machine that share the EOP sets; 0 or 1: this one.
+        Processes on this machine that share the EOP sets; 0 or 1: this process.
     cluster : str or dask.distributed.Client, optional
         Scheduler of a running cluster instead.
     folder : path, optional
-        Keeps the sets that are done: a comparison that is started again with it goes on.
+        Folder for finished sets: a comparison that is started again with this folder continues.
     callback : callable, optional
         Called with (done, of, text) after each adjustment; with workers or a folder after each set.
 
@@ -135,16 +135,16 @@ def _shared(
 ) -> _Run:  # fmt: skip
     """Rows and spectra of all sets, each a case of a study."""
 
-    def tell(done: int, of: int, number: int) -> None:
+    def report(done: int, of: int, number: int) -> None:
         if callback:
             callback(done * plan.per_set, of * plan.per_set, f"set {number} {EOP_SETS[number].name}")
 
-    found = study(
+    results = study(
         partial(_one_set, block, plan), list(numbers), workers=workers, cluster=cluster, folder=folder,
-        key=_key(block, plan), callback=tell,
+        key=_key(block, plan), callback=report,
     )  # fmt: skip
     run = _Run(len(numbers) * plan.per_set, plan, None)
-    for of_set in found:
+    for of_set in results:
         run.rows += [Row(**{**row, "notes": tuple(row["notes"])}) for row in of_set["rows"]]
         run.spectra += [Spectrum(**spectrum) for spectrum in of_set["spectra"]]
         run.directions += [Direction(**direction) for direction in of_set["directions"]]
@@ -153,7 +153,7 @@ def _shared(
 
 
 def _key(block: Block, plan: _Plan) -> str:
-    """Digest of everything that the rows of a set depend on."""
+    """Digest of the inputs of the rows of a set."""
     o, known = block.observations, block.points.known
     points = block.points.ids, block.points.roles
     digest = hashlib.sha256(repr((plan, block.options, block.sources, points)).encode())
@@ -165,13 +165,13 @@ def _key(block: Block, plan: _Plan) -> str:
 
 
 def _one_set(block: Block, plan: _Plan, number: int) -> dict[str, Any]:
-    """Rows and spectra of one set, as a study takes them."""
+    """Rows and spectra of one set, as plain values for a study."""
     run = _Run(plan.per_set, plan, None)
     run.take(block, (number,))
     parts: dict[str, list[Any]] = {
         "rows": run.rows, "spectra": run.spectra, "directions": run.directions, "curves": run.curves,
     }  # fmt: skip
-    return {name: [asdict(found) for found in part] for name, part in parts.items()}
+    return {name: [asdict(one) for one in part] for name, part in parts.items()}
 
 
 class _Run:
@@ -185,9 +185,9 @@ class _Run:
         self._total, self._plan, self._target, self._callback = total, plan, plan.target_m, callback
 
     def take(self, block: Block, numbers: Iterable[int]) -> None:
-        """Run some sets; the graph goes before the dense adjustments, as their reference."""
+        """Run some sets; the graph, reference of the dense adjustments, precedes them."""
         plan = self._plan
-        # every row opens the check points after its own adjustment; their file is read for the first one only
+        # each row opens the check points after its own adjustment, but their file is read only once
         block = replace(block, withheld=replace(block.withheld, reader=functools.cache(block.withheld.reader)))
         with one_blas_thread():
             published = Published(block, plan.as_run) if "faithful" in plan.engines else None
@@ -220,31 +220,25 @@ class _Run:
 
 
 def reached(row: Row, target_m: float) -> bool:
-    """Whether control and check points are at the target; a role without points does not count."""
+    """True if control and check points are at the target; a role without points does not count."""
     values = [v for v in (row.control_rmse_m, row.check_rmse_m) if not math.isnan(v)]
     return not row.failure and bool(values) and all(v <= target_m for v in values)
 
 
 def ground_sampling_m(block: Block) -> float:
     """Smallest distance on the ellipsoid between neighbouring pixels at the centres of the images, m."""
-    found = []
+    distances = []
     for image in block.images:
         sensor = image.sensor
         line, sample = (sensor.n_lines - 1) / 2.0, (sensor.n_samples - 1) / 2.0
         lines, samples = np.array([line, line + 1.0, line]), np.array([sample, sample, sample + 1.0])
         ground = sensor.locate(lines, samples, height_m=0.0)
-        found += np.linalg.norm(ground[1:] - ground[0], axis=1).tolist()
-    return float(min(found))
+        distances += np.linalg.norm(ground[1:] - ground[0], axis=1).tolist()
+    return float(min(distances))
 
 
 def _require_control(block: Block) -> None:
-    """Refuse a block without datum.
-
-    Raises
-    ------
-    InputError
-        No control point is measured.
-    """
+    """Raise InputError if no control point is measured: the block has no datum."""
     control = block.points.where(Role.CONTROL)
     if not np.isin(control, block.observations.point).any():
         raise InputError.of("block.no_control", file=block.name, place="points", value=f"{len(control)} measured")

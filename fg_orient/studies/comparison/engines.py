@@ -1,4 +1,4 @@
-"""The backends of a comparison: each turns EOP set and solver into a row, failures included."""
+"""Backends of a comparison: each computes a row from EOP set and solver, also for a failure."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def row(eop_set: int, solver: str, backend: str, kind: int | None = None, **valu
 
 def one_line(error: FgOrientError) -> str:
     """Problems of an error in one line."""
-    return " | ".join(str(found) for found in error.problems)
+    return " | ".join(map(str, error.problems))
 
 
 def spectra_of(design: Array, eop_set: int, system: str) -> tuple[Spectrum, Spectrum]:
@@ -51,7 +51,7 @@ def spectra_of(design: Array, eop_set: int, system: str) -> tuple[Spectrum, Spec
 
 
 def _conditioning(raw: Spectrum, columns: Spectrum, n_rows: int) -> dict[str, Any]:
-    """Columns of a row that describe its matrix; rank as MATLAB counts it for A."""
+    """Columns of a row that describe its matrix; numerical rank of A as in MATLAB."""
     order = len(raw.values)
     return {
         "cond_raw": raw.condition, "cond_scaled": columns.condition, "order": order,
@@ -60,7 +60,7 @@ def _conditioning(raw: Spectrum, columns: Spectrum, n_rows: int) -> dict[str, An
 
 
 def _reason_to_leave_out(solver: str, order: int, *, iterated: bool) -> str:
-    """Reason why an adjustment is not tried; "" if it is."""
+    """Reason for not trying an adjustment; "" if it is tried."""
     if order > MAX_UNKNOWNS:
         return str(finding("linear.too_large", place=solver, value=order, limit=MAX_UNKNOWNS))
     if solver == "cramer_inverse" and order > CRAMER_LIMIT:
@@ -86,7 +86,7 @@ class Published:
         try:
             self.stage = TwoStage(block, as_run=as_run)
             self.n_images, self.n_check = len(block.images), len(self.stage.check_ids)
-            _ = self.stage.pre_adjusted  # step 1 serves all sets: it does not count as the first one's time
+            _ = self.stage.pre_adjusted  # all sets use step 1: its time is not that of the first set
         except FgOrientError as error:
             self.failure = one_line(error)
 
@@ -101,7 +101,7 @@ class Published:
             return row(**make, failure=reason, left_out=True, order=order)
         start = working_clock()
         try:
-            with np.errstate(all="ignore"):  # wild corrections overflow; the result is then reported as failed
+            with np.errstate(all="ignore"):  # large corrections overflow; the result is then reported as failed
                 bundle = self.stage.bundle(eop_set, cast(Kind, kind), solver)
         except FgOrientError as error:
             return row(**make, failure=one_line(error))
@@ -140,7 +140,7 @@ class Adjustments:
     block : Block
     eop_set : int
     look_polynomial : int or None
-        Replaces the block's, unless None.
+        Replaces the degree of the block, unless None.
 
     Raises
     ------
@@ -194,7 +194,7 @@ class Adjustments:
 
     def _run(self, solver: str, backend: str, options: dict[str, Any]) -> tuple[Solution | None, Row]:
         try:
-            with np.errstate(all="ignore"):  # a step through a singular matrix may overflow; the loop then says so
+            with np.errstate(all="ignore"):  # a step with a singular matrix may overflow; the loop then reports it
                 found = adjust(self.block, eop_set=self.eop_set, look_polynomial=self.look_polynomial, **options)
         except FgOrientError as error:
             return None, row(self.eop_set, solver, backend, failure=one_line(error), **self.matrix)
@@ -211,7 +211,7 @@ class Adjustments:
 
 
 def directions_of(compiled: Problem) -> tuple[Direction, ...]:
-    """Directions that the image observations do not determine: of each image, then of the block as a whole."""
+    """Directions that the image observations do not determine: of each image, then of the whole block."""
     number, found = compiled.block.options.eop_set, list[Direction]()
     for image in judge_observability(compiled):
         words = [text.removeprefix(f"image {image.image}: ") for text in image.sentences]
@@ -228,7 +228,7 @@ def _accuracy(role: str, found: PointDifferences) -> dict[str, float]:
 
 
 def _per_physical_unit(compiled: Problem, design: Array) -> Array:
-    """Columns per m, m/s and rad instead of per prior sigma; those of ground points are per metre already."""
+    """Columns per m, m/s and rad instead of per prior sigma; columns of ground points are already per metre."""
     scale = np.ones(design.shape[1])
     scale[: compiled.n_image_unknowns] = np.concatenate([p.sigma for p in compiled.parameters])
     return design / scale

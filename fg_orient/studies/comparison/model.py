@@ -1,9 +1,9 @@
-"""Comparison of EOP sets, solvers and backends: its rows, the singular values behind them, and what is selected."""
+"""Comparison of EOP sets, solvers and backends: rows, singular values, directions, L-curves, and its selections."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from importlib.util import find_spec
 from typing import Any, Final, TypeVar
@@ -22,14 +22,14 @@ TYPES: Final = (1, 2)
 #: Name of the graph backend's solver in the tables.
 GRAPH_SOLVER: Final = "gtsam"
 AXES: Final = ("x", "y", "z")
-#: A singular value below eps times the largest is rounding: this condition number of N means "so much or more".
+#: A singular value below eps times the largest is rounding: this condition number of N means "at least this".
 LARGEST_CONDITION: Final = float(np.finfo(float).eps ** -2)
 _NAN: Final = float("nan")
 
 
 @dataclass(frozen=True)
 class Row:
-    """One adjustment of the comparison; numbers that do not exist are nan or None.
+    """One adjustment of the comparison; missing numbers are nan or None.
 
     Parameters
     ----------
@@ -53,19 +53,19 @@ class Row:
     sigma0 : float
         A posteriori standard deviation of unit weight; nan for the published procedure.
     m0_rad : float
-        Of the published procedure: ``sqrt(v^T v / redundancy)`` of the look angles.
+        ``sqrt(v^T v / redundancy)`` of the look angles, for the published procedure.
     iterations : int
     seconds : float
-        Wall clock of this adjustment, without statistics where they come apart.
+        Wall-clock time of this adjustment, without statistics if they are timed separately.
     reached : bool
-        Both RMSE are at most the target (control points alone where there are no check points).
+        Both RMSE are at most the target (control points alone without check points).
     difference_sigmas, difference_m : float
         Dense minus graph: largest difference of an orientation unknown in prior sigmas, and of a
-        coordinate of a ground point; nan where one of the two is missing.
+        coordinate of a ground point; nan if one of the two solutions is missing.
     failure : str
-        Why there is no solution; "" if there is one.
+        Reason for a missing solution; "" if there is one.
     left_out : bool
-        It was not tried; ``failure`` says why.
+        The adjustment was not tried; ``failure`` is the reason.
     notes : tuple of str
         Remarks of the solver.
     """
@@ -136,7 +136,7 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Direction:
-    """A direction that the image observations of one EOP set do not determine, as :func:`fg_orient.adjust` names it.
+    """A direction that the image observations of one EOP set do not determine, in the words of ``fg_orient.adjust``.
 
     Parameters
     ----------
@@ -185,23 +185,23 @@ class Comparison:
     Parameters
     ----------
     block : Block
-        What was adjusted.
+        The adjusted block.
     rows : tuple of Row
     spectra : tuple of Spectrum
     target_m : float
         RMSE to reach.
     eop_sets, solvers, backends, types : tuples
-        What was asked for.
+        Selections of the caller.
     as_run : bool
         The published procedure as the authors' program works.
     seconds : float
-        Wall clock of the whole.
+        Wall-clock time of the comparison.
     labels : dict
-        Solver name to words for people.
+        Solver name to its label.
     directions : tuple of Direction
-        What no observation determines, set by set.
+        Directions that no observation determines, set by set.
     curves : tuple of Curve
-        Of the published procedure, if Tikhonov solvers were asked for.
+        L-curves of the published procedure, if Tikhonov solvers are selected.
     """
 
     block: Block
@@ -235,10 +235,10 @@ class Comparison:
 
 def groups(rows: Sequence[Row]) -> dict[tuple[str, int | None, str], list[Row]]:
     """Rows by backend, type and solver, in order of appearance."""
-    found: dict[tuple[str, int | None, str], list[Row]] = {}
+    out: dict[tuple[str, int | None, str], list[Row]] = {}
     for row in rows:
-        found.setdefault((row.backend, row.type, row.solver), []).append(row)
-    return dict(sorted(found.items(), key=lambda item: (BACKENDS.index(item[0][0]), item[0][1] or 0)))
+        out.setdefault((row.backend, row.type, row.solver), []).append(row)
+    return dict(sorted(out.items(), key=lambda item: (BACKENDS.index(item[0][0]), item[0][1] or 0)))
 
 
 T = TypeVar("T")
@@ -251,22 +251,25 @@ def _words(given: Any) -> list[str]:
     return [str(word).strip() for word in (given.split(",") if isinstance(given, str) else given)]
 
 
-def _once(chosen: Iterable[T], place: str, given: object) -> tuple[T, ...]:
-    """Drop repetitions; an empty selection is refused."""
+def _once(chosen: Iterable[T], option: str, given: object) -> tuple[T, ...]:
+    """Drop repetitions; raise InputError for an empty selection."""
     out = tuple(dict.fromkeys(chosen))
     if not out:
-        raise InputError.of("compare.nothing", option=place, value=given)
+        raise InputError.of("compare.nothing", option=option, value=given)
     return out
 
 
-def eop_sets(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
-    """Numbers of the EOP sets in "1-20", "5,13,PUA" or a list of numbers and names; each once.
+def _chosen(given: Any, members: Mapping[str, Sequence[T]], option: str, code: str, **known: str) -> tuple[T, ...]:
+    """Members of the words of a selection; each once. InputError with this code for an unknown word."""
+    words = _words(given)
+    for word in words:
+        if word not in members:
+            raise InputError.of(code, option=option, value=word, **known)
+    return _once((member for word in words for member in members[word]), option, given)
 
-    Raises
-    ------
-    InputError
-        There is no such set, or none is given.
-    """
+
+def eop_sets(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
+    """Numbers of the EOP sets in "1-20", "5,13,PUA" or a list of numbers and names; each once."""
     chosen: list[int] = []
     for word in _words(given):
         first, dash, last = word.partition("-")
@@ -278,67 +281,33 @@ def eop_sets(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
 
 
 def solver_names(given: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of the solvers in "all", "published", "svd,qr" or a list of names; each once.
-
-    Raises
-    ------
-    InputError
-        There is no such solver, or none is given.
-    """
+    """Names of the solvers in "all", "published", "svd,qr" or a list of names; each once."""
     known = registry.solvers()
     groups = {"all": list(known), "published": [name for name, one in known.items() if one.published]}
-    chosen: list[str] = []
-    for name in _words(given):
-        if name not in groups and name not in known:
-            raise InputError.of("linear.solver", option="solvers", value=name, known=", ".join(known))
-        chosen += groups.get(name, [name])
-    return _once(chosen, "solvers", given)
+    members = {name: [name] for name in known} | groups
+    return _chosen(given, members, "solvers", "linear.solver", known=", ".join(known))
 
 
 def backend_names(given: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of the backends in "faithful,graph" or a list, in our order.
-
-    Raises
-    ------
-    InputError
-        There is no such backend, or none is given.
-    """
-    words = _words(given)
-    for word in words:
-        if word not in BACKENDS:
-            raise InputError.of("adjust.backend", option="backends", value=word, known=", ".join(BACKENDS))
-    return _once((name for name in BACKENDS if name in words), "backends", given)
+    """Names of the backends in "faithful,graph" or a list, in the order of ``BACKENDS``."""
+    members = {name: [name] for name in BACKENDS}
+    chosen = _chosen(given, members, "backends", "adjust.backend", known=", ".join(BACKENDS))
+    return tuple(sorted(chosen, key=BACKENDS.index))
 
 
 def types(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
-    """Types of pre-adjustment in "1,2" or a list, in order.
-
-    Raises
-    ------
-    InputError
-        Neither 1 nor 2, or none is given.
-    """
-    words = _words(given)
-    for word in words:
-        if word not in map(str, TYPES):
-            raise InputError.of("compare.type", option="types", value=word)
-    return _once((kind for kind in TYPES if str(kind) in words), "types", given)
+    """Types of pre-adjustment in "1,2" or a list, in order."""
+    return tuple(sorted(_chosen(given, {str(kind): [kind] for kind in TYPES}, "types", "compare.type")))
 
 
 def target(given: float | None) -> float | None:
-    """Length to reach, m; None as given.
-
-    Raises
-    ------
-    InputError
-        Not above zero, or not finite.
-    """
+    """Length to reach, m; None as given."""
     if given is not None and not (math.isfinite(given) and given > 0.0):
         raise InputError.of("compare.target", option="target", value=given)
     return given
 
 
-#: Checks of the arguments of ``compare`` that select something.
+#: Arguments of ``compare`` to functions that check them and raise InputError.
 SELECTIONS: Final[dict[str, Callable[[Any], Any]]] = {
     "eop_sets": eop_sets, "solvers": solver_names, "backends": backend_names, "types": types, "target_m": target,
 }  # fmt: skip
