@@ -176,7 +176,7 @@ TABLES: Final = (
     "ek2.control", "ek2.points", *map(str, range(5, 21)), "ek3.surfaces", "ek3.points", "text",
 )  # fmt: skip
 MEASURED: Final = "a measurement or a setting: nothing to compute"
-#: Why cells of a table that nothing computes cannot be reproduced.
+#: Reasons why the other cells of a table cannot be reproduced.
 REASONS: Final = {
     "ek1.bundle": "an observed value, or a number that depends on weights and steps that are not printed",
     "ek1.refined": "taken as printed: comparator coordinates of this point are not in the thesis",

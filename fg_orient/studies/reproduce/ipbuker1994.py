@@ -1,7 +1,7 @@
 """İpbüker (1994): arithmetic of its tables, simulations of its precisions, orbit and sensor figures.
 
-Control points, residuals, coefficients and outlines are not in the thesis. Recomputed are numbers that follow from
-others beside them, laws and spreads that need no data, and physics.
+Control points, residuals, coefficients and outlines are not in the thesis. The module recomputes numbers that follow
+from other printed numbers, laws and spreads that need no data, and physical constants of orbits and sensors.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from fg_orient.rectification.study import (
     terms,
 )
 from fg_orient.studies.reproduce.sources import Source, recomputed_tables
-from fg_orient.studies.reproduce.verdict import Cells, Recomputed, Values, attempt
+from fg_orient.studies.reproduce.verdict import Cells, Recomputed, Values, attempt, row_key
 
 DAY_MIN: Final = 1440.0
 #: WGS84: semi-major axis (m), flattening, gravitational constant (m3/s2), J2; rotation of the Earth (rad/s).
@@ -50,20 +50,21 @@ TM_HEIGHT_M: Final = 705e3
 #: Points read on each rectified image (section 7.1).
 POINTS_7_1: Final = 30
 DEGREES: Final = (1, 2, 3)
-#: Of table 6.1: block with 20 values.
+#: Block of table 6.1 with 20 values.
 BLOCK: Final = "1024 x 1024"
-#: Pixels that the RMS values of section 6.2 in metres and pixels refer to.
+#: Pixel sizes (m) of the RMS values of section 6.2 that are given in metres and pixels.
 PIXELS_M: Final = {"welch_1984a": 28.5, "welch_1985bc": 30.0, "borgeson_1985": 28.5}
 PIXEL_M: Final = 30.0
-#: Latitude and longitude, degrees, from a map; an error of 0.01 changes the area ratio by 1e-5.
+#: Latitude and longitude, degrees, from a map. An error of 0.01 changes the area ratio by 1e-5.
 PLACES: Final = {
     "buyukada": (40.858, 29.121), "heybeliada": (40.877, 29.094), "burgazada": (40.881, 29.066),
     "sedef_adasi": (40.850, 29.146), "kasik_adasi": (40.884, 29.077),
 }  # fmt: skip
 CENTRAL_MERIDIAN_DEG: Final = 27.0
-#: Radius of the sphere; the thesis gives "the mean latitude" only. It was solved for: its roundness is the evidence.
+#: Radius of the sphere, estimated from the printed areas (the thesis gives "the mean latitude" only). Its round value
+#: supports the estimate.
 RADIUS_M: Final = 6_370_000.0
-#: Standard deviation of a vertex across the coast from latitude and longitude rounded to 0.01 seconds, m: uniform over
+#: Standard deviation (m) of a vertex across the coast, for latitude and longitude rounded to 0.01 seconds: uniform over
 #: 0.309 m and 0.234 m, mean of both directions.
 ROUNDED_M: Final = 0.079
 JOINED: Final = {"heybeliada_plus_kasik": ("heybeliada", "kasik_adasi")}
@@ -75,13 +76,9 @@ KNOWN: Final = {
 _SIDES: Final = ("utm", "azimuthal")
 
 
-def _key(table: str, row: str, quantity: str) -> CellKey:
-    return CellKey(table, quantity=quantity, parameter=row)
-
-
-def _cells(table: str, numbers: Mapping[tuple[str, str], tuple[float, str]]) -> Cells:
-    """Cells of a table from row and quantity to value and remark."""
-    return {_key(table, *place): Recomputed(*number) for place, number in numbers.items()}
+def _cells(table: str, numbers: Mapping[tuple[str, str], tuple[float, str]], *, is_exact: bool = False) -> Cells:
+    """Cells of a table from value and remark by row and quantity."""
+    return {row_key(table, *place): Recomputed(*number, is_exact=is_exact) for place, number in numbers.items()}
 
 
 def _rows(values: Values, table: str, quantity: str) -> list[str]:
@@ -97,13 +94,6 @@ def speed_m_s(height_m: float) -> float:
     return float(np.sqrt(GM / (A_M + height_m)))
 
 
-def sun_synchronous_deg(height_m: float) -> float:
-    """Inclination of a circular sun-synchronous orbit, first order in J2."""
-    a = A_M + height_m
-    rate = 1.5 * J2 * np.sqrt(GM / a**3) * (A_M / a) ** 2
-    return math.degrees(np.arccos(-SUN_RAD_S / rate))
-
-
 def geodetic_minus_geocentric_rad(latitude_rad: float) -> float:
     """Angle between the vertical of the ellipsoid and the direction to the Earth's centre."""
     return latitude_rad - math.atan((1.0 - FLATTENING) ** 2 * math.tan(latitude_rad))
@@ -113,7 +103,7 @@ def text(values: Values) -> Cells:
     """Numbers of the text that follow from others."""
 
     def printed(system: str, quantity: str) -> float:
-        return values[_key("text", system, quantity)]
+        return values[row_key("text", system, quantity)]
 
     orbits, days = printed("landsat-5", "orbits_per_repeat"), printed("landsat-5", "repeat")
     mss_height = 1e3 * printed("landsat_mss", "altitude_used_for_scan_angle")
@@ -156,7 +146,7 @@ def text(values: Values) -> Cells:
 
 
 def mss_and_tm(values: Values) -> Cells:
-    """Table 3.3: the row called IFOV is the total scan angle."""
+    """Table 3.3: the row with the name IFOV is the total scan angle."""
     return _cells("3.3", {
         (sensor, "ifov_as_printed_actually_total_scan_angle"): (
             math.degrees(total_angle_rad(TM_SWATH_M, height)),
@@ -170,16 +160,18 @@ def mapping_sensor(values: Values) -> Cells:
     """Table 5.1: orbit and data rate of the sensor after Light (1990)."""
 
     def printed(group: str, quantity: str) -> float:
-        return values[_key("5.1", group, quantity)]
+        return values[row_key("5.1", group, quantity)]
 
     height, days = 1e3 * printed("orbit", "altitude_preferred"), printed("orbit", "repeat")
     orbits = printed("orbit", "orbits_to_cover_globe")
     ground = speed_m_s(height) * A_M / (A_M + height)
     detectors, pixel = printed("sensor", "detectors_per_array"), printed("sensor", "pixel_pan")
     coarse = printed("sensor", "pixel_multispectral")
+    a = A_M + height
+    node = 1.5 * J2 * np.sqrt(GM / a**3) * (A_M / a) ** 2  # rate of the node for inclination 0, first order in J2
     rate = printed("data", "quantisation") * ground * detectors * pixel * (2.0 / pixel**2 + 4.0 / coarse**2)
     return _cells("5.1", {
-        ("orbit", "inclination"): (sun_synchronous_deg(height), "sun-synchronous at this altitude (J2)"),
+        ("orbit", "inclination"): (math.degrees(np.arccos(-SUN_RAD_S / node)), "sun-synchronous at this altitude (J2)"),
         ("orbit", "period"): (days * DAY_MIN / orbits, "days of the cycle by orbits"),
         ("orbit", "orbits_per_day"): (orbits / days, "orbits by days of the cycle"),
         ("orbit", "orbital_speed"): (1e-3 * speed_m_s(height), "circular orbit at this altitude"),
@@ -208,20 +200,20 @@ def resolutions(values: Values) -> Cells:
 
 
 def rectifications(values: Values) -> Cells:
-    """Table 7.1: which m0 is impossible, and whether the distances are those of noise alone."""
+    """Table 7.1: impossible values of m0, and comparison of the distances with those expected of noise alone."""
     out = {}
     for row in _rows(values, "7.1", "pair_distance_sd"):
-        keys = {q: _key("7.1", row, f"m0_degree_{q}") for q in DEGREES}
+        keys = {q: row_key("7.1", row, f"m0_degree_{q}") for q in DEGREES}
         m0 = {q: values[key] for q, key in keys.items()}
         for q in growing_degrees(m0, POINTS_7_1) if min(m0.values()) > 0.0 else ():
             out[keys[q]] = _impossible(m0, q)
-        key = _key("7.1", row, "pair_distance_sd")
+        key = row_key("7.1", row, "pair_distance_sd")
         out[key] = _distances(row, m0[1], values[key])
     return out
 
 
 def _impossible(m0: Mapping[int, float], degree: int) -> Recomputed:
-    """Least squares over the same points cannot leave more with more terms."""
+    """Upper limit of an m0: the sum of squares over the same points cannot grow with the number of terms."""
     most = min(m0[q] * float(np.sqrt((POINTS_7_1 - terms(q)) / (POINTS_7_1 - terms(degree)))) for q in m0 if q < degree)
     allowed = admissible_points(m0)
     points = f"with {allowed[0]} to {allowed[-1]} points" if allowed else "with no number of points"
@@ -251,8 +243,8 @@ def _distances(row: str, m0: float, printed: float) -> Recomputed:
 def north_georgia(values: Values) -> Cells:
     """Table 6.1: RMS = sigma sqrt(1 + p/n), sigma fitted to the 20 values of one block.
 
-    All values are RMSs at the same test points: what these have in common goes into sigma, so a value is held against
-    the scatter of the others about the law, not against the spread of an RMS over so many points.
+    All values are RMSs at the same test points. Sigma absorbs their common part. Therefore a value is compared with the
+    scatter of the other values about the law, not with the spread of an RMS over this number of points.
     """
     factors, rms, keys = [], [], []
     for key, value in values.items():
@@ -284,7 +276,7 @@ def _scatter(factors: Array, rms: Array) -> float:
 
 
 def literature(values: Values) -> Cells:
-    """Section 6.2: RMS in pixels from that in metres, where both are printed."""
+    """Section 6.2: RMS in pixels from the RMS in metres, if both are printed."""
     out = {}
     for key in values:
         metres = values.get(key._replace(quantity="rmse_m"))
@@ -295,7 +287,7 @@ def literature(values: Values) -> Cells:
 
 
 def calibration(values: Values) -> Cells:
-    """Section 7.2: three precisions of one digitised sheet must fit each other."""
+    """Section 7.2: three precisions of one digitised sheet must be consistent."""
     found = digitised_sheets(SHEET_EXTENT_KM, REPRODUCED_RUNS)
     extent = " x ".join(map(str, SHEET_EXTENT_KM))
     remark = (
@@ -324,8 +316,8 @@ def _spread(runs: Array) -> tuple[float, float]:
 def area_ratio(island: str, area_m2: float, projection: str) -> float:
     """Area on Gauss-Krueger (scale 1, Hayford) by that in a Lambert projection of the sphere.
 
-    A circle of the island's area stands for its outline; geodetic latitude is taken for spherical, as in the source.
-    nan for an area that no projection holds.
+    A circle of the island's area replaces its outline; geodetic latitude is used as spherical latitude, as in the
+    source. nan if the area is outside a projection.
     """
     latitude, longitude = PLACES[island]
     definition, angle = gauss_krueger(CENTRAL_MERIDIAN_DEG), np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
@@ -342,30 +334,28 @@ def utm_areas(values: Values) -> Cells:
     """Table 7.2: the areas need the outlines; their RMS is compared with what one calibration of the sheet gives."""
     share = float(digitised_sheets(SHEET_EXTENT_KM, REPRODUCED_RUNS).determinant.std(ddof=1))
     remark = f"one calibration of the sheet leaves {share:.1e} of any area ({REPRODUCED_RUNS} simulated calibrations)"
+    areas = {island: values[row_key("7.2", island, "area_utm")] for island in PLACES}
     return {
-        _key("7.2", island, "area_rms"): Recomputed(
-            share * values[_key("7.2", island, "area_utm")], remark, is_order=True
-        )
-        for island in PLACES
+        row_key("7.2", island, "area_rms"): Recomputed(share * area, remark, is_order=True)
+        for island, area in areas.items()
     }
 
 
 def spacings(values: Values) -> Cells:
     """Table 7.3: mean spacing of the vertices."""
-    out = {}
-    for island in PLACES:
-        length, n = (values[_key("7.3", island, name)] for name in ("coastline", "n_vertices"))
-        spacing = attempt(mean_spacing_m, length, n)
-        out[_key("7.3", island, "mean_spacing")] = Recomputed(spacing, "length by vertices", is_exact=True)
-    return out
+    printed = {i: [values[row_key("7.3", i, name)] for name in ("coastline", "n_vertices")] for i in PLACES}
+    numbers = {
+        (i, "mean_spacing"): (attempt(mean_spacing_m, *pair), "length by vertices") for i, pair in printed.items()
+    }
+    return _cells("7.3", numbers, is_exact=True)
 
 
 def lambert_areas(values: Values) -> Cells:
-    """Table 7.4 from table 7.2 by the ratio of areas; the spread is that of rounded latitudes and longitudes."""
+    """Table 7.4 from table 7.2 by the ratio of areas; the spread results from rounded latitudes and longitudes."""
     out = {}
     for island in PLACES:
-        utm, n = values[_key("7.2", island, "area_utm")], values[_key("7.3", island, "n_vertices")]
-        sigma = np.sqrt(n) * values[_key("7.3", island, "mean_spacing")] * ROUNDED_M
+        utm, n = values[row_key("7.2", island, "area_utm")], values[row_key("7.3", island, "n_vertices")]
+        sigma = np.sqrt(n) * values[row_key("7.3", island, "mean_spacing")] * ROUNDED_M
         projections = {"azimuthal": lambert_polar(RADIUS_M), "cylindrical": lambert_cylindrical(RADIUS_M)}
         for name, projection in projections.items():
             ratio = area_ratio(island, utm, projection)
@@ -373,44 +363,42 @@ def lambert_areas(values: Values) -> Cells:
                 f"area of table 7.2 by the ratio {ratio:.6f} (scale 1 to a sphere of 6370 km, a radius that was solved "
                 "for), 1.96 sigma of positions rounded to 0.01 seconds"
             )
-            out[_key("7.4", island, f"area_{name}")] = Recomputed.around(utm / ratio, 1.96 * sigma, remark)
+            out[row_key("7.4", island, f"area_{name}")] = Recomputed.around(utm / ratio, 1.96 * sigma, remark)
     return out
 
 
 def _pixels_m2(values: Values, row: str, side: str) -> float:
-    return attempt(pixel_area_m2, values[_key("7.5", row, f"pixels_{side}")], PIXEL_M)
+    return attempt(pixel_area_m2, values[row_key("7.5", row, f"pixels_{side}")], PIXEL_M)
 
 
 def pixel_areas(values: Values) -> Cells:
     """Table 7.5: pixels of 30 m."""
-    return {
-        _key("7.5", row, f"satellite_area_{side}"): Recomputed(
-            _pixels_m2(values, row, side), "pixels of 900 m2", is_exact=True
-        )
+    return _cells("7.5", {
+        (row, f"satellite_area_{side}"): (_pixels_m2(values, row, side), "pixels of 900 m2")
         for row in _rows(values, "7.5", "pixels_utm") for side in _SIDES
-    }  # fmt: skip
+    }, is_exact=True)  # fmt: skip
 
 
 def differences(values: Values) -> Cells:
     """Table 7.6 from tables 7.2, 7.4 and 7.5."""
-    out = {}
+    out: Cells = {}
     for row in _rows(values, "7.6", "abs_difference_utm"):
         for side in _SIDES:
             table, name = ("7.2", "area_utm") if side == "utm" else ("7.4", "area_azimuthal")
-            computed = sum(values[_key(table, island, name)] for island in JOINED.get(row, (row,)))
+            computed = sum(values[row_key(table, island, name)] for island in JOINED.get(row, (row,)))
             satellite, known = _pixels_m2(values, row, side), KNOWN.get((row, side), "")
-            for quantity, value, remark in (
-                ("computed_area", computed, f"table {table}"),
-                ("satellite_area", satellite, f"pixels of table 7.5{known}"),
-                ("abs_difference", abs(satellite - computed), f"pixels of table 7.5 and table {table}{known}"),
-            ):
-                out[_key("7.6", row, f"{quantity}_{side}")] = Recomputed(value, remark, is_exact=True)
+            difference = abs(satellite - computed)
+            out |= _cells("7.6", {
+                (row, f"computed_area_{side}"): (computed, f"table {table}"),
+                (row, f"satellite_area_{side}"): (satellite, f"pixels of table 7.5{known}"),
+                (row, f"abs_difference_{side}"): (difference, f"pixels of table 7.5 and table {table}{known}"),
+            }, is_exact=True)  # fmt: skip
     return out
 
 
 TABLES: Final = ("3.1", "3.2", "3.3", "3.5", "text", "s4.2.2", "5.1", "s6.2", "6.1", "7.1", "s7.2", "7.2", "7.3", "7.4",
                  "7.5", "7.6", "summary")  # fmt: skip
-#: Why cells of a table that nothing computes cannot be reproduced.
+#: Reasons why the other cells of a table cannot be reproduced.
 REASONS: Final = {
     "s4.2.2": "processor times of another computer and program",
     "s6.2": "a figure of another publication; its points are not here",

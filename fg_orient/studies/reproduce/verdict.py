@@ -8,15 +8,15 @@ docs/reproduce.md). The tests of a rule are tried in order. The first that holds
 - ``order``: published and reproduced (median of the runs) have a ratio of 0.1 to 10, signs aside.
 - ``rounding``: the published size lies between the smallest and the largest run, a decade added on
   both sides (not for ranks).
-- ``pattern``: published and more than half of the runs lie on the same side of ``limit``; a solver that
-  breaks down and a printed NaN lie above it.
+- ``pattern``: published and more than half of the runs lie on the same side of ``limit``. A solver that breaks down
+  and a printed NaN count as above the limit.
 
-:func:`assess_value` compares a number with one that is recomputed from other printed numbers, laws or simulations:
+:func:`assess_value` compares a number with a number recomputed from other printed numbers, laws or simulations:
 
 - ``equal``: the printed digits.
-- ``rounding``: one unit of the last digit away (not where printed numbers are only added or multiplied), or inside
-  the stated spread.
-- ``order``: a size of which only the order of magnitude is expected; the ratio is given.
+- ``rounding``: one unit of the last digit away (not for sums and products of printed numbers), or inside the stated
+  spread.
+- ``order``: only the order of magnitude is expected to agree; the ratio is given.
 - ``differs``: none of these; ``not_reproducible``: with the reason.
 """
 
@@ -41,7 +41,7 @@ KINDS: Final[tuple[Kind, ...]] = ("equal", "order", "rounding", "pattern", "diff
 ORDER: Final = 10.0
 #: The target at control points, 1 pixel (T sect. 4.2.1).
 TARGET_M: Final = 5.0
-#: Three times the accuracy at check points (P, conclusions): beyond it they have diverged.
+#: Three times the accuracy at check points (P, conclusions): larger values have diverged.
 ICP_LIMIT_M: Final = 15.0
 
 
@@ -56,9 +56,9 @@ class CellComparison:
     reason : str
         One line.
     reproduced : float
-        Recomputed value or median of the runs; nan without one, or if more than half of the runs broke down.
+        Recomputed value or median of the runs; nan if it is missing or if half or more of the runs broke down.
     low, high : float
-        Stated spread, or smallest and largest run; nan without one.
+        Stated spread, or smallest and largest run; nan if missing.
     """
 
     kind: Kind
@@ -82,15 +82,15 @@ class Rule:
     what : str
         Meaning of the number, for the reason.
     limit : float
-        Of the test ``pattern``; nan for ranks: the order of the matrix.
+        Limit of the test ``pattern``; nan for ranks, which are compared with the order of the matrix.
     unit : str
-        Of the limit.
+        Unit of the limit.
     without_value : str
-        Why a printed NaN without counterpart cannot be compared.
+        Reason why a printed NaN without counterpart cannot be compared.
     nan_above : bool
-        Whether a printed NaN means a solver that broke down, above every limit.
+        A printed NaN means a solver that broke down and counts as above every limit.
     decade : bool
-        Whether ``rounding`` widens the spread by a decade.
+        ``rounding`` widens the spread by a decade.
     """
 
     tests: tuple[Test, ...]
@@ -136,26 +136,11 @@ def kind_of(key: CellKey) -> str:
     return key.quantity if key.quantity in RULES else "count"
 
 
-# --- runs of the twin -----------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Runs:
-    """The runs of a cell, summarised."""
-
-    n: int
-    finite: Array
-    median: float
-
-    @property
-    def of(self) -> str:
-        """Words for the count of runs."""
-        failed = self.n - len(self.finite)
-        return f"{self.n} runs" if not failed else f"{self.n} runs, {failed} of them without a result"
+# --- runs on synthetic blocks ---------------------------------------------------------------------
 
 
 def assess_runs(cell: PublishedCell, runs: Array | None, order: float | None = None) -> CellComparison:
-    """Compare a published number with the runs of the twin.
+    """Compare a published number with the runs on synthetic blocks.
 
     Parameters
     ----------
@@ -168,89 +153,70 @@ def assess_runs(cell: PublishedCell, runs: Array | None, order: float | None = N
     if runs is None:
         fact = "a fact about the real data or a convention: nothing to compute"
         return _without_number(cell) or CellComparison("not_reproducible", fact)
-    finite = runs[np.isfinite(runs)]
-    most = 2 * len(finite) > len(runs)
-    # a run's own value, not a mean of two: counts and ranks stay whole
-    seen = _Runs(len(runs), finite, float(np.sort(finite)[(len(finite) - 1) // 2]) if most else math.nan)
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (math.nan, math.nan)
-    return replace(
-        _without_number(cell) or _tested(cell, seen, order), reproduced=seen.median, low=low, high=high
-    )  # fmt: skip
+    finite = np.sort(runs[np.isfinite(runs)])
+    # the value of one run, not a mean of two: counts and ranks remain whole
+    median = float(finite[(len(finite) - 1) // 2]) if 2 * len(finite) > len(runs) else math.nan
+    low, high = (float(finite[0]), float(finite[-1])) if len(finite) else (math.nan, math.nan)
+    return replace(_without_number(cell) or _tested(cell, runs, median, order), reproduced=median, low=low, high=high)
 
 
 def _without_number(cell: PublishedCell) -> CellComparison | None:
     """Comparison of a cell without a number; None for all others."""
     if cell.text:
         return None
-    has_words = any(character.isalnum() for character in cell.printed)  # a dash says nothing
+    has_words = any(character.isalnum() for character in cell.printed)  # not so for a dash
     return CellComparison("not_reproducible", "a statement in words" if has_words else "nothing is printed")
 
 
-def _tested(cell: PublishedCell, runs: _Runs, order: float | None) -> CellComparison:
+def _tested(cell: PublishedCell, runs: Array, median: float, order: float | None) -> CellComparison:
     """Try the tests of the rule in order."""
     rule = RULES[kind_of(cell.key)]
     for name in rule.tests:
-        reason = _TESTS[name](cell, rule, runs, order)
-        if reason:
+        if reason := _reason(name, cell, rule, runs, median, order):
             return CellComparison(name, reason)
-    if not math.isfinite(cell.value) or not math.isfinite(runs.median):  # one of them broke down, not the other
-        broken = "" if math.isfinite(runs.median) else f" (no result in most of {runs.n} runs)"
+    if not math.isfinite(cell.value) or not math.isfinite(median):  # one of them broke down, not the other
+        broken = "" if math.isfinite(median) else f" (no result in most of {len(runs)} runs)"
         return CellComparison("not_reproducible", rule.without_value + broken)
-    ratio = abs(runs.median / cell.value) if cell.value else 0.0
+    ratio = abs(median / cell.value) if cell.value else 0.0
     if ratio == 0.0:
-        words = f"published {cell.value:g}, reproduced {runs.median:.3g}"
+        words = f"published {cell.value:g}, reproduced {median:.3g}"
     elif 0.1 <= ratio <= 10:
-        words = f"published {cell.value:g}, reproduced {runs.median:.6g}"
+        words = f"published {cell.value:g}, reproduced {median:.6g}"
     else:
         words = f"reproduced is {ratio:.2g} times the published size"
     return CellComparison("differs", f"{words} ({rule.what})")
 
 
-# Each test gives a reason if it holds, else "".
-
-
-def _equal(cell: PublishedCell, rule: Rule, runs: _Runs, order: float | None) -> str:
-    """All printed digits in all runs; a whole number (counts, 0 after an underflow, a clamped 1) is exact."""
-    if not math.isfinite(cell.value) or len(runs.finite) < runs.n:
+def _reason(test: Test, cell: PublishedCell, rule: Rule, runs: Array, median: float, order: float | None) -> str:
+    """Reason if a test of the module docstring holds, else ""."""
+    n, value, sizes = len(runs), cell.value, np.abs(runs[np.isfinite(runs)])
+    if test == "pattern":  # ranks: both deficient or both full
+        is_rank = math.isnan(rule.limit)
+        if (is_rank and order is None) or (math.isnan(value) and not rule.nan_above):
+            return ""
+        limit = float(order or 0.0) - 0.5 if is_rank else rule.limit
+        above = not abs(value) <= limit
+        n_above = n - int((sizes <= limit).sum())
+        same = n_above if above else n - n_above
+        if 2 * same <= n:
+            return ""
+        if is_rank:
+            return f"both {'of full rank' if above else 'rank deficient'} ({same} of {n} runs)"
+        return f"both {'above' if above else 'below'} {rule.limit:g}{rule.unit} ({same} of {n} runs)"
+    if not math.isfinite(value):
         return ""
-    half = 0.0 if cell.text.lstrip("+-").isdigit() else 0.5 * last_digit(cell.text)
-    slack = 1e-12 * abs(cell.value)  # the decimal print of a double
-    return f"all {runs.n} runs" if (np.abs(runs.finite - cell.value) <= half + slack).all() else ""
-
-
-def _order(cell: PublishedCell, rule: Rule, runs: _Runs, limit: float | None) -> str:
-    if not (math.isfinite(cell.value) and math.isfinite(runs.median)) or 0.0 in (cell.value, runs.median):
+    if test == "equal":  # a whole number (counts, 0 after an underflow, a clamped 1) is exact
+        half = 0.0 if cell.text.lstrip("+-").isdigit() else 0.5 * last_digit(cell.text)
+        slack = 1e-12 * abs(value)  # the decimal print of a double
+        return f"all {n} runs" if len(sizes) == n and (np.abs(runs - value) <= half + slack).all() else ""
+    if test == "order":
+        ratio = abs(median / value) if value else 0.0
+        return f"reproduced / published = {ratio:.2g}" if 1.0 / ORDER <= ratio <= ORDER else ""
+    factor, failed = 10.0 if rule.decade else 1.0, n - len(sizes)
+    if not len(sizes) or not sizes.min() / factor <= abs(value) <= sizes.max() * factor:
         return ""
-    ratio = abs(runs.median / cell.value)
-    return f"reproduced / published = {ratio:.2g}" if 1.0 / ORDER <= ratio <= ORDER else ""
-
-
-def _rounding(cell: PublishedCell, rule: Rule, runs: _Runs, limit: float | None) -> str:
-    if not math.isfinite(cell.value) or not len(runs.finite):
-        return ""
-    sizes, factor = np.abs(runs.finite), 10.0 if rule.decade else 1.0
-    if not sizes.min() / factor <= abs(cell.value) <= sizes.max() * factor:
-        return ""
-    return f"inside {sizes.min():.2g} to {sizes.max():.2g} of {runs.of}{' (a decade added)' if rule.decade else ''}"
-
-
-def _pattern(cell: PublishedCell, rule: Rule, runs: _Runs, order: float | None) -> str:
-    """Same side of the limit; ranks: both deficient or both full."""
-    is_rank = math.isnan(rule.limit)
-    if (is_rank and order is None) or (math.isnan(cell.value) and not rule.nan_above):
-        return ""
-    limit = float(order or 0.0) - 0.5 if is_rank else rule.limit
-    above = not abs(cell.value) <= limit
-    n_above = runs.n - int((np.abs(runs.finite) <= limit).sum())
-    same = n_above if above else runs.n - n_above
-    if 2 * same <= runs.n:
-        return ""
-    if is_rank:
-        return f"both {'of full rank' if above else 'rank deficient'} ({same} of {runs.n} runs)"
-    return f"both {'above' if above else 'below'} {rule.limit:g}{rule.unit} ({same} of {runs.n} runs)"
-
-
-_TESTS: Final = {"equal": _equal, "order": _order, "rounding": _rounding, "pattern": _pattern}
+    of = f"{n} runs, {failed} of them without a result" if failed else f"{n} runs"
+    return f"inside {sizes.min():.2g} to {sizes.max():.2g} of {of}{' (a decade added)' if rule.decade else ''}"
 
 
 # --- values recomputed from other printed numbers -------------------------------------------------
@@ -265,15 +231,15 @@ class Recomputed:
     value : float
         nan if only a verdict is known.
     remark : str
-        From what it follows.
+        Origin of the number.
     low, high : float
-        Spread in which the published number is expected; nan if the digits are.
+        Expected spread of the published number; nan if equal digits are expected.
     is_exact : bool
-        Arithmetic on printed numbers: one unit of the last digit is an error, no rounding of values in between.
+        Arithmetic on printed numbers: a difference of one unit of the last digit is an error.
     is_order : bool
-        Only the order of magnitude is expected.
+        Only the order of magnitude is expected to agree.
     kind : str, optional
-        A verdict that does not follow from the numbers here.
+        Verdict, if it does not follow from the numbers here.
     """
 
     value: float
@@ -286,7 +252,7 @@ class Recomputed:
 
     @classmethod
     def around(cls, value: float, half: float, remark: str, kind: Kind | None = None) -> Recomputed:
-        """Number with a spread of the same size to both sides."""
+        """Number with a symmetric spread."""
         return cls(float(value), remark, float(value - half), float(value + half), kind=kind)
 
 
@@ -300,7 +266,7 @@ def row_key(table: str, row: str, quantity: str) -> CellKey:
 
 
 def attempt(call: Callable[..., float], *printed: float) -> float:
-    """Call with printed numbers; nan where the call refuses them, as a copy may hold any."""
+    """Call with printed numbers; nan if the call refuses them, because a copy may contain any number."""
     try:
         return call(*printed)
     except InputError:
@@ -315,7 +281,7 @@ def assess_value(cell: PublishedCell, other: Recomputed | None, unknown: str) ->
     cell : PublishedCell
     other : Recomputed or None
     unknown : str
-        Why nothing is recomputed, for None.
+        Reason for a missing recomputed value.
     """
     if without := _without_number(cell):
         return without
