@@ -50,12 +50,12 @@ def compare_project(
     project : path
         The TOML file.
     out : path
-        Folder to come.
+        Folder to write.
     overwrite : bool
-        Replace an existing comparison folder, once the new one is complete.
+        Replace an existing comparison folder when the new one is complete.
     options : mapping, optional
-        Arguments of :func:`fg_orient.compare`. With workers the sets that are done are kept in a hidden folder beside
-        ``out`` until this is written.
+        Arguments of :func:`fg_orient.compare`. With workers, a hidden folder next to ``out`` contains the finished
+        sets until ``out`` is written.
     callback : callable, optional
         Called with (done, of, text) after each adjustment.
     command : sequence of str
@@ -137,14 +137,14 @@ def _curve_rows(comparison: Comparison) -> Iterator[tuple[object, ...]]:
 
 
 def _cell(value: object) -> object:
-    """Nothing for None, words of JSON for truth values."""
+    """Empty text for None, words of JSON for truth values."""
     if isinstance(value, bool):
         return str(value).lower()
     return "" if value is None else value
 
 
 def _record(comparison: Comparison, project: Path, out: Path, command: Sequence[str]) -> dict[str, Any]:
-    """Everything of ``result.json`` but the times."""
+    """Content of ``result.json`` without the times."""
     record: dict[str, Any] = plain({
         "schema": SCHEMA_VERSION,
         "kind": "compare",

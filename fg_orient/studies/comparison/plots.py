@@ -1,7 +1,7 @@
 """Figures of a comparison as SVG text: heat maps, condition numbers, singular values, run times.
 
-Colours are told apart by colour-blind readers (blue and orange; Okabe and Ito 2008), and every
-quantity also has a number, a marker or a line style. Matplotlib (extra "report") is loaded on use.
+Colour-blind readers can distinguish the colours (blue and orange; Okabe and Ito 2008), and every quantity also has a
+number, a marker or a line style. Matplotlib (extra "report") is imported at use.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-#: Larger than in a paper's column: these figures are read on pages.
+#: Larger than in a paper's column, because these figures are for pages.
 _STYLE: Final[dict[Any, Any]] = {
     **STYLE, "font.size": 9, "axes.titlesize": 9, "axes.labelsize": 9, "xtick.labelsize": 9, "ytick.labelsize": 9,
     "legend.fontsize": 8,
 }  # fmt: skip
-#: Powers of ten beside the target that the heat maps tell apart.
+#: Range of colours of the heat maps: powers of ten relative to the target.
 _DECADES: Final = (-2.0, 4.0)
 #: Systems of the condition numbers and spectra: words and kind of mark.
 _SYSTEMS: Final = {
@@ -43,10 +43,10 @@ _SYSTEMS: Final = {
 
 
 def figures(comparison: Comparison) -> dict[str, str]:
-    """Give the figures that the rows support: file name to SVG text; none without matplotlib."""
+    """Figures for which the rows have data: file name to SVG text; none without matplotlib."""
     if not available():
         return {}
-    found: dict[str, Callable[[Comparison], Figure | None]] = {
+    drawings: dict[str, Callable[[Comparison], Figure | None]] = {
         "heatmap_control.svg": lambda c: _heat_map(c, "control"),
         "heatmap_check.svg": lambda c: _heat_map(c, "check"),
         "conditions.svg": _conditions,
@@ -58,7 +58,7 @@ def figures(comparison: Comparison) -> dict[str, str]:
 
     out = {}
     with matplotlib.rc_context(_STYLE):
-        for name, draw in found.items():
+        for name, draw in drawings.items():
             figure = draw(comparison)
             if figure is not None:
                 out[name] = file_of(figure, "svg").decode()
@@ -66,14 +66,14 @@ def figures(comparison: Comparison) -> dict[str, str]:
 
 
 def row_name(comparison: Comparison, backend: str, kind: int | None, solver: str) -> str:
-    """Name a group of rows for people."""
+    """Name a group of rows."""
     label = comparison.labels.get(solver, solver)
     words = {"faithful": f"published {kind}", "dense": "dense", "graph": "graph"}
     return f"{words[backend]} · {label}"
 
 
 def _heat_map(comparison: Comparison, role: str) -> Figure | None:
-    """EOP set x solver: RMSE beside the target; failed adjustments hatched."""
+    """EOP set x solver: RMSE relative to the target; failed adjustments hatched."""
     grouped = {k: rows for k, rows in groups(comparison.rows).items() if not all(r.left_out for r in rows)}
     sets = comparison.eop_sets
     values = np.full((len(grouped), len(sets)), np.nan)
@@ -125,7 +125,7 @@ def _coloured(axes: Axes, values: Any, failed: Any, target_m: float) -> Any:
             ink = "#fdfdfd" if dark else "#111111"
             artist = axes.text(j, i, short(values[i, j]), ha="center", va="center", fontsize=6, color=ink)
         if artist is not None:
-            artist.set_in_layout(False)  # hundreds of cells: laying them out takes most of the time
+            artist.set_in_layout(False)  # the layout of hundreds of cells would take most of the time
     return image
 
 
@@ -168,7 +168,7 @@ def _spectra(comparison: Comparison) -> Figure | None:
     if not wanted:
         return None
     drawn = [s for s in comparison.spectra if (s.system, s.scaling) in wanted]
-    floor = np.finfo(float).eps / 10.0  # below is rounding of rounding
+    floor = np.finfo(float).eps / 10.0  # smaller values are rounding of rounding
     shares = [np.maximum(s.values / s.values[0], floor) for s in drawn]
     y = Axis("singular value / largest", decades(np.concatenate(shares)), log=True)
     charts = []

@@ -1,4 +1,4 @@
-"""HTML report of a comparison, on the shell of all reports, with heat maps as tables of numbers."""
+"""HTML report of a comparison, in the template of all reports, with heat maps as tables of numbers."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ OUTCOMES: Final = (
 
 @dataclass(frozen=True)
 class Cell:
-    """One field of a heat map: class of its colour, text in it, words for the pointer."""
+    """One field of a heat map: class of its colour, its text, its tooltip."""
 
     kind: str
     text: str
@@ -57,14 +57,14 @@ def outcome(row: Row) -> str:
 
 def counts(comparison: Comparison) -> dict[str, int]:
     """Number of adjustments by outcome."""
-    found = [outcome(row) for row in comparison.rows]
-    return {key: found.count(key) for key, *_ in OUTCOMES}
+    outcomes = [outcome(row) for row in comparison.rows]
+    return {key: outcomes.count(key) for key, *_ in OUTCOMES}
 
 
 def heat_map(comparison: Comparison, role: str) -> list[tuple[str, bool, list[Cell]]]:
-    """Rows of a heat map of the RMSE at control or check points: name, whether a new backend begins, cells.
+    """Rows of a heat map of the RMSE at control or check points: name, True at the first row of a backend, cells.
 
-    Adjustments that were not tried with any set are left out; empty without a single number.
+    Adjustments that were not tried with any set are omitted. Empty if there is no number.
     """
     out: list[tuple[str, bool, list[Cell]]] = []
     before: tuple[str, int | None] | None = None
@@ -99,7 +99,7 @@ def steps(target_m: float) -> Sequence[tuple[str, str]]:
     ]
 
 
-#: Heading and explanation of each heat map; the folder also holds their drawings, for papers.
+#: Heading and explanation of each heat map; the folder also contains their drawings, for papers.
 HEAT_MAPS: Final = {
     "control": (
         "Control points",
@@ -160,7 +160,7 @@ def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[s
 
 
 def three_digits(value: float | None) -> str:
-    """Write a length or a wild number in three digits; a dash for none."""
+    """Write a length or a very large number in three digits; a dash for a missing number."""
     if value is None or not math.isfinite(value):
         return "–"
     text = f"{value:.2f}" if 0.01 <= abs(value) < 1000.0 or value == 0.0 else f"{value:.0e}"
@@ -168,7 +168,7 @@ def three_digits(value: float | None) -> str:
 
 
 def inline(svg: str, name: str) -> str:
-    """Make an SVG file part of a page: no header, its own ids, ink and paper of the page."""
+    """Prepare an SVG file for a page: no header, unique ids, colours of the page."""
     text = svg[svg.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', text)
@@ -179,7 +179,7 @@ def inline(svg: str, name: str) -> str:
 
 
 def _lines(comparison: Comparison, eop_set: int) -> list[dict[str, Any]]:
-    """Rows of one set with their name and outcome for people."""
+    """Rows of one set with name and outcome."""
     words = {key: (sign, name) for key, sign, name, _ in OUTCOMES}
     return [
         row.as_dict()
@@ -190,7 +190,7 @@ def _lines(comparison: Comparison, eop_set: int) -> list[dict[str, Any]]:
 
 
 def _conditions(comparison: Comparison) -> tuple[list[str], list[tuple[int, list[tuple[str, str]]]]]:
-    """Heads, one per system and scaling, and condition numbers by set: down the page, twenty sets fit on paper."""
+    """Heads, one per system and scaling, and condition numbers by set; one line per set, for printing."""
     columns = dict.fromkeys((s.system, s.scaling) for s in comparison.spectra)
     found = {(s.eop_set, s.system, s.scaling): s.condition for s in comparison.spectra}
     rows = [(n, [_condition(found.get((n, *column))) for column in columns]) for n in comparison.eop_sets]
@@ -198,7 +198,7 @@ def _conditions(comparison: Comparison) -> tuple[list[str], list[tuple[int, list
 
 
 def _directions(comparison: Comparison) -> list[tuple[str, str, list[str], list[int]]]:
-    """Directions in words, what holds them, images and sets; those that nothing holds first."""
+    """Directions in words, their constraint (nothing or the prior), images and sets; unconstrained ones first."""
     found: dict[tuple[str, str], list[Direction]] = {}
     for direction in comparison.directions:
         found.setdefault((direction.held_by, direction.words), []).append(direction)
@@ -210,14 +210,14 @@ def _directions(comparison: Comparison) -> list[tuple[str, str, list[str], list[
 
 
 def _condition(value: float | None) -> tuple[str, str]:
-    """Words and the number to sort by."""
+    """Text and the number for sorting."""
     if value is None:
         return "–", ""
     return f"≥ {value:.0e}" if value >= LARGEST_CONDITION else f"{value:.0e}", f"{value:.9g}"
 
 
 def _reasons(comparison: Comparison, left_out: bool) -> list[tuple[str, int, list[int]]]:
-    """Reasons why rows were not tried or have no solution, with their number and their sets; digits are ignored."""
+    """Reasons for rows that were not tried or have no solution, number of rows and sets; digits are ignored."""
     found: dict[str, tuple[str, list[int]]] = {}
     for row in comparison.rows:
         if row.failure and row.left_out == left_out:

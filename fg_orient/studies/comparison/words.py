@@ -83,7 +83,7 @@ def _of(count: int, total: int) -> str:
 
 
 def _reached(line: Summary, total: int) -> str:
-    """Sets at the target; if some are not, which, whether they have a solution, and the worst RMSE of those that do."""
+    """Number of sets at the target; the other sets, the worst RMSE, and the sets without solution."""
     text = f"{_of(line.reached, total)} sets at the target"
     if not line.missed:
         return text
@@ -108,7 +108,7 @@ def ranges(values: Iterable[int]) -> str:
 
 
 def _of_solvers(name: str, comparison: Comparison, lines: list[Summary]) -> list[str]:
-    """Sentence on the sets that every solver brings to the target, that some do and that none does."""
+    """Sentence on the sets at the target with every solver, with some solvers and with none."""
     if not lines:
         return []
     sets = comparison.eop_sets

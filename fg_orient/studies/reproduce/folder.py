@@ -17,7 +17,7 @@ from fg_orient.studies.published.tables import require_source
 from fg_orient.studies.reproduce.html import render
 from fg_orient.studies.reproduce.reproduction import Callback, Reproduction, reproduce
 
-#: Contents of the folder; result.json is its mark.
+#: Contents of the folder; result.json identifies it.
 CONTENTS: Final = Contents("result.json", ("result.json", "cells.csv", "claims.csv", "report.html"))
 SCHEMA_VERSION: Final = 1
 
@@ -33,16 +33,16 @@ def reproduce_to(
     out : Path, optional
         Folder to make; default "reproduced-" and the name.
     overwrite : bool
-        Replace a folder that an earlier reproduction wrote.
+        Replace the folder of an earlier reproduction.
     command : sequence of str
-        Words of the command line, for the record.
+        Command line, for the record.
     name, callback, **options
         See :func:`fg_orient.studies.reproduce.reproduction.reproduce`.
 
     Returns
     -------
     Reproduction, dict
-        All rows and claims, and the record that the command prints as JSON.
+        All rows and claims, and the record for the JSON output of the command.
 
     Raises
     ------

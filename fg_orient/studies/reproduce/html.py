@@ -1,4 +1,4 @@
-"""HTML report of a reproduction, on the shell of all reports: verdicts of each table, L-curves with its kappas."""
+"""HTML report of a reproduction, in the template of all reports: verdicts of each table, L-curves with its kappas."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fg_orient.studies.reproduce.reproduction import Reproduction, Row
 from fg_orient.studies.reproduce.scatter import scatter
 from fg_orient.studies.reproduce.verdict import KINDS
 
-#: Sign and meaning of each verdict; signs carry it without colour.
+#: Sign, name and meaning of each verdict; the signs are readable without colour.
 LEGEND: Final = {
     "equal": ("=", "equal", "all printed digits in every run"),
     "order": ("~", "order", "published and reproduced within a factor of ten"),
@@ -88,7 +88,7 @@ class Grid:
     Parameters
     ----------
     columns : tuple of str
-        Solvers or EOP sets, in the order of the table; ("",) where neither tells cells apart.
+        Solvers or EOP sets, in the order of the table.
     rows : tuple
         Address without the column, and a Row or None per column.
     """
@@ -98,27 +98,24 @@ class Grid:
 
 
 def grid(rows: Sequence[Row], keys: Mapping[tuple[str, str], CellKey]) -> Grid | None:
-    """Arrange the cells of a table; None where it would be a single column.
+    """Arrange the cells of a table by solver or EOP set; None for a single column.
 
     Parameters
     ----------
     rows : sequence of Row
-        Of one table.
+        Rows of one table.
     keys : mapping
         (table, address) to the key.
     """
-    found = [(row, keys.get((row.table, row.cell), CellKey(row.table))) for row in rows]
+    pairs = [(row, keys.get((row.table, row.cell), CellKey(row.table))) for row in rows]
     for field in ("method", "eop_set"):
-        columns = tuple(dict.fromkeys(getattr(key, field) for _, key in found if getattr(key, field)))
+        columns = tuple(dict.fromkeys(getattr(key, field) for _, key in pairs if getattr(key, field)))
         if len(columns) > 1:
-            return _arranged(found, field, columns)
-    return None
-
-
-def _arranged(found: list[tuple[Row, CellKey]], field: str, columns: tuple[str, ...]) -> Grid:
-    """Cells without a column of their own stand in the first one, of a row of their own where that is taken."""
+            break
+    else:
+        return None
     lines: dict[str, dict[str, Row]] = {}
-    for row, key in found:
+    for row, key in pairs:  # a cell without this field is in the first column; if that is occupied, in a new line
         column = getattr(key, field) or columns[0]
         line = lines.setdefault(str(key._replace(**{field: ""})) or row.cell, {})
         if column in line:
@@ -130,27 +127,25 @@ def _arranged(found: list[tuple[Row, CellKey]], field: str, columns: tuple[str, 
 
 #: Name of a printed kappa among the rules of a drawing.
 PRINTED: Final = "printed"
-#: The bundle is solved in the units of the publication, not in standard deviations.
+#: Unknowns of the bundle are in the units of the publication, not in standard deviations.
 AXES: Final = ("norm of the residuals |Ax − l|", "norm of the solution |x|, units of the publication")
 
 
 def l_curves(found: Reproduction) -> list[dict[str, Any]]:
     """L-curve of each EOP set with the kappas of the tables: ``eop_set``, ``drawing``, ``rules`` by their kappas."""
-    return [_drawn(found, number) for number in found.curves]
-
-
-def _drawn(found: Reproduction, number: int) -> dict[str, Any]:
-    curve = found.curves[number]
-    rules = [asdict(choice) | {"table": ""} for choice in curve.choices]
-    labels = {f"tikhonov_{choice.rule}": choice.label for choice in curve.choices}
-    for row in found.rows:
-        key = found.keys[row.table, row.cell]
-        if (key.quantity, key.eop_set, key.pre_adjustment_type) != ("kappa", str(number), "1"):
-            continue
-        residual, solution = curve.place(row.published)
-        rules.append({
-            "rule": PRINTED, "label": f"{labels.get(key.method, key.method)}, printed", "kappa": row.published,
-            "residual_norm": residual, "solution_norm": solution, "notes": (), "failure": "", "table": row.table,
-        })  # fmt: skip
-    section = plain({"rule": PRINTED, "rules": rules, "curve": asdict(curve)})
-    return {"eop_set": number, "drawing": l_curve(section, AXES), "rules": ranked(section)}
+    out = []
+    for number, curve in found.curves.items():
+        rules = [asdict(choice) | {"table": ""} for choice in curve.choices]
+        labels = {f"tikhonov_{choice.rule}": choice.label for choice in curve.choices}
+        for row in found.rows:
+            key = found.keys[row.table, row.cell]
+            if (key.quantity, key.eop_set, key.pre_adjustment_type) == ("kappa", str(number), "1"):
+                residual, solution = curve.place(row.published)
+                rules.append({
+                    "rule": PRINTED, "label": f"{labels.get(key.method, key.method)}, printed",
+                    "kappa": row.published, "residual_norm": residual, "solution_norm": solution, "notes": (),
+                    "failure": "", "table": row.table,
+                })  # fmt: skip
+        section = plain({"rule": PRINTED, "rules": rules, "curve": asdict(curve)})
+        out.append({"eop_set": number, "drawing": l_curve(section, AXES), "rules": ranked(section)})
+    return out

@@ -22,29 +22,29 @@ from fg_orient.studies.reproduce.sources import TERLEMEZOGLU, TOPAN, Source
 from fg_orient.studies.reproduce.verdict import KINDS, CellComparison, assess_runs
 from fg_orient.studies.tables_spot6 import PERMUTATIONS
 
-#: Called after each run: runs done, runs in all, name of the work.
+#: Called after each run with runs done, number of runs, and name of the work.
 Callback = Callable[[int, int, str], None]
 
 SOURCES: Final = {one.name: one for one in (TERLEMEZOGLU, TOPAN, ipbuker1994.SOURCE, ayhan1996.SOURCE)}
-#: Runs when nothing is said: about a minute.
+#: Default number of runs: about a minute.
 DEFAULT_SEEDS: Final = 10
 MAX_SEEDS: Final = 1000
 
 
 @dataclass(frozen=True)
 class Row:
-    """One published number, what the runs give, and the verdict.
+    """One published number, the result of the runs, and the verdict.
 
     Parameters
     ----------
     table, cell : str
         Table, and the address in it.
     published, reproduced : float
-        nan where nothing is printed, or the runs broke down. ``reproduced`` is the median.
+        nan if nothing is printed, or the runs broke down. ``reproduced`` is the median.
     low, high : float
         Smallest and largest run.
     verdict, reason : str
-        One of ``KINDS``, and why.
+        One of ``KINDS``, and its reason.
     printed, unit, note : str
         Digits as printed, unit, doubts about the number.
     """
@@ -70,17 +70,17 @@ class Reproduction:
     ----------
     source : Source
     titles : dict
-        Of the tables, in order.
+        Titles of the tables, in order.
     rows : tuple of Row
     claims : tuple of ClaimResult
     options : dict
         ``tables``, ``seeds``, ``as_run``.
     sha256 : dict
-        Of the files of published values.
+        SHA-256 of the files of published values.
     keys : dict
         (table, address) of a row to the fields of its address.
     curves : dict
-        L-curve of each EOP set whose kappas are among the rows, on the twin of the first seed.
+        L-curve of each EOP set whose kappas are among the rows, for the first seed.
     """
 
     source: Source
@@ -94,8 +94,8 @@ class Reproduction:
 
     def counts(self, table: str | None = None) -> dict[str, int]:
         """Number of rows with each verdict, of one table or of all."""
-        found = Counter(row.verdict for row in self.rows if table in (None, row.table))
-        return {kind: found[kind] for kind in KINDS}
+        counter = Counter(row.verdict for row in self.rows if table in (None, row.table))
+        return {kind: counter[kind] for kind in KINDS}
 
 
 def reproduce(
@@ -103,26 +103,26 @@ def reproduce(
     published: Path | None = None, data: Path | None = None, permutations: int = PERMUTATIONS,
     callback: Callback | None = None,
 ) -> Reproduction:  # fmt: skip
-    """Run the experiments of a publication on the twin and compare with what was printed.
+    """Run the experiments of a publication on synthetic blocks and compare with the printed values.
 
     Parameters
     ----------
     name : str
-        "terlemezoglu2019", "topan2010"; "ipbuker1994", "ayhan1996" (no seeds, points or programs to vary).
+        "terlemezoglu2019", "topan2010"; "ipbuker1994", "ayhan1996" (without seeds, points or programs to vary).
     tables : str
         Tables and ranges of tables ("4.3-4.9,4.28"); "" for all.
     n_seeds : int
-        Twins, with the seeds 1 to n.
+        Number of synthetic blocks, with the seeds 1 to n.
     as_run : bool
-        As the authors' program works, on a twin with radial velocity and attitude.
+        Procedure of the authors' program, on blocks with radial velocity and attitude.
     claims : bool
-        Judge the claims about the publication, too.
+        Assess the claims about the publication, too.
     published : Path, optional
         Other folder of published tables.
     data : Path, optional
         Control points of the SPOT-6 scene, for tables 4.35-4.55; default ``$FG_ORIENT_REAL_DATA``.
     permutations : int
-        Orders of these points in addition to that of their file.
+        Orders of these points in addition to the order of their file.
     callback : callable, optional
         Called after each run of the tables and each run of the claims.
 
@@ -141,19 +141,19 @@ def reproduce(
 
     steps = n_seeds * (1 + claims)
 
-    def tell(offset: int, what: str) -> Callable[[int, int], None]:
-        return lambda done, _: callback(offset + done, steps, what) if callback else None
+    def progress(offset: int, work: str) -> Callable[[int, int], None]:
+        return lambda done, _: callback(offset + done, steps, work) if callback else None
 
     on_twin = tuple(table for table in chosen if table not in source.real_tables)
     computed = {}
     if on_twin and source.compute is not None:
-        computed = source.compute(on_twin, seeds, as_run=as_run, progress=tell(0, "tables"))
+        computed = source.compute(on_twin, seeds, as_run=as_run, progress=progress(0, "tables"))
     on_points = source.real(
         printed, chosen, data, permutations=permutations,
         progress=lambda done, of: callback(done, of, "real points") if callback else None,
     ) if source.real else {}  # fmt: skip
     about_it = [claim for claim in all_claims() if claims and claim.id in source.claims]
-    judged = run_claims(seeds, tell(n_seeds, "claims"), about_it) if about_it else []
+    assessed = run_claims(seeds, progress(n_seeds, "claims"), about_it) if about_it else []
     options: dict[str, Any] = {"tables": list(chosen)}
     if source.compute is not None:
         options |= {"seeds": list(seeds), "as_run": as_run}
@@ -163,7 +163,7 @@ def reproduce(
     rows = pair(printed, computed, source, chosen, on_points, as_run=as_run)
     keys = {(cell.key.table, str(cell.key)): cell.key for cell in printed.cells if cell.key.table in chosen}
     curves = source.curves(on_twin, seeds[0], as_run=as_run) if source.curves else {}
-    return Reproduction(source, titles, rows, tuple(judged), options, printed.sha256, keys, curves)
+    return Reproduction(source, titles, rows, tuple(assessed), options, printed.sha256, keys, curves)
 
 
 def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:
@@ -192,7 +192,7 @@ def pair(
     printed: PublishedTables, computed: Mapping[CellKey, Array], source: Source, tables: Sequence[str],
     compared: Mapping[CellKey, CellComparison] | None = None, *, as_run: bool = False,
 ) -> tuple[Row, ...]:  # fmt: skip
-    """Compare each published cell of some tables with its runs, if it is not compared already."""
+    """Compare each published cell of some tables with its runs, unless ``compared`` contains its comparison."""
     rows = []
     for cell in printed.cells:
         key = cell.key

@@ -12,16 +12,16 @@ from fg_orient.report.chart import Axis, Chart, plain_exponent
 from fg_orient.studies.reproduce.reproduction import Row
 
 SIZE: Final = 520.0
-#: Powers of ten that the axes span at most; sizes beyond stand at the border.
+#: Largest range of the axes, powers of ten; sizes outside are drawn at the border.
 RANGE: Final = (-30, 15)
-#: A number within this factor of the printed one counts as of its order.
+#: Largest ratio of numbers of the same order.
 BAND: Final = 10.0
 
 
 def scatter(rows: Sequence[Row]) -> Chart | None:
-    """Sizes of all numbers that are published and reproduced, but not zero; None without any.
+    """Sizes of all numbers other than zero that are published and reproduced; None if fewer than two.
 
-    Points that would cover each other are drawn once.
+    Points at the same place are drawn once.
     """
     pairs = [(abs(r.published), abs(r.reproduced), r) for r in rows]
     pairs = [p for p in pairs if all(math.isfinite(v) and v > 0.0 for v in p[:2])]
@@ -41,7 +41,7 @@ def scatter(rows: Sequence[Row]) -> Chart | None:
         at = chart.place(across, up)
         drawn.setdefault((round(at[0]), round(at[1]), row.verdict), (across, up, row))
     for kind in dict.fromkeys(row.verdict for _, _, row in drawn.values()):
-        mine = [found for found in drawn.values() if found[2].verdict == kind]
+        mine = [dot for dot in drawn.values() if dot[2].verdict == kind]
         tips = [f"{r.table}, {r.cell}: published {r.printed}, reproduced {r.reproduced:.3g}" for _, _, r in mine]
         chart.add("dots", f"dot {kind}", [p for p, _, _ in mine], [v for _, v, _ in mine], tips=tips)
     return chart

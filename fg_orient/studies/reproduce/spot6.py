@@ -1,10 +1,10 @@
 """Tables 4.35-4.55 of Terlemezoğlu (2019) on the real control points: data, verdicts, reasons.
 
-Unlike the twins of the other tables these are the authors' own points: a number either meets the printed digits or is
-rounding noise. The verdicts (docs/rfm.md):
+In contrast to the synthetic blocks of the other tables, these are the authors' own points: a number either agrees with
+the printed digits or is rounding noise. The verdicts (docs/rfm.md):
 
-- ``equal``: the points in the order of their file give all printed digits, and no permutation of them is more than one
-  unit of the last digit away. Where the method itself loses digits (degree 3, inverses formed from N): within 0.2 px^2
+- ``equal``: the points in the order of their file give all printed digits, and each permutation of them is within one
+  unit of the last digit. If the method itself loses digits (degree 3, inverses formed from N): within 0.2 px^2
   of [vv] in the order of the file.
 - ``rounding``: the published size, as an interval of its printed digits, meets min/30 to 30 max of the permutations.
 - ``differs``: neither; ``not_reproducible``: no points, or nothing to compare with.
@@ -30,15 +30,15 @@ from fg_orient.studies.reproduce.verdict import CellComparison, Comparisons, Kin
 
 #: Folder of real data if ``--data`` is not given.
 VARIABLE: Final = "FG_ORIENT_REAL_DATA"
-#: Whole numbers that must be met exactly, like a printed zero; elsewhere "13" is 13 +- 0.5.
+#: Whole numbers that must agree exactly, like a printed zero; elsewhere "13" is 13 +- 0.5.
 COUNTED: Final = ("n_observations", "n_unknowns", "matrix_order", "rank")
 ELIMINATIONS: Final = ("gauss_partial_pivot_elimination", "cholesky_elimination")
-#: Factor beyond the smallest and largest permutation that still counts as their noise.
+#: Factor by which the range of the permutations is extended for rounding noise.
 MARGIN: Final = 30.0
-#: Spread of the permutations, as a share, below which a number is no noise.
+#: Relative spread of the permutations below which a number is not noise.
 STEADY: Final = 0.01
-#: Inverses formed from the normalised N of degree 3 (condition 4e12) lose digits of [vv]: it comes out 0 to 0.7 px^2
-#: above its minimum 2.94, whichever the method and the order of the points (printed 2.9 to 3.1).
+#: Inverses formed from the normalised N of degree 3 (condition 4e12) lose digits of [vv]: the result is 0 to 0.7 px^2
+#: above its minimum 2.94, for all methods and orders of the points (printed 2.9 to 3.1).
 INVERSES: Final = ("pivot_inverse", "cholesky_inverse", "gauss_inverse", "moore_penrose_inverse")
 VV_TOLERANCE_PX2: Final = 0.2
 #: Effect of these 0.2 px^2 on m0, plus the rounding of its print.
@@ -59,12 +59,12 @@ def control_points(data: Path | None) -> ControlPoints | None:
     Returns
     -------
     ControlPoints or None
-        None if nothing is given and the environment names no folder that holds the points.
+        None if nothing is given and the environment names no folder with the points.
 
     Raises
     ------
     InputError
-        What is given is not there or damaged.
+        The given file or folder is missing or damaged.
     """
     if data is not None:
         return read_gcp(find_spot6(data))
@@ -77,19 +77,18 @@ def compare(
     printed: PublishedTables, tables: Collection[str], data: Path | None, *,
     permutations: int = tables_spot6.PERMUTATIONS, progress: Callable[[int, int], None] | None = None,
 ) -> Comparisons:  # fmt: skip
-    """Compare the cells of some tables; see :class:`fg_orient.studies.reproduce.sources.Compare`.
+    """Compare the cells of some tables; tables of other scenes are ignored.
 
     Parameters
     ----------
     printed : PublishedTables
     tables : collection of str
-        Those that are not of the scene are left out.
     data : Path, optional
         See :func:`control_points`.
     permutations : int
-        Orders of the points in addition to that of the file.
+        Orders of the points in addition to the order of the file.
     progress : callable, optional
-        Called with runs done and runs in all.
+        Called with runs done and number of runs.
     """
     cells = [cell for cell in printed.cells if cell.key.table in tables and cell.key.table in tables_spot6.TABLES]
     if not cells:
@@ -107,8 +106,8 @@ def compare(
 
 def printed_kappas(printed: PublishedTables) -> dict[tuple[str, int], float]:
     """Kappas of Table 4.45 by method and degree."""
-    found = (cell for cell in printed.cells if cell.key.table == "4.45" and cell.key.quantity == "kappa")
-    return {(cell.key.method, int(cell.key.stage[-1])): cell.value for cell in found}
+    cells = (cell for cell in printed.cells if cell.key.table == "4.45" and cell.key.quantity == "kappa")
+    return {(cell.key.method, int(cell.key.stage[-1])): cell.value for cell in cells}
 
 
 def assess(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> CellComparison:
@@ -118,7 +117,7 @@ def assess(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> CellCompar
     ----------
     cell : PublishedCell
     computed : mapping
-        Of :func:`fg_orient.studies.tables_spot6.compute`.
+        Result of :func:`fg_orient.studies.tables_spot6.compute`.
     """
     runs = computed[cell.key]
     sizes = _sizes(runs)
@@ -189,7 +188,7 @@ def _tolerance(key: CellKey) -> float | None:
 
 
 def _hadamard(cell: PublishedCell, runs: Array) -> str:
-    """Reason for Hadamard numbers that follow from no matrix of these points, or ""."""
+    """Reason for Hadamard numbers that no matrix of these points gives, or ""."""
     if cell.key.quantity != "cond_hadamard":
         return ""
     if math.isnan(cell.value):
@@ -210,7 +209,7 @@ def _why(cell: PublishedCell) -> str:
 
 
 def _more(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> str:
-    """Numbers that the source does not give: m0 of the true image residuals; m0 with the printed kappa."""
+    """Numbers that are not in the source: m0 of the true image residuals; m0 with the printed kappa."""
     key = cell.key
     if key.quantity != "m0":
         return ""
