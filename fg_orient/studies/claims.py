@@ -1,14 +1,15 @@
-"""The claims a faithful reproduction must satisfy, each assessed on one seed of the twin.
+"""Claims that a faithful reproduction must satisfy, each assessed on the synthetic blocks of several seeds.
 
-A claim is a function ``study -> Outcome``: whether it holds, and the figures behind it. :class:`Study` is one seed of
-the twin; it computes everything once. :func:`run_claims` runs the claims over seeds and gives pass rates with Wilson's
-interval; a claim is met at 90 % or more. No published value is used here: the bounds are those of the claims themselves
-(docs/reproduce.md), so a claim that fails is reported, not adapted.
+A claim is a function ``study -> Outcome``: whether the claim holds, with its figures. :class:`Study` is one seed and
+computes each result once. :func:`run_claims` runs the claims over seeds and gives pass rates with Wilson's interval; a
+claim is met at 90 % or more. No published value is used here. The bounds are those of the claims (docs/reproduce.md),
+so a claim that fails is reported, not adapted.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, cached_property, partial
@@ -25,18 +26,18 @@ from fg_orient.studies.switches import TEXT, Switches
 from fg_orient.studies.two_stage import Kind, TwoStage
 from fg_orient.studies.two_stage_results import PreAdjustment, TwoStageResult
 
-#: The twin of the published experiments: 1 px of image noise, look angles bent by 3 microrad.
+#: Synthetic block of the published experiments: 1 px of image noise, look angles bent by 3 microrad.
 TWIN = ZonguldakOptions(point_set="H-10", image_noise_px=1.0, distortion_rad=3e-6)
-#: The same as the program is run on it, with the radial velocity and the attitude of real SPOT-5 scenes: on a circular
-#: orbit without attitude its matrices are orthonormal and its constant residual does not show.
+#: The same block for the program, with the radial velocity and the attitude of real SPOT-5 scenes. On a circular orbit
+#: without attitude the program's matrices are orthonormal, and its constant residual is zero.
 AS_RUN_TWIN = replace(TWIN, radial_velocity_m_s=8.0, attitude_rad=(-1.6e-4, -7.2e-4, 9e-4))
-#: Sets with redundant unknowns, which the thesis calls ill-conditioned.
+#: Sets with redundant unknowns; the thesis calls them ill-conditioned.
 ILL_CONDITIONED = (5, 13, 15, 17, 19, 20)
-#: Those that hold the velocity: wild with plain least squares.
+#: Those with the velocity: least squares gives very large errors.
 WITH_VELOCITY = (5, 13, 17, 19, 20)
 TARGET_M = 5.0
-#: Solutions of N x = b that use no threshold and no regularisation. Cramer's rule is one, too, but is left out: the
-#: minors of a matrix in raw units lose more digits than any elimination of it (claims C8 and C11 give its figures).
+#: Solvers of N x = b without threshold and regularisation, except Cramer's rule: the minors of a matrix in raw units
+#: lose more digits than any elimination (claims C8 and C11 give its figures).
 EXACT = ("pivot_inverse", "gauss_inverse", "cholesky_inverse", "gauss_elimination", "gauss_partial_pivot_elimination",
          "cholesky_elimination")  # fmt: skip
 
@@ -47,15 +48,15 @@ def published_solvers() -> tuple[str, ...]:
 
 
 class Study:
-    """The published procedure on the twin of one seed.
+    """The published procedure on the synthetic block of one seed.
 
     Parameters
     ----------
     seed : int
     switches : Switches
-        Departures of the authors' program; with any the twin has the radial velocity and attitude of a real scene.
+        Differences of the authors' program; with any the block has the radial velocity and attitude of a real scene.
     twin : ZonguldakOptions, optional
-        Another twin.
+        Options of another block.
     """
 
     def __init__(self, seed: int, switches: Switches = TEXT, twin: ZonguldakOptions | None = None) -> None:
@@ -65,16 +66,16 @@ class Study:
         self.variant = cache(self._variant)  # the same seed with another point set or image noise
 
     def options(self, **changes: object) -> ZonguldakOptions:
-        """Options of the twin of this seed, changed where named."""
+        """Options of the block of this seed, with these changes."""
         return replace(self.twin, seed=self.seed, **changes)  # type: ignore[arg-type]
 
     def procedure(self, **changes: object) -> TwoStage:
-        """The procedure on the twin with these options."""
+        """The procedure on the block with these options."""
         return TwoStage(zonguldak_block(self.options(**changes))[0], as_run=self.switches)
 
     @cached_property
     def two_stage(self) -> TwoStage:
-        """The twin as published: H-10, 1 px."""
+        """The procedure on the block as published: H-10, 1 px."""
         return self.procedure()
 
     def _variant(self, point_set: str = "H-10", noise_px: float = 1.0) -> TwoStage:
@@ -104,7 +105,7 @@ Z_95 = 1.959963984540054
 
 @dataclass(frozen=True)
 class Outcome:
-    """One claim on one seed: ``holds``, the parts that do not, and the figures behind it by name."""
+    """One claim on one seed: ``holds``, the parts that do not hold, and its figures by name."""
 
     holds: bool
     failed: tuple[str, ...]
@@ -117,7 +118,7 @@ class Claim:
 
     id: str
     text: str
-    judge: Callable[[Study], Outcome]
+    assess: Callable[[Study], Outcome]
 
 
 @dataclass(frozen=True)
@@ -128,13 +129,13 @@ class ClaimResult:
     ----------
     id, text : str
     passed, of : int
-        Seeds that meet it, seeds in all.
+        Seeds that meet it, number of seeds.
     interval : (float, float)
         Wilson's 95 % interval of the pass rate.
     met : bool
         Rate of 90 % or more.
     reason : str
-        Which part failed in how many seeds; "" if none did.
+        Parts that failed, with their numbers of seeds; "" if none failed.
     figures : dict
         Name to (smallest, median, largest) over the seeds.
     """
@@ -150,7 +151,7 @@ class ClaimResult:
 
 
 def outcome(checks: dict[str, bool], **figures: float) -> Outcome:
-    """Outcome of several parts: part name to whether it holds."""
+    """Outcome of several parts, from the name of a part to True if it holds."""
     failed = tuple(name for name, holds in checks.items() if not holds)
     return Outcome(not failed, failed, {name: float(value) for name, value in figures.items()})
 
@@ -177,9 +178,9 @@ _REGISTRY: dict[str, Claim] = {}
 def claim(id: str, text: str) -> Callable[[Callable[[Study], Outcome]], Callable[[Study], Outcome]]:
     """Decorator: register a function as a claim."""
 
-    def add(judge: Callable[[Study], Outcome]) -> Callable[[Study], Outcome]:
-        _REGISTRY[id] = Claim(id, text, judge)
-        return judge
+    def add(assess: Callable[[Study], Outcome]) -> Callable[[Study], Outcome]:
+        _REGISTRY[id] = Claim(id, text, assess)
+        return assess
 
     return add
 
@@ -205,38 +206,32 @@ def run_claims(
     ----------
     seeds : sequence of int
     callback : callable, optional
-        Called with (seeds done, seeds in all) after each seed.
+        Called with (seeds done, number of seeds) after each seed.
     claims : sequence of Claim, optional
         Default: all of them.
     workers, cluster : optional
         Processes, or a cluster, that share the seeds; see ``fg_orient.adjustment.parts.study``.
     switches : Switches
-        Departures of the authors' program. The claims are about the equations of the text; some fail with them.
+        Differences of the authors' program. The claims are about the equations of the text; some fail with switches.
     """
     chosen = all_claims() if claims is None else tuple(claims)
-
-    def tell(done: int, of: int, _: object) -> None:
-        if callback:
-            callback(done, of)
-
-    found = study(partial(_judged, chosen, switches), list(seeds), workers=workers, cluster=cluster, callback=tell)
-    outcomes = [[Outcome(o["holds"], tuple(o["failed"]), o["figures"]) for o in of_seed] for of_seed in found]
+    report = (lambda done, of, _: callback(done, of)) if callback else None
+    task = partial(_assessed, chosen, switches)
+    results = study(task, list(seeds), workers=workers, cluster=cluster, callback=report)
+    outcomes = [[Outcome(o["holds"], tuple(o["failed"]), o["figures"]) for o in of_seed] for of_seed in results]
     return [_summary(claim, [row[k] for row in outcomes]) for k, claim in enumerate(chosen)]
 
 
-def _judged(claims: Sequence[Claim], switches: Switches, seed: int) -> list[dict[str, Any]]:
+def _assessed(claims: Sequence[Claim], switches: Switches, seed: int) -> list[dict[str, Any]]:
     """Outcome of each claim on one seed."""
     at = Study(seed, switches)
-    with one_blas_thread():  # rounding noise is what some claims are about
-        return [asdict(claim.judge(at)) for claim in claims]
+    with one_blas_thread():  # some claims are about rounding noise
+        return [asdict(claim.assess(at)) for claim in claims]
 
 
 def _summary(claim: Claim, outcomes: list[Outcome]) -> ClaimResult:
     passed, of = sum(o.holds for o in outcomes), len(outcomes)
-    failures: dict[str, int] = {}
-    for o in outcomes:
-        for name in o.failed:
-            failures[name] = failures.get(name, 0) + 1
+    failures = Counter(name for o in outcomes for name in o.failed)
     reason = "; ".join(f"{name}: not in {count} of {of}" for name, count in failures.items())
     figures = {}
     for name in outcomes[0].figures:

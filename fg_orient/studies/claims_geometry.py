@@ -1,11 +1,12 @@
 """Claims about equations: C1-C7 sensor geometry, step 1, check-point accuracy; C17-C21 the sensor-independent RFM.
 
-The RFM claims use 99 control points of the twin's left image, heights 0-1000 m, 0.5 px of image noise, raw and
+The RFM claims use 99 control points of the left synthetic image, heights 0-1000 m, 0.5 px of image noise, raw and
 normalised.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -25,7 +26,6 @@ from fg_orient.studies.claims import EXACT, Outcome, Study, claim, outcome
 from fg_orient.studies.tables_spot6 import CRAMER, METHODS, Run
 
 REFERENCE = EXACT[4]
-#: Newton on two pixels; a step of 1 px for the difference quotients.
 _NEWTON_STEPS = 12
 
 
@@ -58,11 +58,8 @@ def _convention_b(sensor: PushbroomSensor, line: Array, sample: Array) -> tuple[
     return states.position_m, u / np.linalg.norm(u, axis=1, keepdims=True)
 
 
-def _round_trip_px(sensor: PushbroomSensor, rays: object) -> float:
-    """Largest error of image -> ground (height 500 m) -> image over a grid, both with the rays given."""
-    from factors.geometry import ellipsoid
-
-    assert callable(rays)
+def _round_trip_px(sensor: PushbroomSensor, rays: Callable[..., tuple[Array, Array]]) -> float:
+    """Largest error of image -> ground (height 500 m) -> image over a grid, by Newton steps with these rays."""
     line, sample = (
         a.ravel() for a in np.meshgrid(np.linspace(200.0, sensor.n_lines - 201.0, 5),
                                        np.linspace(200.0, sensor.n_samples - 201.0, 5))
@@ -77,7 +74,7 @@ def _round_trip_px(sensor: PushbroomSensor, rays: object) -> float:
         return np.stack([np.einsum("ni,ni->n", w, e) / np.linalg.norm(e, axis=1) for e in (east, north)])
 
     pixel = np.stack([line + 150.0, sample - 120.0])
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(_NEWTON_STEPS):  # difference quotients over 2 px
         f = miss(pixel)
         columns = [(miss(pixel + h) - miss(pixel - h)) / 2.0 for h in (np.array([[1.0], [0]]), np.array([[0], [1.0]]))]
         (a, c), (b, d) = columns
@@ -107,8 +104,8 @@ def _c2(study: Study) -> Outcome:
     o = block.observations
     left, right = (np.flatnonzero(o.image == k)[np.argsort(o.point[o.image == k])] for k in (0, 1))
     pixels = np.stack([o.line[[left, right]], o.sample[[left, right]]])
-    found = initial.intersect([i.sensor for i in block.images], pixels[0], pixels[1])
-    error = float(np.abs(found - truth.ecef_m[o.point[left]]).max())
+    ground = initial.intersect([i.sensor for i in block.images], pixels[0], pixels[1])
+    error = float(np.abs(ground - truth.ecef_m[o.point[left]]).max())
     return outcome({"intersection": error < 1e-6}, error_m=error)
 
 
@@ -164,7 +161,7 @@ def _c7(study: Study) -> Outcome:
 N_POINTS = 99
 HEIGHTS_M = (0.0, 1000.0)
 NOISE_PX = 0.5
-#: Points keep this distance from the border of the image.
+#: Smallest distance of the points from the border of the image.
 MARGIN_PX = 100.0
 
 
@@ -180,7 +177,7 @@ def rfm_points(
     count : int
     noise_px : float
     stream : int
-        Another one gives other points of the same seed: check points.
+        Another stream gives other points of the same seed: check points.
     """
     rng = np.random.default_rng([seed, stream])
     last = np.array([sensor.n_lines, sensor.n_samples]) - 1.0 - MARGIN_PX
@@ -192,7 +189,7 @@ def rfm_points(
 
 PSEUDO, PIVOT = "moore_penrose_inverse", "gauss_partial_pivot_elimination"
 RULES = ("tikhonov_hkb", "tikhonov_lw", "tikhonov_od")
-#: Ranks of the raw systems, and how far another set of points may be from them.
+#: Ranks of the raw systems, and the allowed difference for other points.
 RANKS, RANK_SLACK = {1: 10, 2: 18, 3: 20}, 3
 #: Condition numbers of the normalised N.
 CONDITIONS = {1: (1e1, 1e3), 2: (1e9, 1e11), 3: (1e10, 1e13)}
@@ -207,14 +204,14 @@ def _runs(study: Study) -> dict[tuple[int, bool], Run]:
 
 
 def _image_rms(run: Run, method: str) -> float:
-    """RMS of the true image residuals, both axes; inf where there is no solution."""
+    """RMS of the true image residuals, both axes; inf without a solution."""
     value = run.true_m0_px(run.solution(method).x)
     share = run.system.redundancy / (2.0 * len(run.points))
     return value * share**0.5 if np.isfinite(value) else np.inf
 
 
 def _m0(run: Run, method: str) -> float:
-    """Accuracy m0 of the linear form; inf where there is no solution."""
+    """Accuracy m0 of the linear form; inf without a solution."""
     value = run.m0_px(run.solution(method).x)
     return value if np.isfinite(value) else np.inf
 
@@ -248,17 +245,17 @@ def _c18(study: Study) -> Outcome:
 @claim("C19", "normalised RFM: full rank, all solvers but Cramer agree to 3 digits, m0 falls with the degree")
 def _c19(study: Study) -> Outcome:
     runs = {d: _runs(study)[d, True] for d in DEGREES}
-    found = {d: diagnose(run.system) for d, run in runs.items()}
+    conditioning = {d: diagnose(run.system) for d, run in runs.items()}
     m0 = {d: _m0(runs[d], PIVOT) for d in DEGREES}
     others = [method for method in METHODS if method != CRAMER]
     spread = max(abs(_m0(runs[d], method) / m0[d] - 1.0) for d in DEGREES for method in others)
     cramer = min(_m0(runs[d], CRAMER) / m0[d] for d in (2, 3))
     checks = {
-        "full rank": all(f.defect == 0 for f in found.values()), "three digits": spread < 5e-3,
+        "full rank": all(c.defect == 0 for c in conditioning.values()), "three digits": spread < 5e-3,
         "falls with the degree": m0[1] > m0[2] > m0[3], "Cramer fails": cramer > 10.0,
-        "condition numbers": all(CONDITIONS[d][0] <= f.cond_norm <= CONDITIONS[d][1] for d, f in found.items()),
+        "condition numbers": all(CONDITIONS[d][0] <= c.cond_norm <= CONDITIONS[d][1] for d, c in conditioning.items()),
     }  # fmt: skip
-    figures = {f"m0_{d}_px": v for d, v in m0.items()} | {f"cond_{d}": f.cond_norm for d, f in found.items()}
+    figures = {f"m0_{d}_px": v for d, v in m0.items()} | {f"cond_{d}": c.cond_norm for d, c in conditioning.items()}
     return outcome(checks, spread=spread, cramer_ratio=cramer, **figures)
 
 

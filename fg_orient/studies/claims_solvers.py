@@ -1,4 +1,4 @@
-"""Claims C8-C16 and C22: what the solvers make of the ill-conditioned sets."""
+"""Claims C8-C16 and C22: results of the solvers for the ill-conditioned sets."""
 
 from __future__ import annotations
 
@@ -29,41 +29,41 @@ CRAMER = "cramer_inverse"
 OD, HKB, LW = "tikhonov_od", "tikhonov_hkb", "tikhonov_lw"
 HARMLESS = (1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12)
 WILD_M = 100.0
-#: Check-point changes below this leave the result as it is.
+#: Check-point changes below this limit do not matter.
 SAME_ICP_M = 0.5
-#: Singular values of the column-scaled Jacobian below this are dead.
+#: Directions with smaller singular values of the column-scaled Jacobian are dead.
 DEAD = 1e-9
 #: Number of living directions per set.
 LIVING = {5: 5, 13: 14, 17: 11, 19: 8, 20: 20}
 
 
 def _icp_change(study: Study, eop_set: int, solver: str, iterations: int = 1) -> float:
-    """Largest change of a check-point RMSE by the EOP set; inf where there is no result.
+    """Largest change of a check-point RMSE by the EOP set; inf without a result.
 
-    What it is compared with is the bundle with held EOPs, or the intersection before it: a solver that
-    drops small eigenvalues drops the check points, whose columns are the smallest in raw units, too.
+    The reference is the bundle with fixed EOPs or the intersection before it, whichever is closer: a solver that drops
+    small eigenvalues also drops the check points, because their columns are the smallest in raw units.
     """
     return min(_icp_changes(study, eop_set, solver, iterations))
 
 
 def _icp_changes(study: Study, eop_set: int, solver: str, iterations: int = 1) -> tuple[float, float]:
-    """Changes against the bundle with held EOPs and against the intersection before it."""
+    """Changes relative to the bundle with fixed EOPs and relative to the intersection before it."""
     rmse = study.bundle(eop_set, 1, solver, iterations).accuracy.icp_rmse
     held, before = (float(np.abs(rmse - without).max()) for without in study.icp_without_eop)
     return held if np.isfinite(held) else np.inf, before if np.isfinite(before) else np.inf
 
 
 def _gcp(study: Study, eop_set: int, solver: str) -> float:
-    """Largest axis of the control-point RMSE; inf where there is no result."""
+    """Largest axis of the control-point RMSE; inf without a result."""
     value = study.bundle(eop_set, 1, solver).accuracy.gcp_max
     return value if np.isfinite(value) else np.inf
 
 
 def _solutions(study: Study, eop_set: int) -> dict[str, Array]:
-    """Corrections dP of step 2, left image, by the exact solvers that give one."""
+    """Corrections dP of step 2, left image, by the exact solvers that do not break down."""
     system = study.pre_adjust(0, eop_set, PIVOT).system
-    found = {name: attempt(name, system).x for name in EXACT}
-    return {name: x for name, x in found.items() if np.isfinite(x).all()}
+    solutions = {name: attempt(name, system).x for name in EXACT}
+    return {name: x for name, x in solutions.items() if np.isfinite(x).all()}
 
 
 def _spread(values: dict[str, Array], columns: npt.NDArray[np.intp]) -> float:
@@ -74,7 +74,7 @@ def _spread(values: dict[str, Array], columns: npt.NDArray[np.intp]) -> float:
 
 @claim("C8", "step 2 solves for rounding noise: sets 1, 15 alike by exact solvers but Cramer, velocities arbitrary")
 def _c8(study: Study) -> Outcome:
-    """Cramer's rule is a figure, not a part: with raw units its minors lose the digits that set 15 needs."""
+    """Cramer's rule is a figure, not a part: in raw units its minors lose the digits that set 15 needs."""
     step = study.pre_adjust(0, 1, PIVOT)
     _, observed = step.system.require_design("C8")
     w_rms, dp = float(np.sqrt(np.mean(observed**2))), float(np.abs(step.dP).max())
@@ -89,8 +89,8 @@ def _c8(study: Study) -> Outcome:
     velocity = {}
     for eop_set in WITH_VELOCITY:
         codes = np.array(eop_codes(eop_set))
-        found = _solutions(study, eop_set)
-        velocity[eop_set] = _spread(found, np.flatnonzero(np.isin(codes // 3, VELOCITY))) if PIVOT in found else np.nan
+        all_dp, columns = _solutions(study, eop_set), np.flatnonzero(np.isin(codes // 3, VELOCITY))
+        velocity[eop_set] = _spread(all_dp, columns) if PIVOT in all_dp else np.nan
         checks[f"V of set {eop_set} disagrees"] = velocity[eop_set] > 1.0
     fifteen = _solutions(study, 15)
     position = _spread(fifteen, np.arange(9)) if PIVOT in fifteen else np.inf
@@ -147,7 +147,7 @@ def _c10(study: Study) -> Outcome:
 
 @claim("C11", "one iteration, type 1: sets 1-4, 6-12 below 5 m at control points with all solvers but Cramer")
 def _c11(study: Study) -> Outcome:
-    """Cramer's inverse is not among them: the thesis uses it for step 2 only."""
+    """Cramer's inverse is excluded, because the thesis uses it for step 2 only."""
     worst = {s: max(_gcp(study, s, name) for name in published_solvers() if name != CRAMER) for s in HARMLESS}
     checks = {f"set {s}": value < TARGET_M for s, value in worst.items()}
     return outcome(checks, worst_m=max(worst.values()), cramer_m=max(_gcp(study, s, CRAMER) for s in (6, 7, 8)))

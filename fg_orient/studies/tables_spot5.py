@@ -1,16 +1,17 @@
-"""Tables 4.1-4.34, equations 4.1-4.6 and numbers of the text of Terlemezoğlu (2019) on the twin, point set H-10.
+"""Tables 4.1-4.34, equations 4.1-4.6 and numbers of the text of Terlemezoğlu (2019), computed on a synthetic block.
 
-Where the source is silent: tables 4.3-4.16 are taken to belong to a bundle without EOP pre-adjustment (type 1),
-and its matrices to whitened conditions. As run, the RMSE of type 1 in tables 4.25-4.34 are taken to be those of the
-procedure without bundle (:meth:`fg_orient.studies.two_stage.TwoStage.step_two_only`): its check points diverge as the
-printed ones do. Tables 4.3-4.23 are then those of a step 1 that ends at rounding (D4 off): [Delta Delta] is printed as
-1e-33, which misclosures of 1e-10 cannot give.
+The point set is H-10. Assumptions that the source does not state: tables 4.3-4.16 belong to a bundle without EOP
+pre-adjustment (type 1), and its matrices to whitened conditions. As run, the RMSE of type 1 in tables 4.25-4.34 belong
+to the procedure without bundle (:meth:`fg_orient.studies.two_stage.TwoStage.step_two_only`), because its check points
+diverge like the printed ones. As run, tables 4.3-4.23 follow a step 1 that ends at rounding (D4 off): [Delta Delta] is
+printed as 1e-33, and misclosures of 1e-10 cannot give this value.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -40,13 +41,13 @@ from fg_orient.studies.two_stage import Kind, TwoStage
 
 #: Points of the SPOT-6 scene (T sect. 4.3.1).
 SPOT6_POINTS = 99
-#: Sets of Terlemezoğlu (2019); further ones are not in its tables.
+#: Sets in the tables of Terlemezoğlu (2019).
 PUBLISHED_SETS = tuple(number for number in EOP_SETS if number <= 20)
 COUNTED_SETS = (1, *ILL_CONDITIONED)
 
 
 def counts(run: TwoStage) -> Cells:
-    """All counted cells, of a run with point set H-10."""
+    """All cells with counts, for a run with point set H-10."""
     return _equations(run) | _sets() | _text(run)
 
 
@@ -76,7 +77,7 @@ def _equations(run: TwoStage) -> Cells:
 
 
 def _sets() -> Cells:
-    """Polynomial degree of each EOP, size of each EOP set, place of each member."""
+    """Polynomial degree of each EOP, size of each EOP set, position of each member."""
     per_component = N_EOP // len(COMPONENTS)
     out: Cells = {
         CellKey("4.1", quantity="degree", parameter=name): float(per_component - 1) for name in PUBLISHED_COMPONENTS
@@ -89,7 +90,7 @@ def _sets() -> Cells:
 
 
 def _text(run: TwoStage) -> Cells:
-    """Numbers of the text that the project counts or holds itself."""
+    """Numbers of the text that are counts or constants of this package."""
     homogeneous = [name for name in CHECK_COUNT if name.startswith("H")]
     n_gcp, n_icp = len(run.control_ids), len(run.check_ids)
     values = {
@@ -108,7 +109,7 @@ _SETS = (1, *ILL_CONDITIONED)
 CONDITIONS_OF = {f"4.{3 + k}": number for k, number in enumerate(_SETS)}
 CONDITIONING_OF = {f"4.{10 + k}": number for k, number in enumerate(_SETS)}
 CORRECTIONS_OF = {f"4.{17 + k}": number for k, number in enumerate(_SETS)}
-#: As run, these tables are taken to follow a step 1 that ends at rounding.
+#: Tables that as run follow a step 1 that ends at rounding (assumption, see the module docstring).
 STEP_1_CLOSED = frozenset(CONDITIONS_OF) | frozenset(CONDITIONING_OF) | frozenset(CORRECTIONS_OF)
 #: Solvers of tables 4.17-4.23.
 SOLVERS = (
@@ -125,7 +126,7 @@ SOLVER_OF = {
 }  # fmt: skip
 #: Tables whose solvers choose a kappa.
 TIKHONOV_TABLES = frozenset(table for table, name in SOLVER_OF.items() if name.startswith("tikhonov"))
-#: As run, type 1 of these tables is taken to be without bundle: an inference from the printed check points.
+#: Tables whose type 1 as run is without bundle: inferred from the printed check points.
 WITHOUT_BUNDLE = frozenset(SOLVER_OF) - {"4.24"}
 #: Table 4.24 repeats the bundles of Topan 2009, who had no set 20.
 _METHOD_OF = {"4.24": "least_squares_topan2009"}
@@ -144,11 +145,11 @@ def compute(
     tables : collection of str
         Of "text", "eq4.1" ... "eq4.6", "4.1" ... "4.34", "s4.2.2".
     seeds : sequence of int
-        One twin each.
+        One synthetic block each.
     as_run : bool or Switches
-        As the authors' program works, on a twin with radial velocity and attitude.
+        Procedure of the authors' program, on blocks with radial velocity and attitude.
     progress : callable, optional
-        Called with runs done and runs in all.
+        Called with runs done and number of runs.
 
     Returns
     -------
@@ -169,7 +170,7 @@ def compute(
 
 
 def _table(run: TwoStage, table: str) -> Cells:
-    """Cells of one table of adjustments; none for others."""
+    """Cells of one table of adjustments; empty for other tables."""
     kinds: tuple[tuple[Collection[str], Callable[[TwoStage, str], Cells]], ...] = (
         (CONDITIONS_OF, _conditions), (CONDITIONING_OF, _conditioning), (CORRECTIONS_OF, _corrections),
         (SOLVER_OF, _bundles), (("s4.2.2",), _correlations),
@@ -180,7 +181,7 @@ def _table(run: TwoStage, table: str) -> Cells:
 def _conditions(run: TwoStage, table: str) -> Cells:
     """Conditions of usability (T sect. 3.5): counts, [v], [vv], smallest and largest |N dP - b|.
 
-    The source does not name the solver, and these numbers follow from it alone: each has one value per solver.
+    These numbers depend on the solver only, and the source does not name it: each has one value per solver.
     """
     number = CONDITIONS_OF[table]
     out: dict[CellKey, list[float]] = {}
@@ -249,7 +250,7 @@ def norm_condition(system: LinearSystem, solver: str) -> float:
 
 
 def _double(sign: float, log10: float) -> float:
-    """A determinant as a double holds it: 0 or inf where it does not."""
+    """Determinant as a double: 0 or inf outside its range."""
     with np.errstate(under="ignore", over="ignore"):
         return float(sign * np.float64(10.0) ** log10)
 
@@ -259,8 +260,8 @@ def _corrections(run: TwoStage, table: str) -> Cells:
     number = CORRECTIONS_OF[table]
     out: Cells = {}
     for method in SOLVERS:
-        found = run.pre_adjust(0, number, method).dP
-        for name, value in zip(labels(number), found, strict=True):
+        dp = run.pre_adjust(0, number, method).dP
+        for name, value in zip(labels(number), dp, strict=True):
             out[CellKey(table, str(number), "pre-left", quantity="dP", method=method, parameter=name)] = float(value)
     return out
 
@@ -283,21 +284,21 @@ def _bundles(run: TwoStage, table: str) -> Cells:
 
 
 def tikhonov_curves(tables: Collection[str], seed: int, *, as_run: bool | Switches = False) -> dict[int, LCurve]:
-    """L-curve of the bundle that the rules of tables 4.25-4.27 look at, of each ill-conditioned set.
+    """L-curve of the bundle of tables 4.25-4.27 for each ill-conditioned set; empty without one of these tables.
 
-    The bundle is that without EOP pre-adjustment (type 1). Without one of these tables there is none.
+    The bundle is that without EOP pre-adjustment (type 1).
     """
     if not set(tables) & TIKHONOV_TABLES:
         return {}
     run = twin(seed, as_run=as_run)
-    found = {number: run.bundle(number, 1, SOLVER_OF["4.25"]).system for number in ILL_CONDITIONED}
-    return {number: l_curve_of(system) for number, system in found.items() if system is not None}
+    systems = {number: run.bundle(number, 1, SOLVER_OF["4.25"]).system for number in ILL_CONDITIONED}
+    return {number: l_curve_of(system) for number, system in systems.items() if system is not None}
 
 
 def _correlations(run: TwoStage, table: str) -> Cells:
     """Correlations of equal position coefficients, EOP set 1, left image (T sect. 4.2.2).
 
-    From the design with unit-length columns: the correlations are the same, and N can be inverted.
+    They are computed with columns of unit length: the correlations are the same, and N can be inverted.
     """
     design, _ = run.pre_adjust(0, 1, LEAST_SQUARES).system.require_design("correlations")
     r = np.linalg.qr(design / np.linalg.norm(design, axis=0), mode="r")
@@ -305,10 +306,8 @@ def _correlations(run: TwoStage, table: str) -> Cells:
     cofactors = root @ root.T
     sigma = np.sqrt(np.diag(cofactors))
     names = labels(1)
-    out: Cells = {}
-    for i, first in enumerate(names):
-        for j, second in enumerate(names[i + 1 :], start=i + 1):
-            value = abs(cofactors[i, j]) / (sigma[i] * sigma[j])
-            key = CellKey(table, "1", "pre-left", quantity="correlation", parameter=f"{first} {second}")
-            out[key] = float(value)
-    return out
+    key = CellKey(table, "1", "pre-left", quantity="correlation")
+    return {
+        key._replace(parameter=f"{names[i]} {names[j]}"): float(abs(cofactors[i, j]) / (sigma[i] * sigma[j]))
+        for i, j in combinations(range(len(names)), 2)
+    }

@@ -1,10 +1,10 @@
 """Tables 4.35-4.55 of Terlemezoğlu (2019): sensor-independent RFM of the SPOT-6 scene, degrees 1-3, as they were run.
 
-The control points are public, so the numbers can be met digit by digit where they are no rounding noise. Where they
-are, another order of the rows moves them by decades: everything is computed on the points in the order of their file
-(run 0) and on seeded permutations of them. Always as run: inverses are formed and multiplied with b, negative radicands
-have complex roots, |N^-1| is that of the inverse formed, eigenvalues are those of the upper triangle of N (as MATLAB's
-eig reads it), Table 4.45 uses Cramer's inverse. x is the sample, y the line.
+The control points are public. Therefore numbers that are not rounding noise can agree digit by digit. Rounding noise
+changes by decades with the order of the rows. All numbers are computed with the points in the order of their file
+(run 0) and with seeded permutations of them. The computation is always as run: inverses are formed and multiplied with
+b, negative radicands have complex roots, |N^-1| is that of the inverse as formed, eigenvalues are those of the upper
+triangle of N (which MATLAB's eig reads), Table 4.45 uses Cramer's inverse. x is the sample, y the line.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from fg_orient.rpc.rfm_points import ControlPoints, Scaling
 
 Cells = dict[CellKey, float]
 Progress = Callable[[int, int], None]
-#: Printed kappas by method and degree, to be put into Table 4.45.
+#: Printed kappas by method and degree, for Table 4.45.
 Kappas = Mapping[tuple[str, int], float]
 
 #: Methods in the order of the tables.
@@ -47,7 +47,7 @@ TIKHONOV: Final = {"tikhonov_hkb": "hkb", "tikhonov_lw": "lw", "tikhonov_od": "o
 TABLES: Final = tuple(f"4.{k}" for k in range(35, 56))
 #: The published computation with the printed kappas is reported in addition to Table 4.45 under this table name.
 WITH_PRINTED_KAPPA: Final = "4.45 printed kappa"
-#: Quantity in addition to m0: m0 of the true image residuals, which the source does not give.
+#: Additional quantity: m0 of the true image residuals, which the source does not give.
 TRUE_M0: Final = "m0_true"
 #: Permutations, seeds 1 to 50.
 PERMUTATIONS: Final = 50
@@ -73,7 +73,7 @@ class Run:
 
     @cached_property
     def prepared(self) -> ControlPoints:
-        """Points as the equations take them: raw, or normalised by T(3.51) in the printed order of operations."""
+        """Points for the equations: raw, or normalised by T(3.51) in the printed order of operations."""
         if not self.normalised:
             return self.points
         values = self.points.columns
@@ -101,7 +101,7 @@ class Run:
         return {}
 
     def solution(self, method: str, system: LinearSystem | None = None) -> LinearSolution:
-        """Solution by a published method; nan where it breaks down."""
+        """Solution by a published method; nan if it breaks down."""
         used = system or self.system
         key = method, used.normal.tobytes()
         if key not in self._solutions:
@@ -115,12 +115,12 @@ class Run:
             return np.asarray((design @ x - observed).reshape(2, -1) * self.pixels[::-1, None])
 
     def m0_px(self, x: Array) -> float:
-        """m0 = sqrt(([vv]_x + [vv]_y)/(n - u)); nan where there is no solution."""
+        """m0 = sqrt(([vv]_x + [vv]_y)/(n - u)); nan without a solution."""
         with np.errstate(over="ignore", invalid="ignore"):
             return float(np.sqrt(np.sum(self.residuals_px(x) ** 2) / self.system.redundancy))
 
     def true_m0_px(self, x: Array) -> float:
-        """The same of x - f1/f2 and y - f3/f4; inf at a pole."""
+        """m0 of x - f1/f2 and y - f3/f4; inf at a pole."""
         if not np.isfinite(x).all():
             return math.nan
         v = RfmFit(self.form, _AS_IT_IS, self.prepared, x, "as run").residuals_px() * self.pixels
@@ -136,17 +136,17 @@ def compute(
     Parameters
     ----------
     tables : collection of str
-        Of "4.35" ... "4.55"; others are left out.
+        Some of "4.35" ... "4.55"; other tables are ignored.
     points : ControlPoints
-        The 99 of the scene.
+        The 99 points of the scene.
     permutations : int
-        Number of seeded orders of the points in addition to that of the file, seeds 1 to n.
+        Number of seeded orders of the points in addition to the order of the file, seeds 1 to n.
     degrees : sequence of int
-        Of 1, 2, 3. Cramer's inverse makes degree 3 slow: seconds per permutation.
+        Some of 1, 2, 3. Cramer's inverse makes degree 3 slow: seconds per permutation.
     kappas : mapping, optional
-        Printed kappas: Table 4.45 is computed once more with them.
+        Printed kappas: Table 4.45 is also computed with them.
     progress : callable, optional
-        Called with runs done and runs in all.
+        Called with runs done and number of runs.
 
     Returns
     -------
@@ -255,7 +255,7 @@ def _accuracy(run: Run, table: str) -> Cells:
 
 
 def _tikhonov(run: Run, table: str, kappas: Kappas) -> Cells:
-    """Kappa and m0 of three rules with Cramer's inverse; kappas that are given stand for those of the rule."""
+    """Kappa and m0 of three rules with Cramer's inverse; given kappas replace those of the rules."""
     out: Cells = {}
     for method, rule in TIKHONOV.items():
         kappa = kappas[method, run.degree] if kappas else _kappa(run, rule)
@@ -270,8 +270,9 @@ def _tikhonov(run: Run, table: str, kappas: Kappas) -> Cells:
 def _kappa(run: Run, rule: str) -> float:
     """Kappa by the rules as they were run, from the solution by Cramer's inverse, clamped as published.
 
-    The printed kappas of degree 1 follow from the printed coefficients with s0 where T(3.5) and T(3.6) have its square,
-    and with dP_i and descending eigenvalues where T(3.6) needs canonical coefficients: 4.4e-5 and 1.0e-19.
+    The printed kappas of degree 1, 4.4e-5 and 1.0e-19, follow from the printed coefficients with two differences from
+    the equations: s0 in place of its square in T(3.5) and T(3.6), and dP_i with descending eigenvalues in place of the
+    canonical coefficients in T(3.6).
     """
     system, x = run.system, run.solution(CRAMER).x
     eigenvalues = eigh(system.normal, lower=False, eigvals_only=True)

@@ -1,7 +1,7 @@
-"""Experiments on the twin: the run of one seed, words of the tables, collecting over seeds; Topan & Maktav (2010).
+"""Experiments on synthetic blocks: one run per seed, words of the tables, all seeds; Topan & Maktav (2010).
 
-The points of the publications are unpublished, so each seed draws a twin of its own: points, roles, errors
-of the metadata, noise of image and ground (Terlemezoğlu 2019, sect. 4.2; Topan & Maktav 2010).
+The points of the publications are unpublished. Therefore each seed defines its own synthetic block: points, roles,
+errors of the metadata, noise of image and ground (Terlemezoğlu 2019, sect. 4.2; Topan & Maktav 2010).
 :func:`compute` gives tables 1 and 2 of Topan & Maktav (2010): RMSE by point set, stage and EOP set.
 """
 
@@ -20,13 +20,13 @@ from fg_orient.studies.claims import Study
 from fg_orient.studies.switches import Switches, switches_of
 from fg_orient.studies.two_stage import TwoStage
 
-# Cells of one run; several values where the source leaves open which of several computations it shows.
+# Cells of one run; several values if the source does not state which of several computations it shows.
 # (No '#:': autodoc cannot format this alias.)
 Cells = dict[CellKey, float | list[float]]
-#: Called after each run: runs done, runs in all.
+#: Called after each run with runs done and number of runs.
 Progress = Callable[[int, int], None]
 
-#: Plain least squares of both sources: an inverse is formed with pivoting, then multiplied with b.
+#: Least squares of both sources: an inverse is formed with pivoting, then multiplied with b.
 LEAST_SQUARES = "pivot_inverse"
 AXES = ("x", "y", "z")
 #: The nine EOPs in the words of the tables; ar, ap, ay are roll, pitch, yaw.
@@ -34,7 +34,7 @@ PUBLISHED_COMPONENTS = ("X", "Y", "Z", "VX", "VY", "VZ", "ar", "ap", "ay")
 
 
 def twin(seed: int, point_set: str = "H-10", *, as_run: bool | Switches = False) -> TwoStage:
-    """Start the published procedure on the twin of a seed; with switches it has radial velocity and attitude."""
+    """Published procedure on the synthetic block of a seed; with switches it has radial velocity and attitude."""
     return Study(seed, switches_of(as_run)).procedure(point_set=point_set)
 
 
@@ -55,28 +55,28 @@ def rmse_cells(key: CellKey, gcp_rmse: Array, icp_rmse: Array) -> Cells:
 def collect(
     one_run: Callable[[int], Cells], seeds: Sequence[int], progress: Progress | None = None
 ) -> dict[CellKey, Array]:
-    """Run all seeds: values (n,) of every cell, nan where a solver broke down.
+    """Run all seeds: values (n,) of every cell, nan if a solver broke down.
 
     Parameters
     ----------
     one_run : callable
-        Gives the cells of a seed.
+        Function from a seed to its cells.
     seeds : sequence of int
     progress : callable, optional
     """
     values: dict[CellKey, list[float]] = {}
     for done, seed in enumerate(seeds, start=1):
-        with one_blas_thread():  # else the number of cores decides the rounding noise that many cells are
+        with one_blas_thread():  # many cells are rounding noise, which depends on the number of threads
             cells = one_run(seed)
         for key, value in cells.items():
             values.setdefault(key, []).extend(value if isinstance(value, list) else [value])
         if progress is not None:
             progress(done, len(seeds))
-    return {key: np.array(found) for key, found in values.items()}
+    return {key: np.array(of_cell) for key, of_cell in values.items()}
 
 
 POINT_SETS = ("H-0", "H-20", "G-A", "G-B")
-#: Sets of the paper; set 20 was added by Terlemezoğlu 2019.
+#: Sets of the paper; Terlemezoğlu 2019 added set 20.
 PAPER_SETS = tuple(number for number in EOP_SETS if number <= 19)
 
 
@@ -102,7 +102,7 @@ def compute(
 
 
 def _counts(run: TwoStage, point_set: str) -> Cells:
-    """Numbers of the text that follow from the twin."""
+    """Numbers of the text that follow from the synthetic block."""
     name = point_set.replace("-", "").lower()
     n_lines = run.block.images[0].sensor.n_lines
     counts = {

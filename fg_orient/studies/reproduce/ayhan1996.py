@@ -171,10 +171,6 @@ def text_cells(values: Values) -> Cells:
     return out
 
 
-TABLES: Final = (
-    "1", "2", "3", "4", "ek1.comparator", "ek1.cameras", "ek1.bundle", "ek1.refined", "ek1.points", "ek2.dlt",
-    "ek2.control", "ek2.points", *map(str, range(5, 21)), "ek3.surfaces", "ek3.points", "text",
-)  # fmt: skip
 MEASURED: Final = "a measurement or a setting: nothing to compute"
 #: Reasons why the other cells of a table cannot be reproduced.
 REASONS: Final = {
@@ -204,7 +200,6 @@ SOURCE: Final = Source(
     "ayhan1996",
     "Ayhan (1996), surfaces of revolution by close-range photogrammetry",
     real=recomputed_tables(_COMPUTERS, REASONS, MEASURED),
-    real_tables=TABLES,
     about="Recomputed in double precision from the measurements that the thesis prints: comparator and refined image "
     "coordinates, cameras, geodetic points. Single precision of its program, or a model with other parameters, is "
     "stated as a spread beside the number. Control points and image coordinates of most applications are not printed. "

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Final
+from dataclasses import asdict
+from typing import Any, Final, NamedTuple
 
 from fg_orient.model.cells import CellKey
 from fg_orient.report.page import environment
@@ -81,17 +81,8 @@ def verdict(found: Reproduction) -> dict[str, str]:
     return {"kind": "good" if met == len(found.claims) else "warn", "title": title, "text": text}
 
 
-@dataclass(frozen=True)
-class Grid:
-    """Verdicts of one table.
-
-    Parameters
-    ----------
-    columns : tuple of str
-        Solvers or EOP sets, in the order of the table.
-    rows : tuple
-        Address without the column, and a Row or None per column.
-    """
+class Grid(NamedTuple):
+    """Verdicts of one table: names of the columns, then address and a Row or None per column for each line."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, tuple[Row | None, ...]], ...]

@@ -396,8 +396,6 @@ def differences(values: Values) -> Cells:
     return out
 
 
-TABLES: Final = ("3.1", "3.2", "3.3", "3.5", "text", "s4.2.2", "5.1", "s6.2", "6.1", "7.1", "s7.2", "7.2", "7.3", "7.4",
-                 "7.5", "7.6", "summary")  # fmt: skip
 #: Reasons why the other cells of a table cannot be reproduced.
 REASONS: Final = {
     "s4.2.2": "processor times of another computer and program",
@@ -422,7 +420,6 @@ SOURCE: Final = Source(
     "ipbuker1994",
     "İpbüker (1994), geometric accuracy of images at map scale from satellite data",
     real=recomputed_tables({table: (compute,) for table, compute in _COMPUTERS.items()}, REASONS, FACT),
-    real_tables=TABLES,
     about="The thesis prints no control points, residuals, coefficients or outlines: its rectifications cannot be "
     "repeated. Recomputed are numbers that follow from others beside them, figures of orbits, sensors and "
     "projections, and, by simulation, how precisions of one kind depend on those of another. The range is the stated "

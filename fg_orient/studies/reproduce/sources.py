@@ -47,7 +47,7 @@ class Source:
         ``real(printed, tables, data, permutations=, progress=)``: comparison of each cell of tables that need no
         synthetic block.
     real_tables : tuple of str
-        Tables for ``real``.
+        Tables for ``real``, if ``compute`` computes others.
     about : str
         Basis of the numbers, for the report.
     meanings : mapping, optional
