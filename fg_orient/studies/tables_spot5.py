@@ -226,12 +226,12 @@ def _conditioning(run: TwoStage, table: str) -> Cells:
     out: Cells = {}
     for stage, system, _, _ in _solved(run, number, LEAST_SQUARES, (*PRE_STAGES, "bundle")):
         key = CellKey(table, str(number), stage)
-        found = diagnose(system)
+        matrix = diagnose(system)
         formed = math.nan if run.switches == TEXT else norm_condition(system, LEAST_SQUARES)
-        norm = found.cond_norm if math.isnan(formed) else formed
+        norm = matrix.cond_norm if math.isnan(formed) else formed
         values = {
-            "matrix_order": found.order, "rank": found.rank, "det": _double(found.det_sign, found.log10_det),
-            "cond_norm": norm, "cond_spectral": found.cond_spectral, "cond_hadamard": found.cond_hadamard,
+            "matrix_order": matrix.order, "rank": matrix.rank, "det": _double(matrix.det_sign, matrix.log10_det),
+            "cond_norm": norm, "cond_spectral": matrix.cond_spectral, "cond_hadamard": matrix.cond_hadamard,
         }  # fmt: skip
         out |= {key._replace(quantity=name): float(value) for name, value in values.items()}
     return out
@@ -272,14 +272,14 @@ def _bundles(run: TwoStage, table: str) -> Cells:
     method = _METHOD_OF.get(table, SOLVER_OF[table])
     for number in ILL_CONDITIONED:
         for kind in TYPES:
-            found = run.bundle(number, kind, SOLVER_OF[table])
+            bundle = run.bundle(number, kind, SOLVER_OF[table])
             key = CellKey(table, str(number), "bundle", str(kind), method=method)
-            errors = found.accuracy
+            errors = bundle.accuracy
             if kind == 1 and table in WITHOUT_BUNDLE and run.switches != TEXT:
                 errors = run.step_two_only(number, SOLVER_OF[table])
             out |= rmse_cells(key, errors.gcp_rmse, errors.icp_rmse)
-            if found.solution.kappa is not None:
-                out[key._replace(quantity="kappa")] = float(found.solution.kappa)
+            if bundle.solution.kappa is not None:
+                out[key._replace(quantity="kappa")] = float(bundle.solution.kappa)
     return out
 
 

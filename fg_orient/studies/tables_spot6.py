@@ -163,7 +163,7 @@ def compute(
                 values.setdefault(key, []).append(value)
         if progress is not None:
             progress(seed + 1, runs)
-    return {key: np.array(found) for key, found in values.items()}
+    return {key: np.array(of_cell) for key, of_cell in values.items()}
 
 
 def _cells(tables: Sequence[str], points: ControlPoints, degree: int, kappas: Kappas) -> Cells:
@@ -218,7 +218,7 @@ def _conditions(run: Run, table: str) -> Cells:
 def _conditioning(run: Run, table: str) -> Cells:
     """Order, rank, determinant and three condition numbers of A^T A, as run."""
     normal = run.system.normal
-    found = diagnose(run.system)
+    diagnosis = diagnose(run.system)
     with np.errstate(all="ignore"):
         try:
             cond_norm = float(np.linalg.norm(normal, 2) * np.linalg.norm(np.linalg.inv(normal), 2))
@@ -226,9 +226,9 @@ def _conditioning(run: Run, table: str) -> Cells:
             cond_norm = math.inf
         eigenvalues = eigh(normal, lower=False, eigvals_only=True)
         values = {
-            "matrix_order": float(found.order), "rank": float(found.rank),
-            "det": float(found.det_sign * np.float64(10.0) ** found.log10_det), "cond_norm": cond_norm,
-            "cond_spectral": float(eigenvalues[-1] / eigenvalues[0]), "cond_hadamard": found.cond_hadamard,
+            "matrix_order": float(diagnosis.order), "rank": float(diagnosis.rank),
+            "det": float(diagnosis.det_sign * np.float64(10.0) ** diagnosis.log10_det), "cond_norm": cond_norm,
+            "cond_spectral": float(eigenvalues[-1] / eigenvalues[0]), "cond_hadamard": diagnosis.cond_hadamard,
         }  # fmt: skip
     return {_key(table, run, quantity=name): value for name, value in values.items()}
 

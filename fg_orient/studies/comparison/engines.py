@@ -165,13 +165,13 @@ class Adjustments:
         design = assemble(self.problem, self.problem.start)[1]
         physical = _per_physical_unit(self.problem, design)
         raw, columns = spectra_of(physical, self.eop_set, "adjustment")
-        found = [raw, columns, Spectrum(self.eop_set, "adjustment", "priors", singular_values(design))]
+        spectra = [raw, columns, Spectrum(self.eop_set, "adjustment", "priors", singular_values(design))]
         self.matrix |= _conditioning(raw, columns, len(design))
         if self.block.options.priors:
             free = _without_priors(self.problem, design)
-            found += spectra_of(_per_physical_unit(self.problem, free), self.eop_set, "no priors")
-            found.append(Spectrum(self.eop_set, "no priors", "priors", singular_values(free)))
-        self.spectra = tuple(found)
+            spectra += spectra_of(_per_physical_unit(self.problem, free), self.eop_set, "no priors")
+            spectra.append(Spectrum(self.eop_set, "no priors", "priors", singular_values(free)))
+        self.spectra = tuple(spectra)
 
     def graph(self) -> tuple[Solution | None, Row]:
         """Adjust through the graph: solution, if there is one, and row."""
@@ -195,35 +195,35 @@ class Adjustments:
     def _run(self, solver: str, backend: str, options: dict[str, Any]) -> tuple[Solution | None, Row]:
         try:
             with np.errstate(all="ignore"):  # a step with a singular matrix may overflow; the loop then reports it
-                found = adjust(self.block, eop_set=self.eop_set, look_polynomial=self.look_polynomial, **options)
+                solution = adjust(self.block, eop_set=self.eop_set, look_polynomial=self.look_polynomial, **options)
         except FgOrientError as error:
             return None, row(self.eop_set, solver, backend, failure=one_line(error), **self.matrix)
-        seconds = found.seconds.structure + found.seconds.solve
-        if found.status is Status.NOT_CONVERGED:
-            values: dict[str, Any] = {"failure": found.reason, "iterations": found.iterations, "seconds": seconds}
+        seconds = solution.seconds.structure + solution.seconds.solve
+        if solution.status is Status.NOT_CONVERGED:
+            values: dict[str, Any] = {"failure": solution.reason, "iterations": solution.iterations, "seconds": seconds}
             return None, row(self.eop_set, solver, backend, **values, **self.matrix)
-        values = {**_accuracy("control", found.accuracy.control), **_accuracy("check", found.accuracy.check)}
-        notes = (found.reason,) if found.status is Status.NOT_TRUSTWORTHY else ()
-        return found, row(
-            self.eop_set, solver, backend, sigma0=found.sigma0, iterations=found.iterations, seconds=seconds,
+        values = {**_accuracy("control", solution.accuracy.control), **_accuracy("check", solution.accuracy.check)}
+        notes = (solution.reason,) if solution.status is Status.NOT_TRUSTWORTHY else ()
+        return solution, row(
+            self.eop_set, solver, backend, sigma0=solution.sigma0, iterations=solution.iterations, seconds=seconds,
             notes=notes, **values, **self.matrix,
         )  # fmt: skip
 
 
 def directions_of(compiled: Problem) -> tuple[Direction, ...]:
     """Directions that the image observations do not determine: of each image, then of the whole block."""
-    number, found = compiled.block.options.eop_set, list[Direction]()
+    number, out = compiled.block.options.eop_set, list[Direction]()
     for image in judge_observability(compiled):
         words = [text.removeprefix(f"image {image.image}: ") for text in image.sentences]
-        found += [Direction(number, image.image, text, "nothing") for text in words]
-        found += [Direction(number, image.image, text, "prior") for text in image.held]
+        out += [Direction(number, image.image, text, "nothing") for text in words]
+        out += [Direction(number, image.image, text, "prior") for text in image.held]
     view = analyse_block(compiled) if affordable(compiled) else None
     block = () if view is None else (*view.datum, *view.on_board)
-    return (*found, *(Direction(number, "", text.removeprefix("block: "), "prior") for text in block))
+    return (*out, *(Direction(number, "", text.removeprefix("block: "), "prior") for text in block))
 
 
-def _accuracy(role: str, found: PointDifferences) -> dict[str, float]:
-    statistics = found.statistics()
+def _accuracy(role: str, differences: PointDifferences) -> dict[str, float]:
+    statistics = differences.statistics()
     return _axes(role, np.array([statistics.get(f"rmse_ecef_{axis}_m", np.nan) for axis in AXES]))
 
 

@@ -82,17 +82,19 @@ def compare_project(
     read_s = working_clock() - start
     shared = given.get("workers", 0) > 1 or given.get("cluster") is not None
     kept = Path(out).absolute().with_name(f".{Path(out).name}.sets") if shared else None
-    found = compare(block, callback=callback, folder=kept, **given)
-    if all(row.failure for row in found.rows):
-        raise NoSolutionError.of("compare.no_solution", file=project, count=len(found.rows), why=found.rows[0].failure)
-    record = _record(found, Path(project), Path(out), command)
+    comparison = compare(block, callback=callback, folder=kept, **given)
+    if all(row.failure for row in comparison.rows):
+        raise NoSolutionError.of(
+            "compare.no_solution", file=project, count=len(comparison.rows), why=comparison.rows[0].failure
+        )
+    record = _record(comparison, Path(project), Path(out), command)
     with staged_folder(out, overwrite=overwrite, contents=COMPARISON) as folder:
         mark = working_clock()
-        drawn = plots.figures(found)
+        drawn = plots.figures(comparison)
         end = working_clock()
-        record["seconds"] = {"read": read_s, "compare": found.seconds, "figures": end - mark, "total": end - start}
+        record["seconds"] = {"read": read_s, "compare": comparison.seconds, "figures": end - mark, "total": end - start}
         with writing(out):
-            write_folder(folder, found, record, drawn)
+            write_folder(folder, comparison, record, drawn)
     if kept is not None:
         shutil.rmtree(kept, ignore_errors=True)
     return {**record, "out": str(out)}
@@ -117,7 +119,9 @@ def write_folder(folder: Path, comparison: Comparison, record: Mapping[str, Any]
         (s.eop_set, s.system, s.scaling, index, float(value))
         for s in comparison.spectra for index, value in enumerate(s.values)
     ))  # fmt: skip
-    write_rows(folder / "directions.csv", DIRECTION_COLUMNS, (astuple(found) for found in comparison.directions))
+    write_rows(
+        folder / "directions.csv", DIRECTION_COLUMNS, (astuple(direction) for direction in comparison.directions)
+    )
     if comparison.curves:
         write_rows(folder / "l_curves.csv", CURVE_COLUMNS, _curve_rows(comparison))
     for name, text in figures.items():
@@ -128,8 +132,8 @@ def write_folder(folder: Path, comparison: Comparison, record: Mapping[str, Any]
 
 def _curve_rows(comparison: Comparison) -> Iterator[tuple[object, ...]]:
     """Points of all curves, each curve followed by the choices of the rules."""
-    for found in comparison.curves:
-        curve, key = found.curve, (found.eop_set, found.type)
+    for of_set in comparison.curves:
+        curve, key = of_set.curve, (of_set.eop_set, of_set.type)
         for point in zip(curve.kappa.tolist(), curve.residual_norm.tolist(), curve.solution_norm.tolist(), strict=True):
             yield (*key, "", *point)
         for choice in curve.choices:
@@ -160,7 +164,7 @@ def _record(comparison: Comparison, project: Path, out: Path, command: Sequence[
         "summary": [asdict(line) for line in summaries(comparison)],
         **as_record([] if available() else [finding("compare.no_figures")]),
         "rows": [row.as_dict() for row in comparison.rows],
-        "directions": [asdict(found) for found in comparison.directions],
+        "directions": [asdict(direction) for direction in comparison.directions],
         "out": out.name,
         "provenance": provenance(comparison.block, project.parent, command),
     })  # fmt: skip

@@ -148,8 +148,8 @@ def _conditions(comparison: Comparison) -> Figure | None:
     chart = broad("condition numbers", x, y)
     for key in wanted:
         label, kind = _SYSTEMS[key]
-        found = {s.eop_set: s.condition for s in comparison.spectra if (s.system, s.scaling) == key}
-        chart.add("dots", kind, [sets.index(n) for n in found], list(found.values()), label=label)
+        conditions = {s.eop_set: s.condition for s in comparison.spectra if (s.system, s.scaling) == key}
+        chart.add("dots", kind, [sets.index(n) for n in conditions], list(conditions.values()), label=label)
     chart.across("limit", 1e16, label="1e16: limit of the publication")
     chart.across("zero", LARGEST_CONDITION)
     return panels_of([chart], 7.2, 3.6)
@@ -186,11 +186,11 @@ def _spectra(comparison: Comparison) -> Figure | None:
 
 def _l_curves(comparison: Comparison) -> Figure | None:
     """L-curves of the published bundle, one panel per EOP set, with the choices of its Tikhonov solvers."""
-    types = sorted({found.type for found in comparison.curves})
+    types = sorted({of_set.type for of_set in comparison.curves})
     chosen = [(name, solver(name).label) for name in comparison.solvers if solver(name).family == "tikhonov"]
     if not types or not chosen:
         return None
-    curves = {found.eop_set: found.curve for found in comparison.curves if found.type == types[0]}
+    curves = {of_set.eop_set: of_set.curve for of_set in comparison.curves if of_set.type == types[0]}
     charts = []
     for number in comparison.eop_sets:
         chart = Chart("L-curve", title=f"{number} {EOP_SETS[number].name}")

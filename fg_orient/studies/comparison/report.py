@@ -71,8 +71,8 @@ def heat_map(comparison: Comparison, role: str) -> list[tuple[str, bool, list[Ce
     for key, rows in groups(comparison.rows).items():
         if all(row.left_out for row in rows):
             continue
-        found = {row.eop_set: row for row in rows}
-        cells = [_cell(found.get(n), role, comparison.target_m) for n in comparison.eop_sets]
+        by_set = {row.eop_set: row for row in rows}
+        cells = [_cell(by_set.get(n), role, comparison.target_m) for n in comparison.eop_sets]
         out.append((row_name(comparison, *key), before not in (None, key[:2]), cells))
         before = key[:2]
     return out if any(cell.kind[0] in "bo" for _, _, cells in out for cell in cells) else []
@@ -150,7 +150,7 @@ def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[s
     condition_heads, conditions = _conditions(comparison)
     directions = _directions(comparison)
     parts = (("failures", "Without solution", False), ("left-out", "Not tried", True))
-    reasons = [(id_, title, found) for id_, title, left_out in parts if (found := _reasons(comparison, left_out))]
+    reasons = [(id_, title, rows) for id_, title, left_out in parts if (rows := _reasons(comparison, left_out))]
     return shell.get_template("compare.html.j2").render(
         r=record, verdict=verdict(comparison), problems=sentences(record), figures=drawn, heats=heats,
         summaries=summaries(comparison), sets=sets, conditions=conditions, reasons=reasons,
@@ -192,19 +192,19 @@ def _lines(comparison: Comparison, eop_set: int) -> list[dict[str, Any]]:
 def _conditions(comparison: Comparison) -> tuple[list[str], list[tuple[int, list[tuple[str, str]]]]]:
     """Heads, one per system and scaling, and condition numbers by set; one line per set, for printing."""
     columns = dict.fromkeys((s.system, s.scaling) for s in comparison.spectra)
-    found = {(s.eop_set, s.system, s.scaling): s.condition for s in comparison.spectra}
-    rows = [(n, [_condition(found.get((n, *column))) for column in columns]) for n in comparison.eop_sets]
+    conditions = {(s.eop_set, s.system, s.scaling): s.condition for s in comparison.spectra}
+    rows = [(n, [_condition(conditions.get((n, *column))) for column in columns]) for n in comparison.eop_sets]
     return [f"{system}, {scaling}" for system, scaling in columns], rows if columns else []
 
 
 def _directions(comparison: Comparison) -> list[tuple[str, str, list[str], list[int]]]:
     """Directions in words, their constraint (nothing or the prior), images and sets; unconstrained ones first."""
-    found: dict[tuple[str, str], list[Direction]] = {}
+    groups_of: dict[tuple[str, str], list[Direction]] = {}
     for direction in comparison.directions:
-        found.setdefault((direction.held_by, direction.words), []).append(direction)
+        groups_of.setdefault((direction.held_by, direction.words), []).append(direction)
     rows = [
         (words, held, list(dict.fromkeys(d.image for d in group)), sorted({d.eop_set for d in group}))
-        for (held, words), group in found.items()
+        for (held, words), group in groups_of.items()
     ]
     return sorted(rows, key=lambda row: (row[1] != "nothing", row[3][0]))
 
@@ -218,11 +218,11 @@ def _condition(value: float | None) -> tuple[str, str]:
 
 def _reasons(comparison: Comparison, left_out: bool) -> list[tuple[str, int, list[int]]]:
     """Reasons for rows that were not tried or have no solution, number of rows and sets; digits are ignored."""
-    found: dict[str, tuple[str, list[int]]] = {}
+    by_text: dict[str, tuple[str, list[int]]] = {}
     for row in comparison.rows:
         if row.failure and row.left_out == left_out:
             label = comparison.labels.get(row.solver, GRAPH_SOLVER)
             text = f"{row.backend}, {label}: {row.failure}"
             key = re.sub(r"[0-9.e+-]+", "#", text)
-            found.setdefault(key, (text, []))[1].append(row.eop_set)
-    return [(text, len(sets), sorted(set(sets))) for text, sets in found.values()]
+            by_text.setdefault(key, (text, []))[1].append(row.eop_set)
+    return [(text, len(sets), sorted(set(sets))) for text, sets in by_text.values()]

@@ -217,24 +217,24 @@ def dlt_parameter_cells(values: Values) -> Cells:
 
 def dlt_control_cells(values: Values) -> Cells:
     """Appendix 2: control points by DLT within their standard deviation; the column RMS follows from its row."""
-    found = dlt_points(values)
-    assert found.sigma_m is not None
+    points = dlt_points(values)
+    assert points.sigma_m is not None
     at = np.array(CONTROL) - 1
     remark = "spread: one standard deviation of the point; 11 parameters here, 16 there"
-    out = cells_of("ek2.control", DLT_POINT, CONTROL, found.points_m[at], remark, found.sigma_m[at])
+    out = cells_of("ek2.control", DLT_POINT, CONTROL, points.points_m[at], remark, points.sigma_m[at])
     rms = np.linalg.norm(points_of(values, "ek2.control", ("mx_mm", "my_mm", "mz_mm"), CONTROL), axis=1)
     return out | cells_of("ek2.control", ("rms_mm",), CONTROL, rms, "root of the sum of the squares beside it")
 
 
 def dlt_point_cells(values: Values) -> Cells:
     """Appendix 2: all points by DLT."""
-    found = dlt_points(values)
-    assert found.sigma_m is not None
+    points = dlt_points(values)
+    assert points.sigma_m is not None
     remark = (
         "spread: one standard deviation of the point; this list and that of the control points differ for points "
         "9, 11, 13 and 15, so its image coordinates were probably others"
     )
-    return cells_of("ek2.points", DLT_POINT, POINTS, found.points_m, remark, found.sigma_m)
+    return cells_of("ek2.points", DLT_POINT, POINTS, points.points_m, remark, points.sigma_m)
 
 
 def accuracy_cells(values: Values) -> Cells:
@@ -312,18 +312,18 @@ def bundle(values: Values, *, backend: str = "dense", with_base: bool = True) ->
     )  # fmt: skip
 
 
-def parameters(found: BundleResult, photo: int) -> dict[str, tuple[float, float]]:
+def parameters(result: BundleResult, photo: int) -> dict[str, tuple[float, float]]:
     """Numbers of a photo by the names of the print, angles in gon: value and root of its cofactor."""
-    one = found.photos[photo]
+    one = result.photos[photo]
     values = one.values.tolist()
-    values[10:13] = (a / GON for a in ayhan_from_rotation(found.rotations[photo]))
+    values[10:13] = (a / GON for a in ayhan_from_rotation(result.rotations[photo]))
     return dict(zip(PRINTED, zip(values, np.sqrt(one.cofactors).tolist(), strict=True), strict=True))
 
 
-def point_roots(found: BundleResult) -> Array:
+def point_roots(result: BundleResult) -> Array:
     """Roots of the cofactors (15, 3) of the control points."""
-    rows = [found.labels.index(f"point {k} X") for k in CONTROL]
-    return np.asarray(np.sqrt([found.cofactors[k : k + 3] for k in rows]))
+    rows = [result.labels.index(f"point {k} X") for k in CONTROL]
+    return np.asarray(np.sqrt([result.cofactors[k : k + 3] for k in rows]))
 
 
 def _near(
@@ -340,8 +340,8 @@ def _near(
 
 def camera_cells(values: Values) -> Cells:
     """Appendix 1: adjusted cameras, within a printed mean error."""
-    found = bundle(values)
-    numbers = np.array([[value for value, _ in parameters(found, k).values()] for k in range(len(PHOTOS))])
+    adjusted = bundle(values)
+    numbers = np.array([[value for value, _ in parameters(adjusted, k).values()] for k in range(len(PHOTOS))])
     half = points_of(values, "ek1.bundle", [f"m_{name}" for name in PRINTED], PHOTOS)
     half[:, 10:13] /= GON
     out = _near(values, "ek1.cameras", PRINTED, PHOTOS, numbers, half, "spread: the printed mean error")

@@ -52,39 +52,39 @@ def reproduce_to(
     require_source(name)
     target = out or Path(f"reproduced-{name}")
     require_free(target, overwrite=overwrite, contents=CONTENTS)
-    found = reproduce(name, callback=callback, **options)
+    result = reproduce(name, callback=callback, **options)
     with staged_folder(target, overwrite=overwrite, contents=CONTENTS) as folder, writing(target):
-        _write(folder, found, command)
-    return found, as_record(found) | {"out": str(target)}
+        _write(folder, result, command)
+    return result, as_record(result) | {"out": str(target)}
 
 
-def as_record(found: Reproduction) -> dict[str, Any]:
+def as_record(result: Reproduction) -> dict[str, Any]:
     """Rows and claims as plain values; numbers that are not finite become None."""
-    rows = [plain(asdict(row)) for row in found.rows]
-    return {"rows": rows, "claims": [plain(asdict(claim)) for claim in found.claims]}
+    rows = [plain(asdict(row)) for row in result.rows]
+    return {"rows": rows, "claims": [plain(asdict(claim)) for claim in result.claims]}
 
 
-def _write(folder: Path, found: Reproduction, command: Sequence[str]) -> None:
-    rows = [asdict(row) for row in found.rows]
+def _write(folder: Path, result: Reproduction, command: Sequence[str]) -> None:
+    rows = [asdict(row) for row in result.rows]
     _table(folder / "cells.csv", list(rows[0]), rows)
-    claims = [asdict(c) | {"low": c.interval[0], "high": c.interval[1]} for c in found.claims]
+    claims = [asdict(c) | {"low": c.interval[0], "high": c.interval[1]} for c in result.claims]
     _table(folder / "claims.csv", ["id", "passed", "of", "low", "high", "met", "text", "reason"], claims)
     record = {
         "schema": SCHEMA_VERSION,
-        "source": found.source.name,
-        "title": found.source.title,
-        "about": found.source.about,
-        "options": found.options,
-        "verdicts": found.counts(),
-        "tables": {table: {"title": title, "verdicts": found.counts(table)} for table, title in found.titles.items()},
-        "claims": as_record(found)["claims"],
-        "published_sha256": found.sha256,
+        "source": result.source.name,
+        "title": result.source.title,
+        "about": result.source.about,
+        "options": result.options,
+        "verdicts": result.counts(),
+        "tables": {table: {"title": title, "verdicts": result.counts(table)} for table, title in result.titles.items()},
+        "claims": as_record(result)["claims"],
+        "published_sha256": result.sha256,
         "versions": versions(),
         "command": [Path(word).name if Path(word).is_absolute() else word for word in command],
         "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
     }
     (folder / "result.json").write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
-    (folder / "report.html").write_text(render(found, record), encoding="utf-8")
+    (folder / "report.html").write_text(render(result, record), encoding="utf-8")
 
 
 def _table(path: Path, columns: list[str], rows: list[dict[str, Any]]) -> None:

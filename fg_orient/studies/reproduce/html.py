@@ -25,33 +25,33 @@ LEGEND: Final = {
 }
 
 
-def render(found: Reproduction, record: dict[str, Any]) -> str:
+def render(result: Reproduction, record: dict[str, Any]) -> str:
     """HTML text.
 
     Parameters
     ----------
-    found : Reproduction
+    result : Reproduction
     record : dict
         Content of ``result.json``.
     """
-    tables = [_table(found, table, title) for table, title in found.titles.items()]
-    legend = {kind: (*words[:2], found.source.meanings.get(kind, words[2])) for kind, words in LEGEND.items()}
+    tables = [_table(result, table, title) for table, title in result.titles.items()]
+    legend = {kind: (*words[:2], result.source.meanings.get(kind, words[2])) for kind, words in LEGEND.items()}
     return environment("fg_orient.studies.reproduce").get_template("reproduction.html.j2").render(
-        record=record, legend=legend, kinds=KINDS, tables=tables, claims=found.claims, counts=found.counts(),
-        verdict=verdict(found), scatter=scatter(found.rows), problems=problems(found), curves=l_curves(found),
-        seed=next(iter(found.options.get("seeds", [])), None),
+        record=record, legend=legend, kinds=KINDS, tables=tables, claims=result.claims, counts=result.counts(),
+        verdict=verdict(result), scatter=scatter(result.rows), problems=problems(result), curves=l_curves(result),
+        seed=next(iter(result.options.get("seeds", [])), None),
     )  # fmt: skip
 
 
-def _table(found: Reproduction, table: str, title: str) -> dict[str, Any]:
-    rows = [row for row in found.rows if row.table == table]
-    return {"id": table, "name": table_name(table), "title": title, "counts": found.counts(table), "rows": rows,
-            "grid": grid(rows, found.keys)}  # fmt: skip
+def _table(result: Reproduction, table: str, title: str) -> dict[str, Any]:
+    rows = [row for row in result.rows if row.table == table]
+    return {"id": table, "name": table_name(table), "title": title, "counts": result.counts(table), "rows": rows,
+            "grid": grid(rows, result.keys)}  # fmt: skip
 
 
-def problems(found: Reproduction) -> list[str]:
+def problems(result: Reproduction) -> list[str]:
     """Claims that are not met, with the reason."""
-    return [f"Claim {c.id} is not met: {c.reason or c.text}" for c in found.claims if not c.met]
+    return [f"Claim {c.id} is not met: {c.reason or c.text}" for c in result.claims if not c.met]
 
 
 def table_name(table: str) -> str:
@@ -63,22 +63,22 @@ def table_name(table: str) -> str:
     return f"Sect. {table[1:]}" if table.startswith("s") else f"Table {table}"
 
 
-def verdict(found: Reproduction) -> dict[str, str]:
+def verdict(result: Reproduction) -> dict[str, str]:
     """Outcome in sentences: ``kind`` (good, warn), ``title`` and ``text``."""
-    counts, n = found.counts(), len(found.rows)
-    met = sum(claim.met for claim in found.claims)
+    counts, n = result.counts(), len(result.rows)
+    met = sum(claim.met for claim in result.claims)
     agree = n - counts["differs"] - counts["not_reproducible"]
     title = f"{agree} of {n} published numbers agree in digits, size, spread or pattern"
-    if found.claims:
-        title += f"; {met} of {len(found.claims)} claims met"
+    if result.claims:
+        title += f"; {met} of {len(result.claims)} claims met"
     text = (
         f"{counts['equal']} agree to the printed digits (counts and definitions among them), {counts['order']} within "
-        f"a factor of ten, {counts['rounding']} {found.source.counted}"
-        + (f", {counts['pattern']} {found.source.patterned}" if counts["pattern"] else "")
+        f"a factor of ten, {counts['rounding']} {result.source.counted}"
+        + (f", {counts['pattern']} {result.source.patterned}" if counts["pattern"] else "")
         + f". {counts['differs']} differ; {counts['not_reproducible']} cannot be reproduced, each for the reason "
         "beside it."
     )
-    return {"kind": "good" if met == len(found.claims) else "warn", "title": title, "text": text}
+    return {"kind": "good" if met == len(result.claims) else "warn", "title": title, "text": text}
 
 
 class Grid(NamedTuple):
@@ -122,14 +122,14 @@ PRINTED: Final = "printed"
 AXES: Final = ("norm of the residuals |Ax − l|", "norm of the solution |x|, units of the publication")
 
 
-def l_curves(found: Reproduction) -> list[dict[str, Any]]:
+def l_curves(result: Reproduction) -> list[dict[str, Any]]:
     """L-curve of each EOP set with the kappas of the tables: ``eop_set``, ``drawing``, ``rules`` by their kappas."""
     out = []
-    for number, curve in found.curves.items():
+    for number, curve in result.curves.items():
         rules = [asdict(choice) | {"table": ""} for choice in curve.choices]
         labels = {f"tikhonov_{choice.rule}": choice.label for choice in curve.choices}
-        for row in found.rows:
-            key = found.keys[row.table, row.cell]
+        for row in result.rows:
+            key = result.keys[row.table, row.cell]
             if (key.quantity, key.eop_set, key.pre_adjustment_type) == ("kappa", str(number), "1"):
                 residual, solution = curve.place(row.published)
                 rules.append({

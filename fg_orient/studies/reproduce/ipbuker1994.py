@@ -226,16 +226,16 @@ def _impossible(m0: Mapping[int, float], degree: int) -> Recomputed:
 
 def _distances(row: str, m0: float, printed: float) -> Recomputed:
     """Distance differences expected of noise alone, from m0 of degree 1."""
-    found = distance_ratios(REPRODUCED_RUNS)
-    middle, half = _spread(found.ratio * m0)
+    scenes = distance_ratios(REPRODUCED_RUNS)
+    middle, half = _spread(scenes.ratio * m0)
     remark = (
-        f"{middle / m0:.2f} m0 of degree 1 in {len(found.ratio)} simulated scenes of {SCENE_POINTS} points with noise "
+        f"{middle / m0:.2f} m0 of degree 1 in {len(scenes.ratio)} simulated scenes of {SCENE_POINTS} points with noise "
         f"alone, printed {printed / m0:.2f}"
     )
     if row == "spot_pan":
         remark += "; how many points were measured in it is not printed"
     elif printed > middle + half:
-        scale = np.sqrt(printed**2 - middle**2) / found.spread_m.mean()
+        scale = np.sqrt(printed**2 - middle**2) / scenes.spread_m.mean()
         remark += f"; a scale error of {100 * scale:.2f} % left over would explain it"
     return Recomputed.around(middle, half, remark)
 
@@ -288,7 +288,7 @@ def literature(values: Values) -> Cells:
 
 def calibration(values: Values) -> Cells:
     """Section 7.2: three precisions of one digitised sheet must be consistent."""
-    found = digitised_sheets(SHEET_EXTENT_KM, REPRODUCED_RUNS)
+    sheets = digitised_sheets(SHEET_EXTENT_KM, REPRODUCED_RUNS)
     extent = " x ".join(map(str, SHEET_EXTENT_KM))
     remark = (
         f"{REPRODUCED_RUNS} simulated calibrations with 24 nodes over {extent} km (assumed) and the noise that the "
@@ -299,8 +299,8 @@ def calibration(values: Values) -> Cells:
             float("nan"), "the simulations take their noise from it", kind="not_reproducible"
         )
     }
-    for quantity, runs in (("pair_distance_diff_sd", found.distance_sd),
-                           ("helmert_mean_point_error", found.helmert_point_error)):  # fmt: skip
+    for quantity, runs in (("pair_distance_diff_sd", sheets.distance_sd),
+                           ("helmert_mean_point_error", sheets.helmert_point_error)):  # fmt: skip
         out[CellKey("s7.2", quantity=quantity)] = Recomputed.around(*_spread(runs), remark)
     return out
 

@@ -199,12 +199,12 @@ def pair(
         if key.table not in tables:
             continue
         orders = computed.get(key._replace(quantity="matrix_order"), np.array([math.nan]))
-        found, known = (compared or {}).get(key), ""
-        if found is None:
-            found = assess_runs(cell, computed.get(key), None if np.isnan(orders[0]) else float(orders[0]))
-            known = source.explain(cell, as_run) if found.kind == "differs" else ""
+        comparison, known = (compared or {}).get(key), ""
+        if comparison is None:
+            comparison = assess_runs(cell, computed.get(key), None if np.isnan(orders[0]) else float(orders[0]))
+            known = source.explain(cell, as_run) if comparison.kind == "differs" else ""
         rows.append(Row(
-            key.table, str(key), cell.value, found.reproduced, found.low, found.high, found.kind,
-            "; ".join(filter(None, (found.reason, known))), cell.text or cell.printed, cell.unit, cell.note,
+            key.table, str(key), cell.value, comparison.reproduced, comparison.low, comparison.high, comparison.kind,
+            "; ".join(filter(None, (comparison.reason, known))), cell.text or cell.printed, cell.unit, cell.note,
         ))  # fmt: skip
     return tuple(rows)
