@@ -12,23 +12,19 @@ from fg_orient.cli.command import command
 from fg_orient.cli.common import Extrapolate, Overwrite, Result, read_image
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress_bar
+from fg_orient.model.declaration import declared
 from fg_orient.model.errors import InputError, judged
 from fg_orient.model.names import EXIT_CODE, Status
-from fg_orient.rpc.options import FitOptions
+from fg_orient.rpc.options import FileOptions, FitOptions, RefineOptions
 
 if TYPE_CHECKING:
-    from fg_orient.sensors.rpc import RpcModel
+    from fg_orient.rpc.files import RpcFile
 
 app = typer.Typer(
     help="Check, convert, refine and fit rational function models (RPC). Pixels: (0, 0) = centre of the first one."
 )
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="RPC file of any known format.", show_default=False)]
-Order = Annotated[str, typer.Option("--order", help="Order of the coefficients in FILE: RPC00B, RPC00A or T2.54.")]
-FirstPixel = Annotated[
-    float | None,
-    typer.Option("--first-pixel", help="Coordinate of the first pixel's centre in FILE; default: its format's own."),
-]
 Heights = Annotated[
     tuple[float, float] | None,
     typer.Option("--heights", metavar="LOW HIGH", help="Range of heights, m above the ellipsoid."),
@@ -37,14 +33,21 @@ To = Annotated[
     str | None,
     typer.Option("--to", metavar="FORMAT", help="rpc-txt, rpb, dimap or geotiff-tags; default: by the name of --out."),
 ]
-USUAL_ORDER = "RPC00B"
 FIGURES = ("mean", "rms", "max")
 
 
+def _opened(file: Path, options: Mapping[str, Any]) -> RpcFile:
+    """Read a file with the given ``FileOptions``."""
+    from fg_orient.rpc.files import open_rpc
+
+    return open_rpc(file, **{name: options[name] for name in declared(FileOptions) if name in options})
+
+
 @app.command("check")
-@command()
+@command(FileOptions)
 def check(
     file: File,
+    options: Mapping[str, Any],
     heights: Heights = None,
     dem: Annotated[
         Path | None, typer.Option("--dem", help="Take the heights of this DEM (ellipsoidal, any raster GDAL reads).")
@@ -56,58 +59,48 @@ def check(
     against: Annotated[
         Path | None, typer.Option("--against", metavar="OTHER", help="Another RPC file, or metadata (DIMAP).")
     ] = None,
-    order: Order = USUAL_ORDER,
-    first_pixel: FirstPixel = None,
 ) -> None:
-    """Judge an RPC: the file, denominators, its two directions, points, another model.
+    """Check an RPC: the file, denominators, its two directions, points, another model.
 
-    Residuals are projected minus observed, pixels. Ends with 4 if something is wrong.
+    Residuals are projected minus observed, pixels. The exit code is 4 if the RPC is not trustworthy.
     """
     if heights is not None and dem is not None:
         raise InputError.of("options.two_ways", option="heights, dem")
     from fg_orient.rpc.check import check_rpc
-    from fg_orient.rpc.files import open_rpc
     from fg_orient.rpc.points import read_measured
 
     if dem is not None:
         from fg_orient.sensors.surface import RasterDem
 
         heights = RasterDem(dem).range_m
-    found = open_rpc(file, order=order, first_pixel=first_pixel)
-    measured = None if points is None else read_measured(points)
-    record = check_rpc(found, heights_m=heights, points=measured, against=against)
-    _end(record, _show_check)
+    model, measured = _opened(file, options), None if points is None else read_measured(points)
+    _end(check_rpc(model, heights_m=heights, points=measured, against=against), _show_check)
 
 
 @app.command("convert")
-@command()
+@command(FileOptions)
 def convert(
     file: File,
     out: Annotated[
         Path, typer.Option("--out", help="File to write; with geotiff-tags an existing image.", show_default=False)
     ],
+    options: Mapping[str, Any],
     to: To = None,
-    order: Order = USUAL_ORDER,
-    first_pixel: FirstPixel = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write an RPC in another format, read it back and compare.
 
-    Tags go into an existing GeoTIFF, so they need --overwrite; its pixels stay.
+    Tags go into an existing GeoTIFF, so they need --overwrite; its pixels are not changed.
     """
-    from fg_orient.rpc.files import describe, open_rpc, target_of, write_as
+    from fg_orient.rpc.files import describe, target_of, write_as
 
-    target = target_of(to, out)
-    found = open_rpc(file, order=order, first_pixel=first_pixel)
-    record = {
-        **judged(found.model.notes), "source": describe(found),
-        "out": write_as(found.model, out, target, overwrite=overwrite),
-    }  # fmt: skip
-    _end(record, _show_convert)
+    target, source = target_of(to, out), _opened(file, options)
+    written = write_as(source.model, out, target, overwrite=overwrite)
+    _end({**judged(source.model.notes), "source": describe(source), "out": written}, _show_convert)
 
 
 @app.command("refine")
-@command()
+@command(RefineOptions, FileOptions)
 def refine(
     file: File,
     points: Annotated[
@@ -119,46 +112,32 @@ def refine(
             "sigma_line_px,sigma_sample_px.",
         ),
     ],
-    compensation: Annotated[
-        str, typer.Option(metavar="KIND", help="shift (1 point at least), shift_drift (2) or affine (3).")
-    ] = "shift",
+    options: Mapping[str, Any],
     out: Annotated[Path | None, typer.Option("--out", help="Write the corrected RPC.")] = None,
     to: To = None,
-    extrapolate: Annotated[
-        bool, typer.Option("--extrapolate", help="Take points outside the validity range of the model.")
-    ] = False,
-    order: Order = USUAL_ORDER,
-    first_pixel: FirstPixel = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Remove the bias of an RPC with control points; check points judge, gross errors are named.
+    """Remove the bias of an RPC with control points; test check points and name gross errors.
 
-    The corrected RPC is exact for shift, else refitted with its error stated.
-    Ends with 4 if the points do not fit the model.
+    The corrected RPC is exact for shift, otherwise refitted, and its error is stated.
+    The exit code is 4 if the points do not fit the model.
     """
     from fg_orient.rpc.compensate import refine as refined
-    from fg_orient.rpc.files import describe, open_rpc, require_free, target_of
+    from fg_orient.rpc.files import corrected, describe, require_free, target_of, write_as
     from fg_orient.rpc.points import read_measured
 
     target = None if out is None else target_of(to, out)
     if out is not None:
         require_free(out, overwrite)
-    found = open_rpc(file, order=order, first_pixel=first_pixel)
-    record = refined(found.model, read_measured(points), compensation, extrapolate=extrapolate)
-    record |= {"source": describe(found), "out": None}
+    source = _opened(file, options)
+    chosen = RefineOptions(**{name: options[name] for name in declared(RefineOptions) if name in options})
+    record = refined(source.model, read_measured(points), chosen.compensation, extrapolate=chosen.extrapolate)
+    record |= {"source": describe(source), "out": None}
     if out is not None and target is not None:
-        record["out"] = _written_corrected(found.model, record["values_px"], out, target, overwrite)
+        new = corrected(source.model, record["values_px"])
+        record["out"] = write_as(new.model, out, target, overwrite=overwrite)
+        record["out"] |= {"exact": new.exact, "errors": new.errors}
     _end(record, _show_refine)
-
-
-def _written_corrected(model: RpcModel, values: list[float], out: Path, target: str, overwrite: bool) -> dict[str, Any]:
-    """Write the compensated model; how exact it is stands with it."""
-    import numpy as np
-
-    from fg_orient.rpc.files import corrected, write_as
-
-    new = corrected(model, np.array(values))
-    return write_as(new.model, out, target, overwrite=overwrite) | {"exact": new.exact, "errors": new.errors}
 
 
 @app.command("fit")
@@ -186,8 +165,8 @@ def fit(
 ) -> None:
     """Fit an RPC to control points, or to a rigorous model over --heights.
 
-    Errors are those of the image, pixels, at points that took no part.
-    Ends with 4 if a denominator comes near zero or the points do not carry the coefficients.
+    Errors are stated in pixels of the image at points that were not used in the fit.
+    The exit code is 4 if a denominator is near zero or the points do not determine the coefficients.
     """
     from fg_orient.rpc.files import require_free, target_of
 
@@ -230,7 +209,7 @@ def fit(
 
 
 def _refuse(source: Path, options: Mapping[str, object], what: str) -> None:
-    """Refuse options that mean nothing for this source."""
+    """Refuse options that do not apply to this source."""
     for name, value in options.items():
         if value is not None:
             raise InputError.of("rpc.foreign_option", file=source, option=name, source=what)

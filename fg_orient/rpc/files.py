@@ -1,11 +1,12 @@
 """RPC files: pixel count, writing in another format, and a compensation written into the model.
 
-A compensation is written exactly where the form allows it, else with the error stated::
+A compensation is written exactly if the form allows it, otherwise approximately with a stated error::
 
     line = off + c0 + scale (f1 (1 + c2/scale))/f2 + c4 f3/f4
 
-Shifts go into the offsets, the drift of a coordinate with itself into its numerator. The rest needs f3 f2/f4, which is
-a cubic polynomial only if both denominators are equal; else one is fitted. Denominators stay: no new pole can arise.
+Shifts are added to the offsets, the drift of a coordinate with itself changes its numerator. The last term needs
+f3 f2/f4, which is a cubic polynomial only if both denominators are equal; otherwise a cubic polynomial is fitted to it.
+The denominators are not changed, so there is no new pole.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from factors._contract import Array
 from factors.cameras.rfm import terms
@@ -32,7 +34,7 @@ from fg_orient.sensors.rpc_sensor import RpcSensor
 if TYPE_CHECKING:
     from fg_orient.orientation.solution import Solution
 
-#: Ends of the names of RPC files that GDAL prefers to the tags of the image beside them.
+#: Ends of the names of RPC files in the image's folder that GDAL prefers to the tags of the image.
 SIDECARS: Final = ("_RPC.TXT", "_rpc.txt", ".RPB", ".rpb")
 #: Values per axis of the cube of normalised coordinates in which two models are compared.
 CUBE: Final = 7
@@ -40,14 +42,14 @@ CUBE: Final = 7
 
 @dataclass(frozen=True)
 class RpcFile:
-    """A model and the pixel coordinate that its file gives the centre of the first pixel."""
+    """A model, and the coordinate of the centre of the first pixel in its file."""
 
     model: RpcModel
     first_pixel: float
 
 
 def open_rpc(path: str | os.PathLike[str], *, order: str = USUAL_ORDER, first_pixel: float | None = None) -> RpcFile:
-    """Read a file and find the coordinate that it gives the first pixel.
+    """Read a file and find the coordinate of the first pixel in it.
 
     Parameters
     ----------
@@ -62,7 +64,7 @@ def open_rpc(path: str | os.PathLike[str], *, order: str = USUAL_ORDER, first_pi
     model = read_rpc(path, order=order, first_pixel=first_pixel)
     if first_pixel is not None:
         return RpcFile(model, first_pixel)
-    # read as if it counted from 0, the offsets are those of the file
+    # with 0 as the coordinate of the first pixel, the offsets are those of the file
     raw = read_rpc(path, order=order, first_pixel=0.0)
     return RpcFile(model, round(float(raw.offsets[RANGE.line] - model.offsets[RANGE.line]), 6))
 
@@ -73,7 +75,7 @@ def target_of(name: str | None, out: Path) -> str:
     Raises
     ------
     InputError
-        No such format, or the name of the file does not say one.
+        No such format, or the end of the name belongs to no format.
     """
     if name is None:
         return rpc_writer(out).name
@@ -96,7 +98,7 @@ def require_free(out: Path, overwrite: bool) -> None:
 
 
 def write_as(model: RpcModel, out: Path, target: str, *, overwrite: bool = False) -> dict[str, Any]:
-    """Write a model whole or not at all, read it back and compare.
+    """Write a model completely or not at all, read it back and compare.
 
     Parameters
     ----------
@@ -112,7 +114,7 @@ def write_as(model: RpcModel, out: Path, target: str, *, overwrite: bool = False
     -------
     dict
         file, format, first_pixel; round_trip_line_px, round_trip_sample_px: largest differences of projected points;
-        not_kept: what the format has no place for.
+        not_kept: content that the format cannot store.
 
     Raises
     ------
@@ -144,7 +146,7 @@ def projected_differences(one: RpcModel, other: RpcModel) -> Array:
 
 
 def not_kept(model: RpcModel, back: RpcModel) -> list[str]:
-    """Parts of the model that a written file does not hold, in words."""
+    """Parts of the model that a written file does not contain, in words."""
     out = []
     if (model.err_bias_m and not back.err_bias_m) or (model.err_rand_m and not back.err_rand_m):
         out.append("error estimates")
@@ -180,7 +182,7 @@ def _named(names: Sequence[str], values: Array) -> dict[str, float]:
     return dict(zip(names, map(float, values), strict=True))
 
 
-#: Values per axis of normalised coordinates to which a product is fitted: Chebyshev nodes.
+#: Chebyshev nodes per axis of normalised coordinates for the fit of a product.
 NODES: Final = 9
 #: Independent points at which the written model is compared with the compensated one.
 N_CHECK: Final = 2000
@@ -193,9 +195,9 @@ class Corrected:
     Parameters
     ----------
     model : RpcModel
-        Without the vendor's error estimates, which hold no more.
+        Without the vendor's error estimates, which are no longer valid.
     exact : bool
-        Nothing was fitted.
+        No polynomial was fitted.
     errors : dict
         Statistics (px) of compensated minus written at independent points.
     """
@@ -205,15 +207,16 @@ class Corrected:
     errors: dict[str, Any]
 
 
-def corrected(model: RpcModel, values: Array) -> Corrected:
+def corrected(model: RpcModel, values: npt.ArrayLike) -> Corrected:
     """Put a compensation into a model.
 
     Parameters
     ----------
     model : RpcModel
-    values : (6,) array
+    values : (6,) array_like
         Pixels, see ``factors.cameras.rfm_project``.
     """
+    values = np.asarray(values, float)
     scale_l, scale_s = model.scales[RANGE.image]
     offsets, c = model.offsets.copy(), model.coefficients.copy()
     offsets[RANGE.image] += values[[COMPENSATION.line, COMPENSATION.sample]]

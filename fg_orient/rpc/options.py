@@ -1,4 +1,4 @@
-"""Options of a fit to control points; each field is the only declaration of its option (``fg_orient.model.options``).
+"""Options of work on RPC; each field is the only declaration of its option (``fg_orient.model.options``).
 
 The types are read when the program runs, so annotations are not postponed here.
 """
@@ -15,11 +15,32 @@ Penalty = Literal["beyond_affine", "identity"]
 
 MODEL: Final = Group("Model")
 POINTS: Final = Group("Fit to control points (POINTS)")
-#: Selection where nothing else is asked for: the one whose cross-validated errors are lowest on real points.
+#: Default selection: the one with the smallest cross-validated errors at real points.
 SELECTION: Final = "ridge_press"
 NO_SELECTION: Final = "none"
 
 # fmt: off
+
+
+@documented
+@dataclass(frozen=True)
+class FileOptions:
+    """Conventions of an RPC file."""
+
+    order: str = option("RPC00B", MODEL, "Order of the coefficients in FILE: RPC00B, RPC00A or T2.54.")
+    first_pixel: float | None = option(
+        None, MODEL, "Coordinate of the first pixel's centre in FILE.", within=(-math.inf, math.inf),
+        left_out="the convention of its format",
+    )
+
+
+@documented
+@dataclass(frozen=True)
+class RefineOptions:
+    """Options of a refinement with control points."""
+
+    compensation: str = option("shift", MODEL, "shift (1 point at least), shift_drift (2) or affine (3).")
+    extrapolate: bool = option(False, MODEL, "Use points outside the validity range of the model.")
 
 
 @documented
