@@ -69,7 +69,7 @@ class CurveFit:
     redundancy : int
         n - u.
     cofactors : (u, u) array or None
-        Inverse of ``J^T W J``; None if unknowns are not determined (``withheld``).
+        Inverse of ``J^T W J``; None if unknowns are not determined (``unavailable``).
     redundancy_numbers : (n,) array or None
         Share of the error of each observation in its residual; their sum is the redundancy.
     converged : bool
@@ -77,7 +77,7 @@ class CurveFit:
         Reason for the end of the iteration.
     log : tuple of IterationRecord
         Its ``chi2`` is in units of the loop.
-    withheld : str
+    unavailable : str
         Reason why there are no cofactors.
     """
 
@@ -90,7 +90,7 @@ class CurveFit:
     converged: bool
     reason: str
     log: tuple[IterationRecord, ...]
-    withheld: str = ""
+    unavailable: str = ""
 
     @property
     def iterations(self) -> int:
@@ -359,17 +359,17 @@ def _conclude(backend: _Backend, result: LoopResult[_Point]) -> CurveFit:
     b, unit = result.state.parameters, backend.unit
     system = backend.linearise(_Point(b, np.zeros(len(b))))
     n, u = system.design.shape
-    cofactors, numbers, withheld = None, None, ""
+    cofactors, numbers, unavailable = None, None, ""
     diagonal = np.abs(system.triangle.diagonal())
     weak = np.flatnonzero(diagonal <= max(n, u) * EPS)
     if len(weak):
         names = ", ".join(str(k + 1) for k in weak)
-        withheld = f"covariance withheld: parameter {names} acts on nothing that those before it do not act on"
+        unavailable = f"no covariance: parameter {names} acts on nothing that those before it do not act on"
     else:
         inverse = solve_triangular(system.triangle, np.eye(u)) / system.scale[:, None]
         cofactors = inverse @ inverse.T / unit**2
         numbers = 1.0 - np.sum(system.orthogonal**2, axis=1)
     return CurveFit(
         b, system.residual / backend.weight, 2.0 * system.error * unit**2, n - u, cofactors, numbers,
-        result.converged, result.reason, result.log, withheld,
+        result.converged, result.reason, result.log, unavailable,
     )  # fmt: skip

@@ -33,7 +33,7 @@ class AdjustmentResult:
     chi2 : float
         Weighted sum of squares of all residuals; under a loss with the weights at the solution.
     cofactors : Cofactors or None
-        None if the covariance cannot be computed, for the reason in ``withheld``. Under a loss these are the cofactors
+        None if the covariance cannot be computed, for the reason in ``unavailable``. Under a loss these are the cofactors
         of least squares with the weights at the solution.
     weights : Weights or None
         Weights of image points (n,) and ground points (N,) under a loss.
@@ -46,7 +46,7 @@ class AdjustmentResult:
     state: State
     chi2: float
     cofactors: Cofactors | None
-    withheld: tuple[Finding, ...] = ()
+    unavailable: tuple[Finding, ...] = ()
     weights: Weights | None = None
     components: VarianceComponents | None = None
 
@@ -68,7 +68,7 @@ class AdjustmentResult:
     def required_cofactors(self, *, unweighted: str = "") -> Cofactors:
         """Cofactors; raise NoSolutionError without them, and with ``unweighted`` (a message's code) under a loss."""
         if self.cofactors is None:
-            raise NoSolutionError.of("covariance.withheld", value="; ".join(map(str, self.withheld)))
+            raise NoSolutionError.of("covariance.unavailable", value="; ".join(map(str, self.unavailable)))
         self._require_unweighted(unweighted)
         return self.cofactors
 

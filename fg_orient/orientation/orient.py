@@ -200,10 +200,10 @@ class _Run:
         structure = working_clock() - start
         estimate = self._solved(compiled, None, begin)
         self._report("statistics", len(compiled.observations))
-        cofactors, withheld = _cofactors(compiled, estimate)
+        cofactors, unavailable = _cofactors(compiled, estimate)
         return Again(
-            problem=compiled, status=verdict.assess_solution(compiled, estimate, withheld).status, state=estimate.state,
-            chi2=estimate.chi2, cofactors=cofactors, withheld=withheld, estimate=estimate, structure_s=structure,
+            problem=compiled, status=verdict.assess_solution(compiled, estimate, unavailable).status, state=estimate.state,
+            chi2=estimate.chi2, cofactors=cofactors, unavailable=unavailable, estimate=estimate, structure_s=structure,
         )  # fmt: skip
 
     def _report(self, name: str, count: int) -> None:
@@ -246,13 +246,13 @@ def conclude(
     """Statistics after convergence; only here the coordinates of check points are opened."""
     start = working_clock()
     weighted = compiled if estimate.weights is None else weighted_problem(compiled, estimate.weights)
-    cofactors, withheld = _cofactors(weighted, estimate)
+    cofactors, unavailable = _cofactors(weighted, estimate)
     located = _located_afterwards(compiled, estimate.state)
     ground = estimate.state.ground + compiled.origin_m
     if located is not None:
         ground[located.index] = located.ground_m
     accuracy = _assess(compiled, ground, located, cofactors)
-    assessment = verdict.assess_solution(compiled, estimate, withheld)
+    assessment = verdict.assess_solution(compiled, estimate, unavailable)
     findings = verdict.findings(compiled, estimate, assessment, observability, block_view, accuracy)
     if assessment.status is Status.NOT_TRUSTWORTHY:
         findings = (*findings[:1], *verdict.mix_ups(compiled.block), *findings[1:])
@@ -266,7 +266,7 @@ def conclude(
         sigma0_interval=assessment.interval, log=estimate.log, iterations=estimate.iterations,
         residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, block_view=block_view,
         accuracy=accuracy,
-        cofactors=cofactors, withheld=withheld, findings=findings, weights=estimate.weights,
+        cofactors=cofactors, unavailable=unavailable, findings=findings, weights=estimate.weights,
         resumed_at=estimate.resumed_at,
         seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, working_clock() - start),
     )  # fmt: skip
@@ -274,16 +274,16 @@ def conclude(
 
 def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None, tuple[Finding, ...]]:
     if compiled.least_damping > 0.0:
-        return None, (finding("withheld.free_datum"),)
+        return None, (finding("unavailable.free_datum"),)
     loss = compiled.block.options.loss
     if estimate.weights is not None and not are_information(loss, estimate.weights):
-        return None, (finding("withheld.loss", loss=loss),)
+        return None, (finding("unavailable.loss", loss=loss),)
     try:
         cofactors = cofactors_of(compiled, estimate)
         inner = compiled.block.options.datum == "inner"
         return (InnerCofactors(compiled, estimate.state, cofactors) if inner else cofactors), ()
     except Indeterminate as reason:
-        return None, (finding("withheld.indeterminate", why=reason),)
+        return None, (finding("unavailable.indeterminate", why=reason),)
 
 
 def _located_afterwards(compiled: Problem, state: State) -> LocatedPoints | None:

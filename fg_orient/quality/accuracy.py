@@ -121,7 +121,7 @@ class PointDifferences:
     enu_m, ecef_m : (n, 3) arrays
         Differences.
     predicted_sigma_enu_m : (n, 3) array
-        From the adjustment, prior scale; nan where withheld.
+        From the adjustment, prior scale; nan where unavailable.
     own_sigma_enu_m : (n, 3) array
         Of the measured coordinates.
     n_fixed : int

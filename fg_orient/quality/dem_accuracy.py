@@ -80,13 +80,13 @@ class DemComparison:
     n_outside : int
         Points where the model has no height.
     shift : Shift or None
-        None where it is not determined; ``withheld`` says why.
+        None where it is not determined; ``unavailable`` says why.
     """
 
     difference_m: Array
     n_outside: int
     shift: Shift | None
-    withheld: Finding | None = None
+    unavailable: Finding | None = None
 
     def statistics(self) -> dict[str, float | int]:
         """Figures under the keys of the record; those that the number of points does not support are absent."""
@@ -110,7 +110,7 @@ class DemComparison:
             "significant": [a for a, yes in zip(axes, s.significant, strict=True) if yes],
             "n": s.n, "rmse_before_m": s.rmse_before_m, "rmse_after_m": s.rmse_after_m,
         }  # fmt: skip
-        return {**self.statistics(), "shift": shift, **as_record([self.withheld] if self.withheld else [])}
+        return {**self.statistics(), "shift": shift, **as_record([self.unavailable] if self.unavailable else [])}
 
 
 def nmad(values: Array) -> float:
@@ -138,8 +138,8 @@ def compare_dem(ground_m: Array, dem: HeightSurface) -> DemComparison:
     over = np.isfinite(difference)
     if not over.any():
         raise InputError.of("accuracy.dem_outside", file=dem.path, value=f"{len(ground)} points")
-    shift, withheld = _shift(ground[over], dem)
-    return DemComparison(difference[over], int((~over).sum()), shift, withheld)
+    shift, unavailable = _shift(ground[over], dem)
+    return DemComparison(difference[over], int((~over).sum()), shift, unavailable)
 
 
 def compare_points(
@@ -211,16 +211,16 @@ def _shift(ground: Array, dem: HeightSurface) -> tuple[Shift | None, Finding | N
         kept = _near(d, known) if k < CHOOSING_STEPS else kept & known
         n = int(kept.sum())
         if n < LEAST_POINTS:
-            return None, finding("withheld.slopes", n=n, least=LEAST_POINTS)
+            return None, finding("unavailable.slopes", n=n, least=LEAST_POINTS)
         length = np.linalg.norm(a[kept], axis=0)
         if not length.all() or np.linalg.cond(a[kept] / length) > CONDITION:
-            return None, finding("withheld.aspects")
+            return None, finding("unavailable.aspects")
         step = np.linalg.lstsq(a[kept], d[kept], rcond=None)[0]
         shift = shift + step
         if k >= CHOOSING_STEPS and np.abs(step).max() < STEP_M:
             break
     else:
-        return None, finding("withheld.steps", steps=MAX_STEPS)
+        return None, finding("unavailable.steps", steps=MAX_STEPS)
     rest = d[kept] - a[kept] @ step
     sigma = np.sqrt(rest @ rest / (n - 3) * np.linalg.inv(a[kept].T @ a[kept]).diagonal())
     before = _differences(ground, dem)[kept]

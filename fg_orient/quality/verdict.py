@@ -54,7 +54,7 @@ class SolutionAssessment:
     interval: tuple[float, float]
 
 
-def assess_solution(problem: Problem, estimate: Estimate, withheld: tuple[Finding, ...]) -> SolutionAssessment:
+def assess_solution(problem: Problem, estimate: Estimate, unavailable: tuple[Finding, ...]) -> SolutionAssessment:
     """Status from convergence, covariance and the global test of sigma0."""
     f = problem.redundancy
     if not estimate.converged or not np.isfinite(estimate.chi2):
@@ -63,7 +63,7 @@ def assess_solution(problem: Problem, estimate: Estimate, withheld: tuple[Findin
     if problem.least_damping > 0.0:
         return SolutionAssessment(Status.NOT_TRUSTWORTHY, finding("verdict.free_datum"), interval)
     plain = estimate.weights is None or are_information(problem.block.options.loss, estimate.weights)
-    if withheld and plain and not problem.block.options.priors and problem.block.options.datum != "inner":
+    if unavailable and plain and not problem.block.options.priors and problem.block.options.datum != "inner":
         return SolutionAssessment(Status.NOT_TRUSTWORTHY, finding("verdict.weak_control"), interval)
     if f <= 0:
         return SolutionAssessment(Status.CONVERGED, finding("verdict.no_redundancy"), interval)

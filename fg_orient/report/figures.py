@@ -111,7 +111,7 @@ PLOTS: Final = (
          "standard deviations where there are priors (dashed: ±1); the values beside them are in the units named. τ "
          "runs from −1 (first line) to +1 (last line).", "the images have no unknowns", _corrections, 2),
     Plot("correlations", "Correlations of the adjusted orientation unknowns within {images}. τ: time of the line; X, "
-         "Y, Z: position, vX, vY, vZ: velocity.", "the covariances are withheld; the warnings of result.json say why",
+         "Y, Z: position, vX, vY, vZ: velocity.", "the covariances are unavailable; result.json gives the reason",
          _correlations, 2),
     Plot("singular_values", "Singular values of the Jacobian of {images}, unknowns in prior standard deviations. From "
          "1 on the data determine a direction. Below 1 the prior determines it (weak). Up to 1e−5 the data contain no "
@@ -120,7 +120,7 @@ PLOTS: Final = (
                                                         if str(o["image"]) in images])], MAX_IMAGES),
     Plot("redundancy", "Redundancy numbers of the image points, and the share of image points whose error of a given "
          "size is detected: points without a minimal detectable bias count as never detected.",
-         "redundancy numbers are withheld; the warnings of result.json say why", _redundancy),
+         "redundancy numbers are unavailable; result.json gives the reason", _redundancy),
     Plot("l_curve", "L-curve of the equations at the start values: norm of the Tikhonov solutions (prior standard "
          "deviations of the image unknowns and metres of the ground points) over that of their residuals (standard "
          "deviations), for all κ. The filled circle is the choice of the solver, hollow squares are those of other "

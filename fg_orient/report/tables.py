@@ -90,7 +90,7 @@ def correlations(cofactors: Array) -> Array:
 
 
 def image_correlations(result: Result) -> dict[str, Array]:
-    """Correlations (k, k) of the unknowns by image, of images with two or more; none where covariances are withheld.
+    """Correlations (k, k) of the unknowns by image, of images with two or more; none where covariances are unavailable.
 
     Rows stand in the order of the image's rows of ``eop.csv``.
     """

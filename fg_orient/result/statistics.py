@@ -38,7 +38,7 @@ OUTLIER_COLUMNS: Final = (
 _ERRORS: Final = {"image": (0, 1), "position": (2, 3), "height": (4,), "point": ()}
 
 
-def withheld(solution: Solution, *figures: str) -> Finding | None:
+def unavailable(solution: Solution, *figures: str) -> Finding | None:
     """Why there are no redundancy numbers and figures that need them; None if there are."""
     problem, chosen = solution.problem, solution.block.options.statistics
     if solution.cofactors is None:
@@ -51,15 +51,15 @@ def withheld(solution: Solution, *figures: str) -> Finding | None:
 
 
 def reliability_of(solution: Solution) -> BlockReliability | None:
-    """Reliability for the results; None where it is withheld, or a loss is set."""
-    return None if withheld(solution) or solution.weights is not None else solution.reliability()
+    """Reliability for the results; None where it is unavailable, or a loss is set."""
+    return None if unavailable(solution) or solution.weights is not None else solution.reliability()
 
 
 def missing(solution: Solution) -> list[Finding]:
     """Tell why figures of this module are null."""
     if solution.cofactors is None:
         return [finding("absent.covariance", figures=["reliability", "correlations"])]
-    why = withheld(solution, "reliability")
+    why = unavailable(solution, "reliability")
     if why is None and solution.weights is not None:
         why = finding("absent.loss_but_redundancy", figures=["reliability"])
     return [] if why is None else [why]
@@ -187,7 +187,7 @@ def _high(matrix: NamedMatrix) -> list[tuple[float, str, str]]:
 
 
 def image_columns(solution: Solution) -> dict[str, Column]:
-    """Columns of ``residuals.csv``; under a loss the redundancy numbers only, none where they are withheld."""
+    """Columns of ``residuals.csv``; under a loss the redundancy numbers only, none where they are unavailable."""
     found = reliability_of(solution)
     if found is not None:
         image = found.image
@@ -198,7 +198,7 @@ def image_columns(solution: Solution) -> dict[str, Column]:
             "external_m": image.ground_m.max(axis=1), "external_point": image.ground.max(axis=1),
             "external_image": image.eop.max(axis=1),
         }  # fmt: skip
-    if withheld(solution):
+    if unavailable(solution):
         return {}
     q = solution.residual_cofactors.image
     return {"redundancy_line": q[:, 0, 0], "redundancy_sample": q[:, 1, 1]}
@@ -238,8 +238,8 @@ def _unbounded(values: Array) -> Array:
 
 
 def tests_of(solution: Solution) -> OutlierTests | None:
-    """Tests of all observations as the options say; None where they are withheld, or a loss is set."""
-    return None if withheld(solution) or solution.weights is not None else solution.outlier_tests()
+    """Tests of all observations as the options say; None where they are unavailable, or a loss is set."""
+    return None if unavailable(solution) or solution.weights is not None else solution.outlier_tests()
 
 
 def outlier_records(solution: Solution) -> dict[str, Any]:
@@ -267,7 +267,7 @@ def missing_tests(solution: Solution) -> list[Finding]:
     why = "absent.no_unit_weight" if solution.redundancy <= 0 else "absent.not_converged"
     why = why if solution.components is None else "absent.components"
     out = [] if np.isfinite(solution.sigma0_interval[0]) else [finding(why, figures=[whole])]
-    tests = withheld(solution, *single)
+    tests = unavailable(solution, *single)
     return out if tests is None else [*out, tests]
 
 

@@ -156,7 +156,7 @@ def summary(solution: Solution) -> dict[str, Any]:
         "status": str(solution.status),
         "reason": solution.reason,
         "ended": solution.ended,
-        **as_record([*solution.findings, *solution.withheld, *_missing(solution)]),
+        **as_record([*solution.findings, *solution.unavailable, *_missing(solution)]),
         "backend": solution.backend,
         "solver": solution.solver or None,
         **_choices(options),
@@ -240,12 +240,12 @@ def _prediction(solution: Solution) -> dict[str, Any]:
     """Test of the predicted accuracy (null where it is impossible), the reason, and the test of the means."""
     from fg_orient.quality.accuracy import bias_test
 
-    test, withheld = None, None
+    test, unavailable = None, None
     try:
         test = solution.prediction_test().as_dict()
     except NoSolutionError as error:
-        withheld = str(error)
-    return {"prediction": test, "prediction_withheld": withheld, "bias": bias_test(solution.accuracy.check) or None}
+        unavailable = str(error)
+    return {"prediction": test, "prediction_withheld": unavailable, "bias": bias_test(solution.accuracy.check) or None}
 
 
 def _missing(solution: Solution) -> list[Finding]:

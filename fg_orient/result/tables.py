@@ -97,7 +97,7 @@ def sigma_scale(solution: Solution) -> tuple[float, str]:
 
 
 def image_cofactors(solution: Solution) -> list[Array]:
-    """Cofactors (k, k) of each image's unknowns in physical units, prior scale; nan where withheld."""
+    """Cofactors (k, k) of each image's unknowns in physical units, prior scale; nan where unavailable."""
     out = []
     for i, parameters in enumerate(solution.problem.parameters):
         scale = np.outer(parameters.sigma, parameters.sigma)
@@ -156,7 +156,7 @@ def point_columns(solution: Solution) -> dict[str, Column]:
 
 
 def point_sigmas(solution: Solution, known: npt.NDArray[np.bool_]) -> Array:
-    """Standard deviations (N, 3) East, North, Up in prior scale; nan where withheld or not determined."""
+    """Standard deviations (N, 3) East, North, Up in prior scale; nan where unavailable or not determined."""
     out = np.full((len(known), 3), np.nan)
     if solution.cofactors is None:
         return out

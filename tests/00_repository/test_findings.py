@@ -65,7 +65,7 @@ def test_only_the_record_writes_and_reads_warnings(repository: Path) -> None:
 
 @pytest.mark.repository
 def test_no_sentence_is_given_as_a_warning_or_as_its_data(repository: Path) -> None:
-    """Neither ``warnings=``, ``notes=``, ``withheld=`` nor a datum of a finding holds text of four words or more."""
+    """Neither ``warnings=``, ``notes=``, ``unavailable=`` nor a datum of a finding holds text of four words or more."""
     given = []
     for name, own in library(repository):
         if name.startswith(SHOWING):
@@ -75,7 +75,7 @@ def test_no_sentence_is_given_as_a_warning_or_as_its_data(repository: Path) -> N
                 continue
             called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
             for keyword in node.keywords:
-                told = keyword.arg in ("warnings", "findings", "withheld") or (
+                told = keyword.arg in ("warnings", "findings", "unavailable") or (
                     called == "finding" and keyword.arg not in ("place", "value", "file")
                 )
                 if told and any(len(text.split()) > 3 for text in texts(keyword.value)):

@@ -283,7 +283,7 @@ def test_sigmas_where_gtsam_gives_none(twin: Block) -> None:
 
 
 @pytest.mark.behaviour
-def test_covariance_is_withheld_with_a_reason(twin: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_covariance_is_unavailable_with_a_reason(twin: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     """Dead directions; an unknown in no observation; and what a user sees of either."""
     problem = compiled(twin, eop_set=20, priors=False)
     _, design = assemble(problem, problem.start)
@@ -295,7 +295,7 @@ def test_covariance_is_withheld_with_a_reason(twin: Block, monkeypatch: pytest.M
     monkeypatch.setattr("fg_orient.quality.covariance.CONDITION_LIMIT", 10.0)
     solution = fg.adjust(twin, eop_set=2, priors=False, backend="dense")
     assert solution.status is fg.Status.NOT_TRUSTWORTHY
-    assert "covariance withheld: the condition of the scaled Jacobian is above 1e+01;" in str(solution.withheld[0])
+    assert "no covariance: the condition of the scaled Jacobian is above 1e+01;" in str(solution.unavailable[0])
     with pytest.raises(fg.NoSolutionError, match="no covariance was computed"):
         solution.covariance("image:left")
 

@@ -152,13 +152,13 @@ def test_points_one_by_one_equal_the_dense_inverse(twin: Block, monkeypatch: pyt
 
 
 @pytest.mark.behaviour
-def test_indeterminate_covariance_is_withheld_with_a_reason(twin: Block) -> None:
+def test_indeterminate_covariance_is_unavailable_with_a_reason(twin: Block) -> None:
     """One control and two check points, no priors: solvable, but GTSAM's Cholesky gives no covariance."""
     keep = [int(twin.points.where(Role.CONTROL)[0]), *(int(j) for j in twin.points.where(Role.CHECK)[:2])]
     small = replace(twin, observations=twin.observations.take(np.isin(twin.observations.point, keep)))
     solution = fg.adjust(small, eop_set=2, priors=False)
     assert solution.cofactors is None
-    assert "covariance withheld" in str(solution.withheld[0])
+    assert "no covariance" in str(solution.unavailable[0])
     assert solution.status is fg.Status.NOT_TRUSTWORTHY
     with pytest.raises(fg.NoSolutionError, match="no covariance was computed"):
         solution.covariance("image:left")

@@ -567,7 +567,7 @@ def test_singular_systems_are_refused(reduced: str) -> None:
 
 
 @pytest.mark.behaviour
-def test_covariance_of_an_ill_conditioned_system_is_withheld(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_covariance_of_an_ill_conditioned_system_is_unavailable(monkeypatch: pytest.MonkeyPatch) -> None:
     from fg_orient.quality.covariance import Indeterminate
 
     estimate = solve(compile_problem(with_options(grid(2, 2, 60), eop_set=15, backend="schur")))

@@ -184,7 +184,7 @@ def test_figures_that_do_not_exist_have_a_reason(grid: Block) -> None:
     assert caught.value.problems[0].code == "statistics.reliability_weighted"
     with pytest.raises(fg.NoSolutionError) as caught:
         fg.adjust(grid, datum="free", priors=False, eop_set=2).reliability()
-    assert caught.value.problems[0].code == "covariance.withheld"
+    assert caught.value.problems[0].code == "covariance.unavailable"
 
 
 @pytest.mark.consistency

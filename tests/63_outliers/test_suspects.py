@@ -117,7 +117,7 @@ def test_tests_that_cannot_be_are_refused() -> None:
     """No covariance, weights of a loss, a kind that is none."""
     plain = linear_twin().solution
     bare, robust = (
-        replace(plain, cofactors=None, withheld=(finding("withheld.indeterminate", why="singular"),)),
+        replace(plain, cofactors=None, unavailable=(finding("unavailable.indeterminate", why="singular"),)),
         fg.adjust(rpc_twin("shift").block, loss="huber"),
     )
     for refused, error, words in (

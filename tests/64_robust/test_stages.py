@@ -148,7 +148,7 @@ def test_least_absolute_values_have_no_covariance_and_turn_nothing_down() -> Non
     assert solution.weights is not None and solution.weights.image.max() > 1.0
     assert solution.status is fg.Status.CONVERGED
     assert solution.cofactors is None
-    assert "above 1, which are no information" in str(solution.withheld[0])
+    assert "above 1, which are no information" in str(solution.unavailable[0])
     assert np.isnan(solution.accuracy.check.predicted_sigma_enu_m).all()
     (text,) = (w for w in solution.warnings if w.startswith("robust loss lad"))
     beyond = int(np.count_nonzero(solution.weights.image < 0.5))
@@ -156,7 +156,7 @@ def test_least_absolute_values_have_no_covariance_and_turn_nothing_down() -> Non
     robust = summary(solution)["robust"]
     assert robust["points_without_ray"] == robust["points_on_one_ray"] == robust["images_below_half"] == []
     free = fg.adjust(twin(), loss="lad", max_iterations=200, priors=False, eop_set=10)
-    assert "too weakly" not in free.reason  # what is withheld is no matter of the control points
+    assert "too weakly" not in free.reason  # what is unavailable is no matter of the control points
 
 
 @pytest.mark.behaviour

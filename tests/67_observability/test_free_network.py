@@ -313,7 +313,7 @@ def test_large_networks_have_no_covariance_but_a_shape(monkeypatch: pytest.Monke
     monkeypatch.setattr(free_network, "MAX_UNKNOWNS", 50)
     solution = fg.adjust(pinhole(), datum="inner")
     assert solution.status is fg.Status.CONVERGED and solution.cofactors is None
-    assert "111 unknowns" in str(solution.withheld[0])
+    assert "111 unknowns" in str(solution.unavailable[0])
     assert solution.chi2 == pytest.approx(solved("graph").chi2, rel=1e-12)
 
 

@@ -119,7 +119,7 @@ def test_without_redundancy_there_is_no_sigma0() -> None:
 def test_a_parameter_that_acts_on_nothing_of_its_own_is_named() -> None:
     fit = fit_curve(lambda x, a, b: (a + b) * x, X, 3.0 * X + 0.1 * np.sin(X), [1.0, 1.0])
     assert fit.cofactors is None and fit.correlations is None and fit.redundancy_numbers is None
-    assert "parameter 2" in fit.withheld
+    assert "parameter 2" in fit.unavailable
 
 
 @pytest.mark.truth

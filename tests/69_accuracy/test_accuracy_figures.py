@@ -103,8 +103,8 @@ def test_few_check_points_are_named_by_number_or_size() -> None:
     d[[1, 4]] = 0.0
     d[6, 1] = -5.0 * scale
     assert "4.1 standard deviations" in str(of_check_points(points(d))[0])
-    withheld = replace(points(d), predicted_sigma_enu_m=np.full((10, 3), np.nan)).beyond()
-    assert (withheld.n, withheld.by_chance, withheld.sentence) == (0, True, "")
+    unavailable = replace(points(d), predicted_sigma_enu_m=np.full((10, 3), np.nan)).beyond()
+    assert (unavailable.n, unavailable.by_chance, unavailable.sentence) == (0, True, "")
 
 
 @pytest.mark.oracle

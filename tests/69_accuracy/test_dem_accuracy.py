@@ -121,10 +121,10 @@ def test_sigmas_of_the_shift_are_calibrated() -> None:
 @pytest.mark.parametrize(("hills", "word"), [(Hills(height=0.0), "slopes"), (Hills(height=0.0, tilt=0.05), "slopes")])
 def test_no_shift_without_slopes_of_different_aspect(hills: Hills, word: str) -> None:
     found = compare_dem(on_the_hills(hills, 1, (5.0, 0.0, 2.0), 0.1), hills)
-    assert found.shift is None and word in str(found.withheld)
+    assert found.shift is None and word in str(found.unavailable)
     assert found.as_dict()["shift"] is None and found.as_dict()["warnings"]
     few = compare_dem(on_the_hills(Hills(), 1, (0.0, 0.0, 0.0), 0.1, 8), Hills())
-    assert few.shift is None and "10 are needed" in str(few.withheld)
+    assert few.shift is None and "10 are needed" in str(few.unavailable)
 
 
 @pytest.mark.behaviour

@@ -78,7 +78,7 @@ adjust.extra_unknown: an extra observation names no image or point of the block
     -> name them as "image:left" or "point:12"
 covariance.weighted: gross errors are not tested for under a robust loss: it has weighted them down
     -> look at the weights, or adjust with loss none
-covariance.withheld: no covariance was computed
+covariance.unavailable: no covariance was computed
     -> see the warnings of the adjustment
 covariance.no_such: no such image, parameter, point or observation
     -> name them as "image:left", "image:left.x_0", "point:12", "observation:left/12" or "residual:left/12"
@@ -221,17 +221,17 @@ solution.no_inner_datum (warning): the control points hold the datum, so inner c
 solution.no_inner_datum_nor_priors (warning): the control points hold the datum, so inner constraints have nothing
     to do; the priors of the images were switched off all the same
     -> leave datum = "inner" out to keep them
-withheld.free_datum (warning): covariance withheld: the datum is free
+unavailable.free_datum (warning): no covariance: the datum is free
     -> keep the priors or measure control points
-withheld.loss (warning): covariance withheld: under the loss {loss} residuals near zero get weights above 1, which
+unavailable.loss (warning): no covariance: under the loss {loss} residuals near zero get weights above 1, which
     are no information
     -> adjust with another one
-withheld.indeterminate (warning): covariance withheld: {why}
+unavailable.indeterminate (warning): no covariance: {why}
     -> measure more control points or keep the priors
-withheld.slopes (warning): shift withheld: {n} points over slopes of the model, {least} are needed
-withheld.aspects (warning): shift withheld: the terrain has not enough slopes of different aspect to tell East and
+unavailable.slopes (warning): no shift: {n} points over slopes of the model, {least} are needed
+unavailable.aspects (warning): no shift: the terrain has not enough slopes of different aspect to tell East and
     North
-withheld.steps (warning): shift withheld: it does not stand after {steps} steps
+unavailable.steps (warning): no shift: it has not converged after {steps} steps
 search.left_out (warning): snooping left out {n} observation(s) in {rounds} rounds: {names:5}
     + ; with them, as single rays of their points: {with_them:5}
 search.check_points (warning): {n} check point(s) are not in the accuracy, as snooping left them no two rays:
