@@ -287,10 +287,6 @@ def fit(
     optimizer : str, optional
         Optimiser of the loop; default Gauss-Newton for linear models, Levenberg-Marquardt for quotients.
 
-    Returns
-    -------
-    TransformationFit
-
     Raises
     ------
     InputError

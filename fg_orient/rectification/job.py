@@ -18,11 +18,9 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.installation import versions
 from fg_orient.rectification.folder import CONTENTS, write_folder
 from fg_orient.rectification.options import PointOptions, StudyOptions
-from fg_orient.rectification.outliers import pair_distances, prune
+from fg_orient.rectification.outliers import pair_distances
 from fg_orient.rectification.points import (
     DIRECTIONS,
-    compared,
-    fit_control,
     fit_points,
     observations,
     read_map_points,
@@ -65,18 +63,15 @@ def rectify_fit(
     model = find_model(options.model or ("affine" if options.degree is None else "polynomial"), options.degree)
     if out is not None:
         require_free(out, overwrite=overwrite, contents=CONTENTS)
-    points, pruning, distances = read_map_points(path, options.crs or ""), None, None
+    points, distances = read_map_points(path, options.crs or ""), None
     with one_blas_thread():
-        fitted = fit_points(points, model, options.direction)
-        if options.prune_to is not None:
-            way = fitted.direction
-            pruning = prune(fitted.fit.points, model, options.prune_to, rule=options.prune_by,
-                            refit=lambda some: fit_control(points, some, model, way))  # fmt: skip
-            fitted = compared(pruning.fit, observations(points, model, way), points.check, way)
+        fitted = fit_points(
+            points, model, options.direction, prune_to=options.prune_to, prune_by=options.prune_by
+        )  # fmt: skip
     if options.pixel_size_m is not None:
         rows = np.isin(np.array(points.ids, dtype=object), np.array(fitted.fit.points.ids, dtype=object))
         distances = pair_distances(points.image[rows] * options.pixel_size_m, points.ground[rows, :2])
-    record = record_of(fitted, pruning=pruning, distances=distances)
+    record = record_of(fitted, distances)
     record |= {
         "input": {"file": path.name, "sha256": points.sha256}, "versions": versions(),
         "command": [Path(word).name if Path(word).is_absolute() else word for word in command],

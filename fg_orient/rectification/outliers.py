@@ -1,4 +1,4 @@
-"""Tests of points for gross errors, the pruning of İpbüker 1994 and its check of pairwise distances.
+"""Tests of points for gross errors; pruning and comparison of pairwise distances of İpbüker 1994.
 
 A control point is tested against all others, a check point against the fit.
 
@@ -10,9 +10,9 @@ has one column for the statistic, so it is F also for d = 1, where the bundle ad
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,6 @@ from fg_orient.quality.rejection import reject
 from fg_orient.quality.suspects import quadratic
 from fg_orient.rectification.arguments import finite, positive
 from fg_orient.rectification.fit import Observations, TransformationFit, fit
-from fg_orient.rectification.transformation import TransformationModel
 
 Array = npt.NDArray[np.float64]
 Rule = Literal["residual", "test"]
@@ -35,12 +34,12 @@ LEVEL: Final = 0.001
 
 @dataclass(frozen=True)
 class PointTests:
-    """Test of every point; nan where the other points do not check it.
+    """Test of every point; nan for points that the others do not check.
 
     Parameters
     ----------
     dimension : (n,) int array
-        d; 0 where nothing is checked.
+        d; 0 for points that the others do not check.
     statistic, critical, probability : (n,) array
         F, its limit, and the probability of such an F without a gross error.
     error : (n, 2) array
@@ -95,43 +94,27 @@ def check_tests(fitted: TransformationFit, check: Observations, residuals: Array
     return PointTests(np.full(n, 2), statistic, critical, f_tail(2, f, statistic), -residuals)
 
 
-@dataclass(frozen=True)
-class Pruning:
-    """Result of :func:`prune`.
-
-    Parameters
-    ----------
-    fit : TransformationFit
-        Of the remaining points.
-    dropped : tuple of str
-        Ids in the order in which they were left out.
-    history : tuple of float
-        Radial RMSE before each drop and at the end: one more than ``dropped``.
-    """
+class Pruning(NamedTuple):
+    """Fit of the remaining points, ids that were left out in this order, radial RMSE before each and at the end."""
 
     fit: TransformationFit
     dropped: tuple[str, ...]
     history: tuple[float, ...]
 
 
-def prune(
-    points: Observations, model: TransformationModel, target_rms: float, *, rule: Rule = "residual",
-    refit: Callable[[Observations], TransformationFit] | None = None,
-) -> Pruning:  # fmt: skip
-    """Drop the worst point and fit again until the radial RMSE is small enough (İpbüker 1994, section 4.2.1).
+def prune(first: TransformationFit, target_rms: float, *, rule: Rule = "residual") -> Pruning:
+    """Leave out the worst point and fit again until the radial RMSE is small enough (İpbüker 1994, section 4.2.1).
 
     The remaining RMSE does not measure accuracy, because the points were selected by it.
 
     Parameters
     ----------
-    points : Observations
-    model : TransformationModel
+    first : TransformationFit
+        Of all points.
     target_rms : float
         Radial RMSE to reach, in the unit of the target.
     rule : "residual" or "test"
         The worst point has the longest residual, or the smallest probability in the F test.
-    refit : callable, optional
-        Used instead of :func:`fg_orient.rectification.fit.fit` with the model.
 
     Raises
     ------
@@ -142,19 +125,22 @@ def prune(
         The target is not reached with the smallest number of points that has redundancy, or a fit does not converge.
     """
     positive("RMSE to reach", target_rms, "the target's unit")
-    again = refit or (lambda some: fit(some, model))
-    n, history = len(points), list[float]()
+    points, t, history = first.points, first.transformation, list[float]()
+    names = {"source_names": t.source_names, "target_names": t.target_names}
 
     def left(out: Sequence[int]) -> npt.NDArray[np.intp]:
-        return np.setdiff1d(np.arange(n), np.array(out, np.intp))
+        return np.setdiff1d(np.arange(len(points)), np.array(out, np.intp))
 
     def worst(fitted: TransformationFit, out: Sequence[int]) -> int | None:
         history.append(fitted.rmse[2])
         return None if history[-1] <= target_rms else int(left(out)[_worst(fitted, rule)])
 
-    end = reject(again(points), lambda out, _: again(points.take(left(out))), worst, n - model.least_points)
+    end = reject(
+        first, lambda out, _: fit(points.take(left(out)), t.model, crs=t.crs, **names), worst,
+        len(points) - t.model.least_points,
+    )  # fmt: skip
     if end.worst is not None:
-        raise NoSolutionError.of("rectify.prune", place=model.title, value=target_rms, reached=history[-1],
+        raise NoSolutionError.of("rectify.prune", place=t.model.title, value=target_rms, reached=history[-1],
                                  points=len(end.fit.points))  # fmt: skip
     return Pruning(end.fit, tuple(points.ids[k] for k in end.out), tuple(history))
 
@@ -168,18 +154,12 @@ def _worst(fitted: TransformationFit, rule: Rule) -> int:
     return int(np.nanargmax(np.where(tests.probability <= smallest, tests.statistic, np.nan)))
 
 
-@dataclass(frozen=True)
-class PairDistances:
-    """Differences of the distances of all pairs of points.
+class PairDistances(NamedTuple):
+    """Differences of the distances of all pairs of points, m.
 
-    Parameters
-    ----------
-    differences : (K,) array
-        First minus second list, m, pairs in the order 01, 02, ..., 12, ...
-    standard_deviation, mean : float
-        Of the differences; K - 1 in the divisor. m.
-    of_point : (n,) array
-        Root mean square about the mean of the differences of each point's pairs; large for a gross error.
+    ``differences`` (K,): first minus second list, pairs in the order 01, 02, ..., 12, ...; their standard deviation
+    (K - 1 in the divisor) and mean; ``of_point`` (n,): root mean square about the mean of the differences of each
+    point's pairs, large for a gross error.
     """
 
     differences: Array

@@ -19,6 +19,7 @@ from fg_orient.formats.tables import Faults, Row, Table, number, read_table, sha
 from fg_orient.geodesy import crs_kind, from_geographic
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.fit import Observations, TransformationFit, fit, plain_rmse, require_redundancy
+from fg_orient.rectification.outliers import Pruning, Rule, prune
 from fg_orient.rectification.transformation import TransformationModel
 from fg_orient.rpc.points import ids_and_checks, positive_numbers
 
@@ -188,12 +189,15 @@ class PointFit:
         Check points.
     check_residuals : (n, 2) array
         Computed minus given, in the unit of the target.
+    pruning : Pruning or None
+        If points were left out until an RMSE was reached.
     """
 
     fit: TransformationFit
     direction: Direction
     check: Observations | None
     check_residuals: Array
+    pruning: Pruning | None = None
 
     @property
     def unit(self) -> str:
@@ -206,7 +210,10 @@ class PointFit:
         return plain_rmse(self.check_residuals)
 
 
-def fit_points(points: MapPoints, model: TransformationModel, direction: str | None = None) -> PointFit:
+def fit_points(
+    points: MapPoints, model: TransformationModel, direction: str | None = None, *, prune_to: float | None = None,
+    prune_by: Rule = "residual",
+) -> PointFit:  # fmt: skip
     """Adjust a transformation between image and map, and compare it with the check points.
 
     Parameters
@@ -215,6 +222,8 @@ def fit_points(points: MapPoints, model: TransformationModel, direction: str | N
     model : TransformationModel
     direction : str, optional
         "image-to-map" or "map-to-image", see :func:`require_direction`.
+    prune_to, prune_by
+        Radial RMSE to reach, and rule: see :func:`fg_orient.rectification.outliers.prune`. Default: no pruning.
 
     Raises
     ------
@@ -224,26 +233,16 @@ def fit_points(points: MapPoints, model: TransformationModel, direction: str | N
     way = require_direction(model, direction)
     every = observations(points, model, way)
     require_redundancy(model, int(np.count_nonzero(~points.check)))
-    return compared(fit_control(points, every.take(~points.check), model, way), every, points.check, way)
-
-
-def fit_control(
-    points: MapPoints, control: Observations, model: TransformationModel, way: Direction
-) -> TransformationFit:
-    """Fit of some control points, with the names of their coordinates."""
     ground, image = ("easting", "northing"), ("sample", "line")
     names: tuple[tuple[str, ...], tuple[str, ...]] = (image, ground) if way == DIRECTIONS[0] else (ground, image)
     if model.dimension == 3:
         names = ((*ground, "height"), image[::-1])
-    return fit(control, model, source_names=names[0], target_names=names[1], crs=points.crs)
-
-
-def compared(
-    fitted: TransformationFit, every: Observations, check: npt.NDArray[np.bool_], way: Direction
-) -> PointFit:  # fmt: skip
-    """Fit with the residuals of the check points."""
-    if not check.any():
-        return PointFit(fitted, way, None, np.zeros((0, 2)))
-    some = every.take(check)
-    computed = fitted.transformation.apply(some.source[:, : fitted.model.dimension])
-    return PointFit(fitted, way, some, computed - some.target)
+    control = every.take(~points.check)
+    fitted = fit(control, model, source_names=names[0], target_names=names[1], crs=points.crs)
+    pruning = None if prune_to is None else prune(fitted, prune_to, rule=prune_by)
+    fitted = fitted if pruning is None else pruning.fit
+    if not points.check.any():
+        return PointFit(fitted, way, None, np.zeros((0, 2)), pruning)
+    check = every.take(points.check)
+    computed = fitted.transformation.apply(check.source[:, : model.dimension])
+    return PointFit(fitted, way, check, computed - check.target, pruning)

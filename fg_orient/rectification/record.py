@@ -12,7 +12,7 @@ from fg_orient.geodesy import area_of_use, to_geographic
 from fg_orient.model.distributions import f_tail
 from fg_orient.model.errors import Finding, as_record, finding
 from fg_orient.rectification.fit import Observations
-from fg_orient.rectification.outliers import PairDistances, PointTests, Pruning, check_tests, point_tests
+from fg_orient.rectification.outliers import PairDistances, PointTests, check_tests, point_tests
 from fg_orient.rectification.points import DIRECTIONS, PointFit
 
 Array = npt.NDArray[np.float64]
@@ -35,20 +35,9 @@ NEGLIGIBLE: Final = 1e4
 FAR: Final = 0.5
 
 
-def record_of(
-    fitted: PointFit, *, pruning: Pruning | None = None, distances: PairDistances | None = None
-) -> dict[str, Any]:
-    """Record of a fit.
-
-    Parameters
-    ----------
-    fitted : PointFit
-    pruning : Pruning, optional
-        If points were left out.
-    distances : PairDistances, optional
-        Of the control points, image in metres minus map.
-    """
-    fit, tests, check = fitted.fit, point_tests(fitted.fit), fitted.check
+def record_of(fitted: PointFit, distances: PairDistances | None = None) -> dict[str, Any]:
+    """Record of a fit; ``distances`` of the control points, image in metres minus map, if they were compared."""
+    fit, tests, check, pruning = fitted.fit, point_tests(fitted.fit), fitted.check, fitted.pruning
     checks = None if check is None else check_tests(fit, check, fitted.check_residuals)
     t, axes = fit.transformation, fit.transformation.target_names
     rows = _rows(fitted, "control", fit.points, fit.residuals, fit.redundancy_numbers.mean(axis=1).tolist(), tests)
@@ -69,7 +58,7 @@ def record_of(
             "pairs": len(distances.differences),
             "of_point_m": dict(zip(fit.points.ids, distances.of_point.tolist(), strict=True)),
         },
-        **as_record(findings_on(fitted, tests, checks, pruning)),
+        **as_record(findings_on(fitted, tests, checks)),
     }  # fmt: skip
 
 
@@ -112,22 +101,11 @@ def _rows(
 # --- findings --------------------------------------------------------------------------------------
 
 
-def findings_on(
-    fitted: PointFit, tests: PointTests, checks: PointTests | None, pruning: Pruning | None
-) -> list[Finding]:  # fmt: skip
-    """Findings that a reader of the record must know.
-
-    Parameters
-    ----------
-    fitted : PointFit
-    tests, checks : PointTests
-        Of the control points, and of the check points if there are any.
-    pruning : Pruning, optional
-        If points were left out.
-    """
+def findings_on(fitted: PointFit, tests: PointTests, checks: PointTests | None) -> list[Finding]:
+    """Findings on a fit, from the tests of the control points and of the check points, if any."""
     out = _suspicious("point", fitted.fit.points.ids, tests, fitted.unit)
     out += _layout(fitted) + _sigmas(fitted) + _far_from_zone(fitted)
-    if pruning is not None and pruning.dropped:
+    if fitted.pruning is not None and fitted.pruning.dropped:
         out.append(finding("rectify.rmse_after_pruning"))
     if fitted.check is None or checks is None:
         return [*out, finding("rectify.no_check")]

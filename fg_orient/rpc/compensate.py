@@ -125,10 +125,6 @@ def compensate(model: RpcModel, control: MeasuredPoints, kind: str = "shift", *,
     level : float
         Probability of a false alarm per point and round.
 
-    Returns
-    -------
-    Compensation
-
     Raises
     ------
     InputError

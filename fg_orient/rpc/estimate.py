@@ -86,10 +86,6 @@ def fit_linear(
     allow_pole : bool
         Return a model even if a denominator changes sign among the points.
 
-    Returns
-    -------
-    RfmFit
-
     Raises
     ------
     InputError
@@ -153,10 +149,6 @@ def fit_true(
         See :func:`fit_linear`.
     scaling : Scaling, optional
         Replaces the scaling of the points.
-
-    Returns
-    -------
-    RfmFit
 
     Raises
     ------

@@ -328,10 +328,6 @@ def cross_validate(
     progress : callable, optional
         Called with (done, of, text) before each fold.
 
-    Returns
-    -------
-    CrossValidation
-
     Raises
     ------
     InputError

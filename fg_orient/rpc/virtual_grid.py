@@ -123,10 +123,6 @@ def fit_sensor(
     seed : int
         Of the independent points.
 
-    Returns
-    -------
-    SensorRfm
-
     Raises
     ------
     InputError

@@ -65,7 +65,7 @@ CASES: list[tuple[Callable[..., Any], tuple[Any, ...], tuple[tuple[Any, ...], ..
     (study.digitised_sheets, ((5, 4), 2, 1), (((0, 4), (2, 2)), (1,), (-1,))),
     (pair_distances, (BOX, BOX), (([], BOX[:2], BOX * NAN), (BOX[:3], "x"))),
     (Observations.of, (BOX, BOX), (([], [[1.0], [2.0, 3.0]], BOX * NAN, BOX[:, :1]), (BOX[:3], [["a", "b"]] * 4))),
-    (prune, (GROUND, find_model("affine"), 1e9), ((), (), (0.0, -1.0, NAN))),
+    (prune, (fit(GROUND, find_model("affine")), 1e9), ((), (0.0, -1.0, NAN))),
     (fit(GROUND, find_model("affine")).prediction_sigma, (BOX,), (([], BOX * NAN),)),
     (LevelSurface, (100.0,), ((NAN, np.inf),)),
     (MapGrid.over, ((0.0, 0.0, 10.0, 10.0), 1.0, ""), (((0.0, 0.0, 10.0), (0.0, NAN, 1.0, 1.0)), (0.0, -1.0, NAN))),

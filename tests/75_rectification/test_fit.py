@@ -168,12 +168,13 @@ def test_pruning_drops_the_bad_points_and_says_so(rule: str) -> None:
     source = rng.uniform(0.0, 1000.0, (30, 2))
     target = 28.5 * source + rng.normal(0.0, 10.0, source.shape)
     target[[3, 11, 20]] += ((400.0, 0.0), (0.0, -300.0), (200.0, 200.0))
-    found = prune(Observations.of(source, target), find_model("affine"), 16.0, rule=rule)  # type: ignore[arg-type]
+    first = fit(Observations.of(source, target), find_model("affine"))
+    found = prune(first, 16.0, rule=rule)  # type: ignore[arg-type]
     assert found.dropped == ("4", "12", "21")
     assert list(found.history) == sorted(found.history, reverse=True)
     assert found.fit.rmse[2] == found.history[-1] <= 16.0 < found.history[-2]
     with pytest.raises(NoSolutionError) as caught:
-        prune(Observations.of(source, target), find_model("affine"), 1e-3, rule=rule)  # type: ignore[arg-type]
+        prune(first, 1e-3, rule=rule)  # type: ignore[arg-type]
     assert caught.value.problems[0].code == "rectify.prune"
 
 
