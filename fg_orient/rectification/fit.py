@@ -3,10 +3,11 @@
 Residuals are computed minus given, the sign of İpbüker 1994. m0 is per coordinate and divided by the redundancy,
 ``m0 = sqrt(sum (v/sigma)^2 / (2n - u))``; it is not the plain RMSE, which divides by n.
 
-Control points within their noise of a straight line give a converged adjustment that is useless beside the line. For
-each principal direction of the points in the source system (centred, one scale) the standard deviation of the scale of
-the transformation is therefore compared with that along the points. For an affine transformation the ratio is that of
-the extents, the condition number of the centred design. It depends on neither the unit nor the size of the scene.
+If the control points lie on a straight line within their noise, the adjustment converges, but the transformation is
+useless away from the line. For each principal direction of the points in the source system (centred, one scale) the
+standard deviation of the scale of the transformation is therefore compared with that in the longest direction. For an
+affine transformation their ratio is the ratio of the extents, the condition number of the centred design. It depends
+neither on the unit nor on the size of the scene.
 """
 
 from __future__ import annotations
@@ -29,18 +30,18 @@ from fg_orient.rectification.transformation import Scaling, Transformation, Tran
 Array = npt.NDArray[np.float64]
 
 MAX_ITERATIONS: Final = 100
-#: Smallest singular value of the design (columns of unit length) by its largest, below which points do not
-#: determine a transformation. Coordinates rounded to 1 mm on 10 km of straight line reach 1e-7.
+#: Smallest singular value of the design (columns of unit length) divided by the largest, below which points do not
+#: determine a transformation. Coordinates on 10 km of a straight line, rounded to 1 mm, have 1e-7.
 RANK_LIMIT: Final = 1e-6
-#: Ratio of sigmas from which on weights are beyond what a double carries through an adjustment.
+#: Largest ratio of sigmas; the weights of larger ratios exceed the precision of a double in an adjustment.
 SIGMA_SPAN: Final = 1e8
 #: Ratio of standard deviations beyond which a direction is weak: a strip 20 times longer than wide.
 WEAK_RATIO: Final = 20.0
 #: Ratio of noise to the root mean square width of the points beyond which a weak direction is not determined at all.
-#: For points on a line it is 0.7 on average for any number of points, if all noise is that of the source; half of it
-#: is left to chance.
+#: For points on a line it is 0.7 on average for any number of points, if all noise is that of the source; the limit
+#: is half of that.
 NOISE_SHARE: Final = 1.0 / 3.0
-#: Component of a direction below which it is not named: 3 degrees.
+#: Component of a direction below which the coordinate is not named: 3 degrees.
 LEAST_SHARE: Final = 0.05
 #: Half the step of differences, as a share of the extent of the points.
 STEP: Final = 1e-3
@@ -114,7 +115,7 @@ class Observations:
 
 @dataclass(frozen=True)
 class Reach:
-    """One principal direction of the control points except the longest.
+    """Principal direction of the control points, not the longest one.
 
     Parameters
     ----------
@@ -216,7 +217,7 @@ class TransformationFit:
 
     @cached_property
     def reaches(self) -> tuple[Reach, ...]:
-        """Principal directions of the points except the longest."""
+        """Principal directions of the points, without the longest."""
         source = self.points.source[:, : self.model.dimension]
         centre = source.mean(axis=0)
         _, extent, axes = np.linalg.svd(source - centre, full_matrices=False)

@@ -1,9 +1,9 @@
 """Image pixels of map pixels and heights by interpolation between knots, with the error of the interpolation.
 
-At every ``step``-th map pixel the model is evaluated at three heights of the surface. Between knots the interpolation
-is bilinear, in the height quadratic. The model is evaluated again half-way between knots and at intermediate heights.
-The step is halved while the largest difference inside the image exceeds the bound. Knots belong to the map, not to
-windows, so that windows of any size give the same pixels.
+At every ``step``-th map pixel the model is evaluated at three heights of the surface. The interpolation between these
+knots is bilinear, and quadratic in the height. The model is evaluated again half-way between knots and at intermediate
+heights. The step is halved while the largest difference inside the image exceeds the limit. The knots are fixed in the
+map, so the pixels do not depend on the size of the windows.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FIRST_STEP: Final = 64
 LEAST_STEP: Final = 4
 #: Smallest range of heights at which the model is evaluated, m.
 LEAST_RANGE_M: Final = 1.0
-#: Heights at which cubic terms show most between three equidistant ones, and the middle of the lower half.
+#: Heights at which cubic terms cause the largest errors of a quadratic through three equidistant heights.
 BETWEEN: Final = (-0.57735, 0.57735)
 
 

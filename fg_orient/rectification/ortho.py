@@ -2,7 +2,7 @@
 
 Each map pixel takes its height from the surface (bilinear), its position in the image from the model
 (:mod:`fg_orient.rectification.lattice`, with a stated error) and its grey value from the image by the chosen
-resampling. Ground hidden behind a ridge is not detected: it shows the image of the ridge.
+resampling. Hidden ground is not detected: behind a ridge the map shows the image of the ridge.
 Source: İpbüker 1994, sec. 5 (indirect method); Keys 1981 (cubic convolution).
 """
 

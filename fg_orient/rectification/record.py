@@ -23,7 +23,7 @@ SCHEMA: Final = 1
 TYPICAL_CONDITION: Final = {1: 1.5, 2: 8.0, 3: 25.0, 4: 125.0, 5: 500.0}
 WEAK_FACTOR: Final = 50.0
 WEAK_CONDITION: Final = 1e4
-#: Redundancy number below which an error of a point hardly shows in its own residual.
+#: Redundancy number below which an error of a point hardly changes its own residual.
 HARDLY_CHECKED: Final = 0.1
 #: Probability below which check points are worse than the control points predict.
 WORSE: Final = 0.001
@@ -31,7 +31,7 @@ WORSE: Final = 0.001
 SIGMA_FACTOR: Final = 100.0
 #: Ratio of sigmas beyond which points with the larger sigmas carry negligible weight.
 NEGLIGIBLE: Final = 1e4
-#: Distance from the area of use of a map projection, divided by its width, that is called far: half a zone of UTM.
+#: Largest distance from the area of use of a map projection, divided by its width: half a zone of UTM.
 FAR: Final = 0.5
 
 

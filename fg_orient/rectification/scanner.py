@@ -1,7 +1,7 @@
 """Geometry of an optical-mechanical line scanner (MSS, TM) over flat ground: İpbüker 1994, section 3.3.1.
 
-Angles are in rad, lengths in m; the scan angle theta is 0 at nadir. Some printed equations are damaged; this module has
-the corrected forms.
+Angles are in rad, lengths in m; the scan angle theta is 0 at nadir. Some printed equations have misprints; this module
+contains the corrected forms.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Scanner:
-    """A scanner on a level flight line.
+    """Scanner on a level flight line.
 
     Parameters
     ----------

@@ -214,7 +214,7 @@ class Transformation:
     crs: str = ""
 
     def apply(self, source: npt.ArrayLike) -> Array:
-        """Target coordinates (n, 2) of source coordinates (n, 2) or (n, 3), which may lie anywhere."""
+        """Target coordinates (n, 2) of source coordinates (n, 2) or (n, 3), inside or outside the points."""
         given = np.atleast_2d(np.asarray(source, float))
         three = np.zeros((len(given), 3))
         three[:, : self.model.dimension] = self.source.normalised(given)
@@ -224,8 +224,8 @@ class Transformation:
     def plain_coefficients(self) -> dict[str, float] | None:
         """Coefficients of the coordinates themselves; None for quotients.
 
-        They are rounded once. With map coordinates of 4.5e6 m they lose as many digits as the powers have. To transform
-        points use :meth:`apply`.
+        Each is rounded once. With map coordinates of 4.5e6 m, the powers of the coordinates multiply this rounding. To
+        transform points use :meth:`apply`.
         """
         if not self.model.linear:
             return None

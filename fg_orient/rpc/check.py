@@ -1,6 +1,6 @@
 """Check of an RPC: denominators, agreement of its two models, extrapolation, points, another model.
 
-All is evaluated over the pixels of the image and a range of heights. Residuals are projected minus observed.
+The checks use the pixels of the image and a range of heights. Residuals are projected minus observed.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ Range = tuple[float, float]
 
 #: Lines, samples, heights.
 SHAPE: Final = (11, 11, 5)
-#: A denominator below this is near zero: fitted models of satellite images have 0.9 .. 1.1.
+#: Denominator below which it is near zero; in fitted models of satellite images it is 0.9 .. 1.1.
 NEAR_ZERO: Final = 0.1
-#: Normalised coordinates beyond this lie outside what the model was fitted to; vendors round their scales.
+#: Largest normalised coordinate inside the domain of the fit; vendors round their scales.
 EXTRAPOLATED: Final = 1.05
 
 
@@ -41,22 +41,22 @@ def check_rpc(
     ----------
     file : RpcFile
     heights_m : (float, float), optional
-        Heights at which the image is used, m above the ellipsoid; default the validity range.
+        Range of heights of the scene, m above the ellipsoid; default the validity range.
     points : MeasuredPoints, optional
-        Points to be projected.
+        Points to project.
     against : Path, optional
         Another RPC file, or metadata of a rigorous model.
 
     Returns
     -------
     dict
-        Of :func:`fg_orient.rpc.files.describe`, and heights_m, denominators, image_to_ground, extrapolation, points,
-        against; status "good" or "not_trustworthy" with ``findings``.
+        Keys of :func:`fg_orient.rpc.files.describe`, and heights_m, denominators, image_to_ground, extrapolation,
+        points, against; status "good" or "not_trustworthy" with ``findings``.
 
     Raises
     ------
     InputError
-        Invalid heights, ``against`` is not usable or sees another part of the image.
+        Invalid heights; ``against`` is not usable or shows another part of the image.
     """
     model = file.model
     heights = _heights(model, heights_m)
@@ -91,7 +91,7 @@ def image_grid(model: RpcModel, heights_m: Range) -> tuple[Array, Array, Array]:
 
 
 def denominators(model: RpcModel, heights_m: Range) -> dict[str, Any]:
-    """Smallest denominators over the image and the heights, and whether one changes its sign there."""
+    """Smallest denominators over the image and the heights, and where one changes its sign."""
     line, sample, height = image_grid(model, heights_m)
     lon, lat = model.locate(line, sample, height)
     seen = np.isfinite(lon)
@@ -106,17 +106,16 @@ def denominators(model: RpcModel, heights_m: Range) -> dict[str, Any]:
 
 
 def pole(model: RpcModel, heights_m: Range) -> str | None:
-    """Where a denominator is not positive inside the image, in words; None if nowhere."""
+    """Place inside the image where a denominator is not positive, in words; None if there is no such place."""
     try:
         replace(model, stated_validity=replace(model.validity, height_m=heights_m)).require_no_pole()
     except InputError as error:
-        found = error.problems[0]
-        return f"{found.place} {found.value}"
+        return f"{error.problems[0].place} {error.problems[0].value}"
     return None
 
 
 def image_to_ground(model: RpcModel, heights_m: Range) -> dict[str, Any] | None:
-    """The file's model from image to ground, projected back, against the pixels; None if there is none."""
+    """Pixels located by the file's inverse model and projected back, minus these pixels; None without this model."""
     if model.direct is None:
         return None
     line, sample, height = image_grid(model, heights_m)
@@ -136,7 +135,7 @@ def extrapolation(model: RpcModel, heights_m: Range) -> dict[str, float]:
 
 
 def point_residuals(model: RpcModel, measured: MeasuredPoints) -> dict[str, Any]:
-    """Residuals of points with their statistics; ``outside`` names those beyond the validity range."""
+    """Residuals of points with their statistics; ``outside``: names of the points outside the validity range."""
     lon, lat, height = measured.ground.T
     v = residuals(model, measured)
     inside = model.inside(lon, lat, height)
@@ -149,7 +148,7 @@ def point_residuals(model: RpcModel, measured: MeasuredPoints) -> dict[str, Any]
 
 
 def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any]:
-    """Our pixels minus those of another model at the ground points that the other one locates.
+    """Pixels of the model minus pixels of another model, at ground points that the other model locates.
 
     Raises
     ------

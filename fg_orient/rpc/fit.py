@@ -1,6 +1,6 @@
-"""A fitted rational function model: coefficients, both kinds of residuals, statistics, poles; its cross-validation.
+"""Fitted rational function model: coefficients, both kinds of residuals, statistics, poles; cross-validation.
 
-Cross-validation gives the errors at points that were used neither in a fit nor in the choices made by it.
+Cross-validation gives the errors at points that were used neither in a fit nor in the choices of its method.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.rfm_points import ControlPoints, Scaling
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 
-#: Segments between points on which denominators are looked at; beyond it a seeded choice of them.
+#: Largest number of segments between points on which denominators are computed; of more, a seeded choice.
 MAX_SEGMENTS: Final = 20_000
 
 
@@ -37,21 +37,21 @@ class RfmFit:
     form : RfmForm
     scaling : Scaling
     points : ControlPoints
-        Those it was estimated from.
+        Points of the estimation.
     x : (u,) array
         Unknowns in the order of ``form.names``, for normalised coordinates.
     method : str
-        How it was estimated.
+        Estimation method in words.
     kappa : float
-        Of the penalty; 0 for plain least squares.
+        Factor of the penalty; 0 for plain least squares.
     penalised : (u,) array
-        1 for the unknowns that the penalty holds, else 0.
+        1 for penalised unknowns, else 0.
     true : bool
-        Estimated from the true equations; else from the linear form.
+        Estimated from the true equations; otherwise from the linear form.
     iterations : int
     notes : tuple of str
     choice : dict
-        What the method chose from the points: kappa, terms.
+        Kappa or terms that the method chose from the points.
     """
 
     form: RfmForm
@@ -87,14 +87,14 @@ class RfmFit:
         return line, sample
 
     def model(self, n_lines: int | None = None, n_samples: int | None = None, file: str = "") -> RpcModel:
-        """Model for projection, location and files; valid where the points are.
+        """Model for projection, location and files; its validity range is that of the points.
 
         Parameters
         ----------
         n_lines, n_samples : int, optional
             Size of the image.
         file : str
-            Named in messages.
+            Name for messages.
 
         Raises
         ------
@@ -150,7 +150,7 @@ class RfmFit:
 
     @cached_property
     def design(self) -> Array:
-        """Jacobian of the equations that were adjusted, normalised units: (2 n, u), sample rows first."""
+        """Jacobian of the adjusted equations, normalised units: (2 n, u), sample rows first."""
         return self.form.jacobian(self.x, self._monomials) if self.true else self._linear_form[0]
 
     @cached_property
@@ -165,14 +165,14 @@ class RfmFit:
 
     @property
     def leverages(self) -> Array:
-        """Hat matrix of each point, (n, 2, 2), sample first: how much its residuals follow its own observations."""
+        """Hat matrix of each point (n, 2, 2), sample first: derivatives of its adjusted by its own observations."""
         return leverages(self.design, self._penalty)
 
     @cached_property
     def cofactors(self) -> Array | None:
-        """Cofactor matrix (u, u) of the unknowns; None where the design has no full rank and nothing is penalised.
+        """Cofactor matrix (u, u) of the unknowns; None if the design has no full rank and there is no penalty.
 
-        With a penalty it is that of the posterior under the prior the penalty stands for.
+        With a penalty it is the posterior cofactor matrix, the penalty being the prior.
         """
         if self.kappa == 0.0 and self.rank < len(self.x):
             return None
@@ -186,7 +186,7 @@ class RfmFit:
     def covariance(self) -> Array | None:
         """Covariance matrix (u, u) of the unknowns: cofactors times the variance of unit weight; see ``cofactors``.
 
-        The variance is that of the equations that were adjusted, both coordinates alike in normalised units.
+        The variance is that of the adjusted equations, the same for both coordinates in normalised units.
         """
         if self.cofactors is None or not self.redundancy > 0.0:
             return None
@@ -205,16 +205,16 @@ class RfmFit:
 
     @property
     def has_pole(self) -> bool:
-        """A denominator vanishes or changes its sign at the points or between them."""
+        """Whether a denominator vanishes or changes its sign at the points or between them."""
         return not bool((self.least_denominators > 0.0).all())
 
     def without_pole(self) -> RfmFit:
-        """The fit itself, unless its denominators change sign among its points.
+        """Return the fit if its denominators do not change sign among its points.
 
         Raises
         ------
         NoSolutionError
-            They do.
+            A denominator changes sign.
         """
         if self.has_pole:
             value = f"{self.least_denominators.min():.3g}"
@@ -265,7 +265,7 @@ def least_denominators(form: RfmForm, x: Array, ground: Array) -> Array:
 
 
 def _pairs(n: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """All pairs of n points, or a seeded choice of them."""
+    """All pairs of n points, or a seeded choice of the pairs."""
     if n * (n - 1) // 2 <= MAX_SEGMENTS:
         first, second = np.triu_indices(n, 1)
         return first, second
@@ -279,16 +279,16 @@ Estimator = Callable[[ControlPoints], RfmFit]
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Errors at points left out.
+    """Errors at points that were not in the fit.
 
     Parameters
     ----------
     residuals_px : (n, 2) array
-        True image residuals, projected minus observed, line and sample; inf where a fold has no solution.
+        True image residuals, projected minus observed, line and sample; inf for folds without a solution.
     fits : tuple of RfmFit or None
         One per fold.
     failures : dict
-        Fold to the reason why it has no solution.
+        Reason why a fold has no solution, by fold.
     """
 
     residuals_px: Array
@@ -311,10 +311,10 @@ def cross_validate(
     points: ControlPoints, estimator: Estimator, *, folds: int | None = None, seed: int = 1,
     progress: Progress | None = None,
 ) -> CrossValidation:  # fmt: skip
-    """Leave out each point, or each of k folds, fit the others, project what was left out.
+    """Leave out each point, or each of k folds; fit the other points and project those left out.
 
-    The estimator sees the points of the other folds only: a kappa or a selection that it chooses is chosen anew in each
-    fold (nested cross-validation, Varma & Simon 2006).
+    The estimator receives the points of the other folds only, and chooses its kappa or terms anew in each fold (nested
+    cross-validation, Varma & Simon 2006).
 
     Parameters
     ----------
@@ -324,7 +324,7 @@ def cross_validate(
     folds : int, optional
         k; default leave-one-out.
     seed : int
-        Of the assignment of points to folds.
+        Seed of the assignment of points to folds.
     progress : callable, optional
         Called with (done, of, text) before each fold.
 

@@ -23,12 +23,12 @@ from fg_orient.rpc.virtual_grid import SHAPE, Errors, LocatingSensor, fit_sensor
 from fg_orient.sensors.rpc import RpcModel
 
 FOLDS: Final = 10
-#: Errors at points left out that exceed those of the fit by this factor: more coefficients than the points carry.
+#: Ratio of the errors at points left out to those of the fit above which there are too many coefficients.
 OVERFITTED: Final = 3.0
 
 
 def fit_to(points: ControlPoints, options: FitOptions) -> RfmFit:
-    """Fit to points; poles are allowed and seen by ``RfmFit.has_pole``."""
+    """Fit to points; poles are allowed, ``RfmFit.has_pole`` reports them."""
     form, kappa = RfmForm(options.degree, options.denominators), options.kappa or 0.0
     if options.selector is not None:
         return fit_selected(points, form, options.selector, allow_pole=True)
@@ -49,7 +49,7 @@ def fit_points(
     Returns
     -------
     model : RpcModel
-        Valid where the control points are.
+        Its validity range is that of the control points.
     record : dict
         status, warnings, degree, denominators, equations, method, choice, kappa, unknowns, rank, condition, redundancy,
         least_denominators, m0_linear_px, m0_px, control, check, cross_validation.
@@ -57,9 +57,9 @@ def fit_points(
     Raises
     ------
     InputError
-        Fewer points than the coefficients need, no such degree, solver, selection.
+        Too few points for the coefficients; no such degree, solver or selection.
     NoSolutionError
-        The fit breaks down or does not end.
+        The fit has no solution or does not converge.
     """
     control, check = measured.take(~measured.check).points, measured.take(measured.check)
     require_points(control, RfmForm(options.degree, options.denominators), options.kappa or 0.0)
@@ -85,7 +85,7 @@ def fit_points(
 
 
 def _validation(control: ControlPoints, options: FitOptions, progress: Progress | None) -> CrossValidation | None:
-    """Cross-validation with every choice made anew in each fold; None if a fold has too few points for it."""
+    """Cross-validation that repeats every choice in each fold; None if a fold has too few points."""
     folds = options.folds or min(FOLDS, len(control))
     try:
         every = None if folds == len(control) else folds
@@ -128,12 +128,12 @@ def fit_image(
     sensor, heights_m, degree, denominators, shape, seed
         See :func:`fg_orient.rpc.virtual_grid.fit_sensor`.
     file : str
-        Of the sensor, for messages.
+        File of the sensor, for messages.
 
     Returns
     -------
     model : RpcModel
-        With both directions.
+        Ground to image and image to ground.
     record : dict
         status, warnings, degree, denominators, grid, heights_m, fit (errors at the grid), check (at independent
         points), image_to_ground (East, North, m).

@@ -1,9 +1,9 @@
-"""The form of a rational function model: degree, denominators, coefficients kept; its linear and its true equations.
+"""Form of a rational function model: degree, denominators, estimated coefficients; linear and true equations.
 
     sample = (m a)/(1 + m' b),  line = (m c)/(1 + m' d)       (Terlemezoğlu 2019, T(2.53)-(2.55), x = sample, y = line)
 
-m are the monomials of the normalised ground coordinates in the published order T(2.54), m' those without the constant.
-The linear form multiplies with the denominator: m a - sample m' b = sample.
+m are the monomials of the normalised ground coordinates in the published order T(2.54), m' the same without the
+constant. The linear form is the equation multiplied by the denominator: m a - sample m' b = sample.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class RfmForm:
     degree : int
         1, 2 or 3: largest total degree of a monomial.
     denominators : "separate", "common" or "one"
-        One for each image coordinate; the same for both (IKONOS: b = d); none (polynomials).
+        A denominator for each image coordinate; the same for both (IKONOS: b = d); no denominator (polynomials).
     kept : tuple of int, optional
-        Unknowns of the complete form that are estimated, the others are zero; default all.
+        Estimated unknowns of the complete form; the others are zero. Default: all.
 
     Raises
     ------
@@ -81,12 +81,12 @@ class RfmForm:
 
     @cached_property
     def expansion(self) -> Array:
-        """The same from the unknowns kept: (4 p - 2, u) of zeros and ones."""
+        """The same for the estimated unknowns only: (4 p - 2, u) of zeros and ones."""
         return self._embedding if self.kept is None else np.ascontiguousarray(self._embedding[:, list(self.kept)])
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Unknowns in the words of the publication: a000, a100 ... b100 ... c000 ... d001.
+        """Names of the unknowns in the publication: a000, a100 ... b100 ... c000 ... d001.
 
         A common denominator is called b.
         """

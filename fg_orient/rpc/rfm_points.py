@@ -1,4 +1,4 @@
-"""Control points of a rational function model: their file, and the +-1 normalisation.
+"""Control points of a rational function model: file format, and normalisation to [-1, 1].
 
 A file has rows of id, line, sample, latitude, longitude (degrees), height (m).
 """
@@ -22,7 +22,7 @@ COORDINATES = ("line", "sample", "longitude", "latitude", "height")
 
 @dataclass(frozen=True)
 class ControlPoints:
-    """Ground points with their places in the image.
+    """Ground points with their image coordinates.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class ControlPoints:
     Raises
     ------
     InputError
-        Sizes that do not fit, no points, or values that are not finite.
+        Inconsistent shapes, no points, or values that are not finite.
     """
 
     line: Array
@@ -75,7 +75,7 @@ class Scaling:
 
     @classmethod
     def of(cls, points: ControlPoints, *, normalise: bool = True) -> Scaling:
-        """Scaling that brings each coordinate to [-1, 1], T(3.51), or that leaves everything as it is.
+        """Scaling of each coordinate to [-1, 1], T(3.51), or without ``normalise`` the identity.
 
         Raises
         ------
@@ -120,7 +120,7 @@ def read_gcp(path: Path) -> ControlPoints:
     Raises
     ------
     InputError
-        The file cannot be read, or a row holds something else; its line is named.
+        The file cannot be read, or a row has other content; the message names its line.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -152,10 +152,10 @@ def find_spot6(where: Path) -> Path:
     Raises
     ------
     InputError
-        It is not there.
+        The file does not exist.
     """
     candidates = (where, where / SPOT6_FILE, where / SPOT6_FOLDER / SPOT6_FILE)
-    found = next((path for path in candidates if path.is_file()), None)
-    if found is None:
-        raise InputError.of("rfm.data", file=where, value=f"no {SPOT6_FILE}")
-    return found
+    for path in candidates:
+        if path.is_file():
+            return path
+    raise InputError.of("rfm.data", file=where, value=f"no {SPOT6_FILE}")

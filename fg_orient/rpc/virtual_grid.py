@@ -1,8 +1,8 @@
 """Rational function model of a sensor: fitted to a virtual grid of ground points, checked on points between them.
 
-Pixels of a grid are located on several height layers with the sensor's own model; all layers are adjusted in one system
-(Tao & Hu 2001; Terlemezoğlu 2019, section 2.4 averages the coefficients of the layers, which is no estimate). The
-stated errors are those at independent points: pixels between the grid's, heights between its layers.
+The sensor's own model locates the pixels of a grid on several height layers. All layers are adjusted in one system (Tao
+& Hu 2001). (Terlemezoğlu 2019, section 2.4, averages the coefficients of the layers, which is not a least-squares
+estimate.) The stated errors are those at independent points: pixels and heights between those of the grid.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from fg_orient.sensors.rpc import RpcModel, RpcValidity
 
 #: Lines, samples, height layers.
 SHAPE: Final = (20, 20, 5)
-#: A cubic along each axis, and something to check it.
+#: Least number of nodes per axis: four for a cubic, and one more to check it.
 LEAST: Final = 5
-#: Penalty of the coefficients beyond the affine ones: the normal equations of degree 3 are singular in practice. This
-#: kappa changes no residual by 1e-4 px.
+#: Penalty of the coefficients beyond the affine ones, because the normal equations of degree 3 are singular in
+#: practice. It changes residuals by less than 1e-4 px.
 KAPPA: Final = 1e-12
 #: Independent points per grid point.
 CHECK_SHARE: Final = 1.0
@@ -75,8 +75,8 @@ class SensorRfm:
     forward : RfmFit
         Ground to image.
     inverse : RfmFit
-        Image to ground with exchanged roles: "line" is the latitude, "sample" the longitude (degrees), "ground" sample,
-        line and height.
+        Image to ground with exchanged roles: "line" is the latitude, "sample" the longitude (degrees), "ground" is
+        sample, line and height.
     validity : RpcValidity
         Ranges of the grid: pixels, degrees, m.
     fit_px, check_px : Errors
@@ -113,22 +113,22 @@ def fit_sensor(
     Parameters
     ----------
     sensor : LocatingSensor
-        Any with ``n_lines``, ``n_samples`` and ``locate`` at heights; (0, 0) = centre of the first pixel.
+        A sensor with ``n_lines``, ``n_samples`` and ``locate`` at heights; (0, 0) = centre of the first pixel.
     heights_m : (float, float)
         Lowest and highest layer above the ellipsoid.
     shape : (int, int, int)
-        Lines, samples and layers of the grid, at least 5 each, spaced like Chebyshev nodes: closer towards the borders.
+        Lines, samples and layers of the grid, at least 5 each, spaced like Chebyshev nodes: denser at the borders.
     degree, denominators
         See :class:`fg_orient.rpc.form.RfmForm`.
     seed : int
-        Of the independent points.
+        Seed of the independent points.
 
     Raises
     ------
     InputError
-        Too small a grid, heights that do not rise or are not finite, a ray that misses a layer.
+        Too small a grid, heights that do not increase or are not finite, a ray that misses a layer.
     NoSolutionError
-        The fit does not end, or has a pole in the grid.
+        The fit does not converge, or has a pole in the grid.
     """
     low, high = heights_m
     if min(shape) < LEAST:
@@ -144,7 +144,7 @@ def fit_sensor(
     draws = [rng.uniform(a, b, count) for a, b in zip((*first, low), (*last, high), strict=True)]
     check = _located(sensor, *draws)
     form = RfmForm(degree, denominators)
-    with one_blas_thread():  # small matrices: on a busy machine a second thread only waits
+    with one_blas_thread():  # a second thread does not accelerate small matrices
         forward, inverse = fit_true(grid, form, kappa=KAPPA), fit_true(_exchanged(grid), form, kappa=KAPPA)
     ranges = np.stack([grid.columns.min(axis=0), grid.columns.max(axis=0)], axis=1)
     validity = RpcValidity(*((float(a), float(b)) for a, b in ranges))
@@ -156,7 +156,7 @@ def fit_sensor(
 
 
 def _nodes(first: float, last: float, count: int) -> Array:
-    """Chebyshev nodes stretched to both ends: an even grid leaves the errors at the border."""
+    """Chebyshev nodes stretched to both ends; errors of a fit to a regular grid are largest at the border."""
     nodes = -np.cos(np.pi * (np.arange(count) + 0.5) / count)
     return np.asarray(0.5 * (first + last) + 0.5 * (last - first) * nodes / nodes[-1])
 

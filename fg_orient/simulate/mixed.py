@@ -1,9 +1,9 @@
 """A mixed block over one window of 5 km: rigorous SPOT-5 images, RPC images of 0.7 m, frame images of 0.2 m.
 
-Two SPOT-5 HRG passes look from both sides; two images of one pass of a Pléiades-like satellite look ahead and back
-and have RPC, fitted to their rigorous model; a large-format camera took four frames from 4 km above the ground. The
-same tie points and a few control points are measured in all of them. The errors of every orientation are drawn from the
-prior sigmas of the adjustment; truth is exact in the model of each sensor (:mod:`fg_orient.simulate.simulation`).
+Two SPOT-5 HRG images from both sides; two images of one pass of a Pléiades-like satellite, forward and backward, with
+RPC fitted to their rigorous model; four frames of a large-format camera from 4 km above the ground. The same tie points
+and a few control points are measured in all images. The errors of all orientations are drawn from the prior sigmas of
+the adjustment; truth is exact in the model of each sensor (:mod:`fg_orient.simulate.simulation`).
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ WINDOW_M: Final = 5000.0
 HEIGHT_RANGE_M: Final = (0.0, 500.0)
 #: SPOT-5: mirror angles (degrees), days, half minutes of the day.
 SPOT: Final = ((-18.0, "2004-07-05", 1041), (20.0, "2004-07-06", 1003))
-#: RPC images: pitch of the looks (degrees), height of the orbit (m), pixels along a side, ground pixel at nadir (m).
+#: RPC images: pitch angles (degrees), height of the orbit (m), pixels along a side, ground pixel at nadir (m).
 PITCH_DEG: Final = (-12.0, 14.0)
 RPC_ORBIT_M: Final = 694e3
 RPC_SIDE_PX: Final = 14000
 RPC_PIXEL_M: Final = 0.7
-#: Speed of the point below the satellite, m/s: makes pixels about square.
+#: Speed of the nadir point, m/s, for approximately square pixels.
 GROUND_SPEED_M_S: Final = 6.77e3
-#: Heights that the RPC are fitted to, m, beyond those of the points.
+#: Heights for the fit of the RPC, m; the range includes that of the points.
 RPC_HEIGHTS_M: Final = (-200.0, 1000.0)
 RPC_SHIFT_SIGMA_PX: Final = 15.0
 RPC_LINEAR_SIGMA_PX: Final = 2.0
@@ -72,9 +72,9 @@ FRAME_SIGMA: Final = {
     "focal": 2.0, "principal_sample": 1.0, "principal_line": 1.0,
 }  # fmt: skip
 CAMERA: Final = "camera"
-#: Points are not measured closer than this to a border of a frame: noise never leaves the image.
+#: Points closer to the border of an image are not measured in it: with noise they could leave the image.
 MARGIN_PX: Final = 50.0
-#: Options of the adjustment for the unknowns; those of the images are in their files.
+#: Options of the adjustment for the unknowns of RPC images.
 OPTIONS: Final = Options(
     rpc_compensation="shift_drift", rpc_shift_sigma_px=RPC_SHIFT_SIGMA_PX, rpc_linear_sigma_px=RPC_LINEAR_SIGMA_PX
 )
@@ -158,20 +158,20 @@ def _compensations(size: float, rng: np.random.Generator) -> tuple[Array, ...]:
 
 @cache
 def rpc_models() -> tuple[RpcModel, ...]:
-    """RPC of both looks, fitted to their rigorous models; as read from a file that has no inverse coefficients."""
-    found = []
+    """RPC of both images, fitted to their rigorous models; as read from a file without inverse coefficients."""
+    models = []
     for k, pitch in enumerate(PITCH_DEG):
         sensor = _metre_sensor(math.radians(pitch), 40_000.0 + 30.0 * k)
         model = fit_sensor(sensor, RPC_HEIGHTS_M, shape=(12, 12, 5)).model()
-        found.append(replace(
+        models.append(replace(
             model, direct=None, notes=(), stated_validity=None, n_lines=None, n_samples=None,
             file=f"pleiades{k + 1}_RPC.TXT",
         ))  # fmt: skip
-    return tuple(found)
+    return tuple(models)
 
 
 def _metre_sensor(pitch_rad: float, centre_s: float) -> PushbroomSensor:
-    """The rigorous model of a look: no errors, attitude constant."""
+    """Rigorous model of an image: no errors, constant attitude."""
     attitude = (0.0, pitch_rad, 0.0)
     orbit = find_pass(geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0)[0], 0.0, attitude_rad=attitude, height_m=RPC_ORBIT_M)
     time_s = centre_s + 10.0 * np.arange(-4.0, 5.0)

@@ -23,7 +23,7 @@ LEAST_CONTROL: Final = 6
 
 _SEED: Final = "Seed of all random numbers."
 _IMAGE_NOISE: Final = (
-    "Sigma of the noise in line and in sample. The adjustment is given the same sigma, or 0.3 px if the noise is 0."
+    "Sigma of the noise in line and in sample. The adjustment uses the same sigma, or 0.3 px if the noise is 0."
 )
 _GROUND_NOISE: Final = "Sigmas East, North, Up of the noise of control and check coordinates."
 

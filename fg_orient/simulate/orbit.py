@@ -1,16 +1,15 @@
-"""A circular pass over a ground point, in the Earth-fixed frame.
+"""Circular pass over a ground point, in the Earth-fixed frame.
 
-The orbit is a circle of fixed plane in inertial space. The inertial axes are chosen such
-that they coincide with the Earth-fixed ones at the time of the scene centre, so no sidereal
-time is needed; ``w`` is the Earth's rotation rate::
+The orbit is a circle in a fixed plane in inertial space. The inertial axes coincide with the Earth-fixed axes at the
+time of the scene centre, so no sidereal time is needed; ``w`` is the Earth's rotation rate::
 
     p(t) = r(t) (cos u, cos i sin u, sin i sin u) turned by the node,   u(t) = u_c + n t
     r(t) = r_0 + v_r t,   n = sqrt(GM / r_0^3)
     P(t) = Rz(w t) p(t),   V(t) = Rz(w t) (dp/dt - w x p)
 
 with t in seconds from the scene centre and Rz the passive rotation [[c, s, 0], [-s, c, 0], [0, 0, 1]].
-``v_r`` makes an ephemeris with a radial velocity, as real ones have (SPOT 5: 7 to 9 m/s);
-it is consistent in position and velocity but no longer a Kepler motion.
+``v_r`` is a radial velocity, as in real ephemerides (SPOT 5: 7 to 9 m/s). Position and velocity are then consistent,
+but the motion is not a Kepler motion.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _NEWTON_TOLERANCE_RAD = 1e-13
 
 @dataclass(frozen=True)
 class CircularPass:
-    """A pass; times count from the scene centre.
+    """Pass of a satellite; times count from the scene centre.
 
     Parameters
     ----------
@@ -78,7 +77,7 @@ class CircularPass:
 
 
 def _turned(vectors: Array, angle_rad: Array) -> Array:
-    """Components (N, 3) in axes turned by N angles about Z."""
+    """Components (N, 3) in axes rotated by N angles about Z."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     x, y, z = vectors.T
     return np.stack([c * x + s * y, c * y - s * x, z], axis=1)
@@ -99,7 +98,7 @@ def find_pass(
     target_m : (3,) array
         Ground point, ECEF.
     psi_y_rad : float
-        Look angle across track that must see it (psi_x is 0): negative looks to the right of flight.
+        Look angle across track to the point (psi_x is 0); negative: to the right of the flight direction.
     attitude_rad : (roll, pitch, yaw)
         Attitude in the orbital frame of convention B, full rotations.
     radial_velocity_m_s : float
@@ -110,12 +109,12 @@ def find_pass(
     Returns
     -------
     CircularPass
-        Newton on node and argument of latitude, ended below 1e-13 rad (0.7 micrometre in orbit).
+        By Newton's method for node and argument of latitude, to 1e-13 rad (0.7 micrometre in orbit).
 
     Raises
     ------
     ValueError
-        No such pass: the point lies beyond the orbit's latitudes or the horizon.
+        No such pass: the point is outside the orbit's latitudes or below the horizon.
     """
     x, motion = _start(target_m), (radial_velocity_m_s, height_m)
     for _ in range(_NEWTON_STEPS):
@@ -152,7 +151,7 @@ def _start(target_m: Array) -> Array:
 def _pointing(
     orbit: CircularPass, target_m: Array, psi_y_rad: float, attitude_rad: tuple[float, float, float]
 ) -> Array:
-    """Conditions (2,) of the point at time 0: zero if it is seen at psi_y, psi_x = 0 (docs/equations.md 3)."""
+    """Conditions (2,) of the point at time 0: zero for the look angles psi_y, psi_x = 0 (docs/equations.md 3)."""
     position, velocity = orbit.states(0.0)
     ecef_from_orbital = rotations.orbital_frames(position, velocity)[0]
     ecef_from_body = ecef_from_orbital @ rotations.attitude_matrices(np.array([attitude_rad]), False)[0]

@@ -1,12 +1,12 @@
 """Terrain and images of the twin.
 
-The terrain is the mean height of the points plus Gaussian hills (one per point, standard width 2.5 km) that take the
-surface through all points. The bilinear surface of the DEM passes through the points within the rounding of its values
-(float32): the rounding at a point is put into the four cells about it.
+The terrain is the mean height of the points plus Gaussian hills (one per point, standard width 2.5 km), such that the
+surface contains all points. The bilinear surface of the DEM contains the points within the rounding of its values
+(float32), because the four cells around each point are corrected for this rounding.
 
-Images are rendered by ray against the terrain with the true orientation: every pixel corner's ray is followed to the
-terrain; the texture of the ground (smooth noise, at every point a bright disc in a dark ring) is averaged over 4 x 4
-places of each pixel. This is image to ground, the opposite of rectification, without any projection ground to image.
+Images are rendered by ray tracing with the true orientation: the ray of every pixel corner is intersected with the
+terrain. The texture of the ground (smooth noise; at every point a bright disc in a dark ring) is averaged over 4 x 4
+positions in each pixel. Rendering uses image to ground only; rectification uses ground to image.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from fg_orient.simulate.options import require
 from fg_orient.simulate.scene import as_read
 from fg_orient.simulate.simulation import Simulation
 
-#: UTM zone 36 north: the twin's place.
+#: UTM zone 36 north, the zone of the twin.
 CRS: Final = "EPSG:32636"
 STEP_M: Final = 30.0
-#: Distance at which a hill has fallen to 1/e.
+#: Distance from the summit at which the height of a hill is 1/e.
 HILL_M: Final = 3500.0
-#: Terrain beyond the box of the points: the images reach so far, seen under 20 degrees from 832 km.
+#: Width of the terrain around the box of the points: extent of the images at 20 degrees from 832 km.
 BORDER_M: Final = 15_000.0
 
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
-    """A DEM in UTM, heights above the ellipsoid.
+    """DEM in UTM, heights above the ellipsoid.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Terrain:
     targets_m: Array
 
     def cells(self, lon_deg: Array, lat_deg: Array) -> Array:
-        """Row and column (n, 2), whole at centres of cells."""
+        """Row and column (n, 2), whole numbers at centres of cells."""
         x, y = from_geographic(CRS, lon_deg, lat_deg)
         return np.stack([(self.top_m - y) / self.step_m - 0.5, (x - self.left_m) / self.step_m - 0.5], axis=1)
 
@@ -87,12 +87,12 @@ def terrain_through(lon_lat_height: Array, *, step_m: float = STEP_M) -> Terrain
 
 
 def _through(terrain: Terrain, lon_lat_height: Array) -> None:
-    """Shift the four cells about each point so that the bilinear surface meets it (points share no cells)."""
+    """Shift the four cells around each point so that the bilinear surface contains it (points share no cells)."""
     cell = terrain.cells(lon_lat_height[:, 0], lon_lat_height[:, 1])
     (i, j), (u, v) = np.floor(cell).astype(int).T, (cell - np.floor(cell)).T
     z = terrain.heights_m
-    found = (z[i, j] * (1 - v) + z[i, j + 1] * v) * (1 - u) + (z[i + 1, j] * (1 - v) + z[i + 1, j + 1] * v) * u
-    shift = (lon_lat_height[:, 2] - found).astype(np.float32)
+    surface = (z[i, j] * (1 - v) + z[i, j + 1] * v) * (1 - u) + (z[i + 1, j] * (1 - v) + z[i + 1, j + 1] * v) * u
+    shift = (lon_lat_height[:, 2] - surface).astype(np.float32)
     for a in (0, 1):
         for b in (0, 1):
             z[i + a, j + b] += shift
@@ -132,9 +132,9 @@ class RasterOptions:
     Parameters
     ----------
     images : bool
-        Render the images; else the DEM alone is written.
+        Render the images; otherwise only the DEM is written.
     window_px : int
-        Render only a square of this size about every point; 0: the whole images.
+        Render only a square of this size around every point; 0: the whole images.
     dem_step_m : float
         Edge of the DEM's cells.
 
@@ -154,7 +154,7 @@ class RasterOptions:
 
 
 class Renderer:
-    """The true geometry of one image over a terrain.
+    """True geometry of one image over a terrain.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ class Renderer:
         self._knots = np.ascontiguousarray(knots.reshape(INTERVALS + 1, INTERVALS + 1, RAY.size))
 
     def corners(self, line: int, sample: int, rows: int, columns: int) -> Array:
-        """Map coordinates (rows + 1, columns + 1, 2) where the corners of pixels lie on the terrain; nan outside it."""
+        """Map coordinates (rows + 1, columns + 1, 2) of pixel corners on the terrain; nan outside it."""
         t, cell = self._terrain, self._cells(line, sample, rows, columns)
         x, y = t.left_m + (cell[..., 1] + 0.5) * t.step_m, t.top_m - (cell[..., 0] + 0.5) * t.step_m
         return np.stack([x, y], axis=-1)
@@ -195,7 +195,7 @@ class Renderer:
         return out
 
     def render(self, line: int, sample: int, rows: int, columns: int) -> npt.NDArray[np.uint8]:
-        """Grey values (rows, columns) of a block; 0 where it leaves the terrain."""
+        """Grey values (rows, columns) of a block; 0 outside the terrain."""
         t, out = self._terrain, np.empty((rows, columns), np.uint8)
         to_map = TO_MAP.pack(x=t.left_m + 0.5 * t.step_m, y=t.top_m - 0.5 * t.step_m, cell=t.step_m)
         expose(self._cells(line, sample, rows, columns), to_map, t.targets_m, np.array(RADII_M), out)
@@ -242,7 +242,7 @@ def _write_image(
     path: Path, renderer: Renderer, sensor: PushbroomSensor, places: list[tuple[int, int, int, int]],
     progress: Progress | None,
 ) -> None:  # fmt: skip
-    """Write the blocks; what is not rendered stays 0 (nodata) and takes no space."""
+    """Write the blocks; other pixels remain 0 (nodata) and are not stored."""
     rasterio = rasterio_of(path)
     settings = {
         "driver": "GTiff", "width": sensor.n_samples, "height": sensor.n_lines, "count": 1, "dtype": "uint8",

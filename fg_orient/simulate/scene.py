@@ -1,16 +1,15 @@
-"""Metadata of a simulated SPOT-5 HRG scene: a pass, a camera, errors of the metadata.
+"""Metadata of a simulated SPOT-5 HRG scene: pass, camera, errors of the metadata.
 
-The camera of the twin (SPOT-5 HRG): 12000 detectors of 6.5 micrometres behind a focal length
-of 1.082 m (field 4.13 degrees, pixel 5 m), turned across track by the mirror::
+The camera of the twin (SPOT-5 HRG) has 12000 detectors of 6.5 micrometres and a focal length of 1.082 m (field 4.13
+degrees, pixel 5 m). The mirror turns the line of sight across track::
 
     psi_y(sample) = mirror + arctan((sample - 5999.5) 6.5e-6 / 1.082),   psi_x = 0
 
-With u1 = (-tan psi_y, tan psi_x, -1) and X to the right of flight, a negative mirror angle
-looks to the right (west on a descending pass) and samples run from right to left of flight
-(west to east), as in the real SPOT-5 file.
+With u1 = (-tan psi_y, tan psi_x, -1) and X to the right of the flight direction, a negative mirror angle looks to the
+right (west on a descending pass), and samples increase from right to left (west to east), as in the real SPOT-5 file.
 
-Errors are polynomials in tau = (line - c)/c, c = (NROWS - 1)/2; the metadata hold *true
-minus error* at every sample of ephemeris and attitude, also of those far from the image.
+Errors are polynomials in tau = (line - c)/c, c = (NROWS - 1)/2. The metadata contain *true minus error* at all epochs
+of ephemeris and attitude, including those far from the image.
 """
 
 from __future__ import annotations
@@ -42,12 +41,12 @@ LINE_PERIOD_S = 0.7521e-3
 REFERENCE_LINE = 6000.0
 DETECTOR_M = 6.5e-6
 FOCAL_LENGTH_M = 1.082
-#: Ephemeris on full half minutes: four before and four after the image, one right before it.
+#: Ephemeris on full half minutes: four before, one immediately before, and four after the image.
 EPHEMERIS_STEP_S = 30.0
 N_EPHEMERIS = 9
 ATTITUDE_STEP_S = 0.125
 N_ATTITUDES = 233
-#: SCENE_CENTER_TIME lies this long after a full half minute: all lines between the same ephemeris points.
+#: Interval from a full half minute to SCENE_CENTER_TIME: all lines are between the same two epochs.
 AFTER_HALF_MINUTE_S = 7.332158
 
 
@@ -65,12 +64,12 @@ class Scene:
     epoch : np.datetime64
         Day of the image.
     half_minutes : int
-        Half minutes of the day after which, by 7.332158 s, the central line was taken.
+        Half minutes of the day; the central line was taken 7.332158 s later.
     attitude_rad : (roll, pitch, yaw)
         True attitude, constant.
     full_look_table : bool
-        One look-angle row per detector; otherwise the first and last only, from which the
-        reader fills the table (same camera, small files).
+        One look-angle row per detector; otherwise only the first and last row, from which the
+        reader computes the others (same camera, small files).
     """
 
     id: str
@@ -132,7 +131,7 @@ def camera_psi_y(sample: Array, mirror_rad: float) -> Array:
 
 
 def as_read(metadata: PushbroomMetadata) -> PushbroomSensor:
-    """Sensor as read from the written file: the reader fills a look-angle table of two detectors."""
+    """Sensor as read from the written file: the reader interpolates a look-angle table of two detectors."""
     look = metadata.look
     if isinstance(look, LookAngleTable) and len(look.sample) < metadata.n_samples:
         metadata = replace(metadata, look=straight_line(look.sample, look.psi_x_rad, look.psi_y_rad))
@@ -140,7 +139,7 @@ def as_read(metadata: PushbroomMetadata) -> PushbroomSensor:
 
 
 def _frame_points(sensor: PushbroomSensor) -> tuple[FramePoint, ...]:
-    """Four corners and the centre at height 0, as the metadata see them."""
+    """Four corners and the centre at height 0, computed from the metadata."""
     last_line, last_sample = N_LINES - 1.0, N_SAMPLES - 1.0
     line = [0.0, 0.0, last_line, last_line, REFERENCE_LINE]
     sample = [0.0, last_sample, last_sample, 0.0, REFERENCE_LINE]
