@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from factors.cameras.plane import RECORD
 from fg_orient.adjustment.dense import RowsBackend, equation_rows
-from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
+from fg_orient.adjustment.loop import IterationRecord, gauss_newton, levenberg_marquardt
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rectification.arguments import finite, numbers
 from fg_orient.rectification.transformation import Scaling, Transformation, TransformationModel
@@ -271,7 +271,7 @@ def plain_rmse(residuals: Array) -> tuple[float, float, float]:
 
 def fit(
     points: Observations, model: TransformationModel, *, source_names: Sequence[str] = (),
-    target_names: Sequence[str] = ("X", "Y"), crs: str = "", optimizer: str | None = None,
+    target_names: Sequence[str] = ("X", "Y"), crs: str = "",
 ) -> TransformationFit:  # fmt: skip
     """Adjust a transformation.
 
@@ -285,8 +285,6 @@ def fit(
         For the record; default names of source coordinates are x, y, z.
     crs : str
         Coordinate system of the map.
-    optimizer : str, optional
-        Optimiser of the loop; default Gauss-Newton for linear models, Levenberg-Marquardt for quotients.
 
     Raises
     ------
@@ -307,8 +305,8 @@ def fit(
     rows = equation_rows(model.equation, records, model.setup)
     start = model.start(records[:, RECORD.source], records[:, RECORD.target])
     _require_determined(points, model, rows(start, True)[1])
-    name = optimizer or ("gauss-newton" if model.linear else "levenberg-marquardt")
-    run = OPTIMIZERS[name](RowsBackend(rows), start, MAX_ITERATIONS)
+    optimise = gauss_newton if model.linear else levenberg_marquardt
+    run = optimise(RowsBackend(rows), start, MAX_ITERATIONS)
     if not run.converged:
         raise NoSolutionError.of("rectify.not_converged", place=model.title, reason=run.end.message)
     below = model.denominator(records[:, RECORD.source], run.state)

@@ -126,7 +126,6 @@ def prune(first: TransformationFit, target_rms: float, *, rule: Rule = "residual
     """
     positive("RMSE to reach", target_rms, "the target's unit")
     points, t, history = first.points, first.transformation, list[float]()
-    names = {"source_names": t.source_names, "target_names": t.target_names}
 
     def left(out: Sequence[int]) -> npt.NDArray[np.intp]:
         return np.setdiff1d(np.arange(len(points)), np.array(out, np.intp))
@@ -135,10 +134,11 @@ def prune(first: TransformationFit, target_rms: float, *, rule: Rule = "residual
         history.append(fitted.rmse[2])
         return None if history[-1] <= target_rms else int(left(out)[_worst(fitted, rule)])
 
-    end = reject(
-        first, lambda out, _: fit(points.take(left(out)), t.model, crs=t.crs, **names), worst,
-        len(points) - t.model.least_points,
-    )  # fmt: skip
+    def again(out: Sequence[int], _: object) -> TransformationFit:
+        some = points.take(left(out))
+        return fit(some, t.model, source_names=t.source_names, target_names=t.target_names, crs=t.crs)
+
+    end = reject(first, again, worst, len(points) - t.model.least_points)
     if end.worst is not None:
         raise NoSolutionError.of("rectify.prune", place=t.model.title, value=target_rms, reached=history[-1],
                                  points=len(end.fit.points))  # fmt: skip

@@ -60,11 +60,13 @@ def check_rpc(
     """
     model = file.model
     heights = _heights(model, heights_m)
+    pixels = _grid(model.validity.line, model.validity.sample, heights)
+    ground = np.column_stack([*model.locate(*pixels.T), pixels[:, 2]])
     record = describe(file) | {
         "heights_m": heights,
-        "denominators": denominators(model, heights),
-        "image_to_ground": image_to_ground(model, heights),
-        "extrapolation": extrapolation(model, heights),
+        "denominators": denominators(model, ground, heights),
+        "image_to_ground": image_to_ground(model, pixels),
+        "extrapolation": extrapolation(model, pixels, ground),
         "points": None if points is None else point_residuals(model, points),
         "against": None if against is None else differences(model, against, heights),
     }
@@ -78,56 +80,38 @@ def _heights(model: RpcModel, given: Range | None) -> Range:
     return heights
 
 
-def _grid(line: Range, sample: Range, heights_m: Range) -> tuple[Array, Array, Array]:
-    """Pixels at heights: lines, samples, heights, (n,) each."""
+def _grid(line: Range, sample: Range, heights_m: Range) -> Array:
+    """Pixels at heights (n, 3): lines, samples, heights."""
     axes = [np.linspace(low, high, n) for (low, high), n in zip((line, sample, heights_m), SHAPE, strict=True)]
-    line_, sample_, height = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
-    return line_, sample_, height
+    return np.column_stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")])
 
 
-def image_grid(model: RpcModel, heights_m: Range) -> tuple[Array, Array, Array]:
-    """Pixels of the image at heights: lines, samples, heights, (n,) each."""
-    return _grid(model.validity.line, model.validity.sample, heights_m)
-
-
-def denominators(model: RpcModel, heights_m: Range) -> dict[str, Any]:
-    """Smallest denominators over the image and the heights, and where one changes its sign."""
-    line, sample, height = image_grid(model, heights_m)
-    lon, lat = model.locate(line, sample, height)
-    seen = np.isfinite(lon)
-    least = [float("nan")] * 2
+def denominators(model: RpcModel, ground: Array, heights_m: Range) -> dict[str, Any]:
+    """Smallest denominators at ground points (n, 3), nan for pixels without ground, and the place of a pole."""
+    seen, least, pole = np.isfinite(ground[:, 0]), [float("nan")] * 2, None
     if seen.any():
-        ground = normalised(model, np.column_stack([lon, lat, height])[seen])
-        least = rfm.denominators(model.coefficients, ground).min(axis=0).tolist()
+        least = rfm.denominators(model.coefficients, normalised(model, ground[seen])).min(axis=0).tolist()
+    try:
+        replace(model, stated_validity=replace(model.validity, height_m=heights_m)).require_no_pole()
+    except InputError as error:
+        pole = f"{error.problems[0].place} {error.problems[0].value}"
     return {
-        "least_line": least[0], "least_sample": least[1], "pole": pole(model, heights_m),
+        "least_line": least[0], "least_sample": least[1], "pole": pole,
         "pixels_without_ground": int((~seen).sum()), "pixels": len(seen),
     }  # fmt: skip
 
 
-def pole(model: RpcModel, heights_m: Range) -> str | None:
-    """Place inside the image where a denominator is not positive, in words; None if there is no such place."""
-    try:
-        replace(model, stated_validity=replace(model.validity, height_m=heights_m)).require_no_pole()
-    except InputError as error:
-        return f"{error.problems[0].place} {error.problems[0].value}"
-    return None
-
-
-def image_to_ground(model: RpcModel, heights_m: Range) -> dict[str, Any] | None:
+def image_to_ground(model: RpcModel, pixels: Array) -> dict[str, Any] | None:
     """Pixels located by the file's inverse model and projected back, minus these pixels; None without this model."""
     if model.direct is None:
         return None
-    line, sample, height = image_grid(model, heights_m)
-    back = np.stack(model.project(*model.locate_directly(line, sample, height), height), axis=1)
-    return statistics(back - np.column_stack([line, sample]))
+    back = np.stack(model.project(*model.locate_directly(*pixels.T), pixels[:, 2]), axis=1)
+    return statistics(back - pixels[:, :2])
 
 
-def extrapolation(model: RpcModel, heights_m: Range) -> dict[str, float]:
-    """Largest amounts of the normalised coordinates over the image and the heights; 1 is the border of the model."""
-    line, sample, height = image_grid(model, heights_m)
-    lon, lat = model.locate(line, sample, height)
-    values = np.column_stack([line, sample, lon, lat, height]) - model.offsets
+def extrapolation(model: RpcModel, pixels: Array, ground: Array) -> dict[str, float]:
+    """Largest absolute normalised coordinates over the image and the heights; 1 is the border of the model."""
+    values = np.column_stack([pixels[:, :2], ground]) - model.offsets
     values[:, 2] -= 360.0 * np.round(values[:, 2] / 360.0)
     with np.errstate(invalid="ignore"):
         largest = np.abs(values / model.scales).max(axis=0, where=np.isfinite(values), initial=0.0)
@@ -163,7 +147,7 @@ def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any
     if any(not low < high for low, high in ends):
         words = ", ".join(span(pair) for pair in zip(first, last, strict=True))
         raise InputError.of("rpc.no_overlap", file=other, value=words, mine=", ".join(map(span, mine)))
-    line, sample, height = _grid(ends[0], ends[1], heights_m)
+    line, sample, height = (np.ascontiguousarray(column) for column in _grid(ends[0], ends[1], heights_m).T)
     ground = ellipsoid.geodetic_array(np.ascontiguousarray(sensor.locate(line, sample, height_m=height)))
     here = np.stack(model.project(np.degrees(ground[:, 0]), np.degrees(ground[:, 1]), ground[:, 2]), axis=1)
     d = here - np.column_stack([line, sample])

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Array
-from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
+from fg_orient.geodesy import ecef_to_geodetic, geodetic_to_ecef
 from fg_orient.model.block import Block
 from fg_orient.model.names import Progress
 from fg_orient.sensors.correction import Correction
@@ -36,7 +36,7 @@ from fg_orient.simulate.simulation import (
     random_streams,
     roles_in_order,
 )
-from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
+from fg_orient.simulate.zonguldak import at_centre
 
 #: First day of the images; each image has its own pass on its own day.
 FIRST_DAY = np.datetime64("2004-07-05")
@@ -112,10 +112,7 @@ def _centres(options: BlockOptions) -> Array:
 
 def _shifted(offset_m: Array) -> Array:
     """Longitude and latitude (degrees) of N points given by East and North (m) in the plane at the centre."""
-    lon_deg, lat_deg = CENTRE_LON_LAT_DEG
-    plane = enu_from_ecef(lon_deg, lat_deg)[0, :2]
-    lon, lat, _ = ecef_to_geodetic(geodetic_to_ecef(lon_deg, lat_deg, 0.0) + offset_m @ plane)
-    return np.stack([lon, lat], axis=1)
+    return np.stack(ecef_to_geodetic(at_centre(np.pad(offset_m, ((0, 0), (0, 1)))))[:2], axis=1)
 
 
 def _scenes(options: BlockOptions, centres: Array, tell: Progress) -> tuple[Scene, ...]:

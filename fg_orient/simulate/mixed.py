@@ -42,7 +42,7 @@ from fg_orient.simulate.simulation import (
     roles_in_order,
     with_noise,
 )
-from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
+from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG, at_centre
 
 #: Side of the window and range of heights, m.
 WINDOW_M: Final = 5000.0
@@ -127,14 +127,9 @@ def _lon_lat_height(n: int, rng: np.random.Generator) -> Array:
     """Points uniform in the window: longitude, latitude (degrees), height (m)."""
     unit = rng.random((n, 3))
     low, high = HEIGHT_RANGE_M
-    place = _at(np.column_stack([(unit[:, :2] - 0.5) * WINDOW_M, np.zeros(n)]))
+    place = at_centre(np.column_stack([(unit[:, :2] - 0.5) * WINDOW_M, np.zeros(n)]))
     lon, lat, _ = ecef_to_geodetic(place)
     return np.column_stack([lon, lat, low + (high - low) * unit[:, 2]])
-
-
-def _at(enu_m: Array) -> Array:
-    """ECEF m (n, 3) of East, North, Up (m) from the centre of the window."""
-    return np.asarray(geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0) + enu_m @ enu_from_ecef(*CENTRE_LON_LAT_DEG)[0])
 
 
 def _spot(size: float, rng: np.random.Generator) -> tuple[tuple[PushbroomMetadata, ...], tuple[Correction, ...]]:
@@ -212,7 +207,7 @@ def true_orientations() -> list[tuple[Array, Array]]:
     enu, out = enu_from_ecef(*CENTRE_LON_LAT_DEG)[0], []
     for (east, north), tilt in zip(FRAMES, TILTS_RAD, strict=True):
         rotation = frame_camera.rotated(HALF_TURN, np.array([*tilt, 0.0]))
-        out.append((rotation @ enu, _at(np.array([[east, north, FRAME_HEIGHT_M]]))[0]))
+        out.append((rotation @ enu, at_centre(np.array([[east, north, FRAME_HEIGHT_M]]))[0]))
     return out
 
 

@@ -22,7 +22,7 @@ from fg_orient.sensors.frame import NAVIGATION, UNKNOWNS, FrameCamera, FrameSens
 from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitude, with_navigation
 from fg_orient.simulate.options import require
 from fg_orient.simulate.simulation import Simulation, Truth, ground_points, random_streams, roles_in_order, with_noise
-from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
+from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG, at_centre
 
 #: Flying height, distance of exposures and of strips, range of the ground's heights, m; seconds between exposures.
 HEIGHT_M: Final = 1500.0
@@ -199,9 +199,8 @@ def _points(
 ) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
     """Points in two images or more: longitude, latitude, height (n, 3); pixels (M, n, 2); whether in image (M, n)."""
     half = 0.5 * np.array([BASE_M * options.images, SPACING_M * options.strips]) + 300.0
-    enu, middle = enu_from_ecef(*CENTRE_LON_LAT_DEG)[0], geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0)
     unit = rng.random((20 * options.points + 100, 3))
-    place = middle + np.column_stack([(2.0 * unit[:, :2] - 1.0) * half, RELIEF_M * unit[:, 2]]) @ enu
+    place = at_centre(np.column_stack([(2.0 * unit[:, :2] - 1.0) * half, RELIEF_M * unit[:, 2]]))
     pixels = np.stack([np.stack(sensor.project(place), axis=1) for sensor in sensors])
     seen = np.asarray(((pixels > MARGIN_PX) & (pixels < SIDE_PX - 1 - MARGIN_PX)).all(axis=2))
     kept = np.flatnonzero(seen.sum(axis=0) >= 2)[: options.points]

@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from factors._contract import Array
-from fg_orient.geodesy import geodetic_to_ecef
+from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Block
 from fg_orient.model.names import Progress, Role
 from fg_orient.simulate.files import simulate_to
@@ -77,6 +77,11 @@ HEIGHT_RANGE_M = (0.0, 1800.0)
 MARGIN_PX = 300.0
 #: Box of the overlap in which points are drawn, degrees around the centre.
 _BOX_DEG = (0.55, 0.40)
+
+
+def at_centre(enu_m: Array) -> Array:
+    """ECEF m (n, 3) of East, North, Up (m) from the centre at height 0."""
+    return np.asarray(geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0) + enu_m @ enu_from_ecef(*CENTRE_LON_LAT_DEG)[0])
 
 
 def simulate_zonguldak(
