@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from factors.cameras.plane import RECORD
 from fg_orient.adjustment.dense import RowsBackend, equation_rows
-from fg_orient.adjustment.loop import IterationRecord, gauss_newton, levenberg_marquardt
+from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rectification.arguments import finite, numbers
 from fg_orient.rectification.transformation import Scaling, Transformation, TransformationModel
@@ -305,7 +305,7 @@ def fit(
     rows = equation_rows(model.equation, records, model.setup)
     start = model.start(records[:, RECORD.source], records[:, RECORD.target])
     _require_determined(points, model, rows(start, True)[1])
-    optimise = gauss_newton if model.linear else levenberg_marquardt
+    optimise = OPTIMIZERS["gauss-newton" if model.linear else "levenberg-marquardt"]
     run = optimise(RowsBackend(rows), start, MAX_ITERATIONS)
     if not run.converged:
         raise NoSolutionError.of("rectify.not_converged", place=model.title, reason=run.end.message)
