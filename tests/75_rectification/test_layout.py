@@ -262,4 +262,4 @@ def test_points_without_ids_are_refused(command: str, tmp_path: Path, rng: np.ra
     assert "line 3, column id" in done.stderr and "line 4, column id" in done.stderr
     path.write_text(text.replace("\nP2,", "\nP1,"), "utf-8")
     done = run("rectify", command, path)
-    assert done.code == 2 and "occurs twice" in done.stderr
+    assert done.code == 2 and "used twice" in done.stderr
