@@ -33,8 +33,8 @@ class AdjustmentResult:
     chi2 : float
         Weighted sum of squares of all residuals; under a loss with the weights at the solution.
     cofactors : Cofactors or None
-        None if the covariance cannot be computed, for the reason in ``unavailable``. Under a loss these are the cofactors
-        of least squares with the weights at the solution.
+        None if the covariance cannot be computed, for the reason in ``unavailable``. Under a loss these are the
+        cofactors of least squares with the weights at the solution.
     weights : Weights or None
         Weights of image points (n,) and ground points (N,) under a loss.
     components : VarianceComponents or None

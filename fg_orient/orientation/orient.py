@@ -202,8 +202,9 @@ class _Run:
         self._report("statistics", len(compiled.observations))
         cofactors, unavailable = _cofactors(compiled, estimate)
         return Again(
-            problem=compiled, status=verdict.assess_solution(compiled, estimate, unavailable).status, state=estimate.state,
-            chi2=estimate.chi2, cofactors=cofactors, unavailable=unavailable, estimate=estimate, structure_s=structure,
+            problem=compiled, status=verdict.assess_solution(compiled, estimate, unavailable).status,
+            state=estimate.state, chi2=estimate.chi2, cofactors=cofactors, unavailable=unavailable, estimate=estimate,
+            structure_s=structure,
         )  # fmt: skip
 
     def _report(self, name: str, count: int) -> None:
