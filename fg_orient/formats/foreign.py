@@ -42,7 +42,7 @@ class Table:
     name : str
         "points" or "observations".
     paths : tuple of Path
-        The file, or both of a format that has two.
+        The file, or both files of a format that has two.
     entry : PointsEntry or ObservationsEntry
     """
 
@@ -93,15 +93,7 @@ class Table:
 def read_foreign_points(table: Table, project: str, faults: Faults, scenes: list[Scene]) -> PointFile | None:
     """Read ground points; None, with the faults noted, if the file is unusable.
 
-    Parameters
-    ----------
-    table : Table
-    project : str
-        The project file, for messages.
-    faults : Faults
-        Of the file.
-    scenes : list of Scene
-        Footprints of the images.
+    ``project`` is the project file, for messages; ``scenes`` are the footprints of the images.
     """
 
     def parse(faults: Faults) -> Survey | None:

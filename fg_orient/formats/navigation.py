@@ -23,13 +23,7 @@ ANGLE_SIGMAS: Final = ("sigma_roll_deg", "sigma_pitch_deg", "sigma_heading_deg")
 
 
 def read_navigation(path: Path, crs: str) -> tuple[tuple[Fix, ...], str]:
-    """Read a navigation table: with positions alone, or with attitudes.
-
-    Parameters
-    ----------
-    path : Path
-    crs : str
-        Of the positions.
+    """Read a navigation table with positions in ``crs``, and with attitudes if it has them.
 
     Returns
     -------
@@ -58,7 +52,7 @@ def read_navigation(path: Path, crs: str) -> tuple[tuple[Fix, ...], str]:
 
 
 def _fix(image: str, strip: str, values: Array, ecef_m: Array) -> Fix:
-    """One record: time, position, sigmas, and angles with their sigmas if there are any."""
+    """One record: time, position and sigmas; angles and their sigmas if the table has them."""
     if len(values) == 7:
         return Fix(image, strip, float(values[0]), ecef_m, values[4:7])
     (roll, pitch, heading), sigmas = np.radians(values[7:10]).tolist(), np.radians(values[10:13])
