@@ -94,10 +94,7 @@ class Checkpoint:
     def read(self, problem: Problem) -> tuple[str, Carried[State]] | None:
         """Backend and input of its next iteration; None without a file or without ``resume``.
 
-        Raises
-        ------
-        InputError
-            The file is not a checkpoint, or belongs to another problem.
+        InputError: the file is not a checkpoint, or belongs to another problem.
         """
         self._pending = None
         if not (self.resume and self.path.exists()):

@@ -41,10 +41,7 @@ def assemble(problem: Problem, state: State, *, jacobian: bool = True) -> tuple[
 
     Without ``jacobian`` the second array is (0, u).
 
-    Raises
-    ------
-    NotFiniteError
-        A residual or Jacobian is nan or inf; names the observation.
+    NotFiniteError: a residual or Jacobian is nan or inf; names the observation.
     """
     parts = [_image_rows(problem, state, jacobian), _control_rows(problem, state, jacobian)]
     if problem.block.options.priors:

@@ -15,11 +15,8 @@ if TYPE_CHECKING:
 def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel, ...]:
     """Model of each image.
 
-    Raises
-    ------
-    InputError
-        A sensor has no image model; approximate values of a shared unknown differ; ``image_unknowns`` names an unknown
-        that no image has, or no unknown of an image.
+    InputError: a sensor has no image model; approximate values of a shared unknown differ; ``image_unknowns`` names an
+    unknown that no image has, or no unknown of an image.
     """
     starts: dict[tuple[str, str], float] = {}
     for image in images:

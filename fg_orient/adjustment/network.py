@@ -120,10 +120,7 @@ class Network:
     def rows(self, state: Array, *, jacobian: bool = True) -> NetworkRows:
         """Evaluate all observations; without ``jacobian`` the derivatives are (0, u).
 
-        Raises
-        ------
-        NotFiniteError
-            A residual or derivative is not finite; names the observation.
+        NotFiniteError: a residual or derivative is not finite; names the observation.
         """
         out: dict[bool, tuple[list[Array], list[Array]]] = {False: ([], []), True: ([], [])}
         for o in self.observations:
@@ -197,10 +194,7 @@ class NetworkSystem:
     def solve(self, damping: float) -> NetworkStep:
         """Solve with ``damping`` times the identity added to the normal equations.
 
-        Raises
-        ------
-        RuntimeError
-            The equations are singular.
+        RuntimeError: the equations are singular.
         """
         rows, x = self.rows, self._solve(damping)
         if not np.isfinite(x).all():

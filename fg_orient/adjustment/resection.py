@@ -83,18 +83,8 @@ def subset_count(size: int, share: float = SHARE, certainty: float = CERTAINTY) 
 def resection_start(compiled: Problem, method: str, seed: int = SEED) -> tuple[State, tuple[Resection, ...]]:
     """Start of a robust adjustment, and the resections of all images.
 
-    Parameters
-    ----------
-    compiled : Problem
-    method : str
-        "lms" or "lts".
-    seed : int
-        Seed of the random subsets.
-
-    Raises
-    ------
-    InputError
-        Images have too few control points and located points (names all these images), or share unknowns.
+    ``method`` is "lms" or "lts", ``seed`` that of the random subsets. InputError: images have too few control points
+    and located points (names all these images), or share unknowns.
     """
     if compiled.ties is not None:
         raise InputError.of("frame.shared_not", option="robust_start", value=method, id=", ".join(compiled.ties.ids))

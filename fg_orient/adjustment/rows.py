@@ -66,14 +66,7 @@ def rows_by_image(problem: Problem) -> list[Index]:
 def image_rows(problem: Problem, state: State, k: int, rows: Index, *, jacobian: bool) -> tuple[Array, Array, Array]:
     """Residuals (n, 2) of image points of one image, and Jacobians (n, 2, u) and (n, 2, 3), empty if not requested.
 
-    Parameters
-    ----------
-    problem, state
-    k : int
-        The image.
-    rows : (n,) int array
-        Rows of ``problem.observations``, all of image k.
-    jacobian : bool
+    ``rows`` (n,) are rows of ``problem.observations``, all of image k.
     """
     model, n = problem.models[k], len(rows)
     ground = np.ascontiguousarray(state.ground[problem.observations.point[rows]])

@@ -61,20 +61,14 @@ class Reduced(Protocol):
     def solve(self, gradient: Array) -> Array:
         """Solve ``S x = -gradient``.
 
-        Raises
-        ------
-        RuntimeError
-            S is not positive definite.
+        RuntimeError: S is not positive definite.
         """
         ...
 
     def covariance(self, images: tuple[int, ...]) -> Array:
         """Joint block of the inverse of S for different images, in the given order.
 
-        Raises
-        ------
-        RuntimeError
-            S is too close to singular.
+        RuntimeError: S is too close to singular.
         """
         ...
 

@@ -96,10 +96,6 @@ def replay(
     callback, stage : callable, optional
         See :func:`fg_orient.orientation.run.run_project`.
 
-    Returns
-    -------
-    Replay
-
     Raises
     ------
     InputError

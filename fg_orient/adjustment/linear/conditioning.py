@@ -37,10 +37,6 @@ def numerical_rank(values: Array, size: int) -> int:
         Singular values, descending.
     size : int
         Larger side of the matrix.
-
-    Returns
-    -------
-    int
     """
     return int(np.count_nonzero(values > size * np.spacing(values[0])))
 
@@ -91,10 +87,6 @@ def diagnose(subject: LinearSystem | Array) -> Conditioning:
     ----------
     subject : LinearSystem or (r, u) array
         A system, or a design matrix A.
-
-    Returns
-    -------
-    Conditioning
 
     Raises
     ------

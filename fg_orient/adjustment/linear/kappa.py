@@ -135,18 +135,7 @@ def clamped(choice: KappaChoice) -> KappaChoice:
 def choose_kappa(name: str, system: LinearSystem, given: Given | None = None, *, clamp: bool = False) -> KappaChoice:
     """Apply a rule.
 
-    Parameters
-    ----------
-    name : str
-        See :func:`kappa_rules`.
-    system : LinearSystem
-    given : Given, optional
-    clamp : bool
-        Clamp to [0, 1] as published.
-
-    Returns
-    -------
-    KappaChoice
+    ``name`` is a key of :func:`kappa_rules`; ``clamp``: see :func:`clamped`.
 
     Raises
     ------
@@ -174,10 +163,7 @@ def choose_kappa(name: str, system: LinearSystem, given: Given | None = None, *,
 def unit_variance(system: LinearSystem, x: Array) -> float:
     """Variance of unit weight s0^2 = |A x - l|^2/f.
 
-    Raises
-    ------
-    InputError
-        A is not known, or the redundancy is not positive.
+    InputError: A is not known, or the redundancy is not positive.
     """
     design, observed = system.require_design("s0")
     if system.redundancy <= 0:

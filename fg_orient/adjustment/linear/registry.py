@@ -78,10 +78,7 @@ def solvers() -> dict[str, Solver]:
 def solver(name: str) -> Solver:
     """Find a solver.
 
-    Raises
-    ------
-    InputError
-        There is no solver of this name.
+    InputError: there is no solver of this name.
     """
     known = solvers()
     if name not in known:

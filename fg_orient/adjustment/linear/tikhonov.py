@@ -31,10 +31,6 @@ def regularised_system(system: LinearSystem, kappa: float, penalty: Array | None
     penalty : (k, u) array, optional
         L; default: identity.
 
-    Returns
-    -------
-    LinearSystem
-
     Raises
     ------
     InputError
@@ -60,26 +56,7 @@ def regularised(
 ) -> LinearSolution:
     """Tikhonov solution: the x that minimises |A x - l|^2 + kappa |L x|^2.
 
-    Parameters
-    ----------
-    system : LinearSystem
-    kappa : float
-        0 gives least squares.
-    penalty : (k, u) array, optional
-        L; default: identity.
-    solver : str
-        Registered solver of the regularised system.
-
-    Returns
-    -------
-    LinearSolution
-
-    Raises
-    ------
-    InputError
-        Kappa or L is unusable.
-    Breakdown
-        The solver fails.
+    ``solver`` solves the :func:`regularised_system`; kappa 0 gives least squares. Breakdown if the solver fails.
     """
     found = solve(solver, regularised_system(system, kappa, penalty))
     return LinearSolution(found.x, inverse=found.inverse, rank=found.rank, kappa=kappa, notes=found.notes)
@@ -90,17 +67,7 @@ def tikhonov(
 ) -> LinearSolution:
     """Tikhonov solution with the kappa of a rule.
 
-    Parameters
-    ----------
-    system : LinearSystem
-    rule : str
-        See :func:`fg_orient.adjustment.linear.kappa.kappa_rules`.
-    given : Given, optional
-        Further inputs of the rule.
-    clamp : bool
-        Clamp kappa to [0, 1] as published.
-    solver : str
-        Registered solver of the regularised system.
+    ``rule``, ``given`` and ``clamp``: see :func:`choose_kappa`; ``solver`` solves the :func:`regularised_system`.
 
     Returns
     -------

@@ -54,10 +54,7 @@ def divide(problem: Problem, parts: int) -> list[Index]:
     Points that the same images see are in one part, which then contributes to few blocks of the reduced system. Parts
     have about the same work: pairs of rays of their points.
 
-    Raises
-    ------
-    InputError
-        More parts than ground points, or less than one; a block that the Schur backend refuses.
+    InputError: more parts than ground points, or less than one; a block that the Schur backend refuses.
     """
     if problem.block.extra:
         raise InputError.of("adjust.schur", option="parts", value="the block has extra observations")
@@ -152,11 +149,8 @@ def write_part(problem: Problem, points: Index, rows: Index, folder: Path, numbe
 def read_part(folder: str, number: int) -> Problem:
     """Read the problem of a part.
 
-    Raises
-    ------
-    InputError
-        The file is missing or incomplete, because this process has no access to the folder, or it was written by
-        another version of this package.
+    InputError: the file is missing or incomplete, because this process has no access to the folder, or it was written
+    by another version of this package.
     """
     path = part_file(folder, number)
     try:

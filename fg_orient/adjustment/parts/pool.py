@@ -147,10 +147,7 @@ class Cluster(Pool):
     def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
         """See :class:`Pool`; workers sum the branches of the tree, this process sums its top.
 
-        Raises
-        ------
-        NoSolutionError
-            Workers fail repeatedly, or the connection to the scheduler is lost.
+        NoSolutionError: workers fail repeatedly, or the connection to the scheduler is lost.
         """
         with _failures():
             workers = max(len(self.workers()), 1)
@@ -211,10 +208,7 @@ def _failures() -> Iterator[None]:
 def opened(execution: Execution) -> Iterator[Pool]:
     """Pool of an execution; processes started here end with it.
 
-    Raises
-    ------
-    InputError
-        dask is missing, or the scheduler does not answer.
+    InputError: dask is missing, or the scheduler does not answer.
     """
     if execution.cluster is None and execution.workers <= 1:
         yield Pool()
