@@ -173,7 +173,7 @@ class Course(Generic[S]):
         """Iterations left of this stage."""
         return range(max_iterations - len(self.carried.log) + self.carried.begun_at)
 
-    def judge(self, before: float, after: float, step: Step, control: float, always: bool = False) -> IterationRecord:
+    def assess(self, before: float, after: float, step: Step, control: float, always: bool = False) -> IterationRecord:
         """Record a step; it is accepted if the error decreases, if the predicted decrease is rounding, or always."""
         predicted = before - step.predicted_error
         ratio = (before - after) / predicted if predicted > 1e-12 * max(before, 1.0) else math.nan
@@ -242,7 +242,7 @@ def gauss_newton(
         last = last or _settled(step.length, carried.previous, tolerance)
         following = None if last else backend.linearise(state)
         error = following.error if following else backend.error(state)
-        course.judge(system.error, error, step, 0.0, always=True)
+        course.assess(system.error, error, step, 0.0, always=True)
         rising = carried.rising + 1 if error > system.error * (1.0 + 1e-9) + 1e-9 else 0
         if not math.isfinite(error) or rising >= 3:
             return course.end(state, error, False, finding("loop.error_rises"))
@@ -355,7 +355,7 @@ def _controlled(
         solved = math.isfinite(step.length)
         trial = backend.retract(carried.state, step) if solved else carried.state
         error = backend.error(trial) if solved else math.inf
-        record = course.judge(system.error, error, step, carried.control)
+        record = course.assess(system.error, error, step, carried.control)
         control, growth = rule.follow(carried.control, carried.growth, record)
         if not record.accepted:
             if carried.rejected + 1 >= rule.max_rejected:

@@ -153,10 +153,10 @@ def adjust(
 
     require_possible_search(block)
     solution = runner(block, None)
-    end, found = search(block, solution, next_round)
+    end, record = search(block, solution, next_round)
     whole = end.whole(solution.seconds.jit) if isinstance(end, Again) else end
     assert isinstance(whole, Solution)
-    return replace(whole, snooping=found, findings=(*found.findings(), *whole.findings), memory=solution.memory)
+    return replace(whole, snooping=record, findings=(*record.findings(), *whole.findings), memory=solution.memory)
 
 
 @dataclass(frozen=True)

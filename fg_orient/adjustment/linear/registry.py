@@ -1,4 +1,4 @@
-"""The registry of linear solvers: one function each, found by name.
+"""The registry of linear solvers: one function per solver, with a unique name.
 
 A solver is ``function(system: LinearSystem, as_run: bool) -> LinearSolution``. If it fails, it raises
 :class:`fg_orient.adjustment.linear.system.Breakdown`; it never returns nan or inf. ``as_run`` selects the behaviour of

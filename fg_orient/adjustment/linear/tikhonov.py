@@ -58,8 +58,8 @@ def regularised(
 
     ``solver`` solves the :func:`regularised_system`; kappa 0 gives least squares. Breakdown if the solver fails.
     """
-    found = solve(solver, regularised_system(system, kappa, penalty))
-    return LinearSolution(found.x, inverse=found.inverse, rank=found.rank, kappa=kappa, notes=found.notes)
+    solution = solve(solver, regularised_system(system, kappa, penalty))
+    return LinearSolution(solution.x, inverse=solution.inverse, rank=solution.rank, kappa=kappa, notes=solution.notes)
 
 
 def tikhonov(
@@ -82,8 +82,8 @@ def tikhonov(
         The rule finds no kappa, or a solver fails.
     """
     choice = choose_kappa(rule, system, given, clamp=clamp)
-    found = regularised(system, choice.kappa, solver=solver)
-    return replace(found, rule=rule, notes=(*choice.notes, *found.notes))
+    solution = regularised(system, choice.kappa, solver=solver)
+    return replace(solution, rule=rule, notes=(*choice.notes, *solution.notes))
 
 
 #: Rule, label and source of the solvers ``tikhonov_...``; the published ones clamp kappa, and "od" works on N alone.
