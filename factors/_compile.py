@@ -47,9 +47,7 @@ def cache_folder() -> Path | None:
     return None if opened is None else Path(opened.cache_path)
 
 
-def _kernel(
-    function: F, *, fastmath: Any, forceinline: bool, nogil: bool = False, vectorised: bool = False
-) -> F:  # fmt: skip
+def _kernel(function: F, *, fastmath: Any, forceinline: bool, nogil: bool = False, vectorised: bool = False) -> F:
     if config.DISABLE_JIT:  # NUMBA_DISABLE_JIT: plain Python
         return function
     options = {"nopython": True, "error_model": "numpy", "boundscheck": None, "fastmath": fastmath,

@@ -19,7 +19,7 @@ import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, register
 from factors._plain import plain
-from factors.cameras.image_corrections import AT, by_coefficient, ideal
+from factors.cameras.image_corrections import AT, ideal, terms
 from factors.cameras.plane import RECORD as PLANE_RECORD
 from factors.cameras.plane import example_record, whiten_rows, whitened
 from factors.records import Record
@@ -66,8 +66,9 @@ def kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Ar
             out[..., row, 4 * row + k] = record[..., k] * g
             out[..., row, 8 + k] = -f * g * g * record[..., k]
         out[..., row, 4 * row + 3] = g
+    by_coefficient = plain(terms)(*_reduced(record))
     for j, (code, step) in enumerate(setup.T):
-        dx, dy = plain(by_coefficient)(int(code), *_reduced(record))
+        dx, dy = by_coefficient[:, int(code)]
         out[..., 0, 11 + j], out[..., 1, 11 + j] = -step * dx, -step * dy
     return value, whiten_rows(record, out)
 

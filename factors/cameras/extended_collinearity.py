@@ -27,9 +27,7 @@ from factors.geometry.rotations import Vector, random_rotation
 from factors.records import Record
 
 #: Camera parameters by code: principal distance, principal point, coefficients of the three modules.
-CAMERA: Final = Record(
-    c=1, principal="x0 y0", lens=lens.AT.size, brown=brown.AT.size, variants=variants.AT.size,
-)  # fmt: skip
+CAMERA: Final = Record(c=1, principal="x0 y0", lens=lens.AT.size, brown=brown.AT.size, variants=variants.AT.size)
 NAMES: Final = ("c", "x0", "y0", *lens.NAMES, *brown.NAMES, *variants.NAMES)
 #: Whitening w11 w12 w22, power p, sign s, fixed c of Brown's terms, camera, R_0, fixed radius of the orthogonal
 #: polynomials.
@@ -93,12 +91,11 @@ def _by_camera(record: Array, setup: Array, c: Array, q: Array, scale: float) ->
     ux, uy, vx, vy = variants.slopes(c[CAMERA.variants], x, y, record[RECORD.radius])
     ax, ay, bx, by = ax + ux, ay + uy, bx + vx, by + vy
     # columns (2, 40): derivatives of the ideal minus the computed coordinates
-    every, at = np.empty((2, CAMERA.size)), CAMERA.lens.start
+    every = np.empty((2, CAMERA.size))
     every[0, CAMERA.c], every[1, CAMERA.c] = -q[0] / q[2], -record[RECORD.sign] * q[1] / q[2]
     every[0, CAMERA.x0], every[1, CAMERA.x0] = -(xx + ax), -(yx + bx)
     every[0, CAMERA.y0], every[1, CAMERA.y0] = -(xy + ay), -(yy + by)
-    for j in range(lens.AT.size):
-        every[0, at + j], every[1, at + j] = lens.by_coefficient(j, x, y)
+    every[:, CAMERA.lens] = lens.terms(x, y)
     every[:, CAMERA.brown] = brown.terms(x, y, record[RECORD.held_c])
     every[:, CAMERA.variants] = variants.terms(x, y, record[RECORD.radius])
     out = np.empty((2, setup.shape[1]))

@@ -10,10 +10,8 @@ rotates the camera by J dw about its own axes. A *turn* is a camera in which onl
 Brown's polynomial leads from ideal to measured coordinates (OpenCV, COLMAP, BAL; x, y are X/Z, Y/Z), or corrects the
 measured coordinates, as in photogrammetric calibrations (Brown 1971; Ayhan 1996; DBAT: Börlin, Grussenmeyer 2016,
 "backward" models). Each is the inverse of the other; no finite polynomial is both. When it corrects, its arguments are
-
-    x = (sample - sample_0) (1 + aspect) / unit,    y = (line - line_0) / unit
-
-with a fixed unit (px), for example the pixels of 1 mm: coefficients do not change with the focal length.
+``x = (sample - sample_0) (1 + aspect) / unit`` and ``y = (line - line_0) / unit`` with a fixed unit (px), for example
+the pixels of 1 mm: coefficients do not change with the focal length.
 """
 
 from __future__ import annotations
@@ -67,29 +65,33 @@ def turned(w: Vector, start: Any, out: Any) -> None:
     Exact and without a singularity below a full turn (Rodrigues; Chirikjian 2012, eq. 10.86).
     """
     s, b, c = rotation_coefficients(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-    rotation, jacobian, k = _exponential(w, s, b), _exponential(w, b, c), CAMERA.r11
+    turn, jacobian, first = _exponential(w, s, b), _exponential(w, b, c), start.reshape(3, 3)
+    rotation = out[CAMERA.rotation].reshape(3, 3)
     for j in range(3):
-        out[k + j], out[k + 3 + j], out[k + 6 + j] = multiply(rotation, (start[j], start[3 + j], start[6 + j]))
+        rotation[0, j], rotation[1, j], rotation[2, j] = multiply(turn, (first[0, j], first[1, j], first[2, j]))
     for j in range(9):
         out[CAMERA.j11 + j] = jacobian[j]
 
 
 @inlined
-def _matrix(c: Any, k: int) -> Any:
-    """Row-major matrix, nine numbers from element k of a camera on."""
-    return c[k], c[k + 1], c[k + 2], c[k + 3], c[k + 4], c[k + 5], c[k + 6], c[k + 7], c[k + 8]
+def _rotation(c: Any) -> Any:
+    """Rotation R of a camera: nine numbers, row-major."""
+    return (
+        c[CAMERA.r11], c[CAMERA.r12], c[CAMERA.r13], c[CAMERA.r21], c[CAMERA.r22], c[CAMERA.r23], c[CAMERA.r31],
+        c[CAMERA.r32], c[CAMERA.r33],
+    )  # fmt: skip
 
 
 @inlined
 def rotate(turn: Any, d: Vector) -> Any:
     """Product R d (three numbers)."""
-    return multiply(_matrix(turn, CAMERA.r11), d)
+    return multiply(_rotation(turn), d)
 
 
 @inlined
 def rotate_back(turn: Any, d: Vector) -> Any:
     """Product R^T d (three numbers)."""
-    return multiply_transposed(_matrix(turn, CAMERA.r11), d)
+    return multiply_transposed(_rotation(turn), d)
 
 
 @inlined
@@ -98,7 +100,12 @@ def by_turn(turn: Any, q: Vector, g: Vector) -> Any:
 
     q moves by (J dw) x q, and g . (e x q) = e . (q x g).
     """
-    return multiply_transposed(_matrix(turn, CAMERA.j11), cross(q, g))
+    x, y, z = cross(q, g)
+    return (
+        turn[CAMERA.j11] * x + turn[CAMERA.j21] * y + turn[CAMERA.j31] * z,
+        turn[CAMERA.j12] * x + turn[CAMERA.j22] * y + turn[CAMERA.j32] * z,
+        turn[CAMERA.j13] * x + turn[CAMERA.j23] * y + turn[CAMERA.j33] * z,
+    )
 
 
 def rotated(start: Array, w: Array) -> Array:

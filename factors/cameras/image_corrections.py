@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Array, inlined
+from factors._contract import Array, compiled, inlined
 from factors._plain import plain
 from factors.records import Record
 
@@ -47,20 +47,14 @@ def slopes(c: Any, x: Any, y: Any) -> Any:
     return along_x, mixed + c[AT.affinity_a], mixed, along_y
 
 
-@inlined
-def by_coefficient(j: int, x: Any, y: Any) -> Any:
-    """Derivatives of x' and y' with respect to coefficient number ``j``."""
-    r = x * x + y * y
-    if j < 3:
-        power = r if j == 0 else r * r if j == 1 else r * r * r
-        return x * power, y * power
-    if j == 3:
-        return r + 2.0 * x * x, 2.0 * x * y
-    if j == 4:
-        return 2.0 * x * y, r + 2.0 * y * y
-    if j == 5:
-        return y, 0.0 * y
-    return 0.0 * y, y
+@compiled
+def terms(x: Any, y: Any) -> Any:
+    """Derivatives of x' and y' with respect to the coefficients: array (2, 7)."""
+    r, xy, o = x * x + y * y, 2.0 * x * y, 0.0 * x
+    return np.array([
+        [x * r, x * (r * r), x * (r * r * r), r + 2.0 * x * x, xy, y, o],
+        [y * r, y * (r * r), y * (r * r * r), xy, r + 2.0 * y * y, o, y],
+    ])  # fmt: skip
 
 
 def ideal_points(c: Array, reduced: Array) -> Array:

@@ -111,13 +111,13 @@ _FORMS: Final[dict[str, Callable[..., Forms]]] = {
 
 def targets(name: str, source: Any, setup: Array, c: Any) -> tuple[Any, Any]:
     """Target coordinates U, V (...,) of source coordinates (..., 3) by a transformation, named as its equation."""
-    u, v, below_u, below_v = _FORMS[name](source[..., 0], source[..., 1], source[..., 2], setup, c)
+    u, v, below_u, below_v = _FORMS[name](*np.moveaxis(source, -1, 0), setup, c)
     return value_of(u, c) / value_of(below_u, c, 1.0), value_of(v, c) / value_of(below_v, c, 1.0)
 
 
 def _rows(name: str, source: Array, setup: Array, c: Array) -> Array:
     """Derivatives (..., 2, k) of the targets with respect to the unknowns."""
-    u, v, below_u, below_v = _FORMS[name](source[..., 0], source[..., 1], source[..., 2], setup, c)
+    u, v, below_u, below_v = _FORMS[name](*np.moveaxis(source, -1, 0), setup, c)
     out = np.zeros((*source.shape[:-1], 2, len(c)))
     for row, (numerator, denominator) in enumerate(((u, below_u), (v, below_v))):
         g = 1.0 / value_of(denominator, c, 1.0)
@@ -142,7 +142,7 @@ def _register(name: str, source: str, unit: str, n_linear: int, n_quotient: int 
     """Register a transformation of ``n_linear`` numerator and ``n_quotient`` denominator unknowns; 0: a polynomial."""
 
     def residual(record: Any, setup: Any, c: Any) -> Any:
-        return whitened(record, *targets(name, record, setup, c))
+        return whitened(record, *targets(name, record[..., RECORD.source], setup, c))
 
     def kernel(record: Array, setup: Array, c: Array, want: bool) -> tuple[Array, Array]:
         rows = whiten_rows(record, _rows(name, record[..., RECORD.source], setup, c)) if want else np.empty((0, 0))
@@ -160,14 +160,10 @@ POLYNOMIAL = _register("plane_polynomial", "İpbüker 1994, section 4.2.1 and ap
 HELMERT = _register(
     "plane_helmert", "İpbüker 1994, section 7.2 (names it; the equations are the usual ones)", "target unit", 4
 )  # fmt: skip
-PROJECTIVE = _register(
-    "plane_projective", "the homography of two planes, its last element 1", "target unit", 6, 2
-)  # fmt: skip
+PROJECTIVE = _register("plane_projective", "the homography of two planes, its last element 1", "target unit", 6, 2)
 AFFINE_PROJECTION = _register("affine_projection", "Okamoto 1981; Fraser & Yamakawa 2004", "pixel", 8)
 PARALLEL_PROJECTION = _register(
     "parallel_projection", "Morgan 2004: parallel projection with the perspective-to-parallel term of the scan line",
     "pixel", 8, 1,
 )  # fmt: skip
-LINE_SCANNER_DLT = _register(
-    "line_scanner_dlt", "Gupta & Hartley 1997: the linear pushbroom camera", "pixel", 8, 3
-)  # fmt: skip
+LINE_SCANNER_DLT = _register("line_scanner_dlt", "Gupta & Hartley 1997: the linear pushbroom camera", "pixel", 8, 3)

@@ -28,21 +28,8 @@ from typing import Any
 import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, compiled, inlined, is_finite, kernel_of, register
-from factors.cameras.pushbroom_record import (
-    CORRECTION,
-    CURVE,
-    CURVES,
-    N_EOP,
-    ROW,
-    STORED,
-    basis,
-    correction,
-    corrections,
-    observation,
-    slot,
-    store,
-    three,
-)
+from factors.cameras import pushbroom_record
+from factors.cameras.pushbroom_record import CORRECTION, ROW, STORED, correction, corrections, observation, store, three
 from factors.cameras.pushbroom_record import RECORD as RECORD
 from factors.geometry import differences, orbital, rotations
 from factors.geometry.sines import sine_cosine
@@ -156,9 +143,9 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
         store(d, i, n, value, derivatives(constants, maps))
         for j in range(k):
             code = int(setup[0, j])
-            column = slot(code)
+            column = pushbroom_record.slot(code)
             column = column if column < CORRECTION.psi_x else column - CORRECTION.psi_x + ROW.psi_x
-            factor = basis(record, code) * setup[1, j]
+            factor = pushbroom_record.basis(record, code) * setup[1, j]
             out[0, 1 + j], out[1, 1 + j] = d[line + column] * factor, d[sample + column] * factor
         for c in range(3):
             column = ROW.ground.start + c
@@ -181,7 +168,9 @@ def example(rng: np.random.Generator) -> Example:
         follows=rng.integers(0, 2), small_angle=rng.integers(0, 2), reference=np.zeros(3), from_position=8.4e5 * ray,
     )  # fmt: skip
     sigma = np.repeat([[10.0, 1.0, 0.1], [1e-2, 1e-3, 1e-4], [5e-5, 1e-5, 2e-6]], 3, axis=0).ravel()
-    codes = np.concatenate([np.arange(N_EOP + 6.0), [CURVE, CURVE + CURVES + 1.0, CURVE + 7.0 * CURVES]])
+    curve, curves = pushbroom_record.CURVE, pushbroom_record.CURVES
+    codes = np.arange(pushbroom_record.N_EOP + 6.0)
+    codes = np.concatenate([codes, [curve, curve + curves + 1.0, curve + 7.0 * curves]])
     setup = np.ascontiguousarray(np.stack([codes, np.concatenate([sigma, np.full(6, 1e-4), [1.0, 1.0, 1e-5]])]))
     unknowns = rng.normal(size=len(codes)), rng.normal(scale=100.0, size=3)
     return Example(np.concatenate([record, rng.normal(size=2)]), setup, unknowns)

@@ -47,14 +47,19 @@ def whitening(covariance: Array) -> Array:
 
 
 @compiled
+def whitened(record: Any, d: Any) -> Any:
+    """Product W d (3,)."""
+    return np.array([
+        record[POINT.w11] * d[0] + record[POINT.w12] * d[1] + record[POINT.w13] * d[2],
+        record[POINT.w21] * d[0] + record[POINT.w22] * d[1] + record[POINT.w23] * d[2],
+        record[POINT.w31] * d[0] + record[POINT.w32] * d[1] + record[POINT.w33] * d[2],
+    ])  # fmt: skip
+
+
+@compiled
 def residual_point(record: Any, setup: Any, ground: Any) -> Any:
     """``W (G - G_0)``: (3,)."""
-    d0, d1, d2 = ground[0] - record[POINT.x], ground[1] - record[POINT.y], ground[2] - record[POINT.z]
-    return np.array([
-        record[POINT.w11] * d0 + record[POINT.w12] * d1 + record[POINT.w13] * d2,
-        record[POINT.w21] * d0 + record[POINT.w22] * d1 + record[POINT.w23] * d2,
-        record[POINT.w31] * d0 + record[POINT.w32] * d1 + record[POINT.w33] * d2,
-    ])  # fmt: skip
+    return whitened(record, ground - record[POINT.place])
 
 
 def jacobian_point(record: Array, setup: Array, value: Array, ground: Array) -> Array:
@@ -98,9 +103,7 @@ def _example_parameters(rng: np.random.Generator) -> Example:
 
 _GROUND: Final = Argument("ground", "m", is_point=True)
 _SOURCE: Final = "docs/equations.md 7, stochastic weights"
-CONTROL_POINT = register_condition(
-    "control_point", residual_point, jacobian_point, (_GROUND,), _example_point, _SOURCE
-)  # fmt: skip
+CONTROL_POINT = register_condition("control_point", residual_point, jacobian_point, (_GROUND,), _example_point, _SOURCE)
 OBSERVED_PARAMETERS = register_condition(
     "observed_parameters", residual_parameters, jacobian_parameters, (Argument("x", "prior sigma"),),
     _example_parameters, _SOURCE,

@@ -13,13 +13,12 @@ import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, compiled, register
 from factors.cameras.frame_camera import CAMERA, rotate, turned
-from factors.geometry.rotations import Vector, random_rotation
+from factors.conditions.control import POINT, whitened
+from factors.geometry.rotations import cross, random_rotation
 from factors.records import Record
 
-#: x, X, W row-major, R_0 row-major, s_0, t_0.
-RECORD: Final = Record(
-    model=3, ground=3, whitening="w11 w12 w13 w21 w22 w23 w31 w32 w33", rotation=9, scale=1, shift=3,
-)  # fmt: skip
+#: Record of the control point X (W row-major, X); x, R_0 row-major, s_0, t_0.
+RECORD: Final = Record(**POINT.fields, model=3, rotation=9, scale=1, shift=3)
 
 
 @compiled
@@ -29,20 +28,12 @@ def _moved(record: Any, x: Any, turn: Any) -> Any:
 
 
 @compiled
-def _whitened(record: Any, d: Vector) -> Any:
-    return np.array([
-        record[RECORD.w11] * d[0] + record[RECORD.w12] * d[1] + record[RECORD.w13] * d[2],
-        record[RECORD.w21] * d[0] + record[RECORD.w22] * d[1] + record[RECORD.w23] * d[2],
-        record[RECORD.w31] * d[0] + record[RECORD.w32] * d[1] + record[RECORD.w33] * d[2],
-    ])  # fmt: skip
-
-
-@compiled
 def residual(record: Any, setup: Any, x: Any) -> Any:
     """Whitened residual (3,), computed minus given; accepts complex unknowns."""
     turn = np.empty(CAMERA.size, x.dtype)
     turned(x[:3], record[RECORD.rotation], turn)
-    return _whitened(record, _moved(record, x, turn) + record[RECORD.shift] + x[4:7] - record[RECORD.ground])
+    d = _moved(record, x, turn) + record[RECORD.shift] + x[4:7] - record[RECORD.place]
+    return whitened(record, d)
 
 
 @compiled
@@ -57,21 +48,20 @@ def kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Ar
     axes = turn[CAMERA.jacobian].reshape(3, 3)
     for j in range(7):
         if j < 3:
-            a, b, c = axes[0, j], axes[1, j], axes[2, j]
-            column[0], column[1], column[2] = b * p[2] - c * p[1], c * p[0] - a * p[2], a * p[1] - b * p[0]
+            column[0], column[1], column[2] = cross(axes[:, j], p)
         elif j == 3:
             column[:] = p
         else:
             column[:] = 0.0
             column[j - 4] = 1.0
-        out[:, j] = _whitened(record, column)
+        out[:, j] = whitened(record, column)
     return value, out
 
 
 def _example(rng: np.random.Generator) -> Example:
     start = random_rotation(rng)
     model, ground, whitening = rng.normal(size=3), rng.normal(size=3), rng.normal(size=9)
-    record = RECORD.pack(model=model, ground=ground, whitening=whitening, rotation=start.ravel(),
+    record = RECORD.pack(model=model, place=ground, whitening=whitening, rotation=start.ravel(),
                          scale=rng.uniform(0.5, 2.0), shift=rng.normal(size=3))  # fmt: skip
     return Example(record, np.zeros((2, 0)), (rng.normal(scale=0.5, size=7),))
 

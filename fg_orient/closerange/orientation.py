@@ -363,5 +363,5 @@ def _umeyama(a: Array, b: Array) -> tuple[Array, float, Array]:
 
 def _similarity_rows(a: Array, b: Array, sigma: Array, rotation: Array, scale: float, shift: Array) -> Rows:
     whitening = (np.eye(3) / sigma[..., None, :]).reshape(*sigma.shape[:-1], 9)
-    records = RECORD.pack(model=a, ground=b, whitening=whitening, rotation=rotation.ravel(), scale=scale, shift=shift)
+    records = RECORD.pack(model=a, place=b, whitening=whitening, rotation=rotation.ravel(), scale=scale, shift=shift)
     return equation_rows(SIMILARITY, records, np.zeros((2, 0)))

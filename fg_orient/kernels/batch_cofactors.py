@@ -136,9 +136,7 @@ def _finish(inverse: Array, q: Array, g: Array, f: Array, r: Array) -> None:
 
 
 @threaded
-def _between(
-    d_image: Array, a: int, b: int, q: Array, block: int, n: int, m: int, turned: Array, t: Array
-) -> None:  # fmt: skip
+def _between(d_image: Array, a: int, b: int, q: Array, block: int, n: int, m: int, turned: Array, t: Array) -> None:
     """Write ``J_a Q J_b^T`` (2, 2) of two rays."""
     turned[:] = 0.0
     for r in range(n):

@@ -22,7 +22,6 @@ from fg_orient.kernels.vectors import row_along
 
 Block = tuple[float, float, float, float, float, float]  # lower triangle: 00 10 11 20 21 22
 Gradient = tuple[float, float, float]
-Row = tuple[float, float, float, float]  # derivatives by x, y, z; residual
 
 #: Lower triangle R of a ground point; for its rays both rows of Z = G R^T and the residuals reduced by the point.
 ROOT: Final = Record(r00=1, r10=1, r11=1, r20=1, r21=1, r22=1)
@@ -63,8 +62,7 @@ def point_blocks(
         h, g, found = ZERO_BLOCK, ZERO_GRADIENT, ZERO_BLOCK
         if free[p] > 0:
             if free[p] == 2:
-                for x, y, z, residual in _control_rows(control, ground, number[p]):
-                    h, g = _with(h, g, x, y, z, residual)
+                h, g = _with_control(control, ground, number[p], h, g)
             for a in range(first[p] - base, first[p + 1] - base):
                 for r in range(2):
                     h, g = _with(h, g, d_ground[a, r, 0], d_ground[a, r, 1], d_ground[a, r, 2], value[a, r])
@@ -89,17 +87,17 @@ def point_blocks(
 
 
 @threaded
-def _control_rows(control: Array, ground: Array, j: int) -> tuple[Row, Row, Row]:
-    """Three equations of a control point: Jacobian rows and residuals, whitened."""
+def _with_control(control: Array, ground: Array, j: int, h: Block, g: Gradient) -> tuple[Block, Gradient]:
+    """Block and gradient with the three equations of a control point."""
     x, y = ground[j, 0] - control[j, POINT.x], ground[j, 1] - control[j, POINT.y]
     z = ground[j, 2] - control[j, POINT.z]
-    a1, a2, a3 = control[j, POINT.w11], control[j, POINT.w12], control[j, POINT.w13]
-    b1, b2, b3 = control[j, POINT.w21], control[j, POINT.w22], control[j, POINT.w23]
-    c1, c2, c3 = control[j, POINT.w31], control[j, POINT.w32], control[j, POINT.w33]
-    return (
-        (a1, a2, a3, a1 * x + a2 * y + a3 * z), (b1, b2, b3, b1 * x + b2 * y + b3 * z),
-        (c1, c2, c3, c1 * x + c2 * y + c3 * z),
-    )  # fmt: skip
+    for w0, w1, w2 in (
+        (control[j, POINT.w11], control[j, POINT.w12], control[j, POINT.w13]),
+        (control[j, POINT.w21], control[j, POINT.w22], control[j, POINT.w23]),
+        (control[j, POINT.w31], control[j, POINT.w32], control[j, POINT.w33]),
+    ):
+        h, g = _with(h, g, w0, w1, w2, w0 * x + w1 * y + w2 * z)
+    return h, g
 
 
 @threaded
@@ -242,8 +240,13 @@ def control_squares(ground: Array, control: Array, observed: Index, out: Array) 
         Rows of both.
     """
     for k in range(len(observed)):
-        first, second, third = _control_rows(control, ground, observed[k])
-        out[k] = first[3] * first[3] + second[3] * second[3] + third[3] * third[3]
+        j = observed[k]
+        x, y = ground[j, 0] - control[j, POINT.x], ground[j, 1] - control[j, POINT.y]
+        z = ground[j, 2] - control[j, POINT.z]
+        r1 = control[j, POINT.w11] * x + control[j, POINT.w12] * y + control[j, POINT.w13] * z
+        r2 = control[j, POINT.w21] * x + control[j, POINT.w22] * y + control[j, POINT.w23] * z
+        r3 = control[j, POINT.w31] * x + control[j, POINT.w32] * y + control[j, POINT.w33] * z
+        out[k] = r1 * r1 + r2 * r2 + r3 * r3
 
 
 @threaded

@@ -7,6 +7,7 @@ the same number in a factor and in a batch, whatever its place in a block.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -14,17 +15,7 @@ import numpy as np
 from factors._compile import exact
 from factors._contract import Array
 from factors.cameras.pushbroom import collinearity, derivatives
-from factors.cameras.pushbroom_record import (
-    CORRECTION,
-    N_EOP,
-    RECORD,
-    ROW,
-    STORED,
-    correction,
-    observation,
-    store,
-    three,
-)
+from factors.cameras.pushbroom_record import CORRECTION, RECORD, ROW, STORED, correction, observation, store, three
 from fg_orient.kernels.batch_rows import Index
 from fg_orient.kernels.vectors import N_COMPONENTS, SIDE, turn_in, turn_out, write_eight
 
@@ -49,7 +40,7 @@ def places(setup: Array) -> tuple[Index, Index]:
     slot, column = np.empty(setup.shape[1], np.int64), np.empty(setup.shape[1], np.int64)
     for k in range(setup.shape[1]):
         code = int(setup[0, k])
-        look = code - N_EOP
+        look = code - 3 * CORRECTION.psi_x  # EOP have three codes each
         slot[k] = code // 3 if look < 0 else CORRECTION.psi_x + look
         column[k] = slot[k] if look < 0 else ROW.psi_x + look
     return slot, column
@@ -232,11 +223,5 @@ def rows_of_form(
     return bad
 
 
-def pushbroom_rows(*arguments: Any) -> int:
-    """See :func:`rows_of_form`: the full rotation."""
-    return rows_of_form(None, *arguments)
-
-
-def small_angle_rows(*arguments: Any) -> int:
-    """See :func:`rows_of_form`: with small-angle forms."""
-    return rows_of_form(True, *arguments)
+#: Full rotation only; with small-angle forms.
+pushbroom_rows, small_angle_rows = partial(rows_of_form, None), partial(rows_of_form, True)

@@ -236,7 +236,7 @@ def test_a_wrong_kernel_of_a_new_equation_is_named(
     """One column too few, found by the Schur backend as by the others."""
     text = files["sensor"].read_text().replace("docs_parallel", "docs_narrow").replace('"parallel"', '"narrow"')
     own = tmp_path / "docs_narrow.py"
-    own.write_text(text.replace("-np.diag(record[RECORD.weight] * setup[1])", "np.zeros((2, 1))"))
+    own.write_text(text.replace("np.diag(record[RECORD.weight] * setup[1])", "np.zeros((2, 1))"))
     others = {name: known for name, known in format_registry._REGISTRY.items() if name != "parallel"}
     monkeypatch.setattr(format_registry, "_REGISTRY", others)
     load_plugin(own)
