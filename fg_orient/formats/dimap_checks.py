@@ -110,7 +110,7 @@ def _ephemeris(root: XmlNode, layout: Layout, epoch: np.datetime64) -> Ephemeris
         wrong = np.flatnonzero((norm < low) | (norm > high))
         if len(wrong):
             raise points[int(wrong[0])].fault(code, f"{norm[wrong[0]]:.6g}", low=low, high=high)
-    return Ephemeris(time_s, *vectors)
+    return Ephemeris(time_s, vectors[0], vectors[1])
 
 
 def _vector(node: XmlNode, quantity: Quantity) -> Array:

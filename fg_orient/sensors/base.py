@@ -1,9 +1,9 @@
-"""Contract of a sensor: one class holds everything that is asked of a kind of image.
+"""Contract of a sensor: one class has all methods for one kind of image.
 
-A sensor is one file with a subclass of :class:`Sensor` and its :class:`ImageModel`. Commands, backends, observability,
-covariance, tables and report use nothing else of it. A format (``fg_orient.formats.registry``) reads its metadata.
-Pixels are (line, sample) with (0, 0) = centre of the first pixel; ground points are ECEF metres, or metres of a local
-Cartesian system if the sensor is not georeferenced.
+A sensor is one file with subclasses of :class:`Sensor` and :class:`ImageModel`. Commands, backends, observability,
+covariance, tables and report use only the methods of these two. A format (``fg_orient.formats.registry``) reads its
+metadata. Pixels are (line, sample) with (0, 0) = centre of the first pixel; ground points are ECEF metres, or metres of
+a local Cartesian system if the sensor is not georeferenced.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from factors.geometry import ellipsoid
-from fg_orient.model.errors import Finding, OutOfImage, finding
+from fg_orient.model.errors import Finding, InputError, OutOfImage, finding
 from fg_orient.sensors.correction import HeightSurface
 from fg_orient.sensors.surface import landed
 
@@ -30,39 +30,46 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 
-class ImageModel(Protocol):
-    """One image in an adjustment: a sensor and an equation with the arguments (image unknowns, ground point)."""
+class ImageModel(ABC):
+    """One image in an adjustment: a sensor and an equation with the arguments (image unknowns, ground point).
+
+    Attributes
+    ----------
+    equation : Equation
+    parameters : ImageParameters
+        The k unknowns of the image.
+    """
 
     equation: Equation
     parameters: ImageParameters
 
+    @abstractmethod
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
         """Whitened constants (n, d) of image points of this image; the equation's residual is then in sigmas.
 
         To first order it is ``v / sigma``; v = adjusted - observed is the residual of all results. ``ground_m``
         (n, 3) ECEF m near the observed points; ``origin_m`` (3,): local origin of the ground unknowns.
         """
-        ...
 
+    @abstractmethod
     def correction(self, x: Array) -> Any:
         """Correction for ``rays``, ``project`` and ``locate`` of the sensor, from unknowns (k,) in prior sigmas."""
-        ...
+
+    @abstractmethod
+    def facts(self) -> dict[str, Any]:
+        """Mission, instrument, format and further entries for the report and the record of a run."""
 
     def silent_directions(self) -> list[tuple[str, Array]]:
         """Directions that are unobservable in the image: sentence and unit vector (k,) in prior sigmas."""
-        ...
+        return []
 
     def per_line(self) -> tuple[Array, tuple[str, ...]]:
         """Factors (k,) from the unknowns in physical units to coefficients per line, nan if not applicable; units."""
-        ...
+        return np.full(len(self.parameters), np.nan), ("",) * len(self.parameters)
 
     def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
-        """Tell where the sensor's model may be used: ground points (n, 3) ECEF m -> (n,)."""
-        ...
-
-    def facts(self) -> dict[str, Any]:
-        """Mission, instrument, format and further entries for the report and the record of a run."""
-        ...
+        """Whether the sensor's model may be used at ground points (n, 3) ECEF m: (n,)."""
+        return np.ones(len(ground_m), bool)
 
 
 class Sensor(ABC):
@@ -70,16 +77,19 @@ class Sensor(ABC):
 
     Attributes
     ----------
+    file : str
+        Name of the metadata file.
     georeferenced : bool
         Ground points are Earth-fixed; else metres of a local Cartesian system.
     notes : tuple of Finding
         Remarks of the reader.
     frame_points : tuple of FramePoint
-        Points whose ground position the metadata state, and why they may disagree with the model (``frame_note``).
+        Points with a ground position in the metadata; ``frame_note`` explains a disagreement with the model.
     mean_height_m : float
         Ellipsoidal height of footprint and image centre.
     """
 
+    file: str = ""
     n_lines: int
     n_samples: int
     first_line: float
@@ -91,11 +101,6 @@ class Sensor(ABC):
     frame_points: tuple[FramePoint, ...] = ()
     frame_note: Finding | None = None
     mean_height_m: float = 0.0
-
-    @property
-    @abstractmethod
-    def file(self) -> str:
-        """Name of the metadata file."""
 
     @abstractmethod
     def rays(self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: Any = None) -> tuple[Array, Array]:
@@ -127,10 +132,18 @@ class Sensor(ABC):
         OutOfTimeRange
             The attitudes do not cover a line.
         InputError
-            A ray misses the surface, or the DEM does not cover it.
+            A ray misses the surface, the DEM does not cover it, or the image is not georeferenced.
         """
+        if not self.georeferenced:
+            raise InputError.of("frame.local", file=self.file, place="locate")
         line, sample = same_length(line, sample)
         self.require_inside(line, sample)
+        return self._located(line, sample, height_m, dem, correction)
+
+    def _located(
+        self, line: Array, sample: Array, height_m: npt.ArrayLike | None, dem: HeightSurface | None, correction: Any
+    ) -> Array:
+        """Ground points of pixels (N,) inside the image."""
         p, u = self.rays(line, sample, correction)
         return landed(p, u, height_m, dem, (line, sample), self.file)
 
@@ -147,7 +160,7 @@ class Sensor(ABC):
         return model.correction(x / model.parameters.sigma)
 
     def shared_starts(self) -> dict[tuple[str, str], float]:
-        """Start values of unknowns in common with other images, by (shared id, name): they must agree."""
+        """Start values of unknowns shared with other images, by (shared id, name): they must agree."""
         return {}
 
     @cached_property
@@ -157,23 +170,19 @@ class Sensor(ABC):
         return np.asarray(self.locate(*middle, height_m=self.mean_height_m)[0])
 
     def footprint(self) -> Array:
-        """Corners in image order, clockwise: (4, 2) longitude, latitude in degrees."""
+        """Corners in image order, clockwise: (4, 2) longitude, latitude in degrees; (0, 2) if not georeferenced."""
+        if not self.georeferenced:
+            return np.zeros((0, 2))
         corners = self.locate(*self.corners(), height_m=self.mean_height_m)
         return np.degrees(ellipsoid.geodetic_array(corners)[:, :2])
 
     def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:
-        """Tell which pixels lie in the image, half a pixel of border included."""
+        """Whether pixels (N,) lie in the image, half a pixel of border included."""
         inside = (line >= self.first_line - 0.5) & (line <= self.last_line + 0.5)
         return np.asarray(inside & (sample >= self.first_sample - 0.5) & (sample <= self.last_sample + 0.5))
 
     def require_inside(self, line: Array, sample: Array) -> None:
-        """Refuse pixels outside the image.
-
-        Raises
-        ------
-        OutOfImage
-            Names the first one and the image's range.
-        """
+        """Raise OutOfImage if a pixel lies outside the image; the message names the first one and the range."""
         bad = np.flatnonzero(~self.is_inside(line, sample))
         if len(bad):
             raise OutOfImage(finding(
@@ -189,14 +198,14 @@ class Sensor(ABC):
 
 
 def same_length(*values: npt.ArrayLike) -> list[Array]:
-    """Give arrays (N,) in C order of scalars and arrays."""
+    """Arrays (N,) in C order from scalars and arrays."""
     return [
         np.ascontiguousarray(a) for a in np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, float)) for v in values))
     ]
 
 
 def placed(values: Mapping[str, float], names: tuple[str, ...]) -> Array:
-    """Values (n,) in the order of n names, 0 where there is none; KeyError for other names."""
+    """Values (n,) in the order of n names, 0 for missing names; KeyError for other names."""
     out, place = np.zeros(len(names)), {name: k for k, name in enumerate(names)}
     for name, value in values.items():
         out[place[name]] = value
@@ -204,13 +213,13 @@ def placed(values: Mapping[str, float], names: tuple[str, ...]) -> Array:
 
 
 class OrientedSensor:
-    """A sensor bound to a correction; everything else is the sensor's own.
+    """A sensor bound to a correction; all other attributes are those of the sensor.
 
     Parameters
     ----------
     sensor : PushbroomSensor, RpcSensor or FrameSensor
     correction : Correction or array
-        As the sensor's methods take it, for instance ``solution.correction("left")``.
+        Argument of the sensor's methods, for instance ``solution.correction("left")``.
     """
 
     def __init__(self, sensor: Any, correction: Any) -> None:
@@ -218,7 +227,7 @@ class OrientedSensor:
         self.notes: tuple[Finding, ...] = (*sensor.notes, finding("image.adjusted"))
 
     def __getattr__(self, name: str) -> Any:
-        """Give what the sensor has."""
+        """Attribute of the sensor."""
         return getattr(self.sensor, name)
 
     def rays(self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: None = None) -> tuple[Array, Array]:
@@ -226,13 +235,9 @@ class OrientedSensor:
         centre, direction = self.sensor.rays(line, sample, self.correction)
         return centre, direction
 
-    def locate(
-        self, line: npt.ArrayLike, sample: npt.ArrayLike, *, height_m: npt.ArrayLike | None = None,
-        dem: HeightSurface | None = None,
-    ) -> Array:  # fmt: skip
-        """Ground points (N, 3) ECEF m at ellipsoidal heights or on a DEM; errors as of the sensor."""
-        ground = self.sensor.locate(line, sample, height_m=height_m, dem=dem, correction=self.correction)
-        return np.asarray(ground)
+    def locate(self, line: npt.ArrayLike, sample: npt.ArrayLike, **surface: Any) -> Array:
+        """Ground points (N, 3) ECEF m; keywords ``height_m`` and ``dem`` as in :meth:`Sensor.locate`."""
+        return np.asarray(self.sensor.locate(line, sample, **surface, correction=self.correction))
 
     def project(self, ground_m: npt.ArrayLike, correction: None = None) -> tuple[Array, Array]:
         """Line and sample (N,) of ECEF points (N, 3)."""

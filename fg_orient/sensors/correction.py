@@ -1,8 +1,8 @@
 """Arguments of a sensor: corrections of its orientation, and surfaces to locate on; EOP polynomials of its metadata.
 
 The publications describe each of the nine EOPs as ``q0 + q1 l + q2 l^2`` of the line (Terlemezoğlu 2019, eq. 2.34,
-Table 4.1). The adjustment does not use these fits, because it corrects the metadata itself; their residuals show what
-the published model leaves out. ``PixelModel`` is the part of a line sensor that ``fg_orient.sensors.projection`` needs.
+Table 4.1). The adjustment does not use these fits, because it corrects the metadata itself; their residuals are the
+deviations of the metadata from the published model.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class HeightSurface(Protocol):
         ...
 
     def cell(self, lon_deg: Array, lat_deg: Array) -> tuple[Array, Array]:
-        """Row and column of N points in the surface's grid; the unit is what a ray may step over."""
+        """Row and column of N points in the surface's grid; rays are followed cell by cell."""
         ...
 
     def height_m(self, lon_deg: Array, lat_deg: Array) -> Array:
@@ -67,33 +67,8 @@ class Correction:
 
     def eop_at(self, tau: Array) -> Array:
         """Corrections of the nine EOP (N, 9) at N line times tau."""
-        found = polynomials.evaluate(self.eop, tau)
-        return found + self.curve_at(tau) if self.curve.shape[1] else found
-
-
-class PixelModel(Protocol):
-    """A line sensor as the projection sees it."""
-
-    first_line: float
-    last_line: float
-    first_sample: float
-    last_sample: float
-
-    def records(
-        self,
-        line: npt.ArrayLike,
-        sample: npt.ArrayLike,
-        reference_m: Array,
-        origin_m: Array | None = None,
-        *,
-        small_angle: bool = False,
-    ) -> Array:
-        """Constants of the look-angle collinearity for N image points: (N, 34)."""
-        ...
-
-    def centre_position(self) -> Array:
-        """Position at the central line, ECEF m (3,)."""
-        ...
+        smooth = polynomials.evaluate(self.eop, tau)
+        return smooth + self.curve_at(tau) if self.curve.shape[1] else smooth
 
 
 # --- EOP polynomials -----------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Final, Literal, Protocol
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -26,22 +26,10 @@ _MJD: Final = 2_400_000.5
 _UNIX_MJD: Final = 40_587
 #: Mean angular rate by the definition of UT1 (IERS Conventions 2010, eq. 5.15), revolutions per day.
 _TURNS_PER_DAY: Final = 1.00273781191135448
-#: Largest neglected values without a C04 file: UT1 - UTC by its definition, polar motion as seen since 1962.
+#: Largest neglected values without a C04 file: UT1 - UTC by its definition, polar motion as observed since 1962.
 MOST_UT1_S: Final = 0.9
 MOST_POLE_RAD: Final = np.radians(0.6 / 3600.0)
 _EARTH_RADIUS_M: Final = 6_378_137.0
-
-
-class EarthTurn(Protocol):
-    """Orientation of the Earth in the inertial axes of an orbit."""
-
-    def matrices(self, time_s: Array) -> Array:
-        """Rotations (N, 3, 3), Earth-fixed from inertial axes, at N times (s since 0 h UTC of the image's day)."""
-        ...
-
-    def rate_rad_s(self, time_s: float) -> float:
-        """Rate of the rotation about the pole, rad/s."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +72,8 @@ class EarthOrientation:
         near = slice(first, first + 4)
         ut1_tai = self.ut1_utc_s[near] - [_tai_utc(day) for day in self.mjd[near]]  # without leap seconds
         daily = np.column_stack([self.pole_rad[near], ut1_tai, self.offset_rad[near]])
-        found = interpolation.lagrange(self.mjd[near], np.ascontiguousarray(daily), np.array([mjd]))[0]
-        return found[:2], float(found[2]) + _tai_utc(mjd), found[3:]
+        values = interpolation.lagrange(self.mjd[near], np.ascontiguousarray(daily), np.array([mjd]))[0]
+        return values[:2], float(values[2]) + _tai_utc(mjd), values[3:]
 
 
 class EarthRotation:
@@ -96,7 +84,7 @@ class EarthRotation:
     epoch : datetime64[D]
         Times are seconds since 0 h UTC of this day.
     span_s : tuple of 2 floats
-        First and last time that will be asked for.
+        First and last time of use.
     frame : str
         Inertial axes: "GCRS", or "EME2000" (mean equator and equinox of J2000).
     orientation : EarthOrientation, optional
@@ -140,7 +128,7 @@ class EarthRotation:
         return np.asarray((time_s - self._ends[0]) / (self._ends[1] - self._ends[0]))
 
     def matrices(self, time_s: Array) -> Array:
-        """Rotations (N, 3, 3), Earth-fixed from inertial axes."""
+        """Rotations (N, 3, 3), Earth-fixed from inertial axes, at N times (s since 0 h UTC of the image's day)."""
         import erfa
 
         time_s = np.atleast_1d(np.asarray(time_s, float))
@@ -161,7 +149,7 @@ class EarthRotation:
 
 
 def neglected(position_m: Array) -> Finding:
-    """Give what a missing C04 file may cost on the ground below a position (3,) m."""
+    """Note on the largest error on the ground below a position (3,) m that a missing C04 file causes."""
     cosine = float(np.hypot(position_m[0], position_m[1]) / np.linalg.norm(position_m))
     turn = MOST_UT1_S * EARTH_RATE_RAD_S * _EARTH_RADIUS_M * cosine
     pole = MOST_POLE_RAD * _EARTH_RADIUS_M
@@ -169,7 +157,7 @@ def neglected(position_m: Array) -> Finding:
 
 
 def _tai_utc(mjd: float) -> float:
-    """TAI - UTC (s) at a UTC day; pyerfa's table, which is right until the next leap second is announced."""
+    """TAI - UTC (s) at a UTC day from pyerfa's table, which is valid until the next leap second is announced."""
     import erfa
 
     year, month, day, part = erfa.jd2cal(_MJD, mjd)

@@ -21,10 +21,8 @@ from factors.cameras.frame_camera import CAMERA
 from factors.geometry import ellipsoid
 from fg_orient.model.errors import Finding, InputError
 from fg_orient.model.parameters import ImageParameters, require_unknowns
-from fg_orient.sensors.correction import HeightSurface
 
 if TYPE_CHECKING:
-    from factors._contract import Equation
     from fg_orient.model.block import ImagePoints, Options
 from fg_orient.sensors.base import ImageModel, Sensor, placed, same_length
 
@@ -35,9 +33,9 @@ UNKNOWNS: Final = (
     "rotation_x", "rotation_y", "rotation_z", "centre_x", "centre_y", "centre_z", "focal", "principal_sample",
     "principal_line", "k1", "k2", "k3", "p1", "p2", "aspect",
 )  # fmt: skip
-#: Further ones that no pixel feels, of a receiver and an inertial unit on board (``factors.conditions.navigation``),
-#: behind these: shift and drift of the position in the axes of the strip, of the attitude about those of the body,
-#: lever, boresight.
+#: Further unknowns, of a receiver and an inertial unit on board (``factors.conditions.navigation``), which no image
+#: point depends on: shift and drift of the position in the axes of the strip, of the attitude about the axes of the
+#: body, lever arm, boresight. Their codes follow.
 NAVIGATION: Final = (
     "gnss_shift_east", "gnss_shift_north", "gnss_shift_up", "gnss_drift_east", "gnss_drift_north", "gnss_drift_up",
     "ins_shift_roll", "ins_shift_pitch", "ins_shift_heading", "ins_drift_roll", "ins_drift_pitch", "ins_drift_heading",
@@ -59,7 +57,7 @@ _WORDS: Final = (
     *(f"lever arm {axis} (m)" for axis in "XYZ"),
     *(f"boresight about the camera's {axis} (rad)" for axis in "XYZ"),
 )  # fmt: skip
-#: Of the first, the interior orientation: what images of one camera may have in common.
+#: Unknowns of the interior orientation, which images of one camera may share.
 INTERIOR: Final = UNKNOWNS[6:]
 #: The two distortion equations, by the direction in which the polynomial leads.
 IDEAL_TO_MEASURED: Final = "brown_ideal_to_measured"
@@ -77,13 +75,13 @@ def away_from_rotation(matrices: Array) -> Array:
 
 
 def not_a_rotation(away: float) -> str:
-    """Words for what :func:`away_from_rotation` found."""
+    """Text for a value of :func:`away_from_rotation`."""
     return f"{away:.1e} from orthonormal" if np.isfinite(away) else "a mirror image"
 
 
 @dataclass(frozen=True, eq=False)
 class FrameCamera:
-    """Exterior and interior orientation of one frame image, and which of it is unknown.
+    """Exterior and interior orientation of one frame image, and its unknowns.
 
     Parameters
     ----------
@@ -106,16 +104,16 @@ class FrameCamera:
         Measured to ideal: samples are stretched by 1 + aspect.
     sigma : mapping
         Unknowns of the adjustment by name (:data:`UNKNOWNS`, :data:`NAVIGATION`) with their prior sigmas (rad, m, px;
-        k and p have no unit). What is not named is held.
+        k and p have no unit). All others are held fixed.
     shared : mapping
-        Unknowns that this image has in common with others, by name, and with whom: all images that give a name the
-        same id have one unknown ({"focal": "camera 1"}). Their start values and sigmas must agree.
+        Unknowns shared with other images, as id by name: all images with the same id for a name have one unknown
+        ({"focal": "camera 1"}). Their start values and sigmas must agree.
 
     Raises
     ------
     InputError
-        A value is not finite, the matrix is no rotation, the focal length, unit or a sigma not above zero, a name
-        or the model wrong, an aspect where the model has none.
+        A value is not finite, the matrix is not a rotation, the focal length, unit or a sigma is not above zero, a
+        name or the model is wrong, or the model has no aspect.
     """
 
     rotation: Array
@@ -186,12 +184,12 @@ class FrameCamera:
         return np.asarray(frame.camera(self.record, codes, x))
 
     def ideal_directions(self, camera: Array, line: Array, sample: Array) -> Array:
-        """X/Z, Y/Z (N, 2) of pixels, by what :meth:`corrected` gives; nan where the distortion cannot be inverted."""
-        found = frame_camera.corrected_directions if self.corrects_measured else frame_camera.ideal_directions
-        return np.asarray(found(camera, line, sample))
+        """X/Z, Y/Z (N, 2) of pixels by a camera of :meth:`corrected`; nan where the distortion cannot be inverted."""
+        directions = frame_camera.corrected_directions if self.corrects_measured else frame_camera.ideal_directions
+        return np.asarray(directions(camera, line, sample))
 
     def pixels(self, camera: Array, ground_m: Array) -> Array:
-        """Line, sample (px) and inverse depth (1/m) of ground points (N, 3): (N, 3); nan where nothing is measured."""
+        """Line, sample (px) and inverse depth (1/m) of ground points (N, 3): (N, 3); nan where there is no image."""
         if not self.corrects_measured:
             return np.asarray(frame_camera.project(camera, ground_m))
         plain = camera.copy()
@@ -208,8 +206,8 @@ class FrameCamera:
 def rotation_of_opk(omega_rad: float, phi_rad: float, kappa_rad: float) -> Array:
     """Rotation (3, 3) of a :class:`FrameCamera` from photogrammetric angles.
 
-    ``R3(kappa) R2(phi) R1(omega)`` leads from ground axes to photogrammetric camera axes, each turn being that of the
-    axes (Kraus 2007; DBAT); :data:`HALF_TURN` goes on from there.
+    ``R3(kappa) R2(phi) R1(omega)`` leads from ground axes to photogrammetric camera axes; each rotation is that of the
+    axes (Kraus 2007; DBAT). :data:`HALF_TURN` leads to the axes of this module.
     """
     (so, co), (sp, cp), (sk, ck) = ((np.sin(a), np.cos(a)) for a in (omega_rad, phi_rad, kappa_rad))
     r1 = np.array([[1.0, 0.0, 0.0], [0.0, co, so], [0.0, -so, co]])
@@ -219,15 +217,15 @@ def rotation_of_opk(omega_rad: float, phi_rad: float, kappa_rad: float) -> Array
 
 
 def opk_of_rotation(rotation: Array) -> tuple[Array, Array]:
-    """Omega, phi, kappa (3,) rad of a rotation, and their derivatives (3, 3) by turns about the camera's axes.
+    """Omega, phi, kappa (3,) rad of a rotation, and their derivatives (3, 3) by rotations about the camera's axes.
 
-    Phi lies in [-pi/2, pi/2]; at its ends omega and kappa are one angle and the derivatives have no value.
+    Phi lies in [-pi/2, pi/2]; at its ends only the sum of omega and kappa is defined, and the derivatives are nan.
     """
     r = HALF_TURN @ rotation
     angles = np.array([np.arctan2(-r[2, 1], r[2, 2]), np.arcsin(np.clip(r[2, 0], -1.0, 1.0)),
                        np.arctan2(-r[1, 0], r[0, 0])])  # fmt: skip
     (sp, cp), (sk, ck) = ((np.sin(a), np.cos(a)) for a in angles[1:])
-    # a change of omega turns the axes about the first ground axis, phi about the second of those, kappa about the third
+    # omega rotates the axes about the first ground axis, phi about the second rotated one, kappa about the third
     turns = -np.array([[cp * ck, sk, 0.0], [-cp * sk, ck, 0.0], [sp, 0.0, 1.0]])
     with np.errstate(divide="ignore"):
         derivatives = np.linalg.inv(turns) @ HALF_TURN if cp > 1e-9 else np.full((3, 3), np.nan)
@@ -245,7 +243,7 @@ class FrameSensor(Sensor):
     first_line, first_sample : float, optional
         Pixel coordinates of the first pixel's centre; not 0 where pixels are counted from the principal point.
     georeferenced : bool, optional
-        False for a local coordinate system: there are no heights to locate at.
+        False for a local coordinate system, in which pixels cannot be located at ellipsoidal heights.
     file : str, optional
     notes : tuple of Finding, optional
     """
@@ -257,13 +255,7 @@ class FrameSensor(Sensor):
         self.camera, self.n_lines, self.n_samples = camera, n_lines, n_samples
         self.first_line, self.last_line = first_line, first_line + n_lines - 1.0
         self.first_sample, self.last_sample = first_sample, first_sample + n_samples - 1.0
-        self.georeferenced, self.notes = georeferenced, notes
-        self._file = file
-
-    @property
-    def file(self) -> str:
-        """Name of the file of the camera."""
-        return self._file
+        self.georeferenced, self.notes, self.file = georeferenced, notes, file
 
     def with_camera(self, camera: FrameCamera, file: str) -> FrameSensor:
         """Sensor with the same size, pixels and notes, and another camera."""
@@ -307,15 +299,6 @@ class FrameSensor(Sensor):
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         return np.tile(camera[CAMERA.centre], (len(line), 1)), direction
 
-    def locate(
-        self, line: npt.ArrayLike, sample: npt.ArrayLike, *, height_m: npt.ArrayLike | None = None,
-        dem: HeightSurface | None = None, correction: npt.ArrayLike | None = None,
-    ) -> Array:  # fmt: skip
-        """See :meth:`Sensor.locate`; a camera that is not georeferenced is refused."""
-        if not self.georeferenced:
-            raise InputError.of("frame.local", file=self.file, place="locate")
-        return super().locate(line, sample, height_m=height_m, dem=dem, correction=correction)
-
     # --- ground to image ---------------------------------------------------------------------
 
     def project(self, ground_m: npt.ArrayLike, correction: npt.ArrayLike | None = None) -> tuple[Array, Array]:
@@ -327,16 +310,12 @@ class FrameSensor(Sensor):
 
     @cached_property
     def centre_m(self) -> Array:
-        """Ground point (3,) m of the image centre at height 0; the projection centre where there is none."""
+        """Ground point (3,) m of the image centre at height 0; the projection centre if the ray misses the ground."""
         if not self.georeferenced:
             return self.camera.centre_m
         p, u = self.rays(0.5 * (self.first_line + self.last_line), 0.5 * (self.first_sample + self.last_sample))
         ground = ellipsoid.intersect(p, u, np.zeros(1))[0]
         return ground if np.isfinite(ground).all() else self.camera.centre_m
-
-    def footprint(self) -> Array:
-        """Corners at height 0 in image order: (4, 2) longitude, latitude in degrees; (0, 2) if not georeferenced."""
-        return super().footprint() if self.georeferenced else np.zeros((0, 2))
 
     # --- adjustment --------------------------------------------------------------------------
 
@@ -365,7 +344,7 @@ class FrameSensor(Sensor):
 
 
 def camera_parameters(camera: FrameCamera, only: tuple[str, ...] = ()) -> ImageParameters:
-    """Unknowns of a frame image: those with a prior sigma of the camera, or the named ones of them, by code."""
+    """Unknowns of a frame image: those with a prior sigma of the camera, or those of them in ``only``, by code."""
     codes = tuple(k for k, name in enumerate(_NAMES) if name in camera.sigma and (not only or name in only))
     sigma = np.array([camera.sigma[_NAMES[k]] for k in codes])
     names = tuple(_NAMES[k] for k in codes)
@@ -375,7 +354,7 @@ def camera_parameters(camera: FrameCamera, only: tuple[str, ...] = ()) -> ImageP
     )
 
 
-class FrameImageModel:
+class FrameImageModel(ImageModel):
     """See ``fg_orient.sensors.base.ImageModel``.
 
     Parameters
@@ -391,9 +370,10 @@ class FrameImageModel:
         ``image_unknowns`` selects none of the camera's unknowns.
     """
 
+    equation = FRAME_COLLINEARITY
+
     def __init__(self, sensor: FrameSensor, options: Options) -> None:
         self.sensor = sensor
-        self.equation: Equation = FRAME_COLLINEARITY
         self.parameters = camera_parameters(sensor.camera, options.image_unknowns)
         if sensor.camera.sigma:
             require_unknowns(options, self.parameters.codes, sensor.file, sensor.camera.sigma)
@@ -409,14 +389,6 @@ class FrameImageModel:
         out = np.zeros(len(_NAMES))
         out[list(self.parameters.codes)] = x * self.parameters.sigma
         return out[:N_UNKNOWNS]
-
-    def silent_directions(self) -> list[tuple[str, Array]]:
-        """None: every unknown moves the image."""
-        return []
-
-    def per_line(self) -> tuple[Array, tuple[str, ...]]:
-        """None: all lines are exposed at once."""
-        return np.full(len(self.parameters), np.nan), ("",) * len(self.parameters)
 
     def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
         """Whether points lie in front of the camera at its approximate orientation."""

@@ -1,4 +1,4 @@
-"""Records of located, projected and intersected points: what the commands print and write.
+"""Records of located, projected and intersected points, which the commands print and write.
 
 Angles in degrees, lengths in metres, ellipsoidal heights above WGS84; pixels (line,
 sample) with (0, 0) = centre of the first pixel.
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Records = list[dict[str, Any]]
 
-#: Of frame points without height: horizontal metres per metre of height below which a ray decides none.
+#: Smallest slope of a ray, horizontal metres per metre of height, that determines the height of a frame point.
 LEAST_SLOPE = 0.01
-#: Steps of these heights, and the length of the last.
+#: Largest number of steps to these heights, and length of the last step.
 MAX_STEPS, STEP_M = 20, 1e-4
 
 
 def ground_records(ids: Sequence[str], line: Array, sample: Array, ecef_m: Array) -> Records:
-    """Give one record per point: id, line, sample, geodetic and ECEF coordinates.
+    """One record per point: id, line, sample, geodetic and ECEF coordinates.
 
     Parameters
     ----------
@@ -50,11 +50,11 @@ def ground_records(ids: Sequence[str], line: Array, sample: Array, ecef_m: Array
 
 
 def frame_records(sensor: Any, height_m: float | None = None, dem: HeightSurface | None = None) -> Records:
-    """Locate the file's own frame points and compare them with the coordinates it states.
+    """Locate the frame points of a file and compare them with their coordinates in the file.
 
-    Points are located at the height of the file, unless a height or a DEM is given. Where the file states
-    none, the height is solved at which the ray comes nearest to the stated position: what is left is
-    across the ray's plane. Rays steeper than 1 : 100 decide no height and are taken to height 0.
+    Points are located at the height in the file, unless a height or a DEM is given. If the file has no height, the
+    height is computed at which the ray is closest to the position in the file; the remaining misfit is perpendicular to
+    the vertical plane of the ray. Rays steeper than 1 : 100 do not determine a height and are located at height 0.
 
     Parameters
     ----------
@@ -68,8 +68,8 @@ def frame_records(sensor: Any, height_m: float | None = None, dem: HeightSurface
     list of dict
         Beside the keys of :func:`ground_records`: ``file_lon_deg``, ``file_lat_deg``,
         ``misfit_m`` (horizontal, model minus file), ``misfit_east_m``, ``misfit_north_m``,
-        ``height_from`` ("file", "given", "dem", "solved" or "none") and ``note`` (None, or why
-        the file's point need not agree with the model).
+        ``height_from`` ("file", "given", "dem", "solved" or "none") and ``note`` (None, or the reason why the
+        points of the file may disagree with the model).
 
     Raises
     ------
@@ -99,7 +99,7 @@ def frame_records(sensor: Any, height_m: float | None = None, dem: HeightSurface
 
 
 def _horizontal(ecef_m: Array, lon_deg: Array, lat_deg: Array, height_m: Array) -> Array:
-    """East and North (n, 2) m of points from places at the same heights."""
+    """East and North (n, 2) m of points relative to positions at the same heights."""
     apart = ecef_m - geodetic_to_ecef(lon_deg, lat_deg, height_m)
     return np.asarray(np.einsum("nij,nj->ni", enu_from_ecef(lon_deg, lat_deg)[:, :2], apart))
 
@@ -132,8 +132,8 @@ def _frame_heights(
 def pixel_records(sensor: Any, ids: Sequence[str], ecef_m: Array) -> Records:
     """Project ground points (n, 3) ECEF m: id, line, sample and ``inside``.
 
-    Outside the image line and sample are the linear continuation from its border; nan where the
-    satellite cannot see the point or the iteration does not converge.
+    Outside the image, line and sample are the linear continuation from its border; nan if the point is invisible from
+    the satellite or the iteration does not converge.
     """
     line, sample = sensor.project(ecef_m)
     inside = sensor.is_inside(line, sample)
@@ -157,10 +157,9 @@ def intersection_records(images: tuple[Image, ...], observations: ImagePoints, i
     -------
     list of dict
         Beside the keys of :func:`ground_records` (line and sample in the first image):
-        ``miss_m``, the largest distance between the feet of the point on two of its rays, which
-        is the shortest distance of two rays; ``convergence_deg``; ``sigma_east_m``, ``sigma_north_m``,
-        ``sigma_up_m`` and ``covariance_enu_m2`` by the sigmas of the image points, the orientation held as
-        free of error; ``pixels``, all image points.
+        ``miss_m``, the largest distance between the foot points on two of its rays; ``convergence_deg``;
+        ``sigma_east_m``, ``sigma_north_m``, ``sigma_up_m`` and ``covariance_enu_m2`` from the sigmas of the image
+        points, the orientation being free of error; ``pixels``, all image points.
 
     Raises
     ------
@@ -173,15 +172,14 @@ def intersection_records(images: tuple[Image, ...], observations: ImagePoints, i
     ground = initial.ground_points(images, observations, tuple(ids), wanted)
     centre, direction = initial.all_rays(images, observations)
     _, convergence = initial.nearest_points(centre, direction, observations.point, len(ids))
-    along = np.einsum("ni,ni->n", ground[observations.point] - centre, direction)
     covariance = initial.intersection_covariances(images, observations, ground)
-    feet = centre + along[:, None] * direction
+    foot_points = initial.foot_points(centre, direction, ground[observations.point])
     used = [int(j) for j in np.flatnonzero(count >= 2)]
     rows = [np.flatnonzero(observations.point == j) for j in used]
     first = [int(r[0]) for r in rows]
     records = ground_records([ids[j] for j in used], observations.line[first], observations.sample[first], ground[used])
     for record, j, seen in zip(records, used, rows, strict=True):
-        apart = feet[seen][:, None] - feet[seen][None]
+        apart = foot_points[seen][:, None] - foot_points[seen][None]
         axes = enu_from_ecef(record["lon_deg"], record["lat_deg"])[0]
         enu = axes @ covariance[j] @ axes.T
         sigma = np.sqrt(np.diag(enu))

@@ -6,7 +6,7 @@ The point nearest to all rays solves ``sum (I - u u^T) X = sum (I - u u^T) P``
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,12 +18,12 @@ from fg_orient.sensors.base import Sensor
 
 Array = npt.NDArray[np.float64]
 
-#: Rays closer to parallel than this give no point.
+#: Smallest angle between rays that give a point.
 MIN_CONVERGENCE_DEG = 0.1
 
 
 def missing_rows(coordinates_m: Array) -> npt.NDArray[np.bool_]:
-    """Tell which rows (N, 3) hold no coordinates."""
+    """Rows without coordinates among (N, 3): (N,)."""
     return np.asarray(np.isnan(coordinates_m).any(axis=1))
 
 
@@ -31,15 +31,20 @@ def all_rays(
     images: tuple[Image, ...], observations: ImagePoints, corrections: Sequence[Any] | None = None
 ) -> tuple[Array, Array]:
     """Projection centres and unit directions (n, 3) of all image points, ECEF."""
-    centre = np.empty((len(observations), 3))
-    direction = np.empty((len(observations), 3))
+    centre, direction = np.empty((2, len(observations), 3))
+    for sensor, rows, correction in _by_image(images, observations, corrections):
+        centre[rows], direction[rows] = sensor.rays(observations.line[rows], observations.sample[rows], correction)
+    return centre, direction
+
+
+def _by_image(
+    images: tuple[Image, ...], observations: ImagePoints, corrections: Sequence[Any] | None
+) -> Iterator[tuple[Any, npt.NDArray[np.intp], Any]]:
+    """Sensor, image points and correction of each image that has image points."""
     for k, image in enumerate(images):
         rows = np.flatnonzero(observations.image == k)
         if len(rows):
-            correction = None if corrections is None else corrections[k]
-            rays = image.sensor.rays(observations.line[rows], observations.sample[rows], correction)
-            centre[rows], direction[rows] = rays
-    return centre, direction
+            yield image.sensor, rows, None if corrections is None else corrections[k]
 
 
 def nearest_points(
@@ -52,7 +57,7 @@ def nearest_points(
     centre_m, direction : (n, 3) arrays
         Rays, ECEF; directions of unit length.
     point : (n,) int array
-        Which of the ``n_points`` points each ray belongs to.
+        Point of each ray, counted from 0.
 
     Returns
     -------
@@ -78,25 +83,21 @@ def nearest_points(
 def intersection_covariances(
     images: tuple[Image, ...], observations: ImagePoints, ground_m: Array, corrections: Sequence[Any] | None = None
 ) -> Array:
-    """Covariances (n_points, 3, 3) ECEF m^2 that the sigmas of the image points give :func:`nearest_points`.
+    """Covariances (n_points, 3, 3) ECEF m^2 of :func:`nearest_points` from the sigmas of the image points.
 
     With P = I - u u^T and D the shift of a ray at the ground by a pixel (over half a pixel to either side)::
 
         C = N^-1 (sum P D S D^T P) N^-1,   N = sum P
 
-    The orientation is taken as free of error. nan for points of fewer than two rays.
+    The orientation is assumed to be free of error. nan for points of fewer than two rays.
     """
     shift = np.zeros((len(observations), 3, 2))
     normal = np.zeros((len(observations), 3, 3))
-    for k, image in enumerate(images):
-        rows = np.flatnonzero(observations.image == k)
-        if not len(rows):
-            continue
-        correction = None if corrections is None else corrections[k]
+    for sensor, rows, correction in _by_image(images, observations, corrections):
         line, sample, ground = observations.line[rows], observations.sample[rows], ground_m[observations.point[rows]]
-        direction = image.sensor.rays(line, sample, correction)[1]
+        direction = sensor.rays(line, sample, correction)[1]
         normal[rows] = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-        shift[rows] = _pixel_shifts(image.sensor, (line, sample), ground, correction)
+        shift[rows] = _pixel_shifts(sensor, (line, sample), ground, correction)
     noise = shift * np.stack([observations.sigma_line_px, observations.sigma_sample_px], axis=1)[:, None]
     spread = normal @ noise
     n, middle = (np.zeros((len(ground_m), 3, 3)) for _ in range(2))
@@ -115,23 +116,23 @@ def _pixel_shifts(sensor: Any, pixel: tuple[Array, Array], ground_m: Array, corr
     out = np.zeros((len(ground_m), 3, 2))
     for k, (first, last) in enumerate(limits):
         low, high = (np.clip(pixel[k] + step, first - 0.5, last + 0.5) for step in (-0.5, 0.5))
-        feet = []
+        ends = []
         for values in (low, high):
             at = (values, pixel[1]) if k == 0 else (pixel[0], values)
             centre, direction = sensor.rays(*at, correction)
-            feet.append(_foot(centre, direction, ground_m))
-        out[:, :, k] = (feet[1] - feet[0]) / (high - low)[:, None]
+            ends.append(foot_points(centre, direction, ground_m))
+        out[:, :, k] = (ends[1] - ends[0]) / (high - low)[:, None]
     return out
 
 
-def _foot(centre_m: Array, direction: Array, ground_m: Array) -> Array:
-    """Points (n, 3) of rays nearest to ground points."""
+def foot_points(centre_m: Array, direction: Array, ground_m: Array) -> Array:
+    """Points (n, 3) of rays that are closest to ground points (n, 3)."""
     along = np.einsum("ni,ni->n", ground_m - centre_m, direction)
     return np.asarray(centre_m + along[:, None] * direction)
 
 
 def _largest_angles_deg(direction: Array, point: npt.NDArray[np.intp], count: npt.NDArray[np.intp]) -> Array:
-    """Largest angle between any two rays of each point; points with the same number of rays at once."""
+    """Largest angle between any two rays of each point; all points with the same number of rays together."""
     out = np.zeros(len(count))
     order, first = np.argsort(point, kind="stable"), np.cumsum(count) - count
     for rays in np.unique(count[count >= 2]):
@@ -142,14 +143,6 @@ def _largest_angles_deg(direction: Array, point: npt.NDArray[np.intp], count: np
             apart = np.linalg.norm(u[:, k:] - u[:, :-k], axis=2)
             chord = np.maximum(chord, apart.max(axis=1))
         out[which] = np.degrees(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
-    return out
-
-
-def _behind(points_m: Array, centre_m: Array, direction: Array, point: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-    """Tell which points lie behind the sensor of one of their rays: (n_points,); nan ones do not."""
-    along = np.einsum("ni,ni->n", points_m[point] - centre_m, direction)
-    out = np.zeros(len(points_m), bool)
-    out[point[along <= 0.0]] = True
     return out
 
 
@@ -177,8 +170,8 @@ def intersect(
     Raises
     ------
     InputError
-        A pixel lies outside its image, rays are parallel or meet behind a sensor, or there is not
-        one row of pixels, or not one correction, per sensor.
+        A pixel lies outside its image, rays are parallel or meet behind a sensor, or the number of rows of pixels or
+        of corrections is not that of the sensors.
     """
     lines, samples = (np.asarray(a, float) for a in (line, sample))
     if lines.shape != samples.shape or lines.ndim not in (1, 2) or len(lines) != len(sensors):
@@ -188,20 +181,15 @@ def intersect(
         raise InputError.of("initial.correction_count", place="corrections", value=len(corrections),
                             sensors=len(sensors))  # fmt: skip
     lines, samples = (a.reshape(len(sensors), -1) for a in (lines, samples))
-    rays = []
-    for k, sensor in enumerate(sensors):
-        sensor.require_inside(lines[k], samples[k])
-        rays.append(sensor.rays(lines[k], samples[k], None if corrections is None else corrections[k]))
-    n = lines.shape[1]
-    centre, direction = (np.concatenate([pair[i] for pair in rays]) for i in (0, 1))
-    point = np.tile(np.arange(n), len(sensors))
-    found, spread = nearest_points(centre, direction, point, n)
-    behind = _behind(found, centre, direction, point)
-    bad = np.flatnonzero(missing_rows(found) | behind)
-    if len(bad):
-        seen = [str(k + 1) for k in range(len(sensors))]
-        raise InputError(*(_complaint(f"number {j + 1}", spread[j], bool(behind[j]), seen) for j in bad))
-    return found
+    for sensor, own_lines, own_samples in zip(sensors, lines, samples, strict=True):
+        sensor.require_inside(own_lines, own_samples)
+    n, m = len(sensors), lines.shape[1]
+    images = tuple(Image(str(k + 1), sensor) for k, sensor in enumerate(sensors))
+    one, point = np.ones(n * m), np.tile(np.arange(m), n)
+    pixels = ImagePoints(np.repeat(np.arange(n), m), point, lines.ravel(), samples.ravel(), one, one)
+    return ground_points(
+        images, pixels, tuple(f"number {j + 1}" for j in range(m)), np.full((m, 3), np.nan), corrections
+    )
 
 
 def ground_points(
@@ -211,7 +199,7 @@ def ground_points(
     known_m: Array,
     corrections: Sequence[Any] | None = None,
 ) -> Array:
-    """Start coordinates (N, 3) ECEF m: known ones as given, the others intersected.
+    """Start coordinates (N, 3) ECEF m: known ones as given, the others by intersection.
 
     Raises
     ------
@@ -222,20 +210,20 @@ def ground_points(
     unknown = missing_rows(known_m)
     if not unknown.any():
         return start
-    rows = unknown[observations.point]
-    centre, direction = all_rays(images, observations.take(rows), corrections)
-    found, spread = nearest_points(centre, direction, observations.point[rows], len(ids))
-    start[unknown] = found[unknown]
-    behind = _behind(start, centre, direction, observations.point[rows])
+    used = observations.take(unknown[observations.point])
+    centre, direction = all_rays(images, used, corrections)
+    nearest, spread = nearest_points(centre, direction, used.point, len(ids))
+    start[unknown] = nearest[unknown]
+    behind = np.zeros(len(ids), bool)
+    behind[used.point[np.einsum("ni,ni->n", start[used.point] - centre, direction) <= 0.0]] = True
     bad = np.flatnonzero(unknown & (missing_rows(start) | behind))
     if len(bad):
-        used = observations.take(rows)
         seen = {int(k): [images[i].id for i in used.image[used.point == k]] for k in bad}
-        raise InputError(*(_complaint(ids[k], spread[k], bool(behind[k]), seen[int(k)]) for k in bad))
+        raise InputError(*(_failure(ids[k], spread[k], bool(behind[k]), seen[int(k)]) for k in bad))
     return start
 
 
-def _complaint(point_id: str, spread_deg: float, behind: bool, images: Sequence[str]) -> Finding:
+def _failure(point_id: str, spread_deg: float, behind: bool, images: Sequence[str]) -> Finding:
     if len(images) < 2:
         return finding("initial.seen_once", place=f"point {point_id}", value=f"{len(images)} ray",
                        image=f"image {images[0]}" if images else "no image")  # fmt: skip

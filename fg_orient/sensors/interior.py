@@ -1,7 +1,7 @@
-"""Interior orientation of a frame camera apart from any image, direct georeferencing, distortion the other way round.
+"""Interior orientation of a frame camera, direct georeferencing, and distortion in the other direction.
 
-The two polynomials of ``sensors.frame`` are not each other's inverse. :func:`converted` fits the one to the other
-and says by how many pixels they differ: there is no conversion without an error.
+The two polynomials of ``sensors.frame`` are not inverse to each other. :func:`converted` fits one to the other and
+returns their difference in pixels: an exact conversion does not exist.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL, FrameC
 
 Array = npt.NDArray[np.float64]
 
-#: Points of a conversion along each side of the image.
+#: Points per side of the image in a conversion.
 GRID: Final = 41
 
 
 @dataclass(frozen=True, eq=False)
 class Interior:
-    """Interior orientation that all images of a camera have in common.
+    """Interior orientation of all images of a camera.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Interior:
     name: str = ""
 
     def __post_init__(self) -> None:
-        self.camera(np.eye(3), np.zeros(3))  # refuses what is not possible
+        self.camera(np.eye(3), np.zeros(3))  # refuses impossible values
 
     def camera(
         self,
@@ -81,7 +81,7 @@ class Interior:
 
 @dataclass(frozen=True)
 class Conversion:
-    """A camera whose polynomial leads the other way, and its largest and root mean square difference in the image."""
+    """Camera with the other polynomial, and the largest and root mean square difference in the image."""
 
     interior: Interior
     max_px: float
@@ -91,7 +91,8 @@ class Conversion:
 def converted(interior: Interior, model: str) -> Conversion:
     """Polynomial in the other direction, fitted over the whole image by least squares.
 
-    Focal length and principal point stay; an aspect, which only one direction has, goes into the difference.
+    Focal length and principal point do not change. Only one direction has an aspect: it becomes part of the
+    difference.
 
     Parameters
     ----------
@@ -120,8 +121,8 @@ def converted(interior: Interior, model: str) -> Conversion:
     argument, image = (ideal, measured) if model == IDEAL_TO_MEASURED else (measured, ideal)
     design = np.concatenate([_columns(argument, 0), _columns(argument, 1)])
     scale = np.linalg.norm(design, axis=0)
-    found = np.linalg.lstsq(design / scale, (image - argument).T.ravel(), rcond=None)[0] / scale
-    out = replace(interior, distortion=found, model=model, unit_px=interior.focal_px, aspect=0.0)
+    distortion = np.linalg.lstsq(design / scale, (image - argument).T.ravel(), rcond=None)[0] / scale
+    out = replace(interior, distortion=distortion, model=model, unit_px=interior.focal_px, aspect=0.0)
     apart = np.linalg.norm(out.ideal(line, sample) - ideal, axis=1) * interior.focal_px
     return Conversion(out, float(apart.max()), float(np.sqrt(np.mean(apart**2))))
 

@@ -1,27 +1,33 @@
 """Metadata of pushbroom sensors, independent of file formats.
 
 Readers (``fg_orient.formats.dimap1``, ``dimap2``, ``metadata.pushbroom``) make these immutable records; the sensors
-(``fg_orient.sensors.pushbroom``, ``general``) use them. Conventions:
-times are seconds since ``epoch`` (0 h UTC of the day of the image), positions and velocities are Earth-fixed (ECEF,
-WGS84) in m and m/s, angles rad, pixels (line, sample) with (0, 0) = centre of the first pixel. Attitudes are body to
-orbital frame of convention B (X = V x Z right of flight, Y = Z x X forward, Z = radial outward) or body to ECEF
-quaternions. Camera and payload axes of the general pushbroom are those of convention A: X forward, Y left of flight, Z
-away from the Earth.
+(``fg_orient.sensors.pushbroom``, ``general``) use them. Conventions: times are seconds since ``epoch`` (0 h UTC of the
+day of the image), positions and velocities are Earth-fixed (ECEF, WGS84) in m and m/s unless a frame is stated, angles
+rad, pixels (line, sample) with (0, 0) = centre of the first pixel. Attitudes are body to orbital frame of convention B
+(X = V x Z right of flight, Y = Z x X forward, Z = radial outward) or body to ECEF quaternions. Camera and payload axes
+of the general pushbroom are those of convention A: X forward, Y left of flight, Z away from the Earth.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from factors.cameras import look
 from factors.geometry import polynomials
 from fg_orient.model.errors import Finding
-from fg_orient.sensors.earth_rotation import EarthTurn
+from fg_orient.sensors.earth_rotation import EarthRotation
 
 Array = npt.NDArray[np.float64]
+
+Frame = Literal["ITRF", "GCRS", "EME2000"]
+#: Target frame of attitudes: an orbital frame, or a frame of the Earth or of the stars.
+AttitudeFrame = Literal["orbital", "ITRF", "GCRS", "EME2000"]
+#: Definition of the orbital frame: from position and Earth-fixed or inertial velocity, or from Kepler angles.
+OrbitalFrame = Literal["earth-fixed velocity", "inertial velocity", "kepler"]
 
 
 @dataclass(frozen=True)
@@ -35,19 +41,20 @@ class LineTiming:
 
 @dataclass(frozen=True)
 class Ephemeris:
-    """State vectors: ``time_s`` (n,), ``position_m`` (n, 3), ``velocity_m_s`` (n, 3), ECEF."""
+    """State vectors: ``time_s`` (n,), ``position_m`` (n, 3), ``velocity_m_s`` (n, 3) in ``frame``, ITRF being ECEF."""
 
     time_s: Array
     position_m: Array
     velocity_m_s: Array
+    frame: Frame = "ITRF"
 
 
 @dataclass(frozen=True)
 class AngleAttitude:
-    """Sampled angles, linear in time: ``time_s`` (n,), ``angles_rad`` (n, 3) = roll, pitch, yaw.
+    """Sampled angles to an orbital frame, linear in time: ``time_s`` (n,), ``angles_rad`` (n, 3) = roll, pitch, yaw.
 
-    The sign step is already done: roll and pitch are the negated DIMAP v1 values, yaw is kept
-    (docs/equations.md 2).
+    Signs of DIMAP v1 are already changed: roll and pitch are the negated values of the file, yaw is that of the file
+    (docs/equations.md 2). Angles of a general pushbroom are those of ``factors.geometry.kepler``.
     """
 
     time_s: Array
@@ -56,13 +63,15 @@ class AngleAttitude:
 
 @dataclass(frozen=True)
 class QuaternionList:
-    """Sampled quaternions body to ECEF, scalar part first: ``time_s`` (n,), ``quaternion`` (n, 4).
+    """Sampled quaternions body to ``frame``, scalar part first: ``time_s`` (n,), ``quaternion`` (n, 4).
 
-    Signs are aligned (``factors.geometry.interpolation.sign_aligned``): neighbours have a positive product.
+    They are linear in time and then normalised. Signs are aligned (``factors.geometry.interpolation.sign_aligned``):
+    neighbours have a positive product.
     """
 
     time_s: Array
     quaternion: Array
+    frame: Frame = "ITRF"
 
 
 @dataclass(frozen=True)
@@ -85,6 +94,10 @@ class LookAngleTable:
     psi_x_rad: Array
     psi_y_rad: Array
 
+    def angles(self, sample: Array) -> tuple[Array, Array]:
+        """Look angles psi_x (along), psi_y (across), rad, of N samples."""
+        return look.from_table(self.sample, self.psi_x_rad, self.psi_y_rad, sample)
+
 
 @dataclass(frozen=True)
 class LookAnglePolynomial:
@@ -97,58 +110,26 @@ class LookAnglePolynomial:
     tan_psi_x: Array
     tan_psi_y: Array
 
-
-@dataclass(frozen=True)
-class FramePoint:
-    """A point whose ground position the file states itself; ``height_m`` None if not given."""
-
-    id: str
-    line: float
-    sample: float
-    lon_deg: float
-    lat_deg: float
-    height_m: float | None
+    def angles(self, sample: Array) -> tuple[Array, Array]:
+        """Look angles psi_x (along), psi_y (across), rad, of N samples."""
+        return look.from_polynomial(self.tan_psi_x, self.tan_psi_y, self.origin_sample, sample)
 
 
-@dataclass(frozen=True)
-class PushbroomMetadata:
-    """Everything the rigorous model of one pushbroom image needs."""
-
-    file: str
-    mission: str  # "SPOT 5", "SPOT 6", "PHR 1A", ...
-    instrument: str
-    format: str  # "DIMAP 1.1", "DIMAP 2.0", ...
-    epoch: np.datetime64  # 0 h UTC, datetime64[D]
-    n_lines: int
-    n_samples: int
-    timing: LineTiming
-    ephemeris: Ephemeris
-    attitude: AngleAttitude | QuaternionList | QuaternionPolynomial
-    look: LookAngleTable | LookAnglePolynomial
-    frame_points: tuple[FramePoint, ...] = ()
-    notes: tuple[Finding, ...] = field(default=())
-    frame_note: Finding | None = None  # why the frame points need not agree with the model; among the notes, too
-
-
-# --- the general pushbroom -----------------------------------------------------------------------
-
-Frame = Literal["ITRF", "GCRS", "EME2000"]
-#: Target frame of attitudes: an orbital frame of convention A, or a frame of the Earth or of the stars.
-AttitudeFrame = Literal["orbital", "ITRF", "GCRS", "EME2000"]
-#: Definition of the orbital frame: from position and Earth-fixed or inertial velocity, or from Kepler angles.
-OrbitalFrame = Literal["earth-fixed velocity", "inertial velocity", "kepler"]
-
-
-class Camera(Protocol):
-    """Interior orientation: viewing directions of the detectors."""
+class Camera:
+    """Interior orientation of a general pushbroom: viewing directions of the detectors."""
 
     def tangents(self, sample: Array) -> tuple[Array, Array]:
         """Forward and left components of N samples per unit of depth."""
-        ...
+        raise NotImplementedError
+
+    def angles(self, sample: Array) -> tuple[Array, Array]:
+        """Look angles psi_x (forward), psi_y (left), rad, of N samples."""
+        forward, left = self.tangents(sample)
+        return np.arctan(forward), np.arctan(left)
 
 
 @dataclass(frozen=True, eq=False)
-class LineCamera:
+class LineCamera(Camera):
     """A line of detectors behind a lens: ``p_k = (0, y, 0) - (x_s, y_s, c) + delta`` (Terlemezoğlu 2019, eq. 2.5).
 
     Parameters
@@ -159,7 +140,7 @@ class LineCamera:
     principal_sample : float
         Sample of y_s; it may lie outside the image.
     forward_m : float
-        Place -x_s of the line along camera X.
+        Position -x_s of the line along camera X.
     n_samples : int
     delta_forward_m, delta_left_m : (k,) arrays
         Systematic image corrections: coefficients of s^0, s^1, ..., s = -1 at the first and 1 at the last sample.
@@ -183,7 +164,7 @@ class LineCamera:
 
 
 @dataclass(frozen=True, eq=False)
-class DirectionTable:
+class DirectionTable(Camera):
     """Viewing directions by sample: ``tan_forward`` and ``tan_left`` (n,) at ``sample`` (n,), linear between."""
 
     sample: Array
@@ -191,44 +172,16 @@ class DirectionTable:
     tan_left: Array
 
     def tangents(self, sample: Array) -> tuple[Array, Array]:
-        """See :class:`Camera`; beyond the table the last interval goes on, for half a pixel."""
+        """See :class:`Camera`; the last interval is extrapolated beyond the table, for half a pixel."""
         k = np.clip(np.searchsorted(self.sample, sample) - 1, 0, len(self.sample) - 2)
         f = (sample - self.sample[k]) / (self.sample[k + 1] - self.sample[k])
         forward, left = ((1.0 - f) * t[k] + f * t[k + 1] for t in (self.tan_forward, self.tan_left))
         return np.asarray(forward), np.asarray(left)
 
 
-@dataclass(frozen=True, eq=False)
-class Orbit:
-    """State vectors (n,), (n, 3) m, (n, 3) m/s in ``frame``; velocities Earth-fixed or inertial as the frame is."""
-
-    frame: Frame
-    time_s: Array
-    position_m: Array
-    velocity_m_s: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Attitude:
-    """Rotation from the payload to ``frame``.
-
-    Parameters
-    ----------
-    frame : str
-        "orbital" takes ``angles_rad`` (n, 3): roll, pitch, yaw of ``factors.geometry.kepler``, linear in time. The
-        others take ``quaternion`` (n, 4), scalar first, signs aligned, linear in time and normalised.
-    time_s : (n,) array
-    """
-
-    frame: AttitudeFrame
-    time_s: Array
-    angles_rad: Array | None = None
-    quaternion: Array | None = None
-
-
 @dataclass(frozen=True)
 class LightEffects:
-    """Effects on light that the description asks for; vendor attitudes often contain the aberration."""
+    """Effects on light in a sensor description; vendor attitudes often contain the aberration."""
 
     light_time: bool = False
     aberration: bool = False
@@ -238,9 +191,41 @@ class LightEffects:
         return self.light_time or self.aberration or self.refraction
 
 
-@dataclass(frozen=True, eq=False)
-class GeneralMetadata:
-    """Everything the general model of one pushbroom image needs.
+@dataclass(frozen=True)
+class FramePoint:
+    """A point with a ground position in the file; ``height_m`` is None if not given."""
+
+    id: str
+    line: float
+    sample: float
+    lon_deg: float
+    lat_deg: float
+    height_m: float | None
+
+
+@dataclass(frozen=True)
+class PushbroomMetadata:
+    """Data of the rigorous model of one pushbroom image."""
+
+    file: str
+    mission: str  # "SPOT 5", "SPOT 6", "PHR 1A", ...
+    instrument: str
+    format: str  # "DIMAP 1.1", "DIMAP 2.0", ...
+    epoch: np.datetime64  # 0 h UTC, datetime64[D]
+    n_lines: int
+    n_samples: int
+    timing: LineTiming
+    ephemeris: Ephemeris
+    attitude: AngleAttitude | QuaternionList | QuaternionPolynomial
+    look: LookAngleTable | LookAnglePolynomial | Camera
+    frame_points: tuple[FramePoint, ...] = ()
+    notes: tuple[Finding, ...] = field(default=())
+    frame_note: Finding | None = None  # reason why the frame points may disagree with the model; also among the notes
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeneralMetadata(PushbroomMetadata):
+    """Data of the general model of one pushbroom image; ``attitude`` leads from the payload to its frame.
 
     Parameters
     ----------
@@ -249,27 +234,15 @@ class GeneralMetadata:
     mounting : (3, 3) array
         Rotation from camera to payload (R_KU).
     orbital_frame : str
-        Used by attitudes of frame "orbital" only.
-    earth : EarthTurn or None
-        Needed where orbit or attitudes are inertial, or ``orbital_frame`` is "kepler" of an inertial orbit.
+        Used with angles only.
+    earth : EarthRotation or None
+        Required if orbit or attitudes are inertial, or ``orbital_frame`` is "kepler" of an inertial orbit.
+    effects : LightEffects
     """
 
-    file: str
-    mission: str
-    instrument: str
-    epoch: np.datetime64
-    n_lines: int
-    n_samples: int
-    timing: LineTiming
-    camera: Camera
+    format: str = "sensor description"
     offset_m: Array
     mounting: Array
-    orbit: Orbit
-    attitude: Attitude
     orbital_frame: OrbitalFrame = "earth-fixed velocity"
-    earth: EarthTurn | None = None
+    earth: EarthRotation | None = None
     effects: LightEffects = LightEffects()
-    notes: tuple[Finding, ...] = ()
-    format: str = "sensor description"
-    frame_points: tuple[FramePoint, ...] = ()
-    frame_note: Finding | None = None

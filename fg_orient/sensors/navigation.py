@@ -1,7 +1,7 @@
 """Positions of a receiver and attitudes of an inertial unit on board, as observations of frame images.
 
-Direct georeferencing takes them as they are; here they are observed, with shift and drift of each strip, lever arm and
-boresight as unknowns where they have a prior sigma (``factors.conditions.navigation``). Body axes: X forward, Y right,
+Direct georeferencing holds them fixed. Here they are observations; shift and drift of each strip, lever arm and
+boresight are unknowns if they have a prior sigma (``factors.conditions.navigation``). Body axes: X forward, Y right,
 Z down.
 """
 
@@ -25,7 +25,7 @@ Three = tuple[float, float, float]
 
 #: Camera axes (X right, Y down the lines, Z along the view) from body axes, the upper edge of the image being forward.
 TOP_FORWARD: Final = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-#: Id under which all images share lever arm and boresight.
+#: Id of the lever arm and boresight that all images share.
 MOUNTING: Final = "mounting"
 
 
@@ -39,13 +39,13 @@ class Fix:
     time_s : float
         Any time scale, the same for a strip.
     position_m : (3,) array
-        Of the receiver, ECEF.
+        Receiver, ECEF.
     position_sigma_m : (3,) array
         East, North, Up.
     ground_from_body : (3, 3) array, optional
-        Attitude: ECEF axes from body axes; None where none was observed.
+        Attitude: ECEF axes from body axes; None if it was not observed.
     attitude_sigma_rad : (3,) array, optional
-        Of turns about the body's X (roll), Y (pitch) and Z (heading).
+        Rotations about the body's X (roll), Y (pitch) and Z (heading).
     """
 
     image: str
@@ -59,7 +59,7 @@ class Fix:
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """Mounting of receiver, inertial unit and camera, with prior sigmas of its unknowns; None: held fixed, or zero.
+    """Mounting of receiver, inertial unit and camera, with prior sigmas of its unknowns. None: held fixed, or zero.
 
     Parameters
     ----------
@@ -70,9 +70,9 @@ class Mounting:
     shift_sigma_m, drift_sigma_m : three floats or None
         Prior sigmas of the error of a strip's positions, East, North, Up: constant, and at the ends of the strip.
     turn_sigma_rad, turn_drift_sigma_rad : three floats or None
-        The same of its attitudes, roll, pitch, heading.
+        The same for the attitudes of a strip, roll, pitch, heading.
     lever_sigma_m, boresight_sigma_rad : three floats or None
-        Of lever arm (body axes) and boresight (turns about the camera's axes), common to all images.
+        Lever arm (body axes) and boresight (rotations about the camera's axes), common to all images.
     """
 
     lever_m: Array = field(default_factory=lambda: np.zeros(3))
@@ -107,19 +107,19 @@ def body_attitude(roll_rad: float, pitch_rad: float, heading_rad: float, place_m
 
 
 def with_navigation(block: Block, fixes: Sequence[Fix], mounting: Mounting) -> Block:
-    """The block with what was observed on board as own observations, and its unknowns.
+    """The block with the observations on board as extra observations, and with their unknowns.
 
     Parameters
     ----------
     block : Block
     fixes : sequence of Fix
-        At most one of each image; images without one keep their priors alone.
+        At most one per image; other images keep only their priors.
     mounting : Mounting
 
     Raises
     ------
     InputError
-        No such image, not a georeferenced frame image, one that has two.
+        There is no such image, it is not a georeferenced frame image, or it has two fixes.
     """
     images, extra = list(block.images), list(block.extra)
     seen: set[str] = set()
@@ -149,7 +149,7 @@ def _in_strips(fixes: Sequence[Fix]) -> list[tuple[Fix, float, Array]]:
 
 
 def _with_unknowns(sensor: FrameSensor, fix: Fix, mounting: Mounting) -> FrameSensor:
-    """The sensor with the unknowns of strip and mounting; those that its observations do not feel are left out."""
+    """The sensor with the unknowns of strip and mounting on which its observations depend."""
     camera, known = sensor.camera, mounting.sigmas
     names = [n for n in known if fix.ground_from_body is not None or not n.startswith(("ins_", "boresight"))]
     sigma = {**camera.sigma, **{name: known[name] for name in names}}

@@ -1,14 +1,16 @@
 """Ground to image for a pushbroom: the zero of the look-angle collinearity in (line, sample).
 
-Newton on both pixel coordinates at once (docs/equations.md 6): the conditions F_y, F_x are those of
-the observation equation, so every correction (EOP, look angles) is honoured; their derivatives come
-from differences over half a pixel. Attitude is piecewise linear in time, hence up to 30 steps, ended
-below 1e-9 px, or below 1e-6 px when no longer shrinking (a time of day has 11 digits: 1e-8 px).
-Lines are evaluated inside the image only: a point outside gets the linear continuation from the
-border; a point that the satellite cannot see, or for which the steps do not end, gets nan.
+Newton on both pixel coordinates at once (docs/equations.md 6). The conditions F_y, F_x are those of the observation
+equation, so that every correction (EOP, look angles) is included; their derivatives are differences over half a
+pixel. Attitude is piecewise linear in time. Up to 30 steps are therefore needed. They end below 1e-9 px, or below 1e-6
+px if they no longer shrink (a time of day has 11 digits: 1e-8 px). Lines are evaluated inside the image only. A point
+outside gets the linear continuation from the border. A point that is invisible from the satellite, or for which the
+steps do not converge, gets nan.
 """
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -17,14 +19,17 @@ from factors._contract import compiled
 from factors._plain import FEW_ARRAYS, plain
 from factors.cameras import pushbroom
 from factors.cameras.pushbroom_record import CURVE, CURVES, N_EOP, RECORD, correction, corrections, observation
-from fg_orient.sensors.correction import Correction, PixelModel
+from fg_orient.sensors.correction import Correction
+
+if TYPE_CHECKING:
+    from fg_orient.sensors.pushbroom import PushbroomSensor
 
 Array = npt.NDArray[np.float64]
 
 MAX_STEPS = 30
 STEP_PX = 1e-9
 ROUNDING_PX = 1e-6
-#: Points whose four neighbours are evaluated together; more would cost memory and gain nothing.
+#: Number of points whose four neighbours are evaluated together; more points need more memory, not less time.
 AT_ONCE = 4096
 
 
@@ -32,13 +37,13 @@ def physical_unknowns(correction: Correction) -> tuple[Array, Array]:
     """Setup (2, k) and unknowns (k,) of the equation for a correction in physical units."""
     codes = np.arange(N_EOP + correction.look.size, dtype=float)
     x = np.concatenate([correction.eop.ravel(), correction.look.T.ravel()])
-    if correction.curve.shape[1]:  # their sums stand behind the record: one "curve" of 1 for each EOP
+    if correction.curve.shape[1]:  # their sums follow the record: one "curve" of 1 for each EOP
         codes = np.concatenate([codes, CURVE + (CURVES + 1.0) * np.arange(9)])
         x = np.concatenate([x, np.ones(9)])
     return np.ascontiguousarray(np.stack([codes, np.ones_like(codes)])), x
 
 
-def conditions(sensor: PixelModel, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
+def conditions(sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
     """F_y, F_x (tangents) of N pixels and ground points: (N, 2)."""
     setup, x = physical_unknowns(correction)
     records = sensor.records(line, sample, ground_m, small_angle=correction.small_angle)
@@ -70,7 +75,9 @@ def _residuals(records: Array, setup: Array, x: Array, ground: Array) -> Array:
     return out
 
 
-def pixel_derivative(sensor: PixelModel, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
+def pixel_derivative(
+    sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction
+) -> Array:
     """Local derivative J = dF/d(line, sample) of the conditions: (N, 2, 2), rad per pixel."""
     if len(line) > AT_ONCE:
         parts = [slice(lo, lo + AT_ONCE) for lo in range(0, len(line), AT_ONCE)]
@@ -82,7 +89,7 @@ def pixel_derivative(sensor: PixelModel, line: Array, sample: Array, ground_m: A
     return np.stack([(f[1] - f[0]) / (line_high - line_low)[:, None], (f[3] - f[2]) / (high - low)[:, None]], axis=2)
 
 
-def project(sensor: PixelModel, ground_m: Array, correction: Correction) -> tuple[Array, Array]:
+def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) -> tuple[Array, Array]:
     """Line and sample of N ECEF points (N, 3) m; see the module docstring."""
     line = np.full(len(ground_m), (sensor.first_line + sensor.last_line) / 2.0)
     sample = np.full(len(ground_m), (sensor.first_sample + sensor.last_sample) / 2.0)
@@ -105,7 +112,7 @@ def project(sensor: PixelModel, ground_m: Array, correction: Correction) -> tupl
     return line, sample
 
 
-def _newton_step(sensor: PixelModel, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
+def _newton_step(sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
     """Step (N, 2) from the nearest pixel of the image, relative to the present estimate."""
     l_in = np.clip(line, sensor.first_line - 0.5, sensor.last_line + 0.5)
     s_in = np.clip(sample, sensor.first_sample - 0.5, sensor.last_sample + 0.5)

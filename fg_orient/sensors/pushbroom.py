@@ -1,9 +1,8 @@
 """The rigorous pushbroom sensor: binds metadata to the look-angle collinearity.
 
-One class serves DIMAP v1 (angles in the orbital frame) and DIMAP v2 (quaternions body to
-ECEF). Pixels are (line, sample), (0, 0) = centre of the first pixel; ground points ECEF
-metres; ``Correction`` holds EOP and look-angle corrections in physical units. Light time
-and aberration are off: the vendor attitudes contain the aberration
+One class serves DIMAP v1 (angles in the orbital frame) and DIMAP v2 (quaternions body to ECEF). Pixels are (line,
+sample), (0, 0) = centre of the first pixel; ground points are ECEF metres; ``Correction`` contains EOP and look-angle
+corrections in physical units. Light time and aberration are not applied: the vendor attitudes contain the aberration
 (docs/equations.md 2).
 """
 
@@ -18,7 +17,7 @@ import numpy.typing as npt
 
 from factors.cameras import look
 from factors.cameras.pushbroom import LOOK_ANGLE_COLLINEARITY, RECORD
-from factors.geometry import interpolation, polynomials, rotations
+from factors.geometry import interpolation, light, polynomials, rotations
 from fg_orient.model.errors import Finding, InputError, OutOfTimeRange, finding
 from fg_orient.model.names import COMPONENTS, VELOCITY
 from fg_orient.model.options import MAX_EXTRAPOLATION_S
@@ -43,14 +42,13 @@ from fg_orient.sensors.metadata import (
 )
 
 if TYPE_CHECKING:
-    from factors._contract import Equation
     from fg_orient.model.block import ImagePoints, Options
 
 Array = npt.NDArray[np.float64]
 
-#: The samples of an image cannot all look the same way; the narrowest known field is 0.015 rad.
+#: Smallest plausible field of view; the narrowest known one is 0.015 rad.
 MIN_FIELD_RAD = 1e-4
-#: Rounding of printed times: lists of SPOT 6 start and end with the image.
+#: Rounding of printed times; the lists of SPOT 6 start and end with the image.
 TIME_PRINT_S = 2e-6
 #: Highest power of the sample in a look-angle polynomial.
 MAX_LOOK_DEGREE = 10
@@ -85,70 +83,64 @@ class PushbroomSensor(Sensor):
     Parameters
     ----------
     metadata : PushbroomMetadata
-        Everything read from the file.
+        Contents of the file.
     extrapolate_attitude_s : float
-        Where the list of attitudes ends inside the image it is extrapolated by at most so many seconds with
-        the last rate, and a note says so. Default 0: the lines without attitude are refused, one by one.
+        If the list of attitudes ends inside the image, it is extrapolated with the last rate by at most this number of
+        seconds, and a note states it. Default 0: lines without attitude are refused when they are used.
 
     Raises
     ------
     InputError
-        All samples look in the same direction, or the seconds are none.
+        All samples look in the same direction, or the number of seconds is invalid.
     OutOfTimeRange
         The ephemeris does not cover the image, or the attitudes do not cover any line.
     """
 
+    #: Name of the camera in messages.
+    _camera = "look angles"
+
     def __init__(self, metadata: PushbroomMetadata, *, extrapolate_attitude_s: float = 0.0) -> None:
-        self.metadata = metadata
+        self.metadata, self.file = metadata, metadata.file
         self.n_lines, self.n_samples = metadata.n_lines, metadata.n_samples
         self.first_line, self.last_line = 0.0, self.n_lines - 1.0
         self.first_sample, self.last_sample = 0.0, self.n_samples - 1.0
         if isinstance(metadata.look, LookAngleTable):
             self.first_sample, self.last_sample = float(metadata.look.sample[0]), float(metadata.look.sample[-1])
-        self.follows_orbit = isinstance(metadata.attitude, AngleAttitude)
+        self.attitude = metadata.attitude
+        self.follows_orbit = isinstance(self.attitude, AngleAttitude)
         self.frame_points, self.frame_note = metadata.frame_points, metadata.frame_note
-        self._check_field_of_view("look angles")
-        self._check_ephemeris()
+        _, across = self.look_angles([self.first_sample, self.last_sample])
+        if abs(across[1] - across[0]) < MIN_FIELD_RAD:
+            value = f"{abs(across[1] - across[0]):.3g} rad"
+            raise InputError.of("sensor.no_field", file=self.file, place=self._camera, value=value, least=MIN_FIELD_RAD)
         self.notes: tuple[Finding, ...] = metadata.notes + self._bind_attitude(extrapolate_attitude_s)
-
-    @property
-    def file(self) -> str:
-        """Name of the metadata file."""
-        return self.metadata.file
 
     def _line_time(self, line: Array) -> Array:
         timing = self.metadata.timing
         return np.asarray(timing.reference_time_s + timing.line_period_s * (line - timing.reference_line))
 
-    def _check_field_of_view(self, place: str) -> None:
-        _, across = self.look_angles([self.first_sample, self.last_sample])
-        if abs(across[1] - across[0]) < MIN_FIELD_RAD:
-            value = f"{abs(across[1] - across[0]):.3g} rad"
-            raise InputError.of("sensor.no_field", file=self.file, place=place, value=value, least=MIN_FIELD_RAD)
-
-    def _check_ephemeris(self) -> None:
-        times = self._line_time(np.array([0.0, self.n_lines - 1.0]))
-        covered = self.metadata.ephemeris.time_s
-        if times.min() < covered[0] - TIME_PRINT_S or times.max() > covered[-1] + TIME_PRINT_S:
-            raise OutOfTimeRange(finding(
-                "sensor.ephemeris_span", file=self.file, place="ephemeris",
-                value=f"image {times.min():.6f} .. {times.max():.6f} s", first=covered[0], last=covered[-1],
-            ))  # fmt: skip
-
     def _bind_attitude(self, seconds: float) -> tuple[Finding, ...]:
-        """Extrapolate the attitudes, find the lines that they cover, and say what was done or is missing."""
+        """Check the ephemeris, extrapolate the attitudes and restrict the lines to them; notes state both."""
+        times, covered = self._line_time(np.array([0.0, self.n_lines - 1.0])), self.metadata.ephemeris.time_s
+        image = f"image {times.min():.6f} .. {times.max():.6f} s"
+        if times.min() < covered[0] - TIME_PRINT_S or times.max() > covered[-1] + TIME_PRINT_S:
+            raise OutOfTimeRange(finding("sensor.ephemeris_span", file=self.file, place="ephemeris", value=image,
+                                         first=covered[0], last=covered[-1]))  # fmt: skip
         if not 0.0 <= seconds <= MAX_EXTRAPOLATION_S:
             raise InputError.of("sensor.extrapolation", file=self.file, place="extrapolate attitude", value=seconds,
                                 most=MAX_EXTRAPOLATION_S)  # fmt: skip
-        self.attitude = self.metadata.attitude
         if isinstance(self.attitude, QuaternionPolynomial):
             return ()
-        times = self._line_time(np.array([0.0, self.n_lines - 1.0]))
         open_s = np.array([self.attitude.time_s[0] - times.min(), times.max() - self.attitude.time_s[-1]])
         open_s = np.where(open_s > TIME_PRINT_S, open_s, 0.0)
         added = np.minimum(open_s, seconds)
         self.attitude = _extended(self.attitude, added)
-        self._cover_lines()
+        timing, time_s = self.metadata.timing, self.attitude.time_s[[0, -1]] + [-TIME_PRINT_S, TIME_PRINT_S]
+        ends = timing.reference_line + (time_s - timing.reference_time_s) / timing.line_period_s
+        self.first_line = max(0.0, float(np.ceil(ends.min())))
+        self.last_line = min(self.n_lines - 1.0, float(np.floor(ends.max())))
+        if self.first_line > self.last_line:
+            raise self._attitude_fault("attitudes", image, times)
         codes = ("image.attitude_starts_late", "image.attitude_ends_early")
         notes = [finding(codes[k], open_s=open_s[k], added_s=added[k]) for k in (0, 1) if added[k]]
         if self.first_line > 0.0:
@@ -156,17 +148,6 @@ class PushbroomSensor(Sensor):
         if self.last_line < self.n_lines - 1.0:
             notes.append(finding("image.lines_refused", first=int(self.last_line) + 1, last=self.n_lines - 1))
         return tuple(notes)
-
-    def _cover_lines(self) -> None:
-        """Narrow the usable lines to those whose centres the attitudes cover."""
-        timing = self.metadata.timing
-        time_s = self.attitude.time_s[[0, -1]] + [-TIME_PRINT_S, TIME_PRINT_S]  # type: ignore[union-attr]
-        ends = timing.reference_line + (time_s - timing.reference_time_s) / timing.line_period_s
-        self.first_line = max(0.0, float(np.ceil(ends.min())))
-        self.last_line = min(self.n_lines - 1.0, float(np.floor(ends.max())))
-        if self.first_line > self.last_line:
-            times = self._line_time(np.array([0.0, self.n_lines - 1.0]))
-            raise self._attitude_fault("attitudes", f"image {times.min():.6f} .. {times.max():.6f} s", times)
 
     def _attitude_fault(self, place: str, value: str, t: Array) -> OutOfTimeRange:
         listed = self.attitude.time_s  # type: ignore[union-attr]
@@ -182,7 +163,7 @@ class PushbroomSensor(Sensor):
         self._require_attitude(line)
 
     def _require_attitude(self, line: Array) -> None:
-        """Refuse lines of no attitude; a hundredth of a pixel is rounding."""
+        """Refuse lines without attitude; a hundredth of a pixel is rounding."""
         if isinstance(self.attitude, QuaternionPolynomial):
             return
         beyond = (line < self.first_line - 0.51) | (line > self.last_line + 0.51)
@@ -202,23 +183,28 @@ class PushbroomSensor(Sensor):
         """
         line = np.atleast_1d(np.asarray(line, float))
         t = self._line_time(line)
-        orbit = self.metadata.ephemeris
-        self._require_ephemeris(line, t)
+        self._require_listed("sensor.ephemeris_span", line, self.metadata.ephemeris.time_s)
         self._require_attitude(line)
-        state = interpolation.lagrange(orbit.time_s, np.hstack([orbit.position_m, orbit.velocity_m_s]), t)
-        p, v = np.ascontiguousarray(state[:, :3]), np.ascontiguousarray(state[:, 3:])
+        p, v = self._orbit(t)
         angles, mount = self._attitude(t, p, v)
         return LineStates(polynomials.normalised(line, self.n_lines), p, v, angles, mount)
 
-    def _require_ephemeris(self, line: Array, t: Array) -> None:
-        """Refuse times beyond the state vectors; half a line, the border of a pixel, is free."""
-        listed = self.metadata.ephemeris.time_s
-        gap = np.maximum(listed[0] - t, t - listed[-1])
+    def _orbit(self, t: Array) -> tuple[Array, Array]:
+        """Position and velocity (N, 3) of the state vectors at N times."""
+        orbit = self.metadata.ephemeris
+        state = interpolation.lagrange(orbit.time_s, np.hstack([orbit.position_m, orbit.velocity_m_s]), t)
+        return np.ascontiguousarray(state[:, :3]), np.ascontiguousarray(state[:, 3:])
+
+    def _require_listed(self, code: str, line: Array, listed_s: Array, table: str = "") -> None:
+        """Refuse lines beyond a list of times; half a line, the border of a pixel, is allowed."""
+        t = self._line_time(line)
+        gap = np.maximum(listed_s[0] - t, t - listed_s[-1])
         beyond = gap > TIME_PRINT_S + 0.51 * abs(self.metadata.timing.line_period_s)
         if beyond.any():
+            place, fields = f"line {line[beyond][0]:.2f}", {"what": table} if table else {}
             raise OutOfTimeRange(finding(
-                "sensor.ephemeris_span", file=self.file, place=f"line {line[beyond][0]:.2f}",
-                value=f"{t[beyond][0]:.6f} s", first=listed[0], last=listed[-1],
+                code, file=self.file, place=f"[{table}], {place}" if table else place, value=f"{t[beyond][0]:.6f} s",
+                first=listed_s[0], last=listed_s[-1], **fields,
             ))  # fmt: skip
 
     def _attitude(self, t: Array, p: Array, v: Array) -> tuple[Array, Array]:
@@ -241,10 +227,11 @@ class PushbroomSensor(Sensor):
 
     def look_angles(self, sample: npt.ArrayLike) -> tuple[Array, Array]:
         """Look angles psi_x (along), psi_y (across), rad, of N samples."""
-        s, source = np.atleast_1d(np.asarray(sample, float)), self.metadata.look
-        if isinstance(source, LookAngleTable):
-            return look.from_table(source.sample, source.psi_x_rad, source.psi_y_rad, s)
-        return look.from_polynomial(source.tan_psi_x, source.tan_psi_y, source.origin_sample, s)
+        return self.metadata.look.angles(np.atleast_1d(np.asarray(sample, float)))
+
+    def _mounting(self, states: LineStates, psi: tuple[Array, Array], to_ground_m: Array | None) -> Array:
+        """Mountings (N, 3, 3) for ground points at differences (N, 3) from the projection centre (None: height 0)."""
+        return states.mount
 
     def records(
         self, line: npt.ArrayLike, sample: npt.ArrayLike, reference_m: Array, origin_m: Array | None = None, *,
@@ -257,49 +244,51 @@ class PushbroomSensor(Sensor):
         """
         states = self.states(line)
         s = np.atleast_1d(np.asarray(sample, float))
+        psi, to_ground = self.look_angles(s), reference_m - states.position_m
         return RECORD.pack(
             position=states.position_m, velocity=states.velocity_m_s, angles=states.angles_rad,
-            mounting=states.mount.reshape(-1, 9), tau=states.tau, look=np.stack(self.look_angles(s), axis=1),
+            mounting=self._mounting(states, psi, to_ground).reshape(-1, 9), tau=states.tau, look=np.stack(psi, axis=1),
             s=polynomials.normalised(s, self.n_samples), whitening=np.eye(2).ravel(), follows=self.follows_orbit,
             small_angle=small_angle, reference=reference_m if origin_m is None else reference_m - origin_m,
-            from_position=reference_m - states.position_m,
+            from_position=to_ground,
         )  # fmt: skip
 
     # --- image to ground ---------------------------------------------------------------------
 
     def rays(
-        self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: Correction | None = None
-    ) -> tuple[Array, Array]:
+        self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: Correction | None = None,
+        to_ground_m: Array | None = None,
+    ) -> tuple[Array, Array]:  # fmt: skip
         """Projection centres (N, 3) m and unit viewing directions (N, 3) in ECEF; errors as of :meth:`states`.
 
-        The inverse of the observation equation (``factors.cameras.pushbroom``), written separately because a
-        direction has no ground point; tests/40_sensors hold the two together to 1e-6 px.
+        The inverse of the observation equation (``factors.cameras.pushbroom``). It is a separate formula because a
+        direction has no ground point; tests/40_sensors compare the two to 1e-6 px. ``to_ground_m`` (N, 3): ground
+        points minus projection centres, for effects on light (``fg_orient.sensors.general``).
         """
         c = correction or Correction()
         lines, s = same_length(line, sample)
-        states = self.states(lines)
-        psi_x, psi_y = self.look_angles(s)
+        states, psi = self.states(lines), self.look_angles(s)
+        mount = self._mounting(states, psi, to_ground_m)
         delta = c.eop_at(states.tau)
         if c.look.shape[1]:
             bend = polynomials.evaluate(c.look, polynomials.normalised(s, self.n_samples))
-            psi_x, psi_y = psi_x + bend[:, 0], psi_y + bend[:, 1]
+            psi = psi[0] + bend[:, 0], psi[1] + bend[:, 1]
         p = states.position_m + delta[:, 0:3]
         p_frame, v_frame = states.position_m, states.velocity_m_s
         if self.follows_orbit:
             p_frame, v_frame = p, states.velocity_m_s + delta[:, 3:6]
         angles = np.ascontiguousarray(states.angles_rad + delta[:, 6:9])
-        orbital = rotations.attitude_matrices(angles, c.small_angle) @ states.mount
+        orbital = rotations.attitude_matrices(angles, c.small_angle) @ mount
         ecef = rotations.orbital_frames(np.ascontiguousarray(p_frame), np.ascontiguousarray(v_frame)) @ orbital
-        direction = np.einsum("nij,nj->ni", ecef, look.direction(psi_x, psi_y))
-        return p, direction / np.linalg.norm(direction, axis=1, keepdims=True)
+        return p, light.unit(np.einsum("nij,nj->ni", ecef, look.direction(*psi)))
 
     # --- ground to image ---------------------------------------------------------------------
 
     def project(self, ground_m: npt.ArrayLike, correction: Correction | None = None) -> tuple[Array, Array]:
         """Line and sample of N ECEF points (N, 3) m, by Newton on both at once (``fg_orient.sensors.projection``).
 
-        Points outside the image get the linear continuation from its border; nan only for points that are invisible
-        from the satellite, or if the iteration does not converge.
+        Points outside the image get the linear continuation from its border. Points that are invisible from the
+        satellite, and points whose iteration does not converge, get nan.
         """
         return projection.project(self, np.atleast_2d(np.asarray(ground_m, float)), correction or Correction())
 
@@ -324,7 +313,7 @@ class PushbroomSensor(Sensor):
 
 
 def require_pushbroom(sensor: Any, image: str) -> PushbroomSensor:
-    """Give the sensor of an image as the rigorous pushbroom sensor that it is.
+    """Sensor of an image, which must be a rigorous pushbroom sensor.
 
     Raises
     ------
@@ -340,7 +329,7 @@ def require_pushbroom(sensor: Any, image: str) -> PushbroomSensor:
 # --- image model ---------------------------------------------------------------------------------
 
 
-class PushbroomModel:
+class PushbroomModel(ImageModel):
     """See ``fg_orient.sensors.base.ImageModel``.
 
     Parameters
@@ -350,7 +339,7 @@ class PushbroomModel:
         EOP set, look polynomial, their prior sigmas, small-angle form.
     """
 
-    equation: Equation = LOOK_ANGLE_COLLINEARITY
+    equation = LOOK_ANGLE_COLLINEARITY
 
     def __init__(self, sensor: PushbroomSensor, options: Options) -> None:
         self.sensor, self.small_angle = sensor, options.small_angle
@@ -427,10 +416,6 @@ class PushbroomModel:
         powers = ("", "/line", "/line^2")
         named = zip(codes, units, strict=True)
         return factors, tuple(unit + powers[code % 3] if code < N_EOP else "" for code, unit in named)
-
-    def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
-        """Everywhere."""
-        return np.ones(len(ground_m), bool)
 
     def facts(self) -> dict[str, Any]:
         """Entries of the file, and degree-2 fits of its EOPs (T-Table 4.1): per line, with residuals."""

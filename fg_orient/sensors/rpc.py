@@ -1,9 +1,9 @@
 """The immutable rational function model (RPC): longitude, latitude (degrees), ellipsoidal height (m) to pixels.
 
 ``fg_orient.sensors.rpc_sensor`` uses it on ECEF metres. Pixels are (line, sample), (0, 0) = centre of the first pixel:
-readers have taken the file's own origin off (docs/rpc.md). Image-space compensation is (6,) pixels, see
-``factors.cameras.rfm_project``. Models without inverse coefficients are inverted by iteration; vendor inverse
-coefficients serve as first guess only.
+readers convert the pixel origin of the file (docs/rpc.md). Image-space compensation is (6,) pixels, see
+``factors.cameras.rfm_project``. All models are inverted by iteration; vendor inverse coefficients are used for its
+start values only.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ COORDINATES = ("line", "sample", "longitude", "latitude", "height")
 POLYNOMIALS = ("line numerator", "line denominator", "sample numerator", "sample denominator")
 #: A file prints the constant of a denominator as 1.
 CONSTANT_PRINT = 1e-12
-#: Pixels and heights at which denominators are looked at, per axis.
+#: Number of pixels and heights per axis at which denominators are checked.
 POLE_GRID = 11
-#: Normalised ground coordinates beyond which a located corner lies on another branch of the model, behind a pole: real
-#: products reach 1.45.
+#: Limit of normalised ground coordinates: a located corner beyond it lies on another branch of the model, behind a
+#: pole. Real products reach 1.45.
 OTHER_BRANCH = 2.0
 NO_COMPENSATION = np.zeros(COMPENSATION.size)
 
@@ -56,18 +56,18 @@ class RpcModel:
     coefficients : (4, 20) array
         Line numerator and denominator, sample numerator and denominator, RPC00B order.
     stated_validity : RpcValidity, optional
-        Ranges as the file states them; ``validity`` gives these, or offset -+ scale and the image's size.
+        Ranges in the file. ``validity`` is these, or offset -+ scale and the image's size.
     n_lines, n_samples : int, optional
-        Size of the image, where the file gives it.
+        Size of the image, if the file contains it.
     err_bias_m, err_rand_m : float, optional
         Error estimates of the file (RPC00B: 68 % horizontal, m).
     direct : (4, 20) array, optional
         Vendor model image to ground: numerator and denominator of longitude, of latitude, as functions
         of normalised (sample, line, height).
     file, format : str
-        Where the model comes from.
+        Source of the model.
     notes : tuple of Finding
-        What the user should know about it.
+        Remarks for the user.
 
     Raises
     ------
@@ -147,7 +147,7 @@ class RpcModel:
         )
 
     def inside(self, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Tell which ground points lie in the validity range: (N,)."""
+        """Whether ground points lie in the validity range: (N,)."""
         lon, lat, h = same_length(lon_deg, lat_deg, height_m)
         v = self.validity
         lon = lon - 360.0 * np.round((lon - self.offsets[RANGE.lon]) / 360.0)
@@ -183,8 +183,8 @@ class RpcModel:
     ) -> tuple[Array, Array]:
         """Longitude and latitude (degrees) of N pixels at ellipsoidal heights: two (N,) arrays.
 
-        Newton on the projection with analytic derivatives, to 1e-11 pixels; nan where it does not come
-        within 1e-7 pixels.
+        Newton on the projection with analytic derivatives, to 1e-11 pixels; nan if it does not converge within 1e-7
+        pixels.
         """
         line, sample, h = same_length(line, sample, height_m)
         image = self._without_compensation(line, sample, checked_compensation(compensation))
@@ -196,7 +196,7 @@ class RpcModel:
             start = np.where(np.isfinite(start).all(axis=1, keepdims=True), start, origin)
         xy = rfm_project.locate(self.coefficients, self.scales, image, z, start)
         lost = np.isnan(xy[:, 0])
-        if self.direct is not None and lost.any():  # the vendor's guess was the fault
+        if self.direct is not None and lost.any():  # the vendor's start value may have been the reason
             xy[lost] = rfm_project.locate(self.coefficients, self.scales, image[lost], z[lost], origin[lost])
         lon = self.offsets[RANGE.lon] + self.scales[RANGE.lon] * xy[:, 0]
         return lon - 360.0 * np.round(lon / 360.0), self.offsets[RANGE.lat] + self.scales[RANGE.lat] * xy[:, 1]
@@ -219,7 +219,7 @@ class RpcModel:
         Raises
         ------
         InputError
-            The file holds none.
+            The file contains none.
         """
         if self.direct is None:
             raise InputError.of("rpc.no_direct", file=self.file)
@@ -232,9 +232,8 @@ class RpcModel:
     def require_no_pole(self) -> None:
         """Refuse a model with a denominator that is zero or changes its sign inside the image.
 
-        Looked at: the ground between the located corners of the image, at heights of the validity range.
-        Near a zero the model is wrong by many pixels, even where a numerator with nearly the same zeros
-        makes it good on both sides.
+        Points between the located corners of the image are checked at heights of the validity range. Near a zero the
+        model is wrong by many pixels, even if a numerator with nearly the same zeros makes it accurate on both sides.
 
         Raises
         ------
@@ -275,7 +274,9 @@ class RpcModel:
             image = self._without_compensation(line, sample, NO_COMPENSATION)
             corner = rfm_project.locate(self.coefficients, self.scales, image, z, np.zeros((4, 2)))
             looked_at = [corner] if np.isfinite(corner).all() else []
-            if not np.abs(corner).max() <= OTHER_BRANCH:  # a pole bars the way to a corner: look at the whole cube too
+            if (
+                not np.abs(corner).max() <= OTHER_BRANCH
+            ):  # a pole prevents the location of a corner: check the whole cube, too
                 looked_at.append(np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]))
             for c in looked_at:
                 xy = (1 - w) * ((1 - u) * c[0] + u * c[1]) + w * ((1 - u) * c[2] + u * c[3])
@@ -284,7 +285,7 @@ class RpcModel:
 
 
 def checked_compensation(values: npt.ArrayLike | None) -> Array:
-    """Give (6,) pixels; none is zero."""
+    """Compensation (6,) in pixels; zero if there is none."""
     if values is None:
         return NO_COMPENSATION
     out = np.ascontiguousarray(values, dtype=float)
@@ -294,5 +295,5 @@ def checked_compensation(values: npt.ArrayLike | None) -> Array:
 
 
 def span(ends: Range) -> str:
-    """Give a range in words."""
+    """Text of a range."""
     return f"{ends[0]:.9g} .. {ends[1]:.9g}"

@@ -32,14 +32,13 @@ from fg_orient.sensors.rpc import RpcModel, span
 from fg_orient.sensors.surface import on_surface
 
 if TYPE_CHECKING:
-    from factors._contract import Equation
     from fg_orient.model.block import ImagePoints, Options
 
 Array = npt.NDArray[np.float64]
 
-#: RPC know no projection centre: positions of rays lie this far up the line of sight.
+#: Distance of the positions of rays up the line of sight: an RPC has no projection centre.
 RAY_START_M = 5e5
-#: Rays to a DEM join points this far above and below: of all its heights first, then of the height found.
+#: Margins above and below the heights of a ray to a DEM: all heights of the DEM first, then the height of its hit.
 DEM_MARGINS_M = (50.0, 5.0)
 #: Names of option ``rpc_compensation`` in the terms of the equation.
 _TERMS: Final = {"shift": "shift", "shift_drift": "drift", "affine": "affine"}
@@ -57,10 +56,9 @@ class RpcSensor(Sensor):
     Parameters
     ----------
     model : RpcModel
-        As read from a file or fitted.
-
+        From a file or fitted.
     poles : bool
-        Take the model even if a denominator changes its sign inside the image.
+        Accept the model even if a denominator changes its sign inside the image.
 
     Raises
     ------
@@ -78,12 +76,8 @@ class RpcSensor(Sensor):
         )
         self.n_lines = model.n_lines or math.floor(self.last_line) + 1
         self.n_samples = model.n_samples or math.floor(self.last_sample) + 1
-        self.notes = model.notes
-
-    @property
-    def file(self) -> str:
-        """Name of the file of the model."""
-        return self.model.file
+        self.notes, self.file = model.notes, model.file
+        self.mean_height_m = float(model.offsets[RANGE.height])
 
     def records(
         self, line: npt.ArrayLike, sample: npt.ArrayLike, reference_m: Array, origin_m: Array | None = None
@@ -116,12 +110,7 @@ class RpcSensor(Sensor):
     ) -> tuple[Array, Array]:
         """Points 500 km up the lines of sight (N, 3) m and unit viewing directions (N, 3) in ECEF.
 
-        The lines join the ground points at the lowest and the highest valid height.
-
-        Raises
-        ------
-        InputError
-            A pixel has no ground point at these heights.
+        The lines join the ground points at the lowest and the highest valid height; InputError if there is none.
         """
         return self._rays(line, sample, self.model.validity.height_m, correction)
 
@@ -149,30 +138,15 @@ class RpcSensor(Sensor):
             )
         return geodetic_to_ecef(lon, lat, h)
 
-    def locate(
-        self,
-        line: npt.ArrayLike,
-        sample: npt.ArrayLike,
-        *,
-        height_m: npt.ArrayLike | None = None,
-        dem: HeightSurface | None = None,
-        correction: npt.ArrayLike | None = None,
+    def _located(
+        self, line: Array, sample: Array, height_m: npt.ArrayLike | None, dem: HeightSurface | None, correction: Any
     ) -> Array:
-        """Ground points (N, 3) ECEF m of N pixels at ellipsoidal heights (default 0), or on a DEM.
+        """Ground points (N, 3) ECEF m; a rational function has curved lines of sight.
 
-        A rational function has bent lines of sight. On a DEM the chord over all its heights is followed,
-        then the chord about the height found; the model is asked at the last height: the pixel is
-        kept exactly.
-
-        Raises
-        ------
-        OutOfImage
-            A pixel lies outside the image.
-        InputError
-            A pixel has no ground point at its height, or the DEM does not cover it.
+        On a DEM, a ray follows first the chord over all heights of the DEM, then the chord about the height of its
+        first hit. The ground point is that of the model at the last height, so that its pixel is exact.
         """
         line, sample, h = same_length(line, sample, 0.0 if height_m is None else height_m)
-        self.require_inside(line, sample)
         if dem is not None:
             low, high = (np.full(len(line), end) for end in dem.range_m)
             for margin in DEM_MARGINS_M:
@@ -186,16 +160,11 @@ class RpcSensor(Sensor):
     def project(self, ground_m: npt.ArrayLike, correction: npt.ArrayLike | None = None) -> tuple[Array, Array]:
         """Line and sample of N ECEF points (N, 3) m; nan at a pole of the model.
 
-        Points outside the image or the validity range get what the rational function gives
-        (:meth:`is_inside`, ``model.inside`` tell them).
+        Points outside the image or the validity range get the value of the rational function, too; see
+        :meth:`is_inside` and ``model.inside``.
         """
         lon, lat, h = ellipsoid.geodetic_array(np.atleast_2d(np.ascontiguousarray(ground_m, dtype=float))).T
         return self.model.project(np.degrees(lon), np.degrees(lat), h, correction)
-
-    @property
-    def mean_height_m(self) -> float:  # type: ignore[override]  # of the model
-        """Height of the model's centre, m."""
-        return float(self.model.offsets[RANGE.height])
 
     def footprint(self) -> Array:
         """Corners at the model's mean height in image order (clockwise): (4, 2) longitude, latitude in degrees."""
@@ -216,7 +185,7 @@ class RpcSensor(Sensor):
 
 
 def compensation_parameters(options: Options, file: str = "") -> ImageParameters:
-    """Unknowns of an RPC image: the named ones, else the compensation of the options; prior sigmas in pixels.
+    """Unknowns of an RPC image: those named by the options, else their compensation; prior sigmas in pixels.
 
     Raises
     ------
@@ -233,7 +202,7 @@ def compensation_parameters(options: Options, file: str = "") -> ImageParameters
     )
 
 
-class RpcImageModel:
+class RpcImageModel(ImageModel):
     """See ``fg_orient.sensors.base.ImageModel``.
 
     Parameters
@@ -243,7 +212,7 @@ class RpcImageModel:
         Kind of the compensation and its prior sigmas.
     """
 
-    equation: Equation = RATIONAL_FUNCTION
+    equation = RATIONAL_FUNCTION
 
     def __init__(self, sensor: RpcSensor, options: Options) -> None:
         self.sensor = sensor
@@ -261,10 +230,6 @@ class RpcImageModel:
         out[list(self.parameters.codes)] = x * self.parameters.sigma
         return out
 
-    def silent_directions(self) -> list[tuple[str, Array]]:
-        """None: every term moves the image."""
-        return []
-
     def per_line(self) -> tuple[Array, tuple[str, ...]]:
         """Factors of drifts per line and of shifts; nan for terms of the sample."""
         scale = float(self.sensor.model.scales[RANGE.line])
@@ -273,7 +238,7 @@ class RpcImageModel:
         return np.array([factor for factor, _ in rows]), tuple(unit for _, unit in rows)
 
     def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
-        """Whether points lie in the ranges of longitude, latitude and height of the file: outside, cubics diverge."""
+        """Whether points lie in the validity range of the file; outside, cubics diverge."""
         lon, lat, height = ellipsoid.geodetic_array(np.ascontiguousarray(ground_m)).T
         return self.sensor.model.inside(np.degrees(lon), np.degrees(lat), height)
 

@@ -1,11 +1,11 @@
 """Digital elevation models and the intersection of rays with them.
 
-A ray meets a DEM where it first comes down to it (docs/equations.md 5). Iterating height ->
-ellipsoid -> DEM height would settle behind a ridge as readily as on it, so every ray is marched
-from the highest DEM value down, from one line between cell centres to the next, as a bilinear
-surface has its edges there; the first change of sign, at an edge or at the peak of a cell, is bisected.
-Heights of a raster without vertical CRS are ellipsoidal. With one they are brought to the ellipsoid once,
-by PROJ and its geoid grids; a missing grid is refused, as is another unit than the metre.
+The intersection is the first hit from above (docs/equations.md 5). Iterating height -> ellipsoid -> DEM height could
+converge behind a ridge. Every ray is therefore followed from the highest DEM value downwards, from one line between
+cell centres to the next, because a bilinear surface has its edges there. The first change of sign, at an edge or at
+the peak of a cell, is bisected. Heights of a raster without vertical CRS are ellipsoidal. Heights with a vertical CRS
+are converted to ellipsoidal ones once, by PROJ and its geoid grids; a missing grid and units other than the metre are
+refused.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ __all__ = ["RasterDem"]
 
 Array = npt.NDArray[np.float64]
 
-#: Height by which a hit may miss the DEM.
+#: Largest height difference of a hit and the DEM.
 TOLERANCE_M = 1e-4
-#: The march starts and ends this far above and below all DEM values (10 times the tolerance).
+#: Rays are followed from this far above to this far below all DEM values (10 times the tolerance).
 MARGIN_M = 1e-3
-#: Knots of the undulation in a DEM: the widest step, cells, and what may be lost between them.
+#: Knots of the undulation in a DEM: largest step, cells, and largest interpolation error.
 KNOT_STEP, UNDULATION_M = 32, 1e-3
 METRES = ("", "m", "metre", "metres", "meter", "meters")
 
@@ -40,8 +40,7 @@ class RasterDem:
     ----------
     path : path of any raster that rasterio reads, geographic or projected CRS, heights in m.
     vertical_crs : str, optional
-        What the heights refer to, such as ``EPSG:5773`` (EGM96), if the file does not say it. Without any they
-        are ellipsoidal.
+        CRS of the heights, such as ``EPSG:5773`` (EGM96), if the file has none. Without any they are ellipsoidal.
 
     Raises
     ------
@@ -71,7 +70,7 @@ class RasterDem:
         self._to_ellipsoid(unit, vertical_crs)
 
     def _to_ellipsoid(self, unit: str, given: str) -> None:
-        """Add the undulation of the vertical CRS, if there is one; keep the horizontal CRS."""
+        """Add the undulation of a vertical CRS; keep the horizontal CRS."""
         from fg_orient.geodesy import vertical_reference, with_vertical
 
         stated, axis_unit = vertical_reference(self._crs)
@@ -88,7 +87,7 @@ class RasterDem:
     def _undulations(self, crs: str) -> Array:
         """Undulation at the centres of all cells (rows, columns): exact at knots, bilinear between them.
 
-        The step of the knots is halved until the middles between them are met within ``UNDULATION_M``.
+        The step of the knots is halved until the error at the middles between them is at most ``UNDULATION_M``.
         """
         from fg_orient.geodesy import undulation_m
 
@@ -116,7 +115,7 @@ class RasterDem:
 
     @property
     def heights_m(self) -> Array:
-        """Heights (rows, columns), nan where there is none."""
+        """Heights (rows, columns), nan at nodata."""
         return np.asarray(self._heights)
 
     @property
@@ -125,7 +124,7 @@ class RasterDem:
         return str(self._crs)
 
     def outline(self) -> tuple[Array, Array]:
-        """Longitude and latitude (degrees) of places along the border of the raster's cell centres."""
+        """Longitude and latitude (degrees) of points along the border of the raster's cell centres."""
         from fg_orient.geodesy import to_geographic
 
         rows, columns = self._heights.shape
@@ -167,7 +166,7 @@ def _knots(n: int, step: int) -> Array:
 
 
 def _bilinear(knots: list[Array], values: Array, at: list[Array]) -> Array:
-    """Values on the grid ``at`` from those on the grid of ``knots``."""
+    """Values on the grid ``at``, interpolated from the grid of ``knots``."""
     rows = np.stack([np.interp(at[1], knots[1], row) for row in values])
     return np.stack([np.interp(at[0], knots[0], column) for column in rows.T], axis=1)
 
@@ -180,7 +179,7 @@ def _lon_lat(p: Array, u: Array, level_m: Array) -> tuple[Array, Array, Array]:
 
 
 def _depth(p: Array, u: Array, level_m: Array, dem: HeightSurface) -> tuple[Array, Array]:
-    """Points of the rays at heights ``level_m``, and how far below the DEM they are (nan: no DEM)."""
+    """Points of the rays at heights ``level_m``, and their depths below the DEM (nan: no DEM)."""
     ground, lon, lat = _lon_lat(p, u, level_m)
     return ground, dem.height_m(lon, lat) - level_m
 
@@ -188,9 +187,9 @@ def _depth(p: Array, u: Array, level_m: Array, dem: HeightSurface) -> tuple[Arra
 def on_surface(position_m: Array, direction: Array, dem: HeightSurface, file: str) -> Array:
     """First hits of N rays with a DEM: (N, 3) ECEF m.
 
-    A ray that meets nodata, or comes from outside the DEM, before its first hit and below the highest
-    DEM value is refused: unseen ground there could hide what lies behind. Two crossings within half
-    a cell, between edges of the surface, are not separated.
+    A ray that meets nodata, or comes from outside the DEM, before its first hit and below the highest DEM value is
+    refused: unknown ground there could hide the hit. Two crossings within half a cell, between edges of the surface,
+    are not separated.
 
     Parameters
     ----------
@@ -218,50 +217,37 @@ def landed(
     position_m: Array, direction: Array, height_m: npt.ArrayLike | None, dem: HeightSurface | None,
     pixels: tuple[Array, Array], file: str,
 ) -> Array:  # fmt: skip
-    """Points of N rays on a DEM, or at ellipsoidal heights (default 0): see :func:`on_surface`, :func:`at_height`."""
-    if dem is not None:
-        return on_surface(position_m, direction, dem, file)
-    h = np.broadcast_to(np.asarray(0.0 if height_m is None else height_m, float), pixels[0].shape)
-    return at_height(position_m, direction, h, pixels, file)
+    """Points (N, 3) ECEF m of N rays on a DEM (:func:`on_surface`), or at ellipsoidal heights (default 0).
 
-
-def at_height(position_m: Array, direction: Array, height_m: Array, pixels: tuple[Array, Array], file: str) -> Array:
-    """Points of N rays at ellipsoidal heights: (N, 3) ECEF m.
-
-    Parameters
-    ----------
-    position_m, direction : (N, 3) arrays
-        Rays, ECEF.
-    height_m : (N,) array
-    pixels : two (N,) arrays
-        Line and sample of the rays, for messages.
-    file : str
-        Metadata file of the rays, for messages.
+    ``pixels`` are two (N,) arrays, line and sample of the rays; they and ``file`` are for messages.
 
     Raises
     ------
     InputError
-        A ray does not come down to its height.
+        A ray does not reach its height or the DEM.
     """
-    # a copy: one height for all rays is an array that may not be written to, for which the kernel is compiled again
-    ground = ellipsoid.intersect(position_m, direction, np.array(height_m, float))
+    if dem is not None:
+        return on_surface(position_m, direction, dem, file)
+    # a copy: the kernel would be compiled again for a read-only array, which one height for all rays gives
+    h = np.array(np.broadcast_to(np.asarray(0.0 if height_m is None else height_m, float), pixels[0].shape))
+    ground = ellipsoid.intersect(position_m, direction, h)
     bad = np.flatnonzero(~np.isfinite(ground).all(axis=1))
     if len(bad):
         line, sample = (values[bad[0]] for values in pixels)
         raise InputError.of("sensor.ray_misses", file=file, place=f"line {line:g}, sample {sample:g}",
-                            value=f"height {height_m[bad[0]]:g} m")  # fmt: skip
+                            value=f"height {h[bad[0]]:g} m")  # fmt: skip
     return np.asarray(ground)
 
 
 def _bracket(p: Array, u: Array, dem: HeightSurface) -> tuple[Array, Array]:
-    """Heights just above and below the first hit of each ray: the march; nan where there is none."""
+    """Heights just above and below the first hit of each ray; nan without a hit."""
     top, bottom = dem.range_m[1] + MARGIN_M, dem.range_m[0] - MARGIN_M
     lines = _GridLines(*(_cells(p, u, level, dem) for level in (top, bottom)))
     above, below = np.full(len(p), np.nan), np.full(len(p), np.nan)
     going, last, t = np.arange(len(p)), np.full(len(p), top), np.zeros(len(p))  # nothing rises to the top
     depth = _depth(p, u, last, dem)[1]
     while len(going):
-        # along a ray the surface of one cell is a parabola: three depths give its peak, too
+        # along a ray the surface of one cell is a parabola: three depths determine its peak
         start, ahead = t[going], lines.after(going)
         level = top + (bottom - top) * (start + np.array([[0.5], [1.0]]) * (ahead - start))
         middle, end = (_depth(p[going], u[going], h, dem)[1] for h in level)
@@ -280,11 +266,11 @@ def _bracket(p: Array, u: Array, dem: HeightSurface) -> tuple[Array, Array]:
 
 
 def _peak(start: Array, middle: Array, end: Array) -> Array:
-    """Place (0 to 1) of the highest point of parabolas through three values, nan unless it is inside and reaches 0."""
+    """Position (0 to 1) of the peak of parabolas through three values, nan unless it is inside and reaches 0."""
     curve, slope = 2.0 * (start - 2.0 * middle + end), 4.0 * middle - 3.0 * start - end
     with np.errstate(divide="ignore", invalid="ignore"):
         x = -0.5 * slope / curve
-        # within a centimetre of 0 the surface itself is asked
+        # within a centimetre of 0 the depth is computed from the surface
         return np.where((curve < 0.0) & (x > 0.0) & (x < 1.0) & (start + 0.5 * slope * x > -0.01), x, np.nan)
 
 
@@ -302,10 +288,10 @@ def _cells(p: Array, u: Array, level_m: float, dem: HeightSurface) -> Array:
 
 
 class _GridLines:
-    """Crossings of N straight paths with the lines between cell centres, one after the other.
+    """Successive crossings of N straight paths with the lines between cell centres.
 
     Paths run from ``start`` to ``end`` (N, 2) rows and columns, t = 0 to 1 (Amanatides & Woo 1987).
-    A ray bends by centimetres against its path over some kilometres.
+    A ray deviates from its straight path by centimetres over some kilometres.
     """
 
     def __init__(self, start: Array, end: Array) -> None:
@@ -315,7 +301,7 @@ class _GridLines:
         self._sign = sign
 
     def after(self, path: npt.NDArray[np.intp]) -> Array:
-        """Give t of the next crossing of these paths, 1 where none is left or the path is nan."""
+        """Parameter t of the next crossing of these paths, 1 if there is no further crossing or the path is nan."""
         travel = self._travel[path]
         with np.errstate(divide="ignore", invalid="ignore"):
             t = (self._line[path] - self._start[path]) / travel
@@ -326,7 +312,7 @@ class _GridLines:
 
 
 def _bisect(p: Array, u: Array, above: Array, below: Array, dem: HeightSurface) -> tuple[Array, Array]:
-    """Points of the rays between the two heights on the DEM, and what is left; nan where a height is."""
+    """Points of the rays on the DEM between two heights, and the remaining depths; nan for nan heights."""
     widest = float(np.nan_to_num(above - below).max(initial=TOLERANCE_M))
     for _ in range(int(np.ceil(np.log2(widest / TOLERANCE_M)))):
         middle = 0.5 * (above + below)

@@ -1,10 +1,9 @@
 """Viewing geometry of images: footprints, ground sampling distance, incidence, convergence, base to height.
 
-All from rays of the sensor, so it is the same for rigorous models, RPC and frame images, with or without a
-correction. At a ground point a ray has the *lean* (East, North metres per metre of height) with which a
-point's image moves if its height is wrong; the ratio of base and height of two rays is the length of the
-difference of their leans, which needs no projection centre (an RPC has none) and is ``tan a + tan b``
-for rays in one vertical plane.
+All values are computed from rays of the sensor, in the same way for rigorous models, RPC and frame images, with or
+without a correction. The *lean* of a ray at a ground point is its horizontal displacement (East, North) in metres per
+metre of height. The ratio of base and height of two rays is the length of the difference of their leans. It needs no
+projection centre (an RPC has none) and is ``tan a + tan b`` for rays in one vertical plane.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ from fg_orient.sensors.correction import HeightSurface
 
 Array = npt.NDArray[np.float64]
 
-#: Points per side of a footprint, and of the grid on which ranges and common ground are looked for.
+#: Points per side of a footprint, and of the grid for ranges and common ground.
 SIDE: Final = 17
 GRID: Final = 9
 
 
 class View:
-    """One image and where its ground is; with adjusted orientation its sensor is an ``OrientedSensor``.
+    """One image and its ground surface; with adjusted orientation its sensor is an ``OrientedSensor``.
 
     Parameters
     ----------
@@ -76,7 +75,7 @@ def _degrees(ground_m: Array) -> tuple[Array, Array]:
 def footprint(view: View) -> Array:
     """Border of the image on the ground, clockwise in the image, not closed: (4 (SIDE - 1), 2) degrees.
 
-    Longitudes go on without a jump where the border crosses the 180th meridian.
+    Longitudes are continuous where the border crosses the 180th meridian.
     """
     s = view.sensor
     low, high = np.array([s.first_line - 0.5, s.first_sample - 0.5]), np.array([s.last_line + 0.5, s.last_sample + 0.5])
@@ -88,7 +87,7 @@ def footprint(view: View) -> Array:
 
 
 def image_record(view: View) -> dict[str, Any]:
-    """Describe how one image looks at the ground.
+    """Viewing geometry of one image.
 
     Returns
     -------
@@ -122,7 +121,7 @@ def image_record(view: View) -> dict[str, Any]:
 
 
 def _sampling(view: View, line: Array, sample: Array) -> tuple[Array, Array]:
-    """Ground distances (n,) of half a pixel to either side, along lines and samples; the border is inside."""
+    """Ground distances (n,) over a pixel, half a pixel to either side, along lines and samples."""
     out = []
     for dl, ds in ((0.5, 0.0), (0.0, 0.5)):
         low, high = (view.ground(line + sign * dl, sample + sign * ds) for sign in (-1.0, 1.0))
@@ -131,7 +130,7 @@ def _sampling(view: View, line: Array, sample: Array) -> tuple[Array, Array]:
 
 
 def _area_m2(ring_deg: Array) -> float:
-    """Area of a polygon on the ellipsoid (Lambert's equal-area cylinder, edges straight there).
+    """Area of a polygon on the ellipsoid (Lambert's cylindrical equal-area projection, with straight edges).
 
     Authalic latitude: Snyder 1987, Map Projections, eq. 3-12.
     """
@@ -142,16 +141,16 @@ def _area_m2(ring_deg: Array) -> float:
 
 
 def pair_record(first: View, second: View) -> dict[str, Any]:
-    """Describe how two images see their common ground.
+    """Viewing geometry of two images on their common ground.
 
     Returns
     -------
     dict
         ``images``; at the middle of the common ground ``lon_deg``, ``lat_deg``, ``convergence_deg`` (angle of
         the rays), ``base_to_height`` (length of the difference of their leans), ``bisector_elevation_deg``
-        (90: the rays lean symmetrically), ``asymmetry_deg`` (bisector against the projection of the vertical on
-        the plane of the rays); ``overlap``: part of the first image that the second sees. All None, and overlap 0,
-        if there is no common ground.
+        (90: symmetric rays), ``asymmetry_deg`` (angle of the bisector and the projection of the vertical on the plane
+        of the rays); ``overlap``: part of the first image that the second image shows. Without common ground, overlap
+        is 0 and all others are None.
 
     Raises
     ------

@@ -44,7 +44,7 @@ def test_matches_become_tables_and_a_database(tmp_path: Path) -> None:
     assert "--image-size a=LINES,SAMPLES" in refused.stderr
     ended = in_process(*words, "--image-size", "a=100,200", "--image-size", "b=100,200", "--json")
     assert (ended.code, ended.json["image_points"], ended.json["tie"]) == (0, 4, 2)
-    survey = read_colmap_database(tmp_path / "ties.db").survey()
+    survey = read_colmap_database(tmp_path / "ties.db")
     assert sorted(survey.observed.line.tolist()) == [10.25, 11.25, 30.0, 31.0]
 
 

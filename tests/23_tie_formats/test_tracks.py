@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fg_orient.formats.exchange.ties import Tracks, conflicts, join
+from fg_orient.formats.exchange.ties import Tracks, conflict_note, join
 from tests.support.work import counted
 
 
@@ -27,7 +27,7 @@ def union_find(n: int, matches: list[tuple[int, int]]) -> dict[int, set[int]]:
 
 
 def members(tracks: Tracks) -> list[set[int]]:
-    return [set(tracks.keypoint[tracks.track == k].tolist()) for k in range(tracks.n_tracks)]
+    return [set(tracks.keypoint[tracks.track == k].tolist()) for k in range(tracks.n)]
 
 
 @pytest.mark.oracle
@@ -38,14 +38,13 @@ def test_tracks_are_those_of_a_union_find_and_chains_with_two_places_of_an_image
         image = rng.integers(0, 5, 60)
         line, sample = rng.permutation(60).astype(float), rng.permutation(60).astype(float)
         pairs = [(int(a), int(b)) for a, b in rng.integers(0, 60, (25, 2)) if image[a] != image[b]]
-        found = join(image, line, sample, np.array(pairs))
+        found, out = join(image, line, sample, np.array(pairs))
         sets = union_find(60, pairs)
         single = {first: s for first, s in sets.items() if len({image[k] for k in s}) == len(s)}
         assert members(found) == [single[first] for first in sorted(single)]
-        assert found.n_conflicts == len(sets) - len(single)
-        n_conflicts += found.n_conflicts
-        assert set(found.conflict_keypoint.tolist()) == set().union(*(s for f, s in sets.items() if f not in single))
-        assert found.rays.tolist() == [len(single[first]) for first in sorted(single)]
+        assert out.n == len(sets) - len(single)
+        n_conflicts += out.n
+        assert set(out.keypoint.tolist()) == set().union(*(s for f, s in sets.items() if f not in single))
     assert n_conflicts > 20
 
 
@@ -53,9 +52,9 @@ def test_tracks_are_those_of_a_union_find_and_chains_with_two_places_of_an_image
 def test_keypoints_at_one_pixel_of_one_image_are_one() -> None:
     image = np.array([0, 0, 1, 2])
     line, sample = np.array([5.0, 5.0, 1.0, 2.0]), np.array([7.0, 7.0, 3.0, 4.0])
-    found = join(image, line, sample, np.array([[0, 2], [1, 3]]))
+    found, _ = join(image, line, sample, np.array([[0, 2], [1, 3]]))
     assert members(found) == [{0, 2, 3}]
-    apart = join(image, line + np.array([0.0, 1e-9, 0.0, 0.0]), sample, np.array([[0, 2], [1, 3]]))
+    apart, _ = join(image, line + np.array([0.0, 1e-9, 0.0, 0.0]), sample, np.array([[0, 2], [1, 3]]))
     assert members(apart) == [{0, 2}, {1, 3}]
 
 
@@ -63,22 +62,22 @@ def test_keypoints_at_one_pixel_of_one_image_are_one() -> None:
 def test_a_conflict_is_told_with_its_image_and_places() -> None:
     image = np.array([0, 1, 2, 0, 0, 1])
     line, sample = np.array([1.5, 2, 3, 4, 8, 9]), np.array([10.0, 20, 30, 40, 80, 90])
-    found = join(image, line, sample, np.array([[0, 1], [1, 2], [2, 3], [4, 5]]))
+    found, out = join(image, line, sample, np.array([[0, 1], [1, 2], [2, 3], [4, 5]]))
     assert members(found) == [{4, 5}]
-    (told,) = conflicts(found, ["a", "b", "c"], image, line, sample)
+    (told,) = conflict_note(found.n, out, ["a", "b", "c"], image, line, sample)
     assert str(told) == (
         "1 of 2 tie points left out (4 image points): their matches chain two places of one image, the first "
         "(1.5, 10) and (4, 40) of a"
     )
-    good = join(image, line, sample, np.array([[4, 5]]))
-    assert conflicts(good, ["a", "b", "c"], image, line, sample) == ()
+    good, none = join(image, line, sample, np.array([[4, 5]]))
+    assert conflict_note(good.n, none, ["a", "b", "c"], image, line, sample) == ()
 
 
 @pytest.mark.behaviour
 def test_nothing_matched_is_no_tie_point() -> None:
-    found = join(np.array([0, 1]), np.zeros(2), np.zeros(2), np.empty((0, 2)))
-    assert (found.n_tracks, len(found.keypoint), found.n_conflicts) == (0, 0, 0)
-    assert join(np.array([], int), np.array([]), np.array([]), np.empty((0, 2))).n_tracks == 0
+    found, out = join(np.array([0, 1]), np.zeros(2), np.zeros(2), np.empty((0, 2)))
+    assert (found.n, len(found.keypoint), out.n) == (0, 0, 0)
+    assert join(np.array([], int), np.array([]), np.array([]), np.empty((0, 2)))[0].n == 0
 
 
 @pytest.mark.behaviour
@@ -103,7 +102,7 @@ def joined(n: int) -> int:
     matches = np.concatenate([pair, pair + n])
     line, sample = rng.uniform(0.0, 1e4, (2, 3 * n))
     with counted() as calls:
-        found = join(image, line, sample, matches)
-    assert (found.n_tracks, found.n_conflicts) == (n, 0)
+        found, out = join(image, line, sample, matches)
+    assert (found.n, out.n) == (n, 0)
     assert np.array_equal(point[found.keypoint], found.track)
     return calls.count

@@ -52,8 +52,7 @@ def line_sensor(found: Replay, located: list[Location]) -> GeneralPushbroom:
 def from_rays(sensor: GeneralPushbroom, ground: np.ndarray) -> np.ndarray:
     """Distances of points from the rays of samples 0, 1, ... of line 0."""
     sample = np.arange(len(ground), dtype=float)
-    distance = np.linalg.norm(ground - sensor.states(0.0).position_m, axis=1)
-    p, u = sensor.rays(0.0, sample, None, distance)
+    p, u = sensor.rays(0.0, sample, None, ground - sensor.states(0.0).position_m)
     return np.linalg.norm(np.cross(ground - p, u), axis=1)
 
 

@@ -13,7 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from factors.geometry.rotations import quaternion_matrices
-from fg_orient.sensors.metadata import Attitude, DirectionTable, GeneralMetadata, LightEffects, LineTiming, Orbit
+from fg_orient.sensors.metadata import (
+    DirectionTable,
+    Ephemeris,
+    GeneralMetadata,
+    LightEffects,
+    LineTiming,
+    QuaternionList,
+)
 
 Array = np.ndarray
 #: States are sampled this far around a transform, s: eight of them, as the interpolation takes.
@@ -215,16 +222,16 @@ def _transform(words: list[str], time_s: float) -> Transform:
     return Transform(time_s, _angular(words[:k]), _numbers(words[k:], "p", "v", "a"), _angular(words[k:]))
 
 
-def orbit_and_attitude(t: Transform) -> tuple[Orbit, Attitude]:
+def orbit_and_attitude(t: Transform) -> tuple[Ephemeris, QuaternionList]:
     """States around a transform, as a sensor description has them: inertial axes, quaternions."""
     states = [t.state(float(dt)) for dt in SAMPLES_S]
     times = t.time_s + SAMPLES_S
-    orbit = Orbit("EME2000", times, np.array([s[0] for s in states]), np.array([s[1] for s in states]))
+    orbit = Ephemeris(times, np.array([s[0] for s in states]), np.array([s[1] for s in states]), "EME2000")
     # dense where locations are: with 2e-4 rad/s2, 5 ms between nodes would cost 0.5 mm
     fine = np.union1d(np.linspace(SAMPLES_S[0], SAMPLES_S[-1], 141), np.linspace(-1e-3, 1e-3, 81))
     q = np.array([quaternion_of(t.spacecraft.at(float(dt)) @ DOWN) for dt in fine])
     q *= np.where(np.einsum("ij,j->i", q, q[0]) < 0.0, -1.0, 1.0)[:, None]
-    return orbit, Attitude("EME2000", t.time_s + fine, quaternion=q)
+    return orbit, QuaternionList(t.time_s + fine, q, "EME2000")
 
 
 def quaternion_of(m: Array) -> Array:
@@ -249,6 +256,6 @@ def sensor_metadata(
     return GeneralMetadata(
         file=replay.path.name, mission="replay", instrument="", epoch=replay.epoch, n_lines=n_lines,
         n_samples=int(samples[-1]) + 1, timing=LineTiming(reference_line, float(times_s[0]), line_period_s),
-        camera=table, offset_m=DOWN @ position, mounting=np.eye(3), orbit=orbit, attitude=attitude, earth=t,
+        look=table, offset_m=DOWN @ position, mounting=np.eye(3), ephemeris=orbit, attitude=attitude, earth=t,
         effects=effects,
     )  # fmt: skip

@@ -1,13 +1,13 @@
 """Interest point matches of the Ames Stereo Pipeline: binary files ``PREFIX-LEFT__RIGHT.match`` of image pairs.
 
-Two counts (uint64), then the interest points of the left image and as many of the right one: the k-th of both match. A
-record, packed, little-endian: x, y (float32), ix, iy (int32), orientation, scale, interest (float32), polarity (one
-byte), octave, scale level (uint32), length of the descriptor (uint64), descriptor (float32 each). x is the column,
-y the row, (0, 0) the centre of the first pixel.
+Two counts (uint64), then the interest points of the left image and the same number of the right one: the k-th points
+match. A record, packed, little-endian: x, y (float32), ix, iy (int32), orientation, scale, interest (float32),
+polarity (one byte), octave, scale level (uint32), length of the descriptor (uint64), descriptor (float32 each). x is
+the column, y the row, (0, 0) the centre of the first pixel.
 
-The layout is that of a description, no file of the program was at hand: the format counts as unverified. The reader
-therefore insists on what a wrong layout would not fulfil: equal counts, a polarity of 0 or 1, finite pixels next
-to their whole-numbered ones, and no byte left over.
+The layout is from a description; no file of the program was available, and the format is unverified. The reader
+therefore checks conditions that a wrong layout would violate: equal counts, a polarity of 0 or 1, finite pixels next
+to their whole-numbered ones, and no remaining byte.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ RECORD: Final = np.dtype([
     ("x", "<f4"), ("y", "<f4"), ("ix", "<i4"), ("iy", "<i4"), ("orientation", "<f4"), ("scale", "<f4"),
     ("interest", "<f4"), ("polarity", "u1"), ("octave", "<u4"), ("level", "<u4"), ("length", "<u8"),
 ])  # fmt: skip
-#: Whole-numbered and exact pixel differ by less than this: rounding or truncation.
+#: Limit of the difference of whole-numbered and exact pixel, by rounding or truncation.
 WHOLE: Final = 1.0 + 1e-3
-#: Stands between prefix and images, and between the images, in a file's name.
+#: Text between prefix and images, and between the images, in the name of a file.
 _BEFORE, _BETWEEN = "-", "__"
 
 
@@ -73,23 +73,14 @@ def read_match(path: str | Path) -> tuple[Array, Array]:
 
 
 def _records(raw: bytes, n: int) -> tuple[npt.NDArray[Any], int]:
-    """N records without their descriptors, and the place behind the last one (nonsense if the file is truncated)."""
-    if not n:
-        return np.empty(0, RECORD), 16
-    length = int(np.frombuffer(raw, RECORD, 1, 16)["length"][0])
-    size = RECORD.itemsize + 4 * length
-    if 16 + n * size == len(raw):  # descriptors are all equally long: almost always
-        whole = np.dtype([("head", RECORD), ("descriptor", f"V{4 * length}")])
-        heads = np.frombuffer(raw, whole, n, 16)["head"]
-        if (heads["length"] == length).all():
-            return heads, len(raw)
-    found, at = np.zeros(n, RECORD), 16
-    for k in range(n):
-        if at + RECORD.itemsize > len(raw):
-            return found, -1
-        found[k] = np.frombuffer(raw, RECORD, 1, at)[0]
-        at += RECORD.itemsize + 4 * int(found[k]["length"])
-    return found, at
+    """N records without their descriptors, and the position behind them; zeros and -1 if the file is too short."""
+    heads, at, size = [], 16, RECORD.itemsize
+    for _ in range(n):
+        if at + size > len(raw):
+            return np.zeros(n, RECORD), -1
+        heads.append(raw[at : at + size])
+        at += size + 4 * int.from_bytes(heads[-1][-8:], "little")
+    return np.frombuffer(b"".join(heads), RECORD), at
 
 
 def write_match(path: str | Path, left: Array, right: Array) -> None:
@@ -140,14 +131,14 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
 
 
 def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
-    """Write one file for two images, whose name tells them, or a folder of ``run-A__B.match`` for all pairs."""
+    """Write one file for two images, or a folder with a file ``run-A__B.match`` for each pair."""
     o = survey.observed
     pixels = np.column_stack([o.line, o.sample])
     pairs = pairs_of(o.image, o.point)
     if paths[0].suffix == ".match":
         if len(survey.images) != 2:
             raise InputError.of("match.pair", file=paths[0].name, value=f"{len(survey.images)} images")
-        images_of(paths[0])  # a name that does not tell the images would be refused on reading
+        images_of(paths[0])  # the reader would refuse a name without the images
         rows = pairs.get((0, 1), np.empty((0, 2), np.intp))
         write_match(paths[0], pixels[rows[:, 0]], pixels[rows[:, 1]])
         return
@@ -158,7 +149,7 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
 
 
 def _plain(images: Sequence[str], k: int) -> str:
-    """Name of an image that a file's name can hold."""
+    """Name of an image that the name of a file can contain."""
     if _BETWEEN in images[k] or "/" in images[k] or "\\" in images[k] or images[k].startswith("_"):
         raise InputError.of("match.image", value=images[k])
     return images[k]

@@ -1,8 +1,8 @@
-"""Databases of COLMAP (SQLite): cameras, images, keypoints and matches of image pairs, read and written.
+"""Databases of COLMAP (SQLite): images, keypoints and matches of image pairs, read and written.
 
 Keypoints are (x, y) with (0.5, 0.5) in the centre of the first pixel, single precision: a place at 10 000 px is
-rounded by up to 0.0005 px. ``matches`` holds what was matched, ``two_view_geometries`` what fitted the geometry of
-the pair; a pair's number is 2147483647 times the smaller image id plus the larger one.
+rounded by up to 0.0005 px. ``matches`` contains all matches, ``two_view_geometries`` those that fit the geometry of the
+pair. The number of a pair is 2147483647 times the smaller image id plus the larger one.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
@@ -19,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.atomic import staged_file
-from fg_orient.formats.exchange.colmap_text import FIRST_PIXEL, MODEL_IDS, interior_of, parameters_of
+from fg_orient.formats.exchange.colmap_text import FIRST_PIXEL, MODEL_IDS, parameters_of
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.ties import matched_survey, pairs_of
 from fg_orient.formats.registry import TIES_ONLY, Format, Settings
@@ -31,7 +30,7 @@ Index = npt.NDArray[np.intp]
 
 #: A pair's number is this times its smaller image id plus its larger one.
 PAIR: Final = 2147483647
-#: Focal length of an unknown camera, in longer sides of the image (COLMAP's own guess), and marked as a guess.
+#: Focal length of an unknown camera in longer sides of the image, as COLMAP guesses it.
 FOCAL_GUESS: Final = 1.2
 _SCHEMA: Final = """
 CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, model INTEGER NOT NULL,
@@ -44,120 +43,54 @@ CREATE TABLE matches (pair_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NUL
 """
 
 
-@dataclass(frozen=True, eq=False)
-class ColmapDatabase:
-    """Contents of a database.
-
-    Parameters
-    ----------
-    images : tuple of str
-        Names, in the order of their ids.
-    camera_of : tuple of int
-        Camera of each image.
-    image : (n,) int array
-        Image of each keypoint.
-    line, sample : (n,) arrays
-        Its pixel, (0, 0) in the centre of the first one.
-    matches : (m, 2) int array
-        Rows of matched keypoints.
-    verified : bool
-        Whether these come from ``two_view_geometries``.
-    camera_rows : mapping of int to tuple
-        Number of the model, width, height, parameters of each camera, for :meth:`camera`.
-    file : str
-    """
-
-    images: tuple[str, ...]
-    camera_of: tuple[int, ...]
-    image: Index
-    line: Array
-    sample: Array
-    matches: Index
-    verified: bool
-    camera_rows: Mapping[int, tuple[int, int, int, tuple[float, ...]]]
-    file: str
-
-    def camera(self, number: int) -> Interior:
-        """Interior orientation of a camera.
-
-        Raises
-        ------
-        InputError
-            Its model has no counterpart here.
-        """
-        model, width, height, parameters = self.camera_rows[number]
-        name = MODEL_IDS.get(model, f"number {model}")
-        place = f"camera {number}"
-        return interior_of(name, (width, height), parameters, str(number), file=self.file, place=place)
-
-    def survey(self) -> Survey:
-        """Tie points of the matches."""
-        kind = "geometrically verified" if self.verified else "unverified"
-        notes = (finding("points.matches", n=len(self.matches), kind=kind),)
-        return matched_survey(self.images, self.image, self.line, self.sample, self.matches, notes)
-
-
-def read_colmap_database(path: str | Path, *, verified: bool | None = None) -> ColmapDatabase:
-    """Read a database.
-
-    Parameters
-    ----------
-    path : str or Path
-    verified : bool, optional
-        Take the matches of ``two_view_geometries`` (True) or of ``matches`` (False); by default the first if there
-        are any.
+def read_colmap_database(path: str | Path) -> Survey:
+    """Read the tie points of a database: matches of ``two_view_geometries``, else those of ``matches``.
 
     Raises
     ------
     InputError
-        The file is no such database, or damaged: with the table and the id.
+        The file is not such a database, or is damaged: names the table and the id.
     """
     path = Path(path)
     if not path.is_file():
         raise InputError.of("ties.missing", file=path.name, value=str(path), needed="a database of COLMAP")
     try:
         with closing(sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro", uri=True)) as opened:
-            return _read(opened, path.name, verified)
-    except (sqlite3.Error, TypeError) as error:  # columns of SQLite hold any type
+            return _read(opened, path.name)
+    except (sqlite3.Error, TypeError) as error:  # columns of SQLite may have any type
         raise InputError.of("colmap.database", file=path.name, value=error) from None
 
 
-def _read(opened: sqlite3.Connection, file: str, verified: bool | None) -> ColmapDatabase:
-    cameras = {}
-    for k, model, width, height, data in opened.execute("SELECT camera_id, model, width, height, params FROM cameras"):
-        values = _blob(file, f"cameras {k}", data, len(data or b"") // 8, 1, "<f8")
-        cameras[k] = (model, width, height, tuple(values[:, 0].tolist()))
-    rows = opened.execute("SELECT image_id, name, camera_id FROM images ORDER BY image_id").fetchall()
-    position = {number: k for k, (number, _, _) in enumerate(rows)}
+def _read(opened: sqlite3.Connection, file: str) -> Survey:
+    rows = opened.execute("SELECT image_id, name FROM images ORDER BY image_id").fetchall()
+    position = {number: k for k, (number, _) in enumerate(rows)}
     keypoints = [np.empty((0, 2), np.float32)] * len(rows)
     for number, n, columns, data in opened.execute("SELECT image_id, rows, cols, data FROM keypoints"):
         place = f"keypoints of image {number}"
         if number not in position:
             raise InputError.of("colmap.reference", file=file, place=place, value=number, kind="image", other="images")
-        found = _blob(file, place, data, n, columns, "<f4")
-        if n and (columns < 2 or not np.isfinite(found[:, :2]).all()):
+        values = _blob(file, place, data, n, columns, "<f4")
+        if n and (columns < 2 or not np.isfinite(values[:, :2]).all()):
             raise InputError.of("colmap.blob", file=file, place=place, value=f"{n} x {columns}, or not finite")
-        keypoints[position[number]] = found[:, :2]
+        keypoints[position[number]] = values[:, :2]
     first = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.intp)
-    matches, from_geometry = _matches(opened, file, position, first, verified)
+    matches, kind = _matches(opened, file, position, first)
     xy = np.concatenate([np.empty((0, 2), np.float32), *keypoints]).astype(float) - FIRST_PIXEL
-    image = np.repeat(np.arange(len(rows)), np.diff(first))
-    return ColmapDatabase(
-        tuple(str(name) for _, name, _ in rows), tuple(camera for _, _, camera in rows), image, xy[:, 1], xy[:, 0],
-        matches, from_geometry, cameras, file,
-    )  # fmt: skip
+    image, notes = (
+        np.repeat(np.arange(len(rows)), np.diff(first)),
+        (finding("points.matches", n=len(matches), kind=kind),),
+    )
+    return matched_survey(tuple(str(name) for _, name in rows), image, xy[:, 1], xy[:, 0], matches, notes)
 
 
-def _matches(
-    opened: sqlite3.Connection, file: str, position: Mapping[int, int], first: Index, verified: bool | None
-) -> tuple[Index, bool]:
-    """Rows of matched keypoints (m, 2), and whether they are those that fitted the geometry."""
+def _matches(opened: sqlite3.Connection, file: str, position: Mapping[int, int], first: Index) -> tuple[Index, str]:
+    """Rows of matched keypoints (m, 2), and the kind of the matches in words."""
     tables = {name for (name,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-    if verified is None:
-        there = "two_view_geometries" in tables
-        verified = there and opened.execute("SELECT sum(rows) FROM two_view_geometries").fetchone()[0] not in (None, 0)
+    verified = "two_view_geometries" in tables and bool(
+        opened.execute("SELECT sum(rows) FROM two_view_geometries").fetchone()[0]
+    )
     table = "two_view_geometries" if verified else "matches"
-    found = [np.empty((0, 2), np.intp)]
+    parts = [np.empty((0, 2), np.intp)]
     for pair, n, columns, data in opened.execute(f"SELECT pair_id, rows, cols, data FROM {table} WHERE rows > 0"):
         ids = divmod(pair, PAIR)
         place = f"{table} of images {ids[0]} and {ids[1]}"
@@ -168,8 +101,8 @@ def _matches(
         counts = np.array([first[position[k] + 1] for k in ids]) - start
         if columns != 2 or (rows >= counts).any():
             raise InputError.of("colmap.blob", file=file, place=place, value=f"keypoint {rows.max()} of {counts}")
-        found.append(rows + start)
-    return np.concatenate(found), verified
+        parts.append(rows + start)
+    return np.concatenate(parts), "geometrically verified" if verified else "unverified"
 
 
 def _blob(file: str, place: str, data: Any, rows: int, columns: int, kind: str) -> npt.NDArray[Any]:
@@ -186,7 +119,7 @@ def write_colmap_database(
 ) -> float:  # fmt: skip
     """Write the image points of a survey as keypoints and matches of all pairs.
 
-    Nothing is written to ``two_view_geometries``: whether matches fit a geometry is for COLMAP to test.
+    Nothing is written to ``two_view_geometries``: COLMAP tests whether matches fit a geometry.
 
     Parameters
     ----------
@@ -195,7 +128,7 @@ def write_colmap_database(
     sizes : mapping of str to (n_lines, n_samples)
         Of the images.
     cameras : mapping of str to Interior, optional
-        Of the images that have one; the others get a pinhole camera whose focal length is marked as a guess.
+        Cameras of images; other images get a pinhole camera whose focal length is marked as a guess.
 
     Returns
     -------
@@ -205,7 +138,7 @@ def write_colmap_database(
     Raises
     ------
     InputError
-        The size of an image is not known, the file exists or cannot be written.
+        The size of an image is unknown, the file exists or cannot be written.
     """
     path, cameras = Path(path), cameras or {}
     if path.exists() and not overwrite:
@@ -250,11 +183,11 @@ def _camera_record(
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     """Read the tie points of a database."""
-    return read_colmap_database(paths[0]).survey()
+    return read_colmap_database(paths[0])
 
 
 def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
-    """Write a database; what single precision rounds is lost."""
+    """Write a database; the finding states the rounding to single precision."""
     rounding = write_colmap_database(paths[0], survey, settings.image_sizes, overwrite=True)
     if rounding == 0.0:
         return ()

@@ -41,30 +41,15 @@ def read_survey(
     paths: Sequence[Path], format_: Format, settings: Settings, *, accept_unverified: bool = False,
     scenes: Sequence[Scene] = (),
 ) -> tuple[Survey, tuple[Finding, ...]]:  # fmt: skip
-    """Read the files of a format and check them.
+    """Read and check the files of a format; the result is the survey with remarks.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        One file, or two of a format that has two.
-    format_ : Format
-        Of these files.
-    settings : Settings
-        Information that the files lack.
-    accept_unverified : bool
-        Read a format whose reader was never tried on a file of its program.
-    scenes : sequence of Scene
-        Footprints of the images: points far from all of them are refused.
-
-    Returns
-    -------
-    tuple
-        The survey and remarks.
+    ``settings`` supply information that the files lack. ``accept_unverified``: read a format whose reader was never
+    tried on a file of its program. ``scenes``: footprints of the images; points far from all of them are refused.
 
     Raises
     ------
     InputError
-        Anything is wrong with the files.
+        A file is faulty.
     """
     file = paths[0]
     if format_.read is None:
@@ -125,25 +110,10 @@ def _with_sigmas(o: ImagePoints, sigma_px: Two | None) -> ImagePoints:
 def write_survey(
     survey: Survey, paths: Sequence[Path], format_: Format, settings: Settings, *, overwrite: bool = False
 ) -> tuple[tuple[Path, ...], tuple[Finding, ...]]:
-    """Write a survey in a format.
+    """Write a survey in a format; the result is the written files and a finding per kind of lost information.
 
-    Parameters
-    ----------
-    survey : Survey
-        Points in any CRS.
-    paths : sequence of Path
-        One name, or one for each file of the format.
-    format_ : Format
-        To be written.
-    settings : Settings
-        ``crs`` is the CRS of the output; "" keeps that of the survey, unless the format requires another.
-    overwrite : bool
-        Replace existing files.
-
-    Returns
-    -------
-    tuple
-        Files written, and one finding for each kind of information that is lost.
+    ``paths`` are one name, or one for each file of the format. ``settings.crs`` is the CRS of the output; "" keeps that
+    of the survey, unless the format requires another.
 
     Raises
     ------
@@ -210,25 +180,9 @@ def convert_model(
     paths: Sequence[Path], reader: Format, out: Path, writer: Format, settings: Settings, *,
     accept_unverified: bool = False, overwrite: bool = False,
 ) -> tuple[FrameModel, tuple[Finding, ...]]:  # fmt: skip
-    """Read a frame model and write it in another format.
+    """Read a frame model and write it in another format; the result is the model and a finding per loss.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files of the format that is read.
-    reader, writer : Format
-        Formats with ``read_model`` and with ``write_model``.
-    out : Path
-        File or folder to write.
-    settings : Settings
-        ``image_sizes`` for formats that lack them.
-    accept_unverified, overwrite : bool
-
-    Returns
-    -------
-    model : FrameModel
-    lost : tuple of Finding
-        Information that the new format cannot hold.
+    ``settings.image_sizes`` are for formats that lack them.
 
     Raises
     ------
@@ -248,30 +202,20 @@ def convert_model(
 
 
 def losses(survey: Survey, format_: Format, file: str) -> tuple[Finding, ...]:
-    """List information of the survey that the format cannot hold.
-
-    Parameters
-    ----------
-    survey : Survey
-        To be written.
-    format_ : Format
-        To write it in.
-    file : str
-        For messages.
-    """
-    lost = []
-    for what, (code, count) in _COUNTED.items():
-        implied = _IMPLIED.get(what)
-        if what is Holds.IDS and Holds.NUMBERS in format_.holds:
+    """List information of the survey that the format cannot hold; ``file`` is for the messages."""
+    lost, holds = [], format_.holds
+    for what, (code, implied, count) in _COUNTED.items():
+        if what is Holds.IDS and Holds.NUMBERS in holds:
             count = _no_numbers
-        n = 0 if what in format_.holds or (implied and implied not in format_.holds) else count(survey)
+        n = 0 if what in holds or (implied and implied not in holds) else count(survey)
         if n:
             lost.append(finding(code, file=file, value=f"{n} points" if n > 1 else "1 point", format=format_.name))
-    if Holds.CRS not in format_.holds and Holds.GROUND in format_.holds and survey.crs:
-        lost.append(finding("lost.crs", file=file, value=survey.crs, format=format_.name))
-    elif Holds.HEIGHTS in format_.holds and Holds.VERTICAL_CRS not in format_.holds and "+" in survey.crs:
-        lost.append(finding("lost.vertical_crs", file=file, value=survey.crs, format=format_.name))
-    return tuple(lost)
+    code = ""
+    if Holds.CRS not in holds and Holds.GROUND in holds and survey.crs:
+        code = "lost.crs"
+    elif Holds.HEIGHTS in holds and Holds.VERTICAL_CRS not in holds and "+" in survey.crs:
+        code = "lost.vertical_crs"
+    return (*lost, finding(code, file=file, value=survey.crs, format=format_.name)) if code else tuple(lost)
 
 
 def _measured(survey: Survey) -> npt.NDArray[np.bool_]:
@@ -299,25 +243,19 @@ def _unequal(survey: Survey, first: int, second: int) -> int:
     return int((rows[:, first] != rows[:, second]).sum())
 
 
-#: Kinds of information that are not reported as lost if a more general kind is lost.
-_IMPLIED: Final = {
-    Holds.BARE_TIES: Holds.TIES, Holds.UNMEASURED: Holds.GROUND, Holds.ROLES: Holds.GROUND,
-    Holds.HEIGHTS: Holds.GROUND, Holds.SIGMA_GROUND: Holds.GROUND, Holds.FIXED: Holds.GROUND,
-    Holds.SIGMA_EAST_NORTH: Holds.SIGMA_GROUND, Holds.SIGMA_UP: Holds.SIGMA_GROUND, Holds.SIGMA_IMAGE: Holds.IMAGE,
-}  # fmt: skip
-#: Message and count of each kind of information.
-_COUNTED: Final[dict[Holds, tuple[str, Callable[[Survey], int]]]] = {
-    Holds.GROUND: ("lost.ground", lambda s: int(s.located.sum())),
-    Holds.IMAGE: ("lost.image", lambda s: len(s.observed)),
-    Holds.IDS: ("lost.ids", lambda s: 0 if _numbered(s) else len(s.ids)),
-    Holds.UNMEASURED: ("lost.unmeasured", lambda s: int((s.located & ~_measured(s)).sum())),
-    Holds.BARE_TIES: ("lost.bare_ties", lambda s: int((~s.located & ~_measured(s)).sum())),
-    Holds.TIES: ("lost.ties", lambda s: int((~s.located).sum())),
-    Holds.ROLES: ("lost.roles", lambda s: sum(r is Role.CHECK for r in compress(s.roles, s.located))),
-    Holds.HEIGHTS: ("lost.heights", lambda s: int((s.located & np.isfinite(s.coordinates[:, 2])).sum())),
-    Holds.SIGMA_GROUND: ("lost.sigma_ground", lambda s: int(_weighted(s).sum())),
-    Holds.SIGMA_EAST_NORTH: ("lost.sigma_east_north", lambda s: _unequal(s, 0, 1)),
-    Holds.SIGMA_UP: ("lost.sigma_up", lambda s: _unequal(s, 0, 2)),
-    Holds.SIGMA_IMAGE: ("lost.sigma_image", lambda s: int(np.isfinite(s.observed.sigma_line_px).sum())),
-    Holds.FIXED: ("lost.fixed", lambda s: int(s.fixed.sum())),
+#: Message of each kind of information, kind that implies it (then only the latter is reported as lost), and count.
+_COUNTED: Final[dict[Holds, tuple[str, Holds | None, Callable[[Survey], int]]]] = {
+    Holds.GROUND: ("lost.ground", None, lambda s: int(s.located.sum())),
+    Holds.IMAGE: ("lost.image", None, lambda s: len(s.observed)),
+    Holds.IDS: ("lost.ids", None, lambda s: 0 if _numbered(s) else len(s.ids)),
+    Holds.UNMEASURED: ("lost.unmeasured", Holds.GROUND, lambda s: int((s.located & ~_measured(s)).sum())),
+    Holds.BARE_TIES: ("lost.bare_ties", Holds.TIES, lambda s: int((~s.located & ~_measured(s)).sum())),
+    Holds.TIES: ("lost.ties", None, lambda s: int((~s.located).sum())),
+    Holds.ROLES: ("lost.roles", Holds.GROUND, lambda s: sum(r is Role.CHECK for r in compress(s.roles, s.located))),
+    Holds.HEIGHTS: ("lost.heights", Holds.GROUND, lambda s: int((s.located & np.isfinite(s.coordinates[:, 2])).sum())),
+    Holds.SIGMA_GROUND: ("lost.sigma_ground", Holds.GROUND, lambda s: int(_weighted(s).sum())),
+    Holds.SIGMA_EAST_NORTH: ("lost.sigma_east_north", Holds.SIGMA_GROUND, lambda s: _unequal(s, 0, 1)),
+    Holds.SIGMA_UP: ("lost.sigma_up", Holds.SIGMA_GROUND, lambda s: _unequal(s, 0, 2)),
+    Holds.SIGMA_IMAGE: ("lost.sigma_image", Holds.IMAGE, lambda s: int(np.isfinite(s.observed.sigma_line_px).sum())),
+    Holds.FIXED: ("lost.fixed", Holds.GROUND, lambda s: int(s.fixed.sum())),
 }

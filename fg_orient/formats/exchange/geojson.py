@@ -74,17 +74,13 @@ def _take(gathered: Gathering, feature: dict[str, Any], k: int) -> None:
     if not isinstance(position, list) or geometry.get("type") != "Point" or len(position) not in (2, 3):
         faults.add("interchange.geojson", place=place, value=name, what="a geometry is no point")
         return
-    role = str(properties.get("role") or Role.CONTROL)
-    if role not in (Role.CONTROL, Role.CHECK):
-        faults.add("points.role", place=place, value=repr(role))
-        return
     sigmas = [properties.get(column) for column in SIGMA_COLUMNS]
     values = [float(v) if _is_number(v) else np.nan for v in (*position, *[None] * (3 - len(position)), *sigmas)]
     if np.isnan(values[: len(position)]).any() or any(v is not None and not _is_number(v) for v in sigmas):
         faults.add("interchange.geojson", place=place, value=name, what="a coordinate or sigma is no number")
-    elif any(v <= 0.0 for v in values[3:]):
-        faults.add("points.sigma_not_positive", place=place, value=name)
-    gathered.point(name, Role(role), values[:3], values[3:], line=k, fixed=properties.get("fixed") is True)
+        return
+    role, fixed = str(properties.get("role") or Role.CONTROL), properties.get("fixed") is True
+    gathered.feature(name, role, values[:3], values[3:], number=k, fixed=fixed)
 
 
 def _is_number(value: object) -> bool:

@@ -76,14 +76,9 @@ def _take_ground(gathered: Gathering, geometry: Any, columns: dict[str, Any]) ->
             gathered.point(name, Role.TIE, UNKNOWN, line=k + 1)
         elif point.geom_type != "Point":
             gathered.faults.add("interchange.layer", place=f"feature {k + 1}", value=point.geom_type, layer=GROUND)
-        elif roles[k] not in (Role.CONTROL, Role.CHECK):
-            gathered.faults.add("points.role", place=f"feature {k + 1}", value=repr(roles[k]))
-        elif (sigmas[k] <= 0.0).any():
-            gathered.faults.add("points.sigma_not_positive", place=f"feature {k + 1}", value=name)
         else:
-            height = point.z if point.has_z else np.nan
-            xyz = (point.x, point.y, height)
-            gathered.point(name, Role(roles[k]), xyz, sigmas[k].tolist(), line=k + 1, fixed=bool(fixed[k]))
+            xyz = (point.x, point.y, point.z if point.has_z else np.nan)
+            gathered.feature(name, roles[k], xyz, sigmas[k].tolist(), number=k + 1, fixed=bool(fixed[k]))
 
 
 def _take_image(gathered: Gathering, columns: dict[str, Any], path: Path) -> None:
@@ -110,15 +105,10 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
             temporary, geometry, [*text, *survey.sigma_enu_m.T, survey.fixed], ["id", "role", *SIGMA_COLUMNS, "fixed"],
             layer=GROUND, driver="GPKG", geometry_type="Point Z", crs=survey.crs, dataset_options=GPKG_OPTIONS,
         )  # fmt: skip
-        if len(survey.observed):
-            _write_image(pyogrio, survey, temporary)
-
-
-def _write_image(pyogrio: Any, survey: Survey, path: Path) -> None:
-    o = survey.observed
-    names = [np.array(survey.images, object)[o.image], np.array(survey.ids, object)[o.point]]
-    columns = [*names, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px]
-    pyogrio.raw.write(path, None, columns, list(COLUMNS), layer=IMAGE, driver="GPKG", append=True)
+        if len(o := survey.observed):
+            names = [np.array(survey.images, object)[o.image], np.array(survey.ids, object)[o.point]]
+            columns = [*names, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px]
+            pyogrio.raw.write(temporary, None, columns, list(COLUMNS), layer=IMAGE, driver="GPKG", append=True)
 
 
 FORMAT = Format(

@@ -32,7 +32,7 @@ def check_ground(survey: Survey, file: str, scenes: Sequence[Scene] = ()) -> tup
     file : str
         For messages.
     scenes : sequence of Scene
-        Footprints of the images, if they are known.
+        Footprints of the images, if known.
 
     Returns
     -------

@@ -11,11 +11,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
-from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
+from lxml import etree
+from lxml.builder import E  # type: ignore[import-not-found]
 
-from fg_orient.formats.atomic import write_text
+from fg_orient.formats.atomic import write_bytes
 from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
 from fg_orient.formats.exchange.text import digits, numbers, sigma
 from fg_orient.formats.registry import Format, Holds, Settings
@@ -55,8 +56,8 @@ def _children(parent: XmlNode | None, name: str) -> Sequence[XmlNode]:
 def _labels(chunk: XmlNode, group: str, name: str) -> dict[str, str]:
     """Labels by id; cameras may be nested in groups."""
     parent = chunk.maybe(group)
-    found = [] if parent is None else [XmlNode(element, chunk.file) for element in parent.element.iter(name)]
-    return {node.element.get("id", ""): node.element.get("label", "") for node in found}
+    elements = [] if parent is None else parent.element.iter(name)
+    return {element.get("id", ""): element.get("label", "") for element in elements}
 
 
 def _row(node: XmlNode) -> Row:
@@ -106,41 +107,29 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
     for name in (*survey.ids, *survey.images):
         if not name.isprintable():
             raise InputError.of("interchange.xml_name", file=paths[0], value=repr(name))
-    lines = ['<?xml version="1.0" encoding="UTF-8"?>', '<document version="1.2.0">', "  <chunk>", "    <cameras>"]
-    lines += [f'      <camera id="{k}" label={quoteattr(name)}/>' for k, name in enumerate(survey.images)]
-    lines += ["    </cameras>", "    <markers>"]
-    for k in range(len(survey.ids)):
-        lines += _marker(survey, k)
-    lines += ["    </markers>", "    <frames>", '      <frame id="0">', "        <markers>"]
-    for k, places in _places(survey).items():
-        lines += [f'          <marker marker_id="{k}">', *places, "          </marker>"]
-    lines += ["        </markers>", "      </frame>", "    </frames>"]
-    lines += [f"    <reference>{escape(wkt(survey.crs))}</reference>", "  </chunk>", "</document>", ""]
-    write_text(paths[0], "\n".join(lines))
-
-
-def _marker(survey: Survey, k: int) -> list[str]:
-    """Lines of a marker, with its reference if it has coordinates."""
-    head = f'      <marker id="{k}" label={quoteattr(survey.ids[k])}'
-    if not survey.located[k]:
-        return [f"{head}/>"]
-    values = dict(zip(("x", "y", "z"), survey.coordinates[k], strict=True))
-    if np.isfinite(survey.sigma_enu_m[k]).all():
-        values |= dict(zip(("sx", "sy", "sz"), survey.sigma_enu_m[k], strict=True))
-    words = " ".join(f'{name}="{digits(value)}"' for name, value in values.items())
-    enabled = "false" if survey.roles[k] is Role.CHECK else "true"
-    return [f"{head}>", f'        <reference {words} enabled="{enabled}"/>', "      </marker>"]
-
-
-def _places(survey: Survey) -> dict[int, list[str]]:
-    """Lines of the locations of each marker."""
     o = survey.observed
-    found: dict[int, list[str]] = {}
+    places = {p: E.marker(marker_id=str(p)) for p in dict.fromkeys(o.point.tolist())}
     for i, p, line, sample in zip(o.image.tolist(), o.point.tolist(), o.line, o.sample, strict=True):
         x, y = digits(sample + CENTRE_PX), digits(line + CENTRE_PX)
-        text = f'            <location camera_id="{i}" pinned="true" x="{x}" y="{y}"/>'
-        found.setdefault(p, []).append(text)
-    return found
+        places[p].append(E.location(camera_id=str(i), pinned="true", x=x, y=y))
+    root = E.document(E.chunk(
+        E.cameras(*(E.camera(id=str(k), label=name) for k, name in enumerate(survey.images))),
+        E.markers(*(_marker(survey, k) for k in range(len(survey.ids)))),
+        E.frames(E.frame(E.markers(*places.values()), id="0")), E.reference(wkt(survey.crs)),
+    ), version="1.2.0")  # fmt: skip
+    write_bytes(paths[0], etree.tostring(root, encoding="UTF-8", xml_declaration=True, pretty_print=True))
+
+
+def _marker(survey: Survey, k: int) -> Any:
+    """Element of a marker, with its reference if it has coordinates."""
+    marker = E.marker(id=str(k), label=survey.ids[k])
+    if survey.located[k]:
+        values = dict(zip(_XYZ, survey.coordinates[k], strict=True))
+        if np.isfinite(survey.sigma_enu_m[k]).all():
+            values |= dict(zip(_SIGMAS[0], survey.sigma_enu_m[k], strict=True))
+        enabled = "false" if survey.roles[k] is Role.CHECK else "true"
+        marker.append(E.reference({name: digits(value) for name, value in values.items()}, enabled=enabled))
+    return marker
 
 
 FORMAT = Format(

@@ -162,6 +162,17 @@ class Gathering:
             self._point[name] = len(self._ground)
             self._ground.append((role, coordinates, sigma, fixed, line))
 
+    def feature(
+        self, name: str, role: str, coordinates: Sequence[float], sigma: Sequence[float], *, number: int, fixed: bool
+    ) -> None:
+        """Take a control or check point of a layer, given its number from 1; sigmas must be above zero or nan."""
+        if role not in (Role.CONTROL, Role.CHECK):
+            self.faults.add("points.role", place=f"feature {number}", value=repr(role))
+        elif any(value <= 0.0 for value in sigma):
+            self.faults.add("points.sigma_not_positive", place=f"feature {number}", value=name)
+        else:
+            self.point(name, Role(role), coordinates, sigma, line=number, fixed=fixed)
+
     def measure(
         self, image: str, name: str, line_px: float, sample_px: float,
         sigma: Sequence[float] = UNKNOWN[:2], *, line: int,

@@ -1,8 +1,8 @@
 """Tie points of other programs as surveys, and matches of image pairs joined into tie points (tracks).
 
 Two matched keypoints show one ground point, and so do all keypoints matched with either: a track is a connected
-component of the graph of keypoints. Wrong matches chain different ground points: a chain with two places in one image
-is a conflict. The matches do not show which link is wrong, so the whole chain is left out, counted and named.
+component of the graph of keypoints. Wrong matches connect different ground points: a track with two places in one image
+is a conflict. The matches do not show which connection is wrong; the whole track is therefore left out and counted.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Index = npt.NDArray[np.intp]
 
 def tie_survey(
     images: Sequence[str], ids: Sequence[str], image: Index, point: Index, line: Array, sample: Array,
-    notes: Sequence[Finding] = (), sigma_px: Array | None = None,
+    notes: Sequence[Finding] = (),
 ) -> Survey:  # fmt: skip
     """Make the survey of tie points.
 
@@ -40,11 +40,9 @@ def tie_survey(
     line, sample : (n,) arrays
         Pixels, (0, 0) in the centre of the first one.
     notes : sequence of Finding
-    sigma_px : (n,) array, optional
-        Standard deviation of line and sample; unknown if left out.
     """
     none = np.full((len(ids), 3), np.nan)
-    sigma = np.full(len(line), np.nan) if sigma_px is None else sigma_px
+    sigma = np.full(len(line), np.nan)
     return Survey(
         "", tuple(ids), (Role.TIE,) * len(ids), none, none, np.zeros(len(ids), bool), tuple(images),
         ImagePoints(image, point, line, sample, sigma, sigma), notes=tuple(notes),
@@ -56,13 +54,12 @@ def matched_survey(
 ) -> Survey:
     """Make the survey of matched keypoints; see :func:`fg_orient.formats.exchange.ties.join`.
 
-    Tie points are named by numbers from 1; those with two places in one image are left out, and a note says so.
+    Tie points are named by numbers from 1; those with two places in one image are left out, and a note counts them.
     """
-    tracks = join(image, line, sample, matches)
-    conflict_notes = conflicts(tracks, images, image, line, sample)
-    k = tracks.keypoint
-    ids = tuple(map(str, range(1, tracks.n_tracks + 1)))
-    return tie_survey(images, ids, image[k], tracks.track, line[k], sample[k], (*notes, *conflict_notes))
+    tracks, conflicts = join(image, line, sample, matches)
+    notes = (*notes, *conflict_note(tracks.n, conflicts, images, image, line, sample))
+    k, ids = tracks.keypoint, tuple(map(str, range(1, tracks.n + 1)))
+    return tie_survey(images, ids, image[k], tracks.track, line[k], sample[k], notes)
 
 
 def pairs_of(image: Index, point: Index) -> dict[tuple[int, int], Index]:
@@ -95,7 +92,7 @@ def pairs_of(image: Index, point: Index) -> dict[tuple[int, int], Index]:
 
 
 def model_survey(model: FrameModel) -> Survey:
-    """Tie points of a frame model; its cameras, poses and coordinates have no place in a survey."""
+    """Tie points of a frame model; a note counts its cameras, poses and coordinates, which a survey cannot hold."""
     left_out = finding("points.model_left_out", poses=len(model.poses), cameras=len(model.cameras),
                        points=len(model.point_ids))  # fmt: skip
     return tie_survey(
@@ -109,33 +106,23 @@ def model_survey(model: FrameModel) -> Survey:
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Tie points made of matches.
+    """Groups of matched keypoints.
 
     Parameters
     ----------
-    keypoint, track : (n,) int arrays
-        Rows of the given keypoints and their tie points, counted from 0 in the order of the first keypoint of
-        each; sorted by tie point, then image. Keypoints without a match, and all of a conflict, are not here.
-    n_tracks : int
-    conflict_keypoint, conflict : (k,) int arrays
-        Keypoints that were left out, and which conflict each belongs to, counted from 0.
-    n_conflicts : int
+    keypoint, track : (m,) int arrays
+        Rows of the given keypoints and their group, counted from 0 in the order of the first keypoint of each group;
+        sorted by group, then image.
+    n : int
+        Number of groups.
     """
 
     keypoint: Index
     track: Index
-    n_tracks: int
-    conflict_keypoint: Index
-    conflict: Index
-    n_conflicts: int
-
-    @property
-    def rays(self) -> npt.NDArray[np.intp]:
-        """Number of images (n_tracks,) of each tie point."""
-        return np.bincount(self.track, minlength=self.n_tracks)
+    n: int
 
 
-def join(image: Index, line: Array, sample: Array, matches: Index) -> Tracks:
+def join(image: Index, line: Array, sample: Array, matches: Index) -> tuple[Tracks, Tracks]:
     """Join matches to tie points.
 
     Parameters
@@ -147,10 +134,15 @@ def join(image: Index, line: Array, sample: Array, matches: Index) -> Tracks:
     matches : (m, 2) int array
         Rows of matched keypoints.
 
+    Returns
+    -------
+    tracks, conflicts : Tracks
+        Tie points, and groups with two places in one image.
+
     Raises
     ------
     ValueError
-        A match names no keypoint, or two of one image: readers refuse these with their place in the file.
+        A match names a missing keypoint, or two of one image: readers refuse these with their place in the file.
     """
     image, matches = np.asarray(image, np.intp), np.asarray(matches, np.intp).reshape(-1, 2)
     if matches.size and not (0 <= matches.min() and matches.max() < len(image)):
@@ -166,33 +158,23 @@ def join(image: Index, line: Array, sample: Array, matches: Index) -> Tracks:
     keypoint, label = used[order], label[order]
     twice = (label[1:] == label[:-1]) & (image[keypoint][1:] == image[keypoint][:-1])
     bad = np.isin(label, label[1:][twice])
-    track, n_tracks = _numbered(keypoint[~bad], label[~bad])
-    conflict, n_conflicts = _numbered(keypoint[bad], label[bad])
-    good, worse = np.argsort(track, kind="stable"), np.argsort(conflict, kind="stable")
-    return Tracks(
-        keypoint[~bad][good], track[good], n_tracks, keypoint[bad][worse], conflict[worse], n_conflicts
-    )  # fmt: skip
+    return _numbered(keypoint[~bad], label[~bad]), _numbered(keypoint[bad], label[bad])
 
 
-def conflicts(tracks: Tracks, names: Sequence[str], image: Index, line: Array, sample: Array) -> tuple[Finding, ...]:
-    """Tell how many tie points were left out, and show the first; nothing if there was no conflict.
+def conflict_note(
+    n_tracks: int, conflicts: Tracks, names: Sequence[str], image: Index, line: Array, sample: Array
+) -> tuple[Finding, ...]:
+    """Note with the number of tie points left out and the first of them; nothing if there is no conflict.
 
-    Parameters
-    ----------
-    tracks : Tracks
-    names : sequence of str
-        Of the images.
-    image, line, sample : arrays
-        As given to :func:`join`.
+    ``names`` are those of the images; ``image``, ``line``, ``sample`` are the arguments of :func:`join`.
     """
-    if not tracks.n_conflicts:
+    if not conflicts.n:
         return ()
-    first = tracks.conflict_keypoint[tracks.conflict == 0]
+    first = conflicts.keypoint[conflicts.track == 0]
     doubled = int(np.flatnonzero(image[first][1:] == image[first][:-1])[0])
     places = [(line[k], sample[k]) for k in first[doubled : doubled + 2]]
-    n = tracks.n_conflicts
     return (
-        finding("points.conflicts", n=n, total=n + tracks.n_tracks, image_points=len(tracks.conflict_keypoint),
+        finding("points.conflicts", n=conflicts.n, total=conflicts.n + n_tracks, image_points=len(conflicts.keypoint),
                 first=places[0], second=places[1], image=names[int(image[first[doubled]])]),
     )  # fmt: skip
 
@@ -208,11 +190,13 @@ def _places(image: Index, line: Array, sample: Array) -> Index:
     return out
 
 
-def _numbered(keypoint: Index, label: Index) -> tuple[Index, int]:
-    """Labels (n,) renumbered from 0 in the order of the first keypoint of each, and how many there are."""
+def _numbered(keypoint: Index, label: Index) -> Tracks:
+    """Groups by label, renumbered from 0 in the order of the first keypoint of each."""
     known, inverse = np.unique(label, return_inverse=True)
     first = np.full(len(known), np.iinfo(np.intp).max)
     np.minimum.at(first, inverse, keypoint)
     rank = np.empty(len(known), np.intp)
     rank[np.argsort(first)] = np.arange(len(known))
-    return rank[inverse], len(known)
+    track = rank[inverse]
+    order = np.argsort(track, kind="stable")
+    return Tracks(keypoint[order], track[order], len(known))

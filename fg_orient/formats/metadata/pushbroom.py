@@ -24,17 +24,18 @@ from fg_orient.sensors.earth_rotation import DAY_S, EarthOrientation, EarthRotat
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
 from fg_orient.sensors.general import GeneralPushbroom
 from fg_orient.sensors.metadata import (
-    Attitude,
+    AngleAttitude,
     AttitudeFrame,
     Camera,
     DirectionTable,
+    Ephemeris,
     Frame,
     GeneralMetadata,
     LightEffects,
     LineCamera,
     LineTiming,
-    Orbit,
     OrbitalFrame,
+    QuaternionList,
 )
 
 Array = npt.NDArray[np.float64]
@@ -154,11 +155,11 @@ def read_sensor_file(path: str | Path) -> GeneralMetadata:
     read = read_toml(path, SensorFile)
     epoch, timing = _timing(read.time, path)
     orbit, attitude = _orbit(read.orbit, path), _attitude(read.attitude, path)
-    earth, notes = _earth(read, epoch, orbit, attitude, path)
+    earth, notes = _earth(read, epoch, orbit, path)
     return GeneralMetadata(
         file=str(path), mission=read.mission, instrument=read.instrument, epoch=epoch, n_lines=read.image.lines,
-        n_samples=read.image.samples, timing=timing, camera=_camera(read, path),
-        offset_m=np.array(read.mounting.offset_m), mounting=_mounting(read.mounting, path), orbit=orbit,
+        n_samples=read.image.samples, timing=timing, look=_camera(read, path),
+        offset_m=np.array(read.mounting.offset_m), mounting=_mounting(read.mounting, path), ephemeris=orbit,
         attitude=attitude, orbital_frame=read.attitude.orbital_frame, earth=earth,
         effects=LightEffects(**dict(read.light)), notes=notes,
     )  # fmt: skip
@@ -217,7 +218,7 @@ def _increasing(file: Path, columns: tuple[str, ...]) -> Array:
     return values
 
 
-def _orbit(table: OrbitTable, path: Path) -> Orbit:
+def _orbit(table: OrbitTable, path: Path) -> Ephemeris:
     file = path.parent / table.file
     values = _increasing(file, _STATE)
     p, v = np.ascontiguousarray(values[:, 1:4]), np.ascontiguousarray(values[:, 4:7])
@@ -228,28 +229,27 @@ def _orbit(table: OrbitTable, path: Path) -> Orbit:
             place = f"record {bad[0] + 1}"
             raise InputError.of("earth.state", file=file, place=place, value=f"{length[bad[0]]:g}", what=what, low=low,
                                 high=high)  # fmt: skip
-    return Orbit(table.frame, np.ascontiguousarray(values[:, 0]), p, v)
+    return Ephemeris(np.ascontiguousarray(values[:, 0]), p, v, table.frame)
 
 
-def _attitude(table: AttitudeTable, path: Path) -> Attitude:
+def _attitude(table: AttitudeTable, path: Path) -> AngleAttitude | QuaternionList:
     file = path.parent / table.file
-    orbital = table.frame == "orbital"
-    values = _increasing(file, _ANGLES if orbital else _QUATERNION)
+    values = _increasing(file, _ANGLES if table.frame == "orbital" else _QUATERNION)
     time_s = np.ascontiguousarray(values[:, 0])
-    if orbital:
-        return Attitude(table.frame, time_s, angles_rad=np.radians(values[:, 1:]))
+    if table.frame == "orbital":
+        return AngleAttitude(time_s, np.radians(values[:, 1:]))
     away = np.abs(np.linalg.norm(values[:, 1:], axis=1) - 1.0)
     if away.max() > 1e-4:
         place = f"record {int(away.argmax()) + 1}"
         raise InputError.of("earth.quaternion", file=file, place=place, value=f"{away.max():.2g} off 1")
-    return Attitude(table.frame, time_s, quaternion=sign_aligned(values[:, 1:]))
+    return QuaternionList(time_s, sign_aligned(values[:, 1:]), table.frame)
 
 
 def _earth(
-    read: SensorFile, epoch: np.datetime64, orbit: Orbit, attitude: Attitude, path: Path
+    read: SensorFile, epoch: np.datetime64, orbit: Ephemeris, path: Path
 ) -> tuple[EarthRotation | None, tuple[Finding, ...]]:
     """Orientation of the Earth if a frame needs it, and notes."""
-    inertial = {f for f in (orbit.frame, attitude.frame) if f in ("GCRS", "EME2000")}
+    inertial = {f for f in (read.orbit.frame, read.attitude.frame) if f in ("GCRS", "EME2000")}
     if not inertial:
         return None, () if read.earth is None else (finding("image.earth_not_needed"),)
     if len(inertial) > 1:
