@@ -71,7 +71,7 @@ def convert(
 
     What the new format cannot hold is said, one line each.
     """
-    from fg_orient.formats.exchange.convert import Fill, filled, placed, read_survey, write_survey
+    from fg_orient.formats.exchange.convert import filled, placed, read_survey, write_survey
     from fg_orient.formats.registry import Settings, format_named, format_of
     from fg_orient.formats.registry import formats as all_formats
 
@@ -105,7 +105,9 @@ def convert(
         survey, remarks = read_survey(
             files, reader, settings, accept_unverified=accept_unverified, scenes=_scenes(metadata or [])
         )
-        survey = filled(survey, Fill(sigma_ground, sigma_image, height, tuple(check or ())))
+        survey = filled(
+            survey, sigma_ground_m=sigma_ground, sigma_image_px=sigma_image, height_m=height, check=check or ()
+        )
         survey = placed(survey, writer, to_crs, str(out[0]))
         settings = Settings(to_crs, image, sigma_axes, settings.image_sizes)
         written, lost = write_survey(survey, out, writer, settings, overwrite=overwrite)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.exchange.convert import Fill, filled, read_survey
+from fg_orient.formats.exchange.convert import filled, read_survey
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.observations import PLAUSIBLE_SIGMA_PX, ObservationFile
 from fg_orient.formats.points import PointFile, point_file
@@ -74,15 +74,13 @@ class Table:
                                         folder=path.parent)  # fmt: skip
             settings = Settings(entry.crs or "", entry.image, entry.sigma_axes)
             survey, _ = read_survey(self.absolute, format_, settings, accept_unverified=entry.accept_unverified)
-            return filled(survey, self._fill())
+            return filled(
+                survey, sigma_ground_m=getattr(entry, "sigma_m", None), sigma_image_px=getattr(entry, "sigma_px", None),
+                height_m=getattr(entry, "height_m", None), check=getattr(entry, "check", ()),
+            )  # fmt: skip
         except InputError as error:
             faults.take(*(self._in_project(p, project) for p in error.problems))
             return None
-
-    def _fill(self) -> Fill:
-        entry = self.entry
-        return Fill(getattr(entry, "sigma_m", None), getattr(entry, "sigma_px", None),
-                    getattr(entry, "height_m", None), tuple(getattr(entry, "check", ())))  # fmt: skip
 
     def _in_project(self, fault: Finding, project: str) -> Finding:
         place = f"{self.name}.{_ENTRIES.get(fault.option, fault.option)}" if fault.option else fault.place

@@ -134,23 +134,20 @@ class FrameCamera:
                 raise InputError.of("frame.camera", place=name, value=value, expected=f"finite numbers {shape}")
             value.setflags(write=False)
             object.__setattr__(self, name, value)
-        away = float(away_from_rotation(self.rotation))
-        if away > ORTHONORMAL:
-            raise InputError.of("frame.camera", place="rotation", value=not_a_rotation(away), expected="a rotation")
-        if not (np.isfinite(self.focal_px) and self.focal_px > 0.0):
-            raise InputError.of("frame.camera", place="focal_px", value=self.focal_px, expected="pixels above zero")
-        if self.model not in (IDEAL_TO_MEASURED, MEASURED_TO_IDEAL):
-            known = f"{IDEAL_TO_MEASURED} or {MEASURED_TO_IDEAL}"
-            raise InputError.of("frame.camera", place="model", value=self.model, expected=known)
         if self.unit_px is None:
             object.__setattr__(self, "unit_px", float(self.focal_px))
-        if not (self.unit_px and np.isfinite(self.unit_px) and self.unit_px > 0.0):
-            raise InputError.of("frame.camera", place="unit_px", value=self.unit_px, expected="pixels above zero")
-        if not np.isfinite(self.aspect) or (self.aspect != 0.0 and self.model == IDEAL_TO_MEASURED):
-            raise InputError.of("frame.camera", place="aspect", value=self.aspect, expected=f"0 for {self.model}")
-        self._require_unknowns()
-
-    def _require_unknowns(self) -> None:
+        away, unit = float(away_from_rotation(self.rotation)), float(self.unit_px or 0.0)
+        models = (IDEAL_TO_MEASURED, MEASURED_TO_IDEAL)
+        no_aspect = np.isfinite(self.aspect) and (self.aspect == 0.0 or self.model != IDEAL_TO_MEASURED)
+        for name, shown, expected, right in (
+            ("rotation", not_a_rotation(away), "a rotation", away <= ORTHONORMAL),
+            ("focal_px", self.focal_px, "pixels above zero", np.isfinite(self.focal_px) and self.focal_px > 0.0),
+            ("model", self.model, " or ".join(models), self.model in models),
+            ("unit_px", self.unit_px, "pixels above zero", np.isfinite(unit) and unit > 0.0),
+            ("aspect", self.aspect, f"0 for {self.model}", no_aspect),
+        ):
+            if not right:
+                raise InputError.of("frame.camera", place=name, value=shown, expected=expected)
         known = (*(UNKNOWNS if self.model == MEASURED_TO_IDEAL else UNKNOWNS[:-1]), *NAVIGATION)
         for name, sigma in self.sigma.items():
             if name not in known or not (np.isfinite(sigma) and sigma > 0.0):

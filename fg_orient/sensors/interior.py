@@ -55,19 +55,10 @@ class Interior:
         self.camera(np.eye(3), np.zeros(3))  # refuses impossible values
 
     def camera(
-        self,
-        rotation: Array,
-        centre_m: Array,
-        sigma: Mapping[str, float] | None = None,
+        self, rotation: Array, centre_m: Array, sigma: Mapping[str, float] | None = None,
         shared: Mapping[str, str] | None = None,
-    ) -> FrameCamera:
-        """Camera of an image that has this rotation and projection centre.
-
-        Raises
-        ------
-        InputError
-            A value is not possible; see :class:`fg_orient.sensors.frame.FrameCamera`.
-        """
+    ) -> FrameCamera:  # fmt: skip
+        """Camera of an image with this rotation and projection centre; InputError for impossible values."""
         return FrameCamera(
             rotation, centre_m, self.focal_px, self.principal_px, self.distortion, sigma or {}, self.model,
             self.unit_px, self.aspect, shared or {},

@@ -91,22 +91,16 @@ class RpcModel:
 
     def __post_init__(self) -> None:
         for name, shape in (("offsets", (5,)), ("scales", (5,)), ("coefficients", (4, 20)), ("direct", (4, 20))):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, self._checked(name, shape))
-        self._require_sound()
-
-    def _checked(self, name: str, shape: tuple[int, ...]) -> Array:
-        values = np.array(getattr(self, name), dtype=float, order="C")
-        if values.shape != shape:
-            raise InputError.of(
-                "rpc.shape", file=self.file, place=name, value=f"shape {values.shape}", shape=str(shape)
-            )
-        if not np.isfinite(values).all():
-            raise InputError.of("rpc.not_finite", file=self.file, place=name)
-        values.setflags(write=False)
-        return values
-
-    def _require_sound(self) -> None:
+            if getattr(self, name) is None:
+                continue
+            values = np.array(getattr(self, name), dtype=float, order="C")
+            if values.shape != shape:
+                shown = f"shape {values.shape}"
+                raise InputError.of("rpc.shape", file=self.file, place=name, value=shown, shape=str(shape))
+            if not np.isfinite(values).all():
+                raise InputError.of("rpc.not_finite", file=self.file, place=name)
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
         for name, scale in zip(COORDINATES, self.scales, strict=True):
             if scale == 0.0:
                 raise InputError.of("rpc.zero_scale", file=self.file, place=f"scale of {name}", value="0")
@@ -131,16 +125,10 @@ class RpcModel:
     # --- ground to image ---------------------------------------------------------------------
 
     def project(
-        self,
-        lon_deg: npt.ArrayLike,
-        lat_deg: npt.ArrayLike,
-        height_m: npt.ArrayLike,
+        self, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike,
         compensation: npt.ArrayLike | None = None,
-    ) -> tuple[Array, Array]:
-        """Line and sample (pixels) of N points: two (N,) arrays.
-
-        nan where a denominator is zero; see :meth:`require_no_pole`.
-        """
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """Line and sample (pixels) of N points: two (N,) arrays; nan where a denominator is zero."""
         lon, lat, h = same_length(lon_deg, lat_deg, height_m)
         return rfm_project.project(
             self.coefficients, self.offsets, self.scales, checked_compensation(compensation), lon, lat, h
@@ -155,13 +143,7 @@ class RpcModel:
         return np.asarray(good & (h >= v.height_m[0]) & (h <= v.height_m[1]))
 
     def require_valid(self, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike) -> None:
-        """Refuse ground points outside the validity range.
-
-        Raises
-        ------
-        InputError
-            Names the first one and the range.
-        """
+        """Raise InputError for ground points outside the validity range; it names the first one and the range."""
         bad = np.flatnonzero(~self.inside(lon_deg, lat_deg, height_m))
         if len(bad):
             lon, lat, h = (a[bad[0]] for a in same_length(lon_deg, lat_deg, height_m))
@@ -175,12 +157,9 @@ class RpcModel:
     # --- image to ground ---------------------------------------------------------------------
 
     def locate(
-        self,
-        line: npt.ArrayLike,
-        sample: npt.ArrayLike,
-        height_m: npt.ArrayLike,
+        self, line: npt.ArrayLike, sample: npt.ArrayLike, height_m: npt.ArrayLike,
         compensation: npt.ArrayLike | None = None,
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Array, Array]:  # fmt: skip
         """Longitude and latitude (degrees) of N pixels at ellipsoidal heights: two (N,) arrays.
 
         Newton on the projection with analytic derivatives, to 1e-11 pixels; nan if it does not converge within 1e-7
@@ -216,10 +195,7 @@ class RpcModel:
     ) -> tuple[Array, Array]:
         """Longitude and latitude (degrees) by the vendor's own image-to-ground coefficients: two (N,) arrays.
 
-        Raises
-        ------
-        InputError
-            The file contains none.
+        InputError if the file contains none.
         """
         if self.direct is None:
             raise InputError.of("rpc.no_direct", file=self.file)

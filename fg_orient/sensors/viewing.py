@@ -48,11 +48,6 @@ class View:
         how: dict[str, Any] = {"height_m": self._height} if self._dem is None else {"dem": self._dem}
         return np.asarray(self.sensor.locate(line, sample, **how))
 
-    def pixels(self, ground_m: Array) -> tuple[Array, Array]:
-        """Line and sample of ground points."""
-        line, sample = self.sensor.project(ground_m)
-        return line, sample
-
     def to_image(self, line: Array, sample: Array, ground_m: Array) -> Array:
         """Unit vectors (n, 3) East, North, Up from ground points towards the sensor, through their pixels."""
         _, direction = self.sensor.rays(line, sample)
@@ -159,7 +154,7 @@ def pair_record(first: View, second: View) -> dict[str, Any]:
     """
     line, sample = first.grid(GRID)
     ground = first.ground(line, sample)
-    seen = second.sensor.is_inside(*(np.nan_to_num(a, nan=np.inf) for a in second.pixels(ground)))
+    seen = second.sensor.is_inside(*(np.nan_to_num(a, nan=np.inf) for a in second.sensor.project(ground)))
     names = {"images": [first.image.id, second.image.id]}
     if not seen.any():
         none = dict.fromkeys(("lon_deg", "lat_deg", "convergence_deg", "base_to_height", "bisector_elevation_deg",
@@ -169,26 +164,25 @@ def pair_record(first: View, second: View) -> dict[str, Any]:
     middle = ground[inside].mean(axis=0)
     chosen = inside[[int(np.linalg.norm(ground[inside] - middle, axis=1).argmin())]]
     point = ground[chosen]
-    a, b = first.to_image(line[chosen], sample[chosen], point)[0], second.to_image(*second.pixels(point), point)[0]
+    there = second.sensor.project(point)
+    a = first.to_image(line[chosen], sample[chosen], point)[0]
+    b = second.to_image(there[0], there[1], point)[0]
     lon, lat = _degrees(point)
     lean = a[:2] / a[2] - b[:2] / b[2]
     bisector, normal = (a + b) / np.linalg.norm(a + b), np.cross(a, b)
-    across = float(np.linalg.norm(normal))
-    asymmetry = np.nan if across == 0.0 else _asymmetry(bisector, normal / across)
+    across, asymmetry = float(np.linalg.norm(normal)), np.nan
+    if across > 0.0:
+        vertical = np.array([0.0, 0.0, 1.0]) - normal[2] / across * (normal / across)
+        length = float(np.linalg.norm(vertical))
+        if length > 0.0:
+            asymmetry = float(np.degrees(np.arccos(np.clip(bisector @ vertical / length, -1.0, 1.0))))
     return {
         **names, "lon_deg": float(lon[0]), "lat_deg": float(lat[0]),
         "convergence_deg": float(np.degrees(np.arctan2(across, a @ b))),
         "base_to_height": float(np.linalg.norm(lean)),
         "bisector_elevation_deg": float(np.degrees(np.arcsin(min(1.0, bisector[2])))),
-        "asymmetry_deg": float(asymmetry), "overlap": float(seen.mean()),
+        "asymmetry_deg": asymmetry, "overlap": float(seen.mean()),
     }  # fmt: skip
-
-
-def _asymmetry(bisector: Array, normal: Array) -> float:
-    """Angle (degrees) of the bisector with the projection of the vertical on the plane of the rays."""
-    vertical = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
-    length = float(np.linalg.norm(vertical))
-    return float(np.degrees(np.arccos(np.clip(bisector @ vertical / length, -1.0, 1.0)))) if length > 0.0 else np.nan
 
 
 def viewing_records(views: Sequence[View]) -> dict[str, list[dict[str, Any]]]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.exchange.convert import Fill, filled, read_survey, write_survey
+from fg_orient.formats.exchange.convert import filled, read_survey, write_survey
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.registry import Settings, formats
 from fg_orient.formats.scenes import Scene
@@ -117,7 +117,7 @@ def test_cells_that_a_spreadsheet_would_run_are_quoted(tmp_path: Path, name: str
     names = ("=cmd|' /C calc'!A0", "@x", "-5")
     survey, _ = read(tmp_path, "pix4d", "".join(ROW.replace("P", one) for one in names), crs=UTM)
     assert survey.ids == names
-    survey = filled(survey, Fill((1.0, 1.0, 1.0)))
+    survey = filled(survey, sigma_ground_m=(1.0, 1.0, 1.0))
     write_survey(survey, [tmp_path / "a.csv"], formats()[name], Settings())
     lines = (tmp_path / "a.csv").read_text("utf-8").splitlines()[-3:]
     assert lines[0].startswith('"=cmd') and lines[1].startswith('"@x"') and lines[2].startswith("-5,")
@@ -126,22 +126,22 @@ def test_cells_that_a_spreadsheet_would_run_are_quoted(tmp_path: Path, name: str
 
 def test_roles_sigmas_and_heights_are_filled_where_nothing_is_said(tmp_path: Path) -> None:
     survey, _ = read(tmp_path, "pix4d", ROW + ROW.replace("P", "Q").replace("\n", ",0.1,0.2\n"), crs=UTM)
-    found = filled(survey, Fill((1.0, 2.0, 3.0), (0.5, 0.25), 7.0, ("Q",)))
+    found = filled(survey, sigma_ground_m=(1.0, 2.0, 3.0), sigma_image_px=(0.5, 0.25), height_m=7.0, check=("Q",))
     assert found.sigma_enu_m.tolist() == [[1.0, 2.0, 3.0], [0.1, 0.1, 0.2]]
     assert found.coordinates[:, 2].tolist() == [120.5, 120.5]
     assert found.roles == (Role.CONTROL, Role.CHECK)
     with pytest.raises(InputError, match="no point with coordinates"):
-        filled(survey, Fill(check=("R",)))
+        filled(survey, check=("R",))
 
 
 def test_what_a_format_needs_is_asked_for_by_option(tmp_path: Path) -> None:
     survey, _ = read(tmp_path, "pix4d", ROW, "a.tif,P,1,2\n", crs=UTM)
     out = [tmp_path / "a.csv"]
-    for fill, option in (
-        (Fill(), "option sigma_ground"), (Fill((1.0, 1.0, 1.0)), "option sigma_image"),
+    for sigma, option in (
+        (None, "option sigma_ground"), ((1.0, 1.0, 1.0), "option sigma_image"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=option):
-            write_survey(filled(survey, fill), out, formats()["csv"], Settings())
+            write_survey(filled(survey, sigma_ground_m=sigma), out, formats()["csv"], Settings())
     flat = "#CRS: EPSG:32636\nmapX,mapY,sourceX,sourceY\n4e5,4.58e6,10,-20\n"
     points, _ = read(tmp_path, "qgis-points", flat)
     with pytest.raises(InputError, match="option height"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -25,16 +25,6 @@ if TYPE_CHECKING:
 
 Three = tuple[float, float, float]
 Two = tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Fill:
-    """Values where a file has none: sigmas (m; pixels), height (m), role of points with coordinates."""
-
-    sigma_ground_m: Three | None = None
-    sigma_image_px: Two | None = None
-    height_m: float | None = None
-    check: tuple[str, ...] = ()
 
 
 def read_survey(
@@ -72,8 +62,11 @@ def _require_usable(paths: Sequence[Path], format_: Format, accept_unverified: b
         raise InputError.of("interchange.unverified", file=paths[0], option="from", value=format_.name)
 
 
-def filled(survey: Survey, fill: Fill) -> Survey:
-    """Survey with given values where its file has none.
+def filled(
+    survey: Survey, *, sigma_ground_m: Three | None = None, sigma_image_px: Two | None = None,
+    height_m: float | None = None, check: Sequence[str] = (),
+) -> Survey:  # fmt: skip
+    """Survey with given values where its file has none, and the points ``check`` as check points.
 
     Raises
     ------
@@ -82,29 +75,19 @@ def filled(survey: Survey, fill: Fill) -> Survey:
     """
     known = survey.located
     roles = list(survey.roles)
-    for name in fill.check:
+    for name in check:
         if name not in survey.ids or not known[survey.ids.index(name)]:
             raise InputError.of("interchange.no_such_point", option="check", value=name)
         roles[survey.ids.index(name)] = Role.CHECK
-    coordinates, sigma = survey.coordinates.copy(), survey.sigma_enu_m.copy()
-    if fill.height_m is not None:
-        coordinates[known & np.isnan(coordinates[:, 2]), 2] = fill.height_m
-    if fill.sigma_ground_m is not None:
-        without = np.isnan(sigma) & known[:, None]
-        sigma = np.where(without, fill.sigma_ground_m, sigma)
-    return replace(
-        survey, roles=tuple(roles), coordinates=coordinates, sigma_enu_m=sigma,
-        observed=_with_sigmas(survey.observed, fill.sigma_image_px),
-    )  # fmt: skip
-
-
-def _with_sigmas(o: ImagePoints, sigma_px: Two | None) -> ImagePoints:
-    if sigma_px is None:
-        return o
-    line, sample = (
-        np.where(np.isnan(s), given, s) for s, given in zip((o.sigma_line_px, o.sigma_sample_px), sigma_px, strict=True)
-    )
-    return ImagePoints(o.image, o.point, o.line, o.sample, line, sample)
+    coordinates, sigma, o = survey.coordinates.copy(), survey.sigma_enu_m, survey.observed
+    if height_m is not None:
+        coordinates[known & np.isnan(coordinates[:, 2]), 2] = height_m
+    if sigma_ground_m is not None:
+        sigma = np.where(np.isnan(sigma) & known[:, None], sigma_ground_m, sigma)
+    if sigma_image_px is not None:
+        given = zip((o.sigma_line_px, o.sigma_sample_px), sigma_image_px, strict=True)
+        o = ImagePoints(o.image, o.point, o.line, o.sample, *(np.where(np.isnan(s), px, s) for s, px in given))
+    return replace(survey, roles=tuple(roles), coordinates=coordinates, sigma_enu_m=sigma, observed=o)
 
 
 def write_survey(
