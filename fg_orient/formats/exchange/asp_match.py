@@ -96,13 +96,7 @@ def write_match(path: str | Path, left: Array, right: Array) -> None:
 
 
 def images_of(path: Path) -> tuple[str, str]:
-    """Names of both images, from the name of the file.
-
-    Raises
-    ------
-    InputError
-        It is not PREFIX-LEFT__RIGHT.match.
-    """
+    """Names of both images from the file name; InputError if it is not PREFIX-LEFT__RIGHT.match."""
     left, between, right = path.stem.partition(_BETWEEN)
     name = left.partition(_BEFORE)[2]
     if path.suffix != ".match" or not (name and between and right) or name == right:

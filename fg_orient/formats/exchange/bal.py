@@ -97,13 +97,7 @@ def read_bal(path: str | Path, *, keep_behind: bool = True) -> Block:
 
 
 def read_bal_data(path: str | Path) -> BalData:
-    """Read the numbers of a file into arrays.
-
-    Raises
-    ------
-    InputError
-        See :func:`read_bal`.
-    """
+    """Read the numbers of a file into arrays; errors as in :func:`read_bal`."""
     return _parse(_read(Path(path))[0], Path(path).name)
 
 
@@ -238,13 +232,7 @@ def bal_data_of(model: FrameModel, file: str = "") -> tuple[BalData, tuple[str, 
 
 
 def write_bal(path: str | Path, data: BalData, *, overwrite: bool = False) -> None:
-    """Write a file; compressed if its name ends with .gz or .bz2. Numbers have all their digits.
-
-    Raises
-    ------
-    InputError
-        The file exists, or cannot be written.
-    """
+    """Write a file with all digits, compressed if its name ends with .gz or .bz2; InputError if it exists."""
     path = Path(path)
     require_free(path, overwrite=overwrite)
     seen = zip(data.camera.tolist(), data.point.tolist(), data.xy.tolist(), strict=True)

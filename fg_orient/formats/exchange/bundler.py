@@ -100,13 +100,7 @@ def _views(
 
 
 def write_bundler(path: str | Path, data: BalData, *, overwrite: bool = False) -> None:
-    """Write a file of v0.3; points are grey, keys count the image points of an image.
-
-    Raises
-    ------
-    InputError
-        The file exists, or cannot be written.
-    """
+    """Write a file of v0.3; points are grey, keys count the image points of an image. InputError if it exists."""
     path = Path(path)
     require_free(path, overwrite=overwrite)
     lines = [HEAD, f"{len(data.cameras)} {len(data.points)}"]

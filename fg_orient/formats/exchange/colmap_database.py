@@ -46,10 +46,7 @@ CREATE TABLE matches (pair_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NUL
 def read_colmap_database(path: str | Path) -> Survey:
     """Read the tie points of a database: matches of ``two_view_geometries``, else those of ``matches``.
 
-    Raises
-    ------
-    InputError
-        The file is not such a database, or is damaged: names the table and the id.
+    An InputError for a damaged database names the table and the id.
     """
     path = Path(path)
     if not path.is_file():

@@ -116,11 +116,8 @@ def parameters_of(interior: Interior) -> tuple[str, tuple[float, ...], float]:
 def read_colmap_text(folder: str | Path) -> FrameModel:
     """Read a model.
 
-    Raises
-    ------
-    InputError
-        A file is missing or damaged (its first faulty line is named), the files contradict each other, or a camera
-        has no counterpart here.
+    InputError if a file is missing, damaged (it names the first faulty line) or contradicts another, or a camera has no
+    counterpart here.
     """
     folder = Path(folder)
     cameras = _read_cameras(TextLines(folder / FILES[0]))

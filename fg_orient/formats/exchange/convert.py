@@ -66,13 +66,7 @@ def filled(
     survey: Survey, *, sigma_ground_m: Three | None = None, sigma_image_px: Two | None = None,
     height_m: float | None = None, check: Sequence[str] = (),
 ) -> Survey:  # fmt: skip
-    """Survey with given values where its file has none, and the points ``check`` as check points.
-
-    Raises
-    ------
-    InputError
-        There is no such check point with coordinates.
-    """
+    """Survey with given values where its file has none, and the points ``check``, with coordinates, as check points."""
     known = survey.located
     roles = list(survey.roles)
     for name in check:
@@ -121,10 +115,7 @@ def write_survey(
 def placed(survey: Survey, format_: Format, wanted: str, file: str) -> Survey:
     """Survey in the CRS given by the user or required by the format; its notes name the operation.
 
-    Raises
-    ------
-    InputError
-        The CRS of the survey is unknown, or there is no exact operation to the other CRS.
+    InputError if the CRS of the survey is unknown, or there is no exact operation.
     """
     crs = wanted or format_.crs
     if Holds.GROUND not in format_.holds or (survey.crs and survey.crs == (crs or survey.crs)):

@@ -37,10 +37,7 @@ _CENTRES: Final = "photo, X, Y, Z, then one sigma, or sigmaX, sigmaY, sigmaZ"
 def read_marks(path: Path) -> tuple[list[str], list[str], Array]:
     """Image and point of each mark, and x, y, sigma (n, 3) in pixels, nan if the file has no sigma.
 
-    Raises
-    ------
-    InputError
-        No comment states the order of the cells, a line is faulty, or a point is marked twice in an image.
+    InputError if no comment states the order of the cells, a line is faulty, or a point is marked twice in an image.
     """
     text = TextLines(path)
     order: list[str] = []
@@ -68,13 +65,7 @@ def read_marks(path: Path) -> tuple[list[str], list[str], Array]:
 
 
 def read_control(path: Path) -> tuple[list[str], Array]:
-    """Ids of control points, and X, Y, Z, three sigmas (n, 6); sigmas of fixed points are nan.
-
-    Raises
-    ------
-    InputError
-        A line is faulty, or an id occurs twice.
-    """
+    """Ids of control points, and X, Y, Z, three sigmas (n, 6); sigmas of fixed points are nan."""
     rows = _rows(path, 2, (3, 4, 6), _CONTROL)
     spread = {name: values[3:] if len(values) > 3 else [np.nan] for name, values in rows.items()}
     whole = [np.append(values[:3], np.broadcast_to(spread[name], 3)) for name, values in rows.items()]
@@ -82,13 +73,7 @@ def read_control(path: Path) -> tuple[list[str], Array]:
 
 
 def read_centres(path: Path) -> dict[str, Array]:
-    """X, Y, Z and three sigmas (6,) of observed projection centres by photo.
-
-    Raises
-    ------
-    InputError
-        A line is faulty, or a photo occurs twice.
-    """
+    """X, Y, Z and three sigmas (6,) of observed projection centres by photo."""
     rows = _rows(path, 1, (4, 6), _CENTRES)
     return {name: np.append(values[:3], np.broadcast_to(values[3:], 3)) for name, values in rows.items()}
 

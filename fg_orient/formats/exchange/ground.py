@@ -104,10 +104,7 @@ def _in_area(
 def transformed(survey: Survey, crs: str, file: str) -> Survey:
     """Survey in another CRS; its notes name the operations. Sigmas East, North, Up do not change.
 
-    Raises
-    ------
-    InputError
-        No exact operation, or a point without height.
+    InputError if there is no exact operation, or a point has no height.
     """
     if survey.crs == crs:
         return survey

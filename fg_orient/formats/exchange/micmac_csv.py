@@ -64,13 +64,7 @@ def read_image(path: str | Path) -> tuple[Array, npt.NDArray[np.int64]]:
 
 
 def image_of(path: Path) -> str:
-    """Name of the image of a table.
-
-    Raises
-    ------
-    InputError
-        The file is not named PMUL-IMAGE.csv.
-    """
+    """Name of the image of a table; InputError if the file is not named PMUL-IMAGE.csv."""
     name = path.name.removesuffix(".gz")
     if not (name.startswith(PREFIX) and name.endswith(".csv") and len(name) > len(PREFIX) + 4):
         raise InputError.of("micmac.name", file=path.name, value=path.name)

@@ -165,13 +165,7 @@ def write_tables(
 
 
 def stated_in(path: Path, pattern: re.Pattern[str]) -> str:
-    """First group of the first match of a pattern in a text file, "" if there is none.
-
-    Raises
-    ------
-    InputError
-        The file does not exist, cannot be read, or is not text.
-    """
+    """First group of the first match of a pattern in a text file, "" without a match; InputError if unreadable."""
     faults = Faults(str(path))
     match = pattern.search(read_text(path, faults) or "")
     faults.raise_if_any()
