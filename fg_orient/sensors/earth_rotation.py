@@ -59,10 +59,7 @@ class EarthOrientation:
     def at(self, mjd: float) -> tuple[Array, float, Array]:
         """Pole (2,), UT1 - UTC (s) and offsets (2,) at one time: a cubic through the four nearest days.
 
-        Raises
-        ------
-        InputError
-            The series does not cover the time.
+        InputError if the series does not cover the time.
         """
         if not self.mjd[0] <= mjd <= self.mjd[-1]:
             raise InputError.of(

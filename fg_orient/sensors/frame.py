@@ -280,10 +280,7 @@ class FrameSensor(Sensor):
     ) -> tuple[Array, Array]:
         """Projection centre (N, 3) m and unit viewing directions (N, 3) of N pixels.
 
-        Raises
-        ------
-        InputError
-            The distortion cannot be inverted at a pixel.
+        InputError if the distortion cannot be inverted at a pixel.
         """
         line, sample = same_length(line, sample)
         camera = self.camera.corrected(correction)

@@ -96,13 +96,7 @@ class GeneralPushbroom(PushbroomSensor):
         return turned if source.frame == "ITRF" else np.asarray(self._earth(t) @ turned)
 
     def states(self, line: npt.ArrayLike) -> LineStates:
-        """State of the projection centre at N lines; angles are 0, the mounting contains the whole attitude.
-
-        Raises
-        ------
-        OutOfTimeRange
-            A line outside the image that orbit or attitudes do not cover.
-        """
+        """State of the projection centre at N lines; angles are 0, the mounting contains the whole attitude."""
         line = np.atleast_1d(np.asarray(line, float))
         t = self._line_time(line)
         self._require_listed("earth.list_span", line, self.metadata.ephemeris.time_s, "orbit")

@@ -31,7 +31,7 @@ from fg_orient.model.parameters import (
     parameter_name,
 )
 from fg_orient.sensors import projection
-from fg_orient.sensors.base import ImageModel, Sensor, placed, same_length
+from fg_orient.sensors.base import ImageModel, Sensor, same_length
 from fg_orient.sensors.correction import Correction, fit_eop
 from fg_orient.sensors.metadata import (
     AngleAttitude,
@@ -176,10 +176,7 @@ class PushbroomSensor(Sensor):
     def states(self, line: npt.ArrayLike) -> LineStates:
         """Metadata state at N lines (0-based, fractions allowed).
 
-        Raises
-        ------
-        OutOfTimeRange
-            The ephemeris or the attitudes do not cover a line.
+        OutOfTimeRange if the ephemeris or the attitudes do not cover a line.
         """
         line = np.atleast_1d(np.asarray(line, float))
         t = self._line_time(line)
@@ -300,26 +297,30 @@ class PushbroomSensor(Sensor):
 
     def correction_of(self, values: Mapping[str, float], options: Options) -> Correction:
         """Correction from the values of the EOP coefficients by name; see :meth:`Sensor.correction_of`."""
-        curves = tuple(parameter_name(CURVE + k) for k in range(9 * CURVES))
-        curve = placed({name: value for name, value in values.items() if name in curves}, curves)
-        names = tuple(parameter_name(code) for code in range(N_EOP + 2 * (MAX_LOOK_DEGREE + 1)))
-        rest = {name: value for name, value in values.items() if name not in curves}
-        every = placed(rest, names)
-        used = max((names.index(name) for name in rest), default=0) + 1
-        look = every[N_EOP : max(used + (used - N_EOP) % 2, N_EOP)]
-        look = np.ascontiguousarray(look.reshape(-1, 2).T)
-        curve = curve.reshape(9, CURVES)[:, : options.curve_intervals]
-        return Correction(every[:N_EOP].reshape(9, 3), look, options.small_angle, curve)
+        known = (*range(N_EOP + 2 * (MAX_LOOK_DEGREE + 1)), *range(CURVE, CURVE + 9 * CURVES))
+        codes = {parameter_name(code): code for code in known}
+        by_code = {codes[name]: value for name, value in values.items()}
+        return _correction(by_code, options.small_angle, options.curve_intervals)
+
+
+def _correction(values: Mapping[int, float], small_angle: bool, n_curves: int) -> Correction:
+    """Correction from the values of unknowns by code, in physical units."""
+    eop, curve = np.zeros(N_EOP), np.zeros((9, n_curves))
+    # psi_x and psi_y in turn: a polynomial of both has an even number
+    highest = max((code for code in values if code < CURVE), default=0) - N_EOP
+    look = np.zeros(2 * (highest // 2 + 1) if highest >= 0 else 0)
+    for code, value in values.items():
+        if code < N_EOP:
+            eop[code] = value
+        elif code < CURVE:
+            look[code - N_EOP] = value
+        else:
+            curve[divmod(code - CURVE, CURVES)] = value
+    return Correction(eop.reshape(9, 3), np.ascontiguousarray(look.reshape(-1, 2).T), small_angle, curve)
 
 
 def require_pushbroom(sensor: Any, image: str) -> PushbroomSensor:
-    """Sensor of an image, which must be a rigorous pushbroom sensor.
-
-    Raises
-    ------
-    InputError
-        It is of another kind: an RPC has neither orbit nor look angles.
-    """
+    """Sensor of an image; InputError unless it is a rigorous pushbroom: an RPC has neither orbit nor look angles."""
     if not isinstance(sensor, PushbroomSensor):
         kind = type(sensor).__name__
         raise InputError.of("sensor.not_rigorous", file=sensor.file, place=f"image {image}", value=kind)
@@ -358,19 +359,8 @@ class PushbroomModel(ImageModel):
 
     def correction(self, x: Array) -> Correction:
         """EOP corrections (9, 3), look corrections (2, degree + 1) and curves (9, k) in physical units."""
-        eop, codes, curve = np.zeros(N_EOP), self.parameters.codes, np.zeros((9, self.n_curves))
-        # psi_x and psi_y in turn: a polynomial of both has an even number
-        highest = max((code for code in codes if code < CURVE), default=0) - N_EOP
-        look = np.zeros(2 * (highest // 2 + 1) if highest >= 0 else 0)
-        for code, value in zip(codes, x * self.parameters.sigma, strict=True):
-            if code < N_EOP:
-                eop[code] = value
-            elif code < CURVE:
-                look[code - N_EOP] = value
-            else:
-                curve[divmod(code - CURVE, CURVES)] = value
-        look = np.ascontiguousarray(look.reshape(-1, 2).T)
-        return Correction(eop.reshape(9, 3), look, self.small_angle, curve)
+        values = dict(zip(self.parameters.codes, x * self.parameters.sigma, strict=True))
+        return _correction(values, self.small_angle, self.n_curves)
 
     def silent_directions(self) -> list[tuple[str, Array]]:
         """Velocity acts through V x P only (docs/equations.md 3).

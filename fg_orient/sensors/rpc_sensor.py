@@ -106,20 +106,16 @@ class RpcSensor(Sensor):
     # --- image to ground ---------------------------------------------------------------------
 
     def rays(
-        self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: npt.ArrayLike | None = None
-    ) -> tuple[Array, Array]:
+        self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: npt.ArrayLike | None = None,
+        heights_m: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
+    ) -> tuple[Array, Array]:  # fmt: skip
         """Points 500 km up the lines of sight (N, 3) m and unit viewing directions (N, 3) in ECEF.
 
-        The lines join the ground points at the lowest and the highest valid height; InputError if there is none.
+        The lines join the ground points at two heights, by default the lowest and the highest valid height; InputError
+        if there is none.
         """
-        return self._rays(line, sample, self.model.validity.height_m, correction)
-
-    def _rays(
-        self, line: npt.ArrayLike, sample: npt.ArrayLike, heights: tuple[npt.ArrayLike, npt.ArrayLike],
-        correction: npt.ArrayLike | None,
-    ) -> tuple[Array, Array]:  # fmt: skip
         ends = []
-        for height in heights:
+        for height in heights_m or self.model.validity.height_m:
             lines, samples, h = same_length(line, sample, height)
             ends.append(self._at_height(lines, samples, h, correction))
         low, high = ends
@@ -150,7 +146,7 @@ class RpcSensor(Sensor):
         if dem is not None:
             low, high = (np.full(len(line), end) for end in dem.range_m)
             for margin in DEM_MARGINS_M:
-                p, u = self._rays(line, sample, (low - margin, high + margin), correction)
+                p, u = self.rays(line, sample, correction, (low - margin, high + margin))
                 h = np.ascontiguousarray(ellipsoid.geodetic_array(on_surface(p, u, dem, self.file))[:, 2])
                 low = high = h
         return self._at_height(line, sample, h, correction)
@@ -185,13 +181,7 @@ class RpcSensor(Sensor):
 
 
 def compensation_parameters(options: Options, file: str = "") -> ImageParameters:
-    """Unknowns of an RPC image: those named by the options, else their compensation; prior sigmas in pixels.
-
-    Raises
-    ------
-    InputError
-        ``image_unknowns`` names none of them.
-    """
+    """Unknowns of an RPC image: ``image_unknowns`` of the options, else their compensation; prior sigmas in pixels."""
     codes = COMPENSATIONS[_TERMS[options.rpc_compensation]]
     if options.image_unknowns:
         codes = tuple(code for code, name in enumerate(_NAMES) if name in options.image_unknowns)

@@ -39,17 +39,9 @@ _BEFORE, _BETWEEN = "-", "__"
 
 
 def read_match(path: str | Path) -> tuple[Array, Array]:
-    """Matched pixels of one file.
+    """Matched pixels of one file: left and right (n, 2), line and sample.
 
-    Returns
-    -------
-    left, right : (n, 2) arrays
-        Line and sample.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is truncated, or is not of this layout.
+    InputError if the file cannot be read, is truncated, or is not of this layout.
     """
     path = Path(path)
     try:

@@ -116,16 +116,9 @@ def write_colmap_database(
 ) -> float:  # fmt: skip
     """Write the image points of a survey as keypoints and matches of all pairs.
 
-    Nothing is written to ``two_view_geometries``: COLMAP tests whether matches fit a geometry.
-
-    Parameters
-    ----------
-    path : str or Path
-    survey : Survey
-    sizes : mapping of str to (n_lines, n_samples)
-        Of the images.
-    cameras : mapping of str to Interior, optional
-        Cameras of images; other images get a pinhole camera whose focal length is marked as a guess.
+    Nothing is written to ``two_view_geometries``: COLMAP tests whether matches fit a geometry. ``sizes`` are the sizes
+    of the images; an image without a camera in ``cameras`` gets a pinhole camera whose focal length is marked as a
+    guess.
 
     Returns
     -------

@@ -58,23 +58,9 @@ def interior_of(
 ) -> Interior:  # fmt: skip
     """Camera of COLMAP as an interior orientation.
 
-    Parameters
-    ----------
-    model : str
-        Name as in cameras.txt.
-    size : (int, int)
-        Width and height, px.
-    parameters : sequence of float
-        In COLMAP's order.
-    name : str
-        Of the camera.
-    file, place : str
-        For messages.
-
-    Raises
-    ------
-    InputError
-        The model or a parameter has no counterpart, the number of parameters is wrong, or a value is impossible.
+    ``model`` is a name as in cameras.txt, ``size`` width and height in px, ``parameters`` are in COLMAP's order;
+    ``file`` and ``place`` are for messages. InputError if the model or a parameter has no counterpart, the number of
+    parameters is wrong, or a value is impossible.
     """
     if model not in MODELS:
         raise InputError.of("colmap.model", file=file, place=place, value=model, known=", ".join(MODELS))
@@ -201,20 +187,11 @@ def _read_points(text: TextLines) -> tuple[Array, Array, int]:
 
 
 def write_colmap_text(folder: str | Path, model: FrameModel, *, overwrite: bool = False) -> tuple[str, ...]:
-    """Write a model; the folder is made if it is missing. Numbers have all their digits.
+    """Write a model; the folder is made if it is missing. The result is the information that is lost, in words.
 
     Ids of cameras, images and points count from 1, in the order of the model: other names of points and cameras are
-    lost.
-
-    Returns
-    -------
-    tuple of str
-        Information that the files cannot hold, in words.
-
-    Raises
-    ------
-    InputError
-        A file exists, cannot be written, or the name of an image contains a blank: COLMAP would cut it there.
+    lost. InputError if a file exists, cannot be written, or the name of an image contains a blank: COLMAP would cut it
+    there.
     """
     folder = Path(folder)
     paths = [folder / name for name in FILES]

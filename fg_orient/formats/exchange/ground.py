@@ -23,26 +23,10 @@ AREA_MARGIN_DEG: Final = 3.0
 
 
 def check_ground(survey: Survey, file: str, scenes: Sequence[Scene] = ()) -> tuple[Finding, ...]:
-    """Refuse coordinates that cannot be true in their CRS, for instance exchanged ones.
+    """Refuse coordinates that cannot be true in their CRS, and return remarks.
 
-    Parameters
-    ----------
-    survey : Survey
-        Its CRS is known.
-    file : str
-        For messages.
-    scenes : sequence of Scene
-        Footprints of the images, if known.
-
-    Returns
-    -------
-    tuple of Finding
-        Remarks.
-
-    Raises
-    ------
-    InputError
-        Latitude or longitude out of range, columns that look exchanged, points far from all images.
+    Refused are latitudes and longitudes out of range, columns that look exchanged, and points far from all ``scenes``,
+    the footprints of the images.
     """
     faults = Faults(file)
     remarks: tuple[Finding, ...] = ()

@@ -30,18 +30,9 @@ _EXACT: Final = 2.0**53
 
 
 def read_image(path: str | Path) -> tuple[Array, npt.NDArray[np.int64]]:
-    """Read the table of one image, plain or compressed by gzip.
+    """Pixels (n, 2), line and sample, and ids (n,) of the table of one image, plain or compressed by gzip.
 
-    Returns
-    -------
-    pixels : (n, 2) array
-        Line and sample.
-    ids : (n,) int array
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is faulty: with the first faulty line.
+    InputError if the file cannot be read, or with the first faulty line.
     """
     path = Path(path)
     try:

@@ -39,13 +39,7 @@ _HEAD_LINES, _CAMERA = 3, (10, 11)
 
 
 def read_photomodeler(path: str | Path) -> FrameModel:
-    """Read a text export.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, has another format, or a line is faulty.
-    """
+    """Read a text export; InputError if it cannot be read, has another format, or a line is faulty."""
     text = TextLines(Path(path))
     rows = [(n, line.split()) for n, line in enumerate(text.lines, start=1)]
     if not text.lines[0].startswith(HEAD):
@@ -106,13 +100,7 @@ def _table(text: TextLines, paragraphs: list[Paragraph], width: int, what: str) 
 
 
 def read_points_2d(path: str | Path) -> Survey:
-    """Read a table of 2D points; photos are named by their numbers.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, has another format, or a line is faulty.
-    """
+    """Read a table of 2D points; photos are named by their numbers. Errors as in :func:`read_photomodeler`."""
     text = TextLines(Path(path))
     head = next((k for k, line in enumerate(text.lines) if line.startswith(TABLE)), None)
     if head is None:

@@ -83,21 +83,17 @@ class Survey:
 
 
 def decided_crs(stated: str, given: str, file: object) -> tuple[str, tuple[Finding, ...]]:
-    """CRS of a file that may state one, and of a user who may give one.
+    """EPSG code of a file that may state a CRS, and of a user who may give one.
 
     Parameters
     ----------
     stated : str
         Code, WKT or PROJ string in the file; "" if there is none.
     given : str
-        EPSG code by the user; "" if there is none. It may add a vertical CRS to that of the file.
+        EPSG code by the user; "" if there is none. It may add a vertical CRS to that of the file. A note is returned if
+        it replaces a text of the file that is not a CRS of EPSG.
     file : object
         For messages.
-
-    Returns
-    -------
-    tuple
-        EPSG code, and a note if the user's CRS replaces a text of the file that is not a CRS of EPSG.
 
     Raises
     ------

@@ -29,17 +29,10 @@ def tie_survey(
     images: Sequence[str], ids: Sequence[str], image: Index, point: Index, line: Array, sample: Array,
     notes: Sequence[Finding] = (),
 ) -> Survey:  # fmt: skip
-    """Make the survey of tie points.
+    """Survey of tie points.
 
-    Parameters
-    ----------
-    images, ids : sequences of str
-        Of the images and the points.
-    image, point : (n,) int arrays
-        Positions in these.
-    line, sample : (n,) arrays
-        Pixels, (0, 0) in the centre of the first one.
-    notes : sequence of Finding
+    ``image`` and ``point`` (n,) are positions in ``images`` and ``ids``; ``line`` and ``sample`` (n,) are pixels, (0,
+    0) being the centre of the first one.
     """
     none = np.full((len(ids), 3), np.nan)
     sigma = np.full(len(line), np.nan)
@@ -63,17 +56,10 @@ def matched_survey(
 
 
 def pairs_of(image: Index, point: Index) -> dict[tuple[int, int], Index]:
-    """Pairs of images that see the same points, with the rows (k, 2) of both image points of each.
+    """Pairs of images that show the same points, with the rows (k, 2) of both image points of each.
 
-    Parameters
-    ----------
-    image, point : (n,) int arrays
-        Image and point of each row; a point occurs once in an image.
-
-    Returns
-    -------
-    dict of (int, int) to (k, 2) int array
-        By first and second image, the first one being smaller; sorted.
+    ``image`` and ``point`` (n,) are those of each row; a point occurs once in an image. The pairs are sorted by first
+    and second image, the first one being smaller.
     """
     order = np.lexsort((image, point))
     p, found = point[order], []
