@@ -148,7 +148,7 @@ class Sensor(ABC):
         return landed(p, u, height_m, dem, (line, sample), self.file)
 
     def correction_of(self, values: Mapping[str, float], options: Options) -> Any:
-        """Correction from the values of the unknowns by name, in physical units, as a result folder holds them.
+        """Correction from the values of the unknowns by name, in physical units, as in a result folder.
 
         Raises
         ------

@@ -159,7 +159,7 @@ def intersect(
     sensors : sequence of k sensors, at least two
     line, sample : (k,) or (k, N) arrays
         Pixels of the same points in each image, (0, 0) = centre of the first pixel.
-    corrections : sequence of k corrections as the sensors take them, or None, optional
+    corrections : sequence of k corrections of the sensors, or None, optional
         Adjusted orientation, for instance ``solution.correction("left")``.
 
     Returns

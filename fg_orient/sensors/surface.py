@@ -96,11 +96,11 @@ class RasterDem:
         def exact(row: Array, column: Array) -> Array:
             r, c = (a.ravel() + 0.5 for a in np.meshgrid(row, column, indexing="ij"))
             try:
-                found = undulation_m(crs, t.a * c + t.b * r + t.c, t.d * c + t.e * r + t.f)
+                undulation = undulation_m(crs, t.a * c + t.b * r + t.c, t.d * c + t.e * r + t.f)
             except InputError as error:
                 raise InputError.of("dem.geoid", file=self.path, reason=error.problems[0].message,
                                     value=error.problems[0].value) from None  # fmt: skip
-            return found.reshape(len(row), len(column))
+            return undulation.reshape(len(row), len(column))
 
         step = KNOT_STEP
         while True:

@@ -104,9 +104,9 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     images: dict[str, int] = {}
     image, pixels, matches, seen = [], [np.empty((0, 2))], [np.empty((0, 2), np.intp)], 0
     for file in files:
-        names, found = images_of(file), read_match(file)
-        n = len(found[0])
-        for name, place in zip(names, found, strict=True):
+        names, places = images_of(file), read_match(file)
+        n = len(places[0])
+        for name, place in zip(names, places, strict=True):
             image += [images.setdefault(name, len(images))] * n
             pixels.append(place)
         rows = np.arange(seen, seen + n)

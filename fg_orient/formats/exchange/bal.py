@@ -211,11 +211,11 @@ def bal_data_of(model: FrameModel, file: str = "") -> tuple[BalData, tuple[str, 
     InputError
         A camera has k3, p1 or p2.
     """
-    rows, turned = [], {}
+    rows, fitted = [], {}
     lost = ["names of images, points and cameras; sizes of images; principal points"]
     for name, interior in model.cameras.items():
         conversion = converted(interior, IDEAL_TO_MEASURED)
-        turned[name] = own = conversion.interior
+        fitted[name] = own = conversion.interior
         beyond = {text: own.distortion[k] for k, text in _BEYOND.items() if own.distortion[k] != 0.0}
         if beyond:
             value = " ".join(f"{text} {number:g}" for text, number in beyond.items())
@@ -223,10 +223,10 @@ def bal_data_of(model: FrameModel, file: str = "") -> tuple[BalData, tuple[str, 
         if conversion.max_px > 0.0:
             lost.append(f"camera {name}: distortion fitted the other way round, up to {conversion.max_px:.2g} px")
     for pose in model.poses:
-        own, theirs = turned[pose.camera], HALF_TURN @ pose.rotation
+        own, theirs = fitted[pose.camera], HALF_TURN @ pose.rotation
         rotation = Rotation.from_matrix(theirs).as_rotvec()
         rows.append([*rotation, *(-theirs @ pose.centre_m), own.focal_px, *own.distortion[:2]])
-    principal = np.array([turned[pose.camera].principal_px for pose in model.poses]).reshape(-1, 2)[model.image]
+    principal = np.array([fitted[pose.camera].principal_px for pose in model.poses]).reshape(-1, 2)[model.image]
     xy = np.column_stack([model.sample - principal[:, 1], principal[:, 0] - model.line])
     return BalData(model.image, model.point, xy, np.array(rows).reshape(-1, 9), model.points_m), tuple(lost)
 
@@ -257,7 +257,7 @@ def bundle_format(
     load : callable
         Files to numbers, names of the images and notes.
     save : callable
-        Writes numbers to a file; the last argument tells whether an existing file is replaced.
+        Writes numbers to a file; the last argument is True to replace an existing file.
     **fields
         Further fields of the record.
     """

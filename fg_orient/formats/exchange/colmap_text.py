@@ -88,15 +88,15 @@ def parameters_of(interior: Interior) -> tuple[str, tuple[float, ...], float]:
     The error is 0 unless the polynomial leads from measured to ideal coordinates: then a polynomial of the other
     direction is fitted (``fg_orient.sensors.interior.converted``).
     """
-    turned = converted(interior, IDEAL_TO_MEASURED)
-    own = turned.interior
+    fitted = converted(interior, IDEAL_TO_MEASURED)
+    own = fitted.interior
     value = dict(zip(_BROWN, own.distortion.tolist(), strict=True))
     cy, cx = (own.principal_px + FIRST_PIXEL).tolist()
     value |= dict.fromkeys(("f", "fx", "fy"), float(own.focal_px)) | {"cx": cx, "cy": cy}
     needed = {key for key in _BROWN if value[key] != 0.0}
     names = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
     model = next(name for name in names if needed <= set(MODELS[name]))
-    return model, tuple(value.get(key, 0.0) for key in MODELS[model]), turned.max_px
+    return model, tuple(value.get(key, 0.0) for key in MODELS[model]), fitted.max_px
 
 
 def read_colmap_text(folder: str | Path) -> FrameModel:

@@ -61,7 +61,7 @@ def _content(path: Path) -> dict[str, Any]:
 
 
 def _take(gathered: Gathering, feature: dict[str, Any], k: int) -> None:
-    """Take a feature."""
+    """Take one feature."""
     properties = feature.get("properties") or {}
     members = [properties.get(name) for name in _NAMES] + [feature.get("id")]
     name = next((str(member) for member in members if member not in (None, "")), "")

@@ -30,7 +30,7 @@ _LONG: Final = 80
 
 
 def no_image_points() -> ImagePoints:
-    """Image points of a file that holds none."""
+    """Image points of a file without any."""
     none, nobody = np.empty(0), np.empty(0, np.intp)
     return ImagePoints(nobody, nobody, none, none, none, none)
 

@@ -62,13 +62,13 @@ def pairs_of(image: Index, point: Index) -> dict[tuple[int, int], Index]:
     and second image, the first one being smaller.
     """
     order = np.lexsort((image, point))
-    p, found = point[order], []
+    p, parts = point[order], []
     for step in range(1, len(order)):
         same = np.flatnonzero(p[step:] == p[:-step])
         if not len(same):
             break
-        found.append(np.column_stack([order[same], order[same + step]]))
-    rows = np.concatenate(found) if found else np.empty((0, 2), np.intp)
+        parts.append(np.column_stack([order[same], order[same + step]]))
+    rows = np.concatenate(parts) if parts else np.empty((0, 2), np.intp)
     first, second = image[rows[:, 0]], image[rows[:, 1]]
     rows = rows[np.lexsort((rows[:, 0], second, first))]
     keys = np.column_stack([image[rows[:, 0]], image[rows[:, 1]]])
