@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.cameras.frame import FRAME_COLLINEARITY
+from factors.cameras.frame_camera import CAMERA
 from fg_orient.kernels.batch import batch
 from fg_orient.model.block import (
     Block,
@@ -176,11 +177,11 @@ def adjusted_model(model: FrameModel, corrections: Sequence[Array], ground_m: Ar
             name = f"{pose.camera} of {pose.name}"
             # the unit of a polynomial of measured coordinates is the focal length as given, unless it is stated
             cameras[name] = replace(
-                interior, focal_px=float(full[12]), principal_px=full[[14, 13]], distortion=full[15:20],
-                unit_px=sensor.camera.unit_px, name=name,
-                aspect=float(full[29]) if sensor.camera.corrects_measured else 0.0,
+                interior, focal_px=float(full[CAMERA.focal]), principal_px=full[CAMERA.principal][::-1],
+                distortion=full[CAMERA.distortion], unit_px=sensor.camera.unit_px, name=name,
+                aspect=float(full[CAMERA.aspect]) if sensor.camera.corrects_measured else 0.0,
             )  # fmt: skip
-        poses.append(Pose(pose.name, name, full[:9].reshape(3, 3), full[9:12]))
+        poses.append(Pose(pose.name, name, full[CAMERA.rotation].reshape(3, 3), full[CAMERA.centre]))
     used = {pose.camera for pose in poses}
     known = np.asarray(np.isfinite(ground_m).all(axis=1), bool)
     seen, number = known[model.point], np.cumsum(known) - 1
