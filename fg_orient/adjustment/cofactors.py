@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,6 @@ from fg_orient.model.options import Options
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.schur import SchurSystem
-    from fg_orient.adjustment.schur_reduced import Reduced
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -220,12 +219,23 @@ def _pairs(problem: Problem, order: Index) -> tuple[Index, Index]:
     return np.argwhere(together), block
 
 
+class ImageCofactors(Protocol):
+    """Source of the joint cofactors of images: a factorised reduced system, or GTSAM Marginals."""
+
+    def covariance(self, images: tuple[int, ...]) -> Array:
+        """Joint cofactors of images, prior sigmas."""
+        ...
+
+
 @dataclass(frozen=True)
 class SummedSystem:
-    """Reduced system at the solution of an adjustment in parts, with priors; ``reduced(damping)`` factorises it."""
+    """Linearisation at the solution of an adjustment in parts, or by the graph; priors included.
+
+    ``reduced(damping)`` factorises it and raises ``Singular`` if it is not positive definite.
+    """
 
     state: State
-    reduced: Callable[[float], Reduced]
+    reduced: Callable[[float], ImageCofactors]
 
 
 class ReducedCofactors:
@@ -292,16 +302,15 @@ class ReducedCofactors:
         needed = tuple(sorted({*images}.union(*(seen for seen, _, _ in gains))))
         columns, q = self._columns(needed), self._of(needed)
         at = np.concatenate([np.zeros(0, np.intp), *(columns[k] for k in images)])
-        seen = [np.concatenate([columns[k] for k in who]) for who, _, _ in gains]
         n = len(at)
-        out = np.empty((n + 3 * len(gains), n + 3 * len(gains)))
-        out[:n, :n] = q[np.ix_(at, at)]
-        for a, (_, inverse, gain) in enumerate(gains):
-            rows, effect = slice(n + 3 * a, n + 3 * a + 3), -gain @ q[seen[a]]
-            out[rows, :n], out[:n, rows] = effect[:, at], effect[:, at].T
-            for b in range(len(gains)):
-                same = inverse if unknown[a] == unknown[b] else 0.0
-                out[rows, n + 3 * b : n + 3 * b + 3] = same - effect[:, seen[b]] @ gains[b][2].T
+        effect = np.zeros((n + 3 * len(gains), len(q)))
+        effect[np.arange(n), at] = 1.0
+        for a, (seen, _, gain) in enumerate(gains):
+            effect[n + 3 * a : n + 3 * a + 3, np.concatenate([columns[k] for k in seen])] = -gain
+        out = effect @ q @ effect.T
+        for a, (_, inverse, _) in enumerate(gains):
+            for b in np.flatnonzero(np.equal(unknown, unknown[a])):
+                out[n + 3 * a : n + 3 * a + 3, n + 3 * b : n + 3 * b + 3] += inverse
         return np.asarray(0.5 * (out + out.T))
 
     def _columns(self, images: tuple[int, ...]) -> dict[int, npt.NDArray[np.intp]]:

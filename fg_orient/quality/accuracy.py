@@ -1,19 +1,19 @@
 """Accuracy at control and check points: differences adjusted minus measured.
 
 Per axis in East, North, Up of the point and in ECEF: root mean square, mean (bias), standard deviation, maximum; CE90
-and LE90 as 90 % quantiles of the horizontal length and of |Up|, and beside them as they follow from the RMSE of normal
-errors (FGDC-STD-007.3-1998, NSSDA: appendix 3-A; the circular ones only where the smaller of the East and North RMSE is
-at least 0.6 of the larger). A check point's difference is compared with ``sqrt(predicted + own variance)``, both in
-prior scale. Source: Terlemezoğlu 2019, eqs. 2.72-2.73 (ECEF RMSE); the rest is common practice.
+and LE90 as 90 % quantiles of the horizontal length and of |Up|, and from the RMSE of normal errors (NSSDA,
+FGDC-STD-007.3-1998, appendix 3-A; circular values only if the smaller of the East and North RMSE is at least 0.6 of the
+larger). The difference at a check point is compared with ``sqrt(predicted + own variance)``, both in prior scale.
+Source: Terlemezoğlu 2019, eqs. 2.72-2.73 (ECEF RMSE); the other quantities are common practice.
 
 Test of the predicted accuracy. With e the differences of n check points (adjusted minus measured) and C the joint
-covariance of both, in prior scale, ``T = e^T C^-1 e`` is chi2(3n) distributed where model and sigmas hold (normalised
-estimation error squared: Bar-Shalom et al. 2001, 5.4). Check points share the errors of the orientation, so C is not
-block diagonal. The sum of their single normalised errors also has the mean 3n, but a larger variance: a test of it by
-chi2(3n) would reject good predictions.
+covariance of both, in prior scale, ``T = e^T C^-1 e`` is chi2(3n) distributed if model and sigmas are correct
+(normalised estimation error squared: Bar-Shalom et al. 2001, 5.4). The errors of the orientation affect all check
+points, so C is not block diagonal. The sum of the single normalised errors also has the mean 3n, but a larger variance:
+its test by chi2(3n) would reject correct predictions.
 
-y-parallax of a point in two images, in pixels: four pixel coordinates determine three ground coordinates, and one
-number remains. It replaces the accuracy of a relative adjustment, which has no control points.
+y-parallax of a point in two images, in pixels: four image coordinates determine three ground coordinates, and one
+quantity remains. It replaces the accuracy in a relative adjustment, which has no control points.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ from fg_orient.quality.covariance import Cofactors
 Array = npt.NDArray[np.float64]
 
 AXES = ("east", "north", "up", "ecef_x", "ecef_y", "ecef_z")
-#: Check points beyond this many standard deviations of the difference are listed.
+#: Check coordinates beyond this number of standard deviations of the difference are listed.
 RATIO_LIMIT = 3.0
-#: Probability that a normal difference lies beyond it, on either side.
+#: Probability that a normal difference is beyond this limit, on both sides.
 BEYOND: Final = math.erfc(RATIO_LIMIT / math.sqrt(2.0))
-#: Probability with which good check coordinates exceed the most that chance is granted, in number or in size.
+#: Probability that the number or the largest of correct check coordinates exceeds its limit by chance.
 CHANCE: Final = 0.001
-#: ASPRS edition 2 (2023) asks for at least this many check points.
+#: Minimum number of check points of ASPRS edition 2 (2023).
 ASPRS_MINIMUM = 30
-#: RMSE of one axis to the radius or half-length that holds 90 or 95 % of normal errors (NSSDA, appendix 3-A).
+#: Factors from the RMSE of one axis to the radius or half-length of 90 or 95 % of normal errors (NSSDA, appendix 3-A).
 CIRCULAR_90, CIRCULAR_95, LINEAR_90, LINEAR_95 = 2.1460, 2.4477, 1.6449, 1.9600
 #: Least ratio of East and North RMSE for which the circular factors hold (NSSDA, appendix 3-A).
 CIRCULAR_RATIO = 0.6
@@ -57,23 +57,23 @@ CIRCULAR_RATIO = 0.6
 
 @dataclass(frozen=True)
 class Beyond:
-    """Check coordinates beyond ``RATIO_LIMIT`` standard deviations of their difference, and what chance gives of them.
+    """Check coordinates beyond ``RATIO_LIMIT`` standard deviations of their difference, and their number by chance.
 
-    Counts are held against the binomial distribution, the largest against Sidak's limit of the largest of so many: both
-    take the coordinates as independent, which those of one image are only nearly.
+    The number is compared with the binomial distribution, the largest with Sidak's limit of the largest of n. Both
+    assume independent coordinates, which is an approximation for coordinates from the same images.
 
     Parameters
     ----------
     n : int
-        Coordinates with a standard deviation.
+        Number of coordinates with a standard deviation.
     count : int
-        Of them beyond.
+        Number of these beyond the limit.
     expected : float
-        Number that normal differences give.
+        Expected number for normal differences.
     limit : int
-        Number that they exceed with probability ``CHANCE`` at most.
+        Number that is exceeded with probability ``CHANCE`` at most.
     largest_limit : float
-        Standard deviations that the largest of n normal differences exceeds with probability ``CHANCE``; nan of none.
+        Standard deviations that the largest of n normal differences exceeds with probability ``CHANCE``; nan for n = 0.
     far : tuple of str
         Ids of points beyond ``largest_limit``, worst first.
     """
@@ -87,20 +87,20 @@ class Beyond:
 
     @property
     def by_chance(self) -> bool:
-        """Whether neither their number nor the largest is more than chance gives."""
+        """Whether chance explains the number and the largest of the coordinates."""
         return self.count <= self.limit and not self.far
 
     @property
     def sentence(self) -> str:
-        """What chance gives, beside the count; "" where nothing is beyond."""
+        """Number and expected number in one sentence; "" if no coordinate is beyond the limit."""
         if not self.count:
             return ""
-        told = f"{self.count} of {self.n} check coordinates"
+        counted = f"{self.count} of {self.n} check coordinates"
         if self.by_chance:
             verb = "lies" if self.count == 1 else "lie"
-            return f"{told} {verb} beyond 3 standard deviations of the difference: as many as chance gives " \
+            return f"{counted} {verb} beyond 3 standard deviations of the difference: as many as chance gives " \
                    f"({self.expected:.1f} expected, up to {self.limit} are not unusual)"  # fmt: skip
-        return f"{told}, {self.expected:.1f} expected by chance, up to {self.limit} not unusual"
+        return f"{counted}, {self.expected:.1f} expected by chance, up to {self.limit} not unusual"
 
     def as_dict(self) -> dict[str, object]:
         """For ``result.json`` (docs/results.md)."""
@@ -121,11 +121,11 @@ class PointDifferences:
     enu_m, ecef_m : (n, 3) arrays
         Differences.
     predicted_sigma_enu_m : (n, 3) array
-        From the adjustment, prior scale; nan where unavailable.
+        Standard deviations from the adjustment, prior scale; nan if unavailable.
     own_sigma_enu_m : (n, 3) array
-        Of the measured coordinates.
+        Standard deviations of the measured coordinates.
     n_fixed : int
-        Fixed control points: constants of the adjustment, without differences, not among the n.
+        Number of fixed control points, which are constants without differences and are not counted in n.
     """
 
     ids: tuple[str, ...]
@@ -146,10 +146,10 @@ class PointDifferences:
             return np.asarray(np.abs(self.enu_m) / np.hypot(self.predicted_sigma_enu_m, self.own_sigma_enu_m))
 
     def statistics(self) -> dict[str, float | int]:
-        """Figures under the keys of the record: n, n_fixed, rmse_*, mean_*, sd_*, max_*, ce90*, le90*, ce95*, le95*.
+        """Statistics with the keys of the record: n, n_fixed, rmse_*, mean_*, sd_*, max_*, ce90*, le90*, ce95*, le95*.
 
-        ``horizontal`` is East and North together (2-D), ``3d`` all three. Figures that the number of points does not
-        support (none; sd, CE90 and LE90 of one) are absent.
+        ``horizontal`` is East and North together (2-D), ``3d`` all three. Statistics that need more points (sd, CE90
+        and LE90 need two) are absent.
         """
         out: dict[str, float | int] = {"n": len(self), "n_fixed": self.n_fixed}
         if not len(self):
@@ -188,7 +188,7 @@ class PointDifferences:
         return sorted(rows, key=lambda row: -row[3])
 
     def beyond(self) -> Beyond:
-        """Count the check coordinates beyond the limit, and say how many chance gives."""
+        """Number of check coordinates beyond the limit, and the number expected by chance."""
         n, rows = int(np.count_nonzero(~np.isnan(self.ratio))), self.suspicious()
         farthest = math.sqrt(float(chi_square_limit(1, sidak(CHANCE, n)))) if n else float("nan")
         far = tuple(dict.fromkeys(name for name, _, _, ratio in rows if ratio > farthest))
@@ -217,7 +217,7 @@ def differences(
     cofactors_m2: Array,
     enu_from_ecef: Array,
 ) -> PointDifferences:
-    """Build the differences of one role; ``cofactors_m2`` (n, 3, 3) in ECEF axes, prior scale."""
+    """Differences of one role; ``cofactors_m2`` (n, 3, 3) in ECEF axes, prior scale."""
     d = adjusted_m - measured_m
     enu = np.einsum("nij,nj->ni", enu_from_ecef, d)
     q = enu_from_ecef @ cofactors_m2 @ np.swapaxes(enu_from_ecef, 1, 2)
@@ -229,7 +229,7 @@ def differences(
 
 #: Probability of the interval of T, and of the bias test.
 CONFIDENCE: Final = 0.95
-#: Of more check points so many, evenly taken, are tested jointly.
+#: Maximum number of check points in the joint test; of more points an even selection is used.
 MAX_JOINT: Final = 60
 
 
@@ -240,15 +240,15 @@ class PredictionTest:
     Parameters
     ----------
     n : int
-        Check points.
+        Number of check points.
     n_joint : int
-        Those tested jointly.
+        Number of check points in the joint test.
     within : (3, 3) int array
-        Differences East, North, Up (rows) within 1, 2, 3 standard deviations.
+        Numbers of differences East, North, Up (rows) within 1, 2, 3 standard deviations.
     statistic : float
         T.
     interval : (float, float)
-        95 % of T where the prediction holds.
+        95 % interval of T for a correct prediction.
     """
 
     n: int
@@ -264,23 +264,23 @@ class PredictionTest:
 
     @property
     def factor(self) -> float:
-        """How many times as large as predicted the errors are."""
+        """Ratio of the errors to the predicted errors."""
         return float(np.sqrt(self.statistic / self.degrees))
 
     @property
     def honest(self) -> bool:
-        """Whether T lies in its interval."""
+        """Whether T is in its interval."""
         return self.interval[0] <= self.statistic <= self.interval[1]
 
     def sentence(self) -> str:
-        """The verdict in words."""
+        """Result of the test in one sentence."""
         size = f"errors at check points are {self.factor:.2f} times as large as predicted"
         if self.honest:
             return f"the predicted accuracy holds: {size}"
         return f"the predicted accuracy is too {'optimistic' if self.factor > 1.0 else 'pessimistic'}: {size}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Give the record as plain values."""
+        """Plain values for the record."""
         names = ("within_1_sigma", "within_2_sigma", "within_3_sigma")
         counts = {axis: dict(zip(names, row.tolist(), strict=True))
                   for axis, row in zip(AXES[:3], self.within, strict=True)}  # fmt: skip
@@ -293,22 +293,10 @@ class PredictionTest:
 
 
 def prediction_test(problem: Problem, state: State, cofactors: Cofactors, check: PointDifferences) -> PredictionTest:
-    """Test the predicted covariance of the check points.
+    """Test the predicted covariance of the check points of a solution.
 
-    Parameters
-    ----------
-    problem : Problem
-    state : State
-        The solution.
-    cofactors : Cofactors
-        Prior scale.
-    check : PointDifferences
-
-    Raises
-    ------
-    NoSolutionError
-        There are no check points, or they are no unknowns of the adjustment (``check_points = "exclude"``): their joint
-        covariance is not formed.
+    NoSolutionError: no check points, or check points that are not unknowns (``check_points = "exclude"``) and have no
+    joint covariance.
     """
     if not len(check):
         raise NoSolutionError.of("accuracy.no_check")
@@ -329,8 +317,8 @@ def prediction_test(problem: Problem, state: State, cofactors: Cofactors, check:
 def bias_test(points: PointDifferences) -> dict[str, dict[str, float | bool]]:
     """Student's test of the mean difference per axis: mean, t, limit, biased; 5 % over the three axes (Sidak).
 
-    Whether the mean stands out of the scatter of these points; it cannot tell a systematic error from what the errors
-    of the orientation have in common at all of them. Empty below two points or without scatter.
+    The mean is compared with the scatter of these points. The test cannot distinguish a systematic error from the
+    common part of the errors of the orientation. Empty below two points or without scatter.
     """
     out: dict[str, dict[str, float | bool]] = {}
     n = len(points)
@@ -349,22 +337,22 @@ def bias_test(points: PointDifferences) -> dict[str, dict[str, float | bool]]:
 
 
 def y_parallaxes(problem: Problem, state: State) -> tuple[npt.NDArray[np.intp], Array]:
-    """Parallaxes of the tie and check points seen in exactly two images, with the orientation of a state held.
+    """Parallaxes of the tie and check points measured in exactly two images, with the fixed orientation of a state.
 
-    Each point is located anew from its two rays: coordinates play no part.
+    Each point is located again from its two rays; measured coordinates are not used.
 
     Parameters
     ----------
     problem : Problem
     state : State
-        Its image unknowns count; ``problem.start`` is the metadata orientation.
+        Its image unknowns are used; ``problem.start`` is the metadata orientation.
 
     Returns
     -------
     points : (n,) int array
         Ground points.
     parallax_px : (n,) array, not negative
-        Mismatch in one image if the other one is held: root of twice the squares of the four residuals.
+        Parallax in one image with the other image fixed: root of twice the sum of squares of the four residuals.
     """
     o = problem.observations
     rays = np.bincount(o.point, minlength=len(problem.active))
@@ -379,5 +367,5 @@ def y_parallaxes(problem: Problem, state: State) -> tuple[npt.NDArray[np.intp], 
 
 
 def rms_px(parallax_px: Array) -> float:
-    """Root mean square of parallaxes; nan without any."""
+    """Root mean square of parallaxes; nan without parallaxes."""
     return float(np.sqrt(np.mean(parallax_px**2))) if len(parallax_px) else float("nan")

@@ -1,9 +1,9 @@
 """Condition of the normal equations at the solution, and regularisation by a Tikhonov solver.
 
 The condition is the same measure for all backends. A Tikhonov solver of the dense backend shortens each step and
-chooses kappa again for it. The L-curve is that of the equations at the approximate values: the step from there is the
-longest, and at the solution all steps are zero. The sigmas, and under a loss the weights, are those of the result;
-without a loss these are the equations of the first Gauss-Newton step.
+chooses kappa for each step. The L-curve belongs to the equations at the approximate values, where the step is longest;
+at the solution all steps are zero. Sigmas, and under a loss weights, are those of the result; without a loss the
+equations are those of the first Gauss-Newton step.
 """
 
 from __future__ import annotations
@@ -32,9 +32,8 @@ ELIMINATED_AGAIN: Final = 20_000
 def condition(problem: Problem, estimate: Estimate) -> float | None:
     """Condition (1-norm) of the reduced normal equations of the images, scaled to a unit diagonal.
 
-    Ground points are eliminated in compiled kernels, whatever backend solved. None where they do not apply: own
-    observations, a free datum, parts, a loss without the Schur backend, systems that are left to GTSAM. Infinite for a
-    singular system.
+    Compiled kernels eliminate the ground points for every backend. None where they do not apply: extra observations, a
+    free datum, parts, a loss without the Schur backend, systems that GTSAM solves. Infinite for a singular system.
     """
     from fg_orient.adjustment.schur import SchurBackend, SchurSystem
     from fg_orient.adjustment.schur_reduced import LapackReduced, Singular
@@ -56,14 +55,14 @@ def condition(problem: Problem, estimate: Estimate) -> float | None:
 
 
 def findings(problem: Problem, estimate: Estimate) -> list[Finding]:
-    """Tell that the normal equations are ill-conditioned, and how many digits are left; nothing if they are not."""
-    found = condition(problem, estimate)
-    if found is None or found <= ILL_CONDITIONED:
+    """Finding on ill-conditioned normal equations with the number of correct digits; empty if well-conditioned."""
+    number = condition(problem, estimate)
+    if number is None or number <= ILL_CONDITIONED:
         return []
-    if not np.isfinite(found):
+    if not np.isfinite(number):
         return [finding("solution.singular")]
-    digits = max(0, int(-np.log10(np.finfo(float).eps * found)))
-    return [finding("solution.ill_conditioned", condition=found, limit=ILL_CONDITIONED, digits=digits)]
+    digits = max(0, int(-np.log10(np.finfo(float).eps * number)))
+    return [finding("solution.ill_conditioned", condition=number, limit=ILL_CONDITIONED, digits=digits)]
 
 
 # --- regularised solvers --------------------------------------------------------------------------
@@ -71,7 +70,7 @@ def findings(problem: Problem, estimate: Estimate) -> list[Finding]:
 
 @dataclass(frozen=True)
 class Regularisation:
-    """How strongly an adjustment was regularised.
+    """Regularisation of an adjustment.
 
     Parameters
     ----------
@@ -82,7 +81,7 @@ class Regularisation:
     curve : LCurve
         At the start values. Unknowns are prior sigmas (images) and metres (ground points), residuals are sigmas.
     kappa : float or None
-        What the solver chooses there; None where it finds none (``failure`` says why).
+        Kappa of the solver at the start values; None without one, for the reason in ``failure``.
     kappas : tuple of (int, float)
         Iteration and kappa of each step taken.
     """
@@ -96,7 +95,7 @@ class Regularisation:
     failure: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """Give the section ``regularisation`` of a record."""
+        """Section ``regularisation`` of a record."""
         curve = asdict(self.curve)
         return {
             "solver": self.solver, "label": self.label, "rule": self.rule or None, "kappa": self.kappa,
@@ -106,20 +105,15 @@ class Regularisation:
 
 
 def regularisation(judged: Problem, name: str, log: Sequence[IterationRecord]) -> Regularisation | None:
-    """Describe the regularisation of an adjustment; None for a solver that does not regularise.
+    """Regularisation of an adjustment; None for a solver that does not regularise.
 
     Parameters
     ----------
     judged : Problem
-        What was solved; under a loss with the weights at the solution.
+        Problem that was solved; under a loss with the weights at the solution.
     name : str
         Solver of the dense backend; "" for the other backends.
     log : sequence of IterationRecord
-
-    Raises
-    ------
-    Breakdown
-        The equations at the start values are zero.
     """
     if not name:  # the kappa rules need not be loaded
         return None
@@ -130,6 +124,8 @@ def regularisation(judged: Problem, name: str, log: Sequence[IterationRecord]) -
     if solver(name).family != "tikhonov":
         return None
     system = DenseBackend(judged, name).linearise(judged.start).equations()
-    found = attempt(name, system)
+    solved = attempt(name, system)
     kappas = tuple((record.iteration, record.kappa) for record in log if record.accepted)
-    return Regularisation(name, solver(name).label, found.rule, l_curve_of(system), found.kappa, kappas, found.failure)
+    return Regularisation(
+        name, solver(name).label, solved.rule, l_curve_of(system), solved.kappa, kappas, solved.failure
+    )

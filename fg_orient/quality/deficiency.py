@@ -1,7 +1,7 @@
-"""What is not determined, judged before anything is solved: said where priors hold it, refused where nothing does.
+"""Undetermined unknowns, detected before the adjustment: reported if priors hold them, refused otherwise.
 
-The order is that of the sentences a user can act on: unknowns for which there are too few observations (structure),
-directions that physics hides from an image, motions of the block that no control point fixes, any other direction.
+The order of the checks is that of the remedies: unknowns with too few observations (structure), physically unobservable
+directions of an image, motions of the block that no control point fixes, other directions.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from fg_orient.quality.observability import (
 )
 from fg_orient.quality.structure import Structure, analyse_structure
 
-#: Codes of faults that name what is not determined.
+#: Codes of errors that describe undetermined unknowns.
 DEFICIENT: Final = (
     "adjust.rank_deficient", "adjust.rank_without_control", "statistics.too_few", "statistics.motions",
 )  # fmt: skip
-#: Image points that tell the motions of a block that is too large to be decomposed.
+#: Image points that are enough to determine the motions of a block that is too large for a decomposition.
 ENOUGH: Final = 20_000
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a refusal was judged by.
+    """Analysis that led to a refusal.
 
     Parameters
     ----------
     problem : Problem
-        The compiled block; its start values are all that is known of the unknowns.
+        The compiled block, with start values of the unknowns.
     observability : tuple of ImageObservability
-        Of each image; empty where the structure alone decided.
+        Of each image; empty if the structure alone decided.
     view : BlockObservability or None
-        Of the block as a whole; None where the structure or single images decided before it was asked for.
+        Of the block as a whole; None if the structure or single images decided.
     """
 
     problem: Problem
@@ -55,12 +55,9 @@ class Evidence:
 
 
 def compiled_problem(block: Block, like: Problem | None = None) -> Problem:
-    """Compile a block; where it has no control point, say which motions are free. ``like``: see ``compile_problem``.
+    """Compile a block; the error for a block without control points lists the free motions of each part.
 
-    Raises
-    ------
-    InputError
-        See ``compile_problem``; after ``block.no_control`` one problem per part of the block.
+    Parameters and errors as of ``compile_problem``.
     """
     try:
         return compile_problem(block, like)
@@ -71,7 +68,7 @@ def compiled_problem(block: Block, like: Problem | None = None) -> Problem:
 
 
 def _motions_without_control(block: Block) -> list[Finding]:
-    """One fault per part of a block without control points; none if the block has other faults, too."""
+    """One error per part of a block without control points; none if the block has other errors."""
     loose = replace(block, options=replace(block.options, datum="free", priors=False))
     try:
         compiled = compile_problem(loose)
@@ -95,13 +92,13 @@ def judge_observability(compiled: Problem, state: State | None = None) -> tuple[
 
 
 def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability, ...]) -> BlockObservability:
-    """Refuse a block whose unknowns nothing determines; give the view of the whole block.
+    """Analyse the whole block, and refuse it if some unknowns are undetermined.
 
     Raises
     ------
     RankDeficientError
-        One problem per unknown that lacks observations, direction that no image shows, or part of the block that no
-        control point fixes.
+        One problem per unknown with too few observations, unobservable direction of an image, or part of the block that
+        no control point fixes.
     """
     structure = analyse_structure(compiled)
     _refuse(compiled, observability, _structural(compiled, structure, observability))
@@ -113,13 +110,7 @@ def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability,
 
 
 def require_determined(compiled: Problem) -> None:
-    """Refuse what :func:`refuse_deficient` refuses, and look no further: with priors structure alone decides.
-
-    Raises
-    ------
-    RankDeficientError
-        See :func:`refuse_deficient`.
-    """
+    """Refuse what :func:`refuse_deficient` refuses, without further analysis: with priors the structure decides."""
     if compiled.block.options.priors:
         _refuse(compiled, (), _structural(compiled, analyse_structure(compiled), ()))
     else:
@@ -127,14 +118,14 @@ def require_determined(compiled: Problem) -> None:
 
 
 def _view(compiled: Problem, structure: Structure) -> BlockObservability:
-    """The whole block where its size allows it or nothing but the observations holds it; else its motions."""
+    """The whole block if its size allows it or it has no priors, otherwise its motions only."""
     if not compiled.block.options.priors or affordable(compiled):
         return analyse_block(compiled, structure)
     return analyse_block(_thinned(compiled), structure, whole=False)
 
 
 def _thinned(compiled: Problem) -> Problem:
-    """The same block with all control points, but only some of many other ground points."""
+    """The block with all control points and a part of the other ground points."""
     o = compiled.observations
     step = -(-len(o) // ENOUGH)
     control = compiled.observed | ~compiled.active
@@ -145,7 +136,7 @@ def _thinned(compiled: Problem) -> Problem:
 def _structural(
     compiled: Problem, structure: Structure, observability: tuple[ImageObservability, ...]
 ) -> list[Finding]:
-    """Faults of structure and of single images; damped steps need neither points nor all images determined."""
+    """Errors of structure and of single images; damped steps require neither determined points nor images."""
     floating = compiled.least_damping > 0.0 and compiled.redundancy >= 0
     lacks = () if floating else structure.lacks
     out = [finding("statistics.too_few", place=lack.sentence, remedy=lack.remedy) for lack in lacks]
@@ -157,12 +148,12 @@ def _structural(
 
 
 def _code(compiled: Problem) -> str:
-    """Code of a direction that nothing shows: without control points the way out is another one."""
+    """Code of an undetermined direction: the remedy depends on control points."""
     return "adjust.rank_deficient" if compiled.has_control else "adjust.rank_without_control"
 
 
 def _numerical(compiled: Problem, view: BlockObservability) -> list[Finding]:
-    """Faults of the block as a whole; a datum that may be free has its motions."""
+    """Errors of the block as a whole; motions are allowed for a free datum."""
     loose = compiled.block.options.datum in ("free", "inner")
     dead = sum(int(m.unobservable.sum()) for m in view.motions)
     out = [] if loose or not dead else _motion_faults(view)

@@ -1,9 +1,9 @@
-"""Heights of points against a reference elevation model: differences, and the shift that explains them.
+"""Heights of points compared with a reference elevation model: differences, and the shift that explains them.
 
-Differences are point minus model. Beside mean and standard deviation stand median, NMAD = 1.4826 median|d - median|
-and quantiles of |d|, which withstand blunders and vegetation (Höhle, Höhle 2009). A horizontal shift of the points
-shows as a difference that follows slope and aspect (Nuth, Kääb 2011): ``d = U - s_E E - s_N N`` with the model's slopes
-s, solved by least squares, the model read again at the shifted places.
+Differences are point minus model. In addition to mean and standard deviation: median, NMAD = 1.4826 median|d - median|
+and quantiles of |d|, which are robust against blunders and vegetation (Höhle, Höhle 2009). The differences caused by a
+horizontal shift of the points depend on slope and aspect (Nuth, Kääb 2011): ``d = U - s_E E - s_N N`` with the slopes s
+of the model. The shift is solved by least squares, with the model read at the shifted positions in each step.
 """
 
 from __future__ import annotations
@@ -27,33 +27,33 @@ from fg_orient.sensors.surface import RasterDem
 Array = npt.NDArray[np.float64]
 
 NMAD: Final = 1.4826
-#: Half the step over which slopes are taken.
+#: Half the distance over which slopes are computed.
 SLOPE_M: Final = 15.0
-#: Differences beyond this many NMAD of the median do not take part in the shift.
+#: Differences farther from the median than this number of NMAD are excluded from the shift.
 REACH: Final = 3.0
 MAX_STEPS, STEP_M = 30, 1e-3
-#: Steps after which the points that take part are held: others at the border would come and go for ever.
+#: Steps after which the selection of points is kept: points near the limit would otherwise change in every step.
 CHOOSING_STEPS: Final = 8
 LEAST_POINTS: Final = 10
-#: Condition of the scaled slopes and the constant beyond which East, North and Up are not told apart.
+#: Condition of the scaled slopes and the constant beyond which East, North and Up are not separable.
 CONDITION: Final = 1e3
 CONFIDENCE: Final = 0.95
 
 
 @dataclass(frozen=True)
 class Shift:
-    """Shift of the points against the model: what must be taken from them to lay them on it.
+    """Shift of the points relative to the model; subtracted from the points it removes the differences.
 
     Parameters
     ----------
     enu_m, sigma_m : (3,) arrays
-        East, North, Up and their standard deviations, from the scatter about the model.
+        East, North, Up and their standard deviations, from the scatter of the differences.
     n : int
-        Points that took part.
+        Number of points used.
     limit : float
-        |shift| / sigma beyond which a component is significant (Student, 95 %).
+        Limit of |shift| / sigma of a significant component (Student, 95 %).
     rmse_before_m, rmse_after_m : float
-        Of the differences of these points.
+        RMSE of the differences of these points.
     """
 
     enu_m: Array
@@ -65,7 +65,7 @@ class Shift:
 
     @property
     def significant(self) -> npt.NDArray[np.bool_]:
-        """Components that differ from zero (3,)."""
+        """Components (3,) that differ significantly from zero."""
         return np.asarray(np.abs(self.enu_m) > self.limit * self.sigma_m)
 
 
@@ -76,11 +76,11 @@ class DemComparison:
     Parameters
     ----------
     difference_m : (n,) array
-        Point minus model, of the points over it.
+        Point minus model, for points inside the model.
     n_outside : int
-        Points where the model has no height.
+        Number of points where the model has no height.
     shift : Shift or None
-        None where it is not determined; ``unavailable`` says why.
+        None if not determined; ``unavailable`` contains the reason.
     """
 
     difference_m: Array
@@ -89,7 +89,7 @@ class DemComparison:
     unavailable: Finding | None = None
 
     def statistics(self) -> dict[str, float | int]:
-        """Figures under the keys of the record; those that the number of points does not support are absent."""
+        """Statistics with the keys of the record; statistics that need more points are absent."""
         d = self.difference_m
         out: dict[str, float | int] = {"n": len(d), "n_outside": self.n_outside}
         if not len(d):
@@ -102,7 +102,7 @@ class DemComparison:
         return out
 
     def as_dict(self) -> dict[str, Any]:
-        """Give the record as plain values."""
+        """Plain values for the record."""
         s, axes = self.shift, ("east", "north", "up")
         shift = None if s is None else {
             **{f"{a}_m": float(v) for a, v in zip(axes, s.enu_m, strict=True)},
@@ -114,24 +114,14 @@ class DemComparison:
 
 
 def nmad(values: Array) -> float:
-    """Normalised median absolute deviation: the standard deviation of normal errors, whatever a few blunders do."""
+    """Normalised median absolute deviation: standard deviation of normal errors, robust against a few blunders."""
     return NMAD * float(np.median(np.abs(values - np.median(values))))
 
 
 def compare_dem(ground_m: Array, dem: HeightSurface) -> DemComparison:
-    """Compare points with an elevation model.
+    """Compare points (n, 3), ECEF m, with an elevation model of ellipsoidal heights.
 
-    Parameters
-    ----------
-    ground_m : (n, 3) array
-        ECEF; rows that are not finite are left out.
-    dem : HeightSurface
-        ``height_m(lon_deg, lat_deg)`` above the ellipsoid, nan where there is none.
-
-    Raises
-    ------
-    InputError
-        No point lies over the model.
+    Rows that are not finite are ignored. InputError: no point is inside the model.
     """
     ground = np.ascontiguousarray(ground_m[np.isfinite(ground_m).all(axis=1)])
     difference = _differences(ground, dem)
@@ -150,30 +140,24 @@ def compare_points(
     Raises
     ------
     InputError
-        See :func:`compare_dem`; a local coordinate system; no points of this role; a raster that cannot be read or
+        As :func:`compare_dem`; a local coordinate system; no points of this role; a raster that cannot be read or
         whose heights are not ellipsoidal.
     """
     if not block.georeferenced:
         raise InputError.of("accuracy.local", place="dem", value=block.name)
-    rows = rows_of_role([found.value for found in block.points.roles], role)
+    rows = rows_of_role([given.value for given in block.points.roles], role)
     return compare_dem(ground_m[rows], RasterDem(dem) if isinstance(dem, str | Path) else dem)
 
 
 def rows_of_role(roles: Sequence[str], role: str | None) -> list[int]:
-    """Rows of the points of a role; all without one.
-
-    Raises
-    ------
-    InputError
-        There are none.
-    """
+    """Rows of the points of a role, of all points for None; InputError without such points."""
     if role is not None and role not in roles:
         raise InputError.of("accuracy.role", place="role", value=role, known=", ".join(sorted(set(roles))))
-    return [k for k, found in enumerate(roles) if role in (None, found)]
+    return [k for k, given in enumerate(roles) if role in (None, given)]
 
 
 def _differences(ground: Array, dem: HeightSurface) -> Array:
-    """Height of the points minus that of the model below them (n,)."""
+    """Height of the points minus height of the model (n,)."""
     lon, lat, height = ellipsoid.geodetic_array(ground).T
     return np.asarray(height - dem.height_m(np.degrees(lon), np.degrees(lat)))
 
@@ -184,7 +168,7 @@ def _axes(ground: Array) -> Array:
 
 
 def _design(ground: Array, axes: Array, dem: HeightSurface) -> Array:
-    """Derivatives of the difference for a shift of the points to East, North, Up (n, 3)."""
+    """Derivatives (n, 3) of the difference with respect to a shift East, North, Up."""
     slopes = [
         (_differences(ground + SLOPE_M * axes[:, k], dem) - _differences(ground - SLOPE_M * axes[:, k], dem))
         / (2.0 * SLOPE_M)
@@ -194,7 +178,7 @@ def _design(ground: Array, axes: Array, dem: HeightSurface) -> Array:
 
 
 def _near(d: Array, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Known differences within reach of their median."""
+    """Known differences within :data:`REACH` NMAD of their median."""
     if not known.any():
         return known
     reach = max(REACH * nmad(d[known]), STEP_M)
@@ -202,7 +186,7 @@ def _near(d: Array, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
 
 
 def _shift(ground: Array, dem: HeightSurface) -> tuple[Shift | None, Finding | None]:
-    """Shift by Gauss-Newton, blunders left out by their NMAD at each step; None and the reason."""
+    """Shift by Gauss-Newton, without blunders by the NMAD of each step; None and the reason if not determined."""
     axes, shift, kept = _axes(ground), np.zeros(3), np.zeros(len(ground), bool)
     for k in range(MAX_STEPS):
         moved = ground - np.einsum("k,nkj->nj", shift, axes)

@@ -1,116 +1,266 @@
-"""All image points as whitened rows, and what is left of them when the ground points are eliminated.
+"""Ground points eliminated from the whitened rows, for observability, datum, outlier tests and variance components.
 
-A ground point with m rays has the rows ``A x + B p`` (A to the images, B (2m, 3) to the point, a control point three
-more). The columns of Q beyond the third of ``B = Q R`` give ``Q2^T A``: what the rays say about the images whatever
-the point does. It is done for all points with the same number of rays at once; nothing is squared, so singular values
-down to 1e-12 of the largest are those of the rows.
+The rows of a ground point have Jacobians B to the unknowns of its images and G to the point (a control point has three
+more rows than its image points). The columns of Q beyond the third of ``G = Q R`` are a basis Q2 of the combinations
+that do not depend on the point::
+
+    Q2^T B: reduced rows,   F = Q2 Q2^T = I - G (G^T G)^-1 G^T,   A = F B
+
+Points with the same number of rows are eliminated together. Nothing is squared: singular values of the reduced rows
+down to 1e-12 of the largest are accurate. A point that extra observations name is not eliminated. Its coordinates
+follow the unknowns of the images.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import qr
 
-from fg_orient.adjustment.dense import assemble
-from fg_orient.adjustment.problem import Problem
+from factors.conditions.control import POINT
+from fg_orient.adjustment.dense import extra_blocks
+from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import Rows
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: Elements of the matrix of rows of one chunk.
-CHUNK = 2_000_000
+#: Singular values of whitened Jacobians in prior sigmas up to this limit: the direction is unobservable.
+UNOBSERVABLE: Final = 1e-5
+#: Elements of arrays of many points in memory at once.
+CHUNK: Final = 2**21
 
 
-def eliminated(problem: Problem, rows: Rows) -> Array:
-    """Rows (q, u) of all image unknowns with the unknown ground points eliminated.
+@dataclass(frozen=True)
+class PointRows:
+    """Ground points with the same number of rows, or single rows without a point.
 
-    Compressed by QR on the way: q is u at most, unless there are few rows. Priors are left out.
+    Parameters
+    ----------
+    point : (P,) int array
+        -1: none.
+    kind : (P, k) int array
+        Points of equal kind have equal columns.
+    rows : (P, r) int array
+        Among all rows: image points, control points (East, North, Up), priors, extra observations.
+    columns : (P, c) int array
+        Among the unknowns of the images (shared ones once), followed by the named points.
+    basis : (P, r, q) array
+        Q2.
+    reduced : (P, q, c) array
+        ``Q2^T B``.
+    """
+
+    point: Index
+    kind: Index
+    rows: Index
+    columns: Index
+    basis: Array
+    reduced: Array
+
+    @cached_property
+    def free(self) -> Array:
+        """F (P, r, r)."""
+        return np.asarray(self.basis @ np.swapaxes(self.basis, 1, 2))
+
+    @cached_property
+    def design(self) -> Array:
+        """A (P, r, c)."""
+        return np.asarray(self.basis @ self.reduced)
+
+    def quadratic(self, q: Array) -> Array:
+        """``A q A^T`` (P, r, r) of a matrix q (u, u) of all unknowns, or (P, c, c) of the columns of each point."""
+        mine = q if q.ndim == 3 else q[self.columns[:, :, None], self.columns[:, None, :]]
+        return np.asarray(self.design @ mine @ np.swapaxes(self.design, 1, 2))
+
+
+def named_points(problem: Problem) -> list[int]:
+    """Unknown ground points that extra observations name."""
+    arguments = (a for extra in problem.block.extra for a in problem.extra_arguments(extra))
+    return sorted({a.index for a in arguments if not a.is_image and a.constant is None})
+
+
+def control_rows(problem: Problem, points: Index) -> Array:
+    """Whitened rows (m, 3, 3) of control points in East, North, Up, with the weights of a loss: orthogonal to W."""
+    w = problem.control_weights(points)
+    axes = problem.axes(problem.control_records[points, POINT.place] + problem.origin_m)
+    return np.asarray(np.linalg.norm(w @ np.swapaxes(axes, 1, 2), axis=1)[:, :, None] * axes)
+
+
+def control_residuals(problem: Problem, state: State) -> Array:
+    """Whitened residuals (m, 3) of all control points in East, North, Up: adjusted minus measured."""
+    points = np.flatnonzero(problem.observed)
+    difference = state.ground[points] - problem.control_records[points, POINT.place]
+    return np.asarray(np.einsum("nij,nj->ni", control_rows(problem, points), difference))
+
+
+def image_columns(problem: Problem, images: Index) -> Index:
+    """Columns (n, k) of the unknowns of images, filled up with the first, where Jacobians are zero."""
+    columns = problem.columns[images]
+    wide = np.where(columns < problem.n_image_unknowns, columns, 0)
+    return wide if problem.ties is None else problem.ties.of[wide]
+
+
+def free_cofactors(
+    problem: Problem, joint: Callable[[tuple[int, ...], tuple[int, ...]], Array], named: list[int]
+) -> Array:
+    """Cofactors of all image unknowns (shared ones once), then of the named points; ``joint`` as of ``Cofactors``."""
+    q = joint(tuple(range(problem.n_images)), tuple(named))
+    if problem.ties is None:
+        return q
+    place = np.concatenate([problem.ties.place, np.arange(problem.n_image_unknowns, len(q))])
+    return np.asarray(q[np.ix_(place, place)])
+
+
+def eliminated_points(
+    problem: Problem, rows: Rows, named: list[int] | tuple[int, ...] = (), *, only: Index | None = None, groups: int = 0
+) -> Iterator[PointRows]:
+    """Eliminate ground points, those with the same number of rows together.
 
     Parameters
     ----------
     problem : Problem
     rows : Rows
+        Of all image points.
+    named : sequence of int
+        Points that are not eliminated, ascending.
+    only : int array, optional
+        Points wanted; default: all that are measured.
+    groups : int
+        Matrices (r, r) that the caller forms per point: limits the size of the parts.
     """
-    u, parts, height = problem.n_image_unknowns, [np.zeros((0, problem.n_image_unknowns))], 0
-    for rays, control in _alike(problem):
-        basis = _complement(problem, rows, rays, control)
-        chunk = max(1, CHUNK // max(1, basis.shape[2] * (u + 1)))
-        for start in range(0, len(rays), chunk):
-            part = slice(start, start + chunk)
-            found = _scattered(problem, rows, rays[part], basis[part])
-            parts.append(found)
-            height += len(found)
-            if height > 2 * u + CHUNK // max(1, u):
-                parts = [np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))]
-                height = len(parts[0])
-    whole = np.vstack(parts)
-    return np.asarray(np.linalg.qr(whole, mode="r")) if len(whole) > u else whole
+    of_point = problem.observations.point
+    order = np.lexsort((problem.observations.image, of_point))
+    points, first, rays = np.unique(of_point[order], return_index=True, return_counts=True)
+    wanted = np.ones(len(points), bool) if only is None else np.isin(points, only)
+    sort = np.stack([rays, problem.observed[points], problem.active[points], np.isin(points, named)], axis=1)
+    for m, observed, active, is_named in np.unique(sort[wanted], axis=0).tolist():
+        mine = np.flatnonzero(wanted & (sort == [m, observed, active, is_named]).all(axis=1))
+        r, c = 2 * m + 3 * observed, m * rows.image.shape[2] + 3 * is_named
+        step = max(1, CHUNK // max(c * c if groups else r * c, r * r * (groups + 1)))
+        for part in (mine[k : k + step] for k in range(0, len(mine), step)):
+            seen = order[first[part, None] + np.arange(m)]
+            keep = None if is_named else bool(active)
+            yield _eliminated(problem, rows, points[part], seen, bool(observed), keep, named)
 
 
-def eliminated_with_own(problem: Problem) -> Array:
-    """The same at the start, own observations included, by full matrices.
+def _eliminated(
+    problem: Problem, jacobians: Rows, points: Index, seen: Index, observed: bool, eliminate: bool | None,
+    named: list[int] | tuple[int, ...],
+) -> PointRows:  # fmt: skip
+    """Points (P,) with image points ``seen`` (P, m); ``eliminate``: None for named points, False for fixed ones."""
+    (n, m), o = seen.shape, problem.observations
+    r, ground = 2 * m + 3 * observed, np.zeros((n, 2 * m + 3 * observed, 3))
+    ground[:, : 2 * m] = jacobians.ground[seen].reshape(n, 2 * m, 3)
+    rows, kind = (2 * seen[:, :, None] + np.arange(2)).reshape(n, -1), o.image[seen].astype(np.intp)
+    columns = image_columns(problem, kind.ravel()).reshape(n, -1)
+    if observed:
+        ground[:, 2 * m :] = control_rows(problem, points)
+        place = np.searchsorted(np.flatnonzero(problem.observed), points)[:, None]
+        rows = np.hstack([rows, 2 * len(o) + 3 * place + np.arange(3)])
+    basis = np.linalg.qr(ground, mode="complete").Q[:, :, 3:] if eliminate else np.tile(np.eye(r), (n, 1, 1))
+    turned = np.swapaxes(basis, 1, 2)
+    reduced = [turned[:, :, 2 * ray : 2 * ray + 2] @ jacobians.image[seen[:, ray]] for ray in range(m)]
+    if eliminate is None:
+        own = problem.n_free_unknowns + 3 * np.searchsorted(named, points)[:, None] + np.arange(3)
+        columns, kind = np.hstack([columns, own]), np.hstack([kind, points[:, None]])
+        reduced.append(ground)
+    return PointRows(points, kind, rows, columns, basis, np.concatenate(reduced, axis=2))
 
-    Raises
-    ------
-    NotFiniteError
-        An own observation is not finite.
+
+def single_rows(rows: Index, columns: Index, design: Array) -> PointRows:
+    """Rows without a point: ``columns`` (n, c) and ``design`` (n, c)."""
+    n = len(rows)
+    return PointRows(np.full(n, -1), columns[:, :1], rows[:, None], columns, np.ones((n, 1, 1)), design[:, None, :])
+
+
+def extra_rows(problem: Problem, state: State, named: list[int], begin: int = 0) -> Iterator[PointRows]:
+    """Rows of the extra observations, the first with number ``begin``."""
+    for extra in problem.block.extra:
+        _, blocks = extra_blocks(problem, extra, state, jacobian=True)
+        columns = np.concatenate([
+            image_columns(problem, np.array([a.index]))[0, : a.size] if a.is_image
+            else problem.n_free_unknowns + 3 * named.index(a.index) + np.arange(3)
+            for a, _ in blocks
+        ])  # fmt: skip
+        rows = begin + np.arange(extra.n_residuals)
+        yield single_rows(rows, np.tile(columns, (len(rows), 1)), np.hstack([block for _, block in blocks]))
+        begin += len(rows)
+
+
+# --- reduced rows of all images -------------------------------------------------------------------
+
+
+def reduced_rows(problem: Problem, rows: Rows, state: State | None = None) -> Array:
+    """Rows (q, z) of all image unknowns (shared ones once) with the ground points eliminated; priors are left out.
+
+    Rows of points that the same images see are compressed by QR before they are put together, so that q does not grow
+    with the number of points.
+
+    Parameters
+    ----------
+    problem : Problem
+    rows : Rows
+    state : State, optional
+        Include the extra observations at this state. The points that they name are eliminated at the end, by a QR with
+        pivoting: these points need not be determined.
     """
-    u = problem.n_image_unknowns
-    bare = replace(problem, block=replace(problem.block, options=replace(problem.block.options, priors=False)))
-    _, design = assemble(bare, problem.start)
-    q, r = qr(design[:, u:], pivoting=True)[:2]
-    size = np.abs(np.diag(r))
-    rank = int((size > size[0] * np.finfo(float).eps * len(design)).sum()) if len(size) else 0
-    return np.asarray(q[:, rank:].T @ design[:, :u])
+    named = [] if state is None else named_points(problem)
+    z, extra = problem.n_free_unknowns, () if state is None else extra_rows(problem, state, named)
+    with one_blas_thread():
+        out = _compressed(chain(eliminated_points(problem, rows, named), extra), z + 3 * len(named))
+        if named:
+            from scipy.linalg import qr
 
-
-def _alike(problem: Problem) -> list[tuple[Index, Index]]:
-    """Rows (P, m) of P points with m rays each, and their numbers (P,) if they are control points, else -1.
-
-    Image points of fixed ground points stand for themselves: number -2.
-    """
-    point = problem.observations.point
-    fixed = np.flatnonzero(~problem.active[point])
-    out = [(fixed[:, None], np.full(len(fixed), -2))] if len(fixed) else []
-    order = np.flatnonzero(problem.active[point])
-    order = order[np.argsort(point[order], kind="stable")]
-    ids, first, count = np.unique(point[order], return_index=True, return_counts=True)
-    for m in np.unique(count):
-        for control in (False, True):
-            which = np.flatnonzero((count == m) & (problem.observed[ids] == control))
-            if len(which):
-                number = ids[which] if control else np.full(len(which), -1)
-                out.append((order[first[which, None] + np.arange(m)], number))
+            q, r = qr(out[:, z:], pivoting=True)[:2]
+            size = np.abs(np.diag(r))
+            rank = int((size > size[0] * np.finfo(float).eps * len(out)).sum())
+            out = np.asarray(q[:, rank:].T @ out[:, :z])
     return out
 
 
-def _complement(problem: Problem, rows: Rows, rays: Index, control: Index) -> Array:
-    """Orthonormal combinations (P, 2m, q) of the rows of each point's rays that do not feel the point.
+def _compressed(parts: Iterable[PointRows], width: int) -> Array:
+    """Reduced rows of all points as one matrix (q, width)."""
+    out, height, largest = [np.zeros((0, width))], 0, 2 * width + CHUNK // max(1, width)
+    for part in parts:
+        order = np.lexsort(part.kind.T)
+        new = (part.kind[order[1:]] != part.kind[order[:-1]]).any(axis=1)
+        for mine in np.split(order, np.flatnonzero(new) + 1):
+            triangle = _triangle(part.reduced[mine].reshape(-1, part.columns.shape[1]))
+            out.append(_scattered(triangle, part.columns[mine[0]], width))
+            height += len(triangle)
+            if height > largest:
+                out = [_triangle(np.vstack(out))]
+                height = len(out[0])
+    return _triangle(np.vstack(out))
 
-    Rows of the control-point equations have no part in the images: only the upper 2m rows are given.
-    """
-    n, m = rays.shape
-    if control[0] == -2:
-        return np.tile(np.eye(2), (n, 1, 1))
-    a = rows.ground[rays].reshape(n, 2 * m, 3)
-    if control[0] >= 0:
-        a = np.concatenate([a, problem.control_weights(control)], axis=1)
-    return np.asarray(np.linalg.qr(a, mode="complete")[0][:, : 2 * m, 3:])
+
+def _triangle(rows: Array) -> Array:
+    """R (u, u) of rows (n, u) by QR; the rows themselves if there are not more than columns."""
+    return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
 
 
-def _scattered(problem: Problem, rows: Rows, rays: Index, basis: Array) -> Array:
-    """Combinations ``Q2^T A`` (P q, u): each ray's block in the columns of its image."""
-    u, image, (n, m) = problem.n_image_unknowns, problem.observations.image, rays.shape
-    out = np.zeros((n, basis.shape[2], u + 1))
-    for r in range(m):
-        block = np.einsum("pik,pij->pkj", basis[:, 2 * r : 2 * r + 2], rows.image[rays[:, r]])
-        at = problem.columns[image[rays[:, r]]]
-        out[np.arange(n)[:, None, None], np.arange(basis.shape[2])[:, None], at[:, None, :]] += block
-    return out[:, :, :u].reshape(-1, u)
+def _scattered(rows: Array, columns: Index, width: int) -> Array:
+    """Rows (n, c) in their columns (c,) of a matrix (n, width); columns that occur twice are added."""
+    out = np.zeros((len(rows), width))
+    if len(np.unique(columns)) == len(columns):
+        out[:, columns] = rows
+    else:
+        np.add.at(out.T, columns, rows.T)
+    return out
+
+
+def spectrum(rows: Array) -> tuple[Array, Array]:
+    """Singular values (u,) of rows (n, u), descending, and their right directions (u, u); zeros if n is less than u."""
+    short, u = _triangle(rows), rows.shape[1]
+    _, s, vt = np.linalg.svd(np.vstack([short, np.zeros((max(0, u - len(short)), u))]), full_matrices=False)
+    return s, vt
 
 
 def followed_by_ground(problem: Problem, rows: Rows, directions: Array) -> Array:
@@ -121,15 +271,13 @@ def followed_by_ground(problem: Problem, rows: Rows, directions: Array) -> Array
     problem : Problem
     rows : Rows
     directions : (u, d) array
-        Of all image unknowns, prior sigmas.
+        Of the unknowns of all images (shared ones in each image), prior sigmas.
     """
     o, d = problem.observations, directions.shape[1]
     wide = np.vstack([directions, np.zeros((1, d))])[problem.columns[o.image]]
     moved = np.einsum("nij,njd->nid", rows.image, wide)
-    n_points = len(problem.active)
-    normal, right = problem.point_normals(o.point, rows.ground), np.zeros((n_points, 3, d))
-    np.add.at(right, o.point, np.einsum("nik,nid->nkd", rows.ground, moved))
-    out = np.zeros((n_points, 3, d))
-    seen = np.flatnonzero(problem.active)
-    out[seen] = -np.linalg.solve(normal[seen], right[seen])
+    normal, out = problem.point_normals(o.point, rows.ground), np.zeros((len(problem.active), 3, d))
+    np.add.at(out, o.point, np.einsum("nik,nid->nkd", rows.ground, moved))
+    out[problem.active] = -np.linalg.solve(normal[problem.active], out[problem.active])
+    out[~problem.active] = 0.0
     return out

@@ -1,23 +1,20 @@
-"""Adjustment of a block without control in a datum of inner constraints.
+"""Free networks: inner constraints and S-transformations.
 
-The equations of a free network are singular. Here d of its image unknowns, as many as there are motions, are held by
-an observation each: a minimal datum, chosen by pivoting so that it is well conditioned. These observations get no
-residual, so shape and residuals are those of the free network, any backend solves regular equations, and no factor
-links more than it did (inner constraints as factors would link all points with each other). Then an S-transformation
-leads to the datum wanted: of the state, in steps with the adjustment repeated, because a motion is not linear; of the
-cofactors, once.
-
-Datum of a free network: inner constraints and S-transformations.
-
-A network without control has motions E (the null space of its Jacobian) that no observation feels. Constraints
-``E^T D (x - x_0) = 0``, as many as motions, choose one of its solutions; D picks the unknowns that carry the datum.
-All choices have the same residuals and the same shape, and each follows from any other by an S-transformation
+The Jacobian of a network without control has a null space E: motions without effect on the observations. Constraints
+``E^T D (x - x_0) = 0``, as many as motions, select one solution; the diagonal matrix D selects the unknowns of the
+datum. All choices have the same residuals and the same shape, and each follows from any other by an S-transformation
 (Baarda 1973)::
 
     S = I - E (E^T D E)^-1 E^T D,    x_D = x_0 + S (x - x_0),    Q_D = S Q S^T
 
-With all unknowns in D this is the solution of the pseudo-inverse, with the trace of Q as small as it can be (Meissl
-1962); with some of them, the trace of their part is (Koch 1999, 3.3).
+With all unknowns in D this is the solution of the pseudo-inverse, with the least trace of Q (Meissl 1962); with some
+unknowns, the trace of their part is least (Koch 1999, 3.3).
+
+The adjustment uses a minimal datum: d image unknowns, as many as motions, each with one observation, selected by
+pivoting so that the datum is well conditioned. These observations get no residual, so shape and residuals are those of
+the free network, every backend solves regular equations, and no factor connects more variables. (Inner constraints as
+factors would connect all points.) An S-transformation then leads to the requested datum: for the state in steps with
+repeated adjustments, because a motion is not linear, and for the cofactors once.
 """
 
 from __future__ import annotations
@@ -38,24 +35,23 @@ from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import InputError, finding
 from fg_orient.quality.covariance import Cofactors, Indeterminate, MatrixCofactors, NamedMatrix
-from fg_orient.quality.elimination import eliminated, followed_by_ground
-from fg_orient.quality.motions import UNOBSERVABLE
+from fg_orient.quality.elimination import UNOBSERVABLE, followed_by_ground, reduced_rows, spectrum
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
-#: Unknowns up to which all cofactors of a free network are formed.
+#: Number of unknowns up to which all cofactors of a free network are formed.
 MAX_UNKNOWNS: Final = 3000
 #: A datum is reached when its step is below this, in prior sigmas and metres.
 REACHED: Final = 1e-9
-#: Steps to the datum; each squares what is left, so few are needed.
+#: Steps to the datum; convergence is quadratic.
 MAX_STEPS: Final = 10
 _LABEL: Final = "minimal datum"
 
 
 def _residual(record: Any, setup: Any, x: Any) -> Any:
-    """``x - x_0`` of the unknowns whose numbers are in the record."""
+    """``x - x_0`` of the unknowns with the numbers of the record."""
     return x[record.astype(np.intp)] - setup[0]
 
 
@@ -75,28 +71,26 @@ HELD_UNKNOWNS: Final = Equation(
 
 
 def null_space(problem: Problem, state: State) -> Array:
-    """Motions (n, d) that no observation feels: image unknowns in prior sigmas, then unknown points in m.
+    """Motions (n, d) without effect on the observations: image unknowns in prior sigmas, then unknown points in m.
 
-    Columns are orthonormal in the image unknowns. Own observations are not looked at.
+    Columns are orthonormal in the image unknowns. Extra observations are not included.
     """
-    rows, u, ties = linearised(problem, state), problem.n_free_unknowns, problem.ties
+    rows = linearised(problem, state)
     with one_blas_thread():
-        rest = eliminated(problem, rows)
-        rest = rest if ties is None else ties.columns(rest)
-        _, s, vt = np.linalg.svd(np.vstack([rest, np.zeros((max(0, u - len(rest)), u))]), full_matrices=False)
+        s, vt = spectrum(reduced_rows(problem, rows))
     motions = np.asarray(vt[s <= UNOBSERVABLE].T)
-    motions = motions if ties is None else ties.widened(motions)
+    motions = motions if problem.ties is None else problem.ties.widened(motions)
     ground = followed_by_ground(problem, rows, motions)[problem.active]
     return np.vstack([motions, ground.reshape(3 * len(ground), motions.shape[1])])
 
 
 def without_priors(block: Block) -> Block:
-    """The same block without prior observations: they would hold the network."""
+    """The block without prior observations, which would fix the network."""
     return replace(block, options=replace(block.options, priors=False))
 
 
 def with_minimal_datum(problem: Problem) -> Problem:
-    """Hold as many image unknowns at their values of the start as there are motions."""
+    """Hold image unknowns at their start values, as many as motions."""
     motions = null_space(problem, problem.start)[: problem.n_image_unknowns]
     d = motions.shape[1]
     chosen = np.sort(qr(motions.T, mode="r", pivoting=True)[1][:d]) if d else np.zeros(0)
@@ -104,7 +98,7 @@ def with_minimal_datum(problem: Problem) -> Problem:
 
 
 def _holding(problem: Problem, chosen: Index) -> Problem:
-    """Replace the observations that hold image unknowns by those of others."""
+    """Hold these image unknowns (d,) by observations, and no others."""
     held = []
     for k, image in enumerate(problem.block.images):
         own = chosen[(chosen >= problem.first[k]) & (chosen < problem.first[k + 1])] - problem.first[k]
@@ -119,34 +113,32 @@ def _holding(problem: Problem, chosen: Index) -> Problem:
 
 
 def held_unknowns(problem: Problem) -> Index:
-    """Image unknowns (d,) that are held for the minimal datum, as many as there are motions."""
-    found = [
+    """Image unknowns (d,) that are held for the minimal datum, as many as motions."""
+    held = [
         problem.first[problem.block.image_index(e.unknowns[0].removeprefix("image:"))] + e.record.astype(np.intp)
         for e in problem.block.extra
         if e.equation is HELD_UNKNOWNS
     ]
-    return np.concatenate([np.zeros(0, np.intp), *found])
+    return np.concatenate([np.zeros(0, np.intp), *held])
 
 
 def to_inner_datum(
     problem: Problem, estimate: Estimate, run: Callable[[Problem], Estimate]
 ) -> tuple[Problem, Estimate]:
-    """Lead a minimally constrained adjustment to inner constraints on its ground points.
+    """Transform a minimally constrained adjustment to inner constraints on its ground points.
 
     Parameters
     ----------
     problem : Problem
-        With its minimal datum; its start has the coordinates that the constraints refer to.
+        With its minimal datum; the constraints refer to the coordinates of its start.
     estimate : Estimate
     run : callable
         Adjusts a problem from its start.
 
     Returns
     -------
-    Problem
-        The same, its minimal datum at the values of the result.
-    Estimate
-        Not converged if the datum is not reached.
+    The problem with its minimal datum at the values of the result; the estimate, not converged if the datum is not
+    reached.
     """
     chosen, first = held_unknowns(problem), estimate
     reference, at = problem.vector(problem.start), problem
@@ -167,7 +159,7 @@ def to_inner_datum(
 
 
 def _undamped(problem: Problem) -> Problem:
-    """The same, to be solved by Gauss-Newton: beside the solution a damped step along a weak motion never arrives."""
+    """The problem with Gauss-Newton as optimiser: damped steps along a weak motion converge too slowly."""
     options = replace(problem.block.options, optimizer="gauss-newton")
     return replace(problem, block=replace(problem.block, options=options))
 
@@ -175,19 +167,16 @@ def _undamped(problem: Problem) -> Problem:
 def datum_points(problem: Problem, names: tuple[str, ...] = ()) -> Mask:
     """Unknowns (n,) of a datum: named images and ground points, or all ground points.
 
-    Raises
-    ------
-    InputError
-        No such image or point, or a point that is no unknown.
+    InputError: unknown image or point, or a point that is not an unknown.
     """
     out = np.zeros(problem.n_columns, bool)
     if not names:
         out[problem.n_image_unknowns :] = True
     for name in names:
-        found = problem.block.find(name)
-        if found is None:
+        place = problem.block.find(name)
+        if place is None:
             raise InputError.of("covariance.no_such", option="datum", value=name)
-        kind, k = found
+        kind, k = place
         if kind != "image" and not problem.active[k]:
             raise InputError.of("covariance.not_unknown", option="datum", value=name)
         out[problem.image_slice(k) if kind == "image" else problem.point_slice(k)] = True
@@ -203,11 +192,11 @@ class FreeNetwork:
     problem : Problem
     state : State
     null_space : (n, d) array
-        Its motions at the state; unknowns of all images in prior sigmas, then of all unknown points in m.
+        Motions at the state; unknowns of all images in prior sigmas, then of all unknown points in m.
     cofactors : (n, n) array
         In prior scale.
     datum : (n,) bool array
-        Unknowns whose inner constraints these are.
+        Unknowns of the datum.
     """
 
     problem: Problem
@@ -218,19 +207,14 @@ class FreeNetwork:
 
     @property
     def datum_defect(self) -> int:
-        """Motions that no observation feels."""
+        """Number of motions without effect on the observations."""
         return int(self.null_space.shape[1])
 
     def in_datum(self, *names: str) -> FreeNetwork:
-        """S-transformation to the datum that images ("image:3") and points ("point:12") carry; none: all points.
+        """S-transformation to the datum of images ("image:3") and points ("point:12"); without names: all points.
 
-        The state is moved along the motions as they are at the solution, which is exact to first order; its movement
-        is some sigmas of start values, so the shape changes by the square of it.
-
-        Raises
-        ------
-        InputError
-            No such image or point, or these do not fix all motions.
+        The state is moved along the motions at the solution. This is exact to first order: the movement is a few sigmas
+        of start values, and the shape changes by its square. InputError: unknown names, or too few for all motions.
         """
         problem, datum = self.problem, datum_points(self.problem, names)
         difference = problem.vector(self.state) - problem.vector(problem.start)
@@ -259,12 +243,9 @@ class InnerCofactors(MatrixCofactors):
     state : State
         The solution.
     minimal : Cofactors
-        Of the minimal datum, by the means of the backend that solved.
+        Of the minimal datum.
 
-    Raises
-    ------
-    Indeterminate
-        More than 3000 unknowns.
+    Indeterminate is raised for more than 3000 unknowns.
     """
 
     def __init__(self, problem: Problem, state: State, minimal: Cofactors) -> None:
@@ -274,34 +255,20 @@ class InnerCofactors(MatrixCofactors):
             )
         motions, datum = null_space(problem, state), datum_points(problem)
         with one_blas_thread():
-            q = s_transform(_all_cofactors(problem, state, minimal), motions, datum)
+            every = minimal.joint(tuple(range(problem.n_images)), tuple(np.flatnonzero(problem.active).tolist()))
+            q = s_transform(every, motions, datum)
         super().__init__(problem, q)
         self.network = FreeNetwork(problem, state, motions, q, datum)
 
 
-def _all_cofactors(problem: Problem, state: State, minimal: Cofactors) -> Array:
-    """Cofactors (n, n) of all unknowns: those of the images from the backend, points by back-substitution."""
-    images, ground = tuple(range(problem.n_images)), np.flatnonzero(problem.active)
-    if any(e.equation is not HELD_UNKNOWNS for e in problem.block.extra):
-        return minimal.joint(images, tuple(ground.tolist()))
-    rows, u = linearised(problem, state), problem.n_image_unknowns
-    follow = np.vstack([np.eye(u), followed_by_ground(problem, rows, np.eye(u))[ground].reshape(-1, u)])
-    q = follow @ minimal.joint(images, ()) @ follow.T
-    normal = problem.point_normals(problem.observations.point, rows.ground)
-    for n, j in enumerate(ground):
-        part = slice(u + 3 * n, u + 3 * n + 3)
-        q[part, part] += np.linalg.inv(normal[j])
-    return np.asarray(q)
-
-
 # --- S-transformations ----------------------------------------------------------------------------
 
-#: The unknowns of a datum fix the motions if these, restricted to them, have a condition below this.
+#: Maximum condition of the motions, restricted to the unknowns of a datum that fixes them.
 FIXES: Final = 1e8
 
 
 def s_transform(cofactors: Array, null_space: Array, select: Mask) -> Array:
-    """Cofactors ``S Q S^T`` (n, n) in the datum that some unknowns carry.
+    """Cofactors ``S Q S^T`` (n, n) in the datum of some unknowns.
 
     Parameters
     ----------
@@ -310,7 +277,7 @@ def s_transform(cofactors: Array, null_space: Array, select: Mask) -> Array:
     null_space : (n, d) array
         Free motions, any basis.
     select : (n,) bool array
-        Unknowns that carry the datum.
+        Unknowns of the datum.
 
     Raises
     ------
@@ -321,17 +288,17 @@ def s_transform(cofactors: Array, null_space: Array, select: Mask) -> Array:
     a = _coordinates(null_space, select)
     aq = a @ cofactors
     moved = null_space @ aq
-    found = cofactors - moved - moved.T + null_space @ (aq @ a.T) @ null_space.T
-    return np.asarray(0.5 * (found + found.T))
+    out = cofactors - moved - moved.T + null_space @ (aq @ a.T) @ null_space.T
+    return np.asarray(0.5 * (out + out.T))
 
 
 def datum_step(difference: Array, null_space: Array, select: Mask) -> Array:
-    """Step ``(S - I) (x - x_0)`` along the motions that leads to the datum; parameters as of :func:`s_transform`."""
+    """Step ``(S - I) (x - x_0)`` along the motions to the datum; parameters as of :func:`s_transform`."""
     return np.asarray(-null_space @ (_coordinates(null_space, select) @ difference))
 
 
 def _coordinates(null_space: Array, select: Mask) -> Array:
-    """``(E^T D E)^-1 E^T D`` (d, n): amount of each motion, from the unknowns of the datum."""
+    """``(E^T D E)^-1 E^T D`` (d, n): size of each motion, from the unknowns of the datum."""
     part = null_space[select]
     out = np.zeros(null_space.T.shape)
     if not null_space.shape[1]:

@@ -1,13 +1,13 @@
 """Degrees of freedom of tests with estimated variance components.
 
-With components estimated from the residuals, the variance of a suspect's estimated error is a mixture of them::
+With components estimated from the residuals, the variance of a suspect's estimated error is a sum of them::
 
     Var = sum_j c_j s_j^2,   c_j = tr((E^T R E)^+ E^T R E_j R E) / d,   sum_j c_j = 1
 
-and is itself uncertain by ``c^T C c``, C the covariance of the s_j^2 (``fg_orient.quality.variance_components``). Its
-degrees of freedom are ``nu = 2 / (c^T C c)`` (Satterthwaite 1946; of mixed models: Fai & Cornelius 1996). T of the
-suspect is then judged as in ``fg_orient.quality.hypotheses`` with ``v^T v = f = nu``. Taking the redundancy of the
-whole block instead is too strict, that of the suspect's own group too lax (docs/variance-components.md).
+with the variance ``c^T C c``, C the covariance of the s_j^2 (``fg_orient.quality.variance_components``). Its degrees of
+freedom are ``nu = 2 / (c^T C c)`` (Satterthwaite 1946; of mixed models: Fai & Cornelius 1996). T of the suspect is then
+tested as in ``fg_orient.quality.hypotheses`` with ``v^T v = f = nu``. The redundancy of the whole block would be too
+strict, that of the suspect's group too lax (docs/variance-components.md).
 """
 
 from __future__ import annotations
@@ -32,37 +32,31 @@ from fg_orient.quality.variance_components import Residuals, VarianceComponents
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: Stands for a variance that is known: the F distribution is the chi-square one then, to 1e-8.
+#: Degrees of freedom of a known variance: the F distribution is that of chi-square to 1e-8.
 KNOWN: Final = 1e8
 
 
-def freedoms(residuals: Residuals, found: Sequence[Suspects], components: VarianceComponents) -> Array:
-    """Degrees of freedom of all suspects, in their order.
+def freedoms(residuals: Residuals, suspects: Sequence[Suspects], components: VarianceComponents) -> Array:
+    """Degrees of freedom (n,) of all suspects; for too many unknowns and groups those of the suspect's group.
 
     Parameters
     ----------
     residuals : Residuals
-        Of the solution that the components belong to.
-    found : sequence of Suspects
-        Of the same.
+        Of the solution with these components.
+    suspects : sequence of Suspects
+        Of the same solution.
     components : VarianceComponents
-
-    Returns
-    -------
-    (n,) array
-        Where image unknowns and groups are too many, those of the suspect's own group.
     """
     covariance, parts = _covariance(components), residuals.parts
     out = [np.zeros(0)]
-    for s in found:
-        rows, columns = residuals.rows_of(s), residuals.columns_of(s)
-        share = _own(residuals, rows, columns) if parts is None else parts.shares(s.point, rows, columns)
+    for s in suspects:
+        share = _own(residuals, s) if parts is None else parts.shares(s.point, s.rows, s.columns)
         out.append(_satterthwaite(share, covariance))
     return np.concatenate(out)
 
 
 def _covariance(components: VarianceComponents) -> Array:
-    """C of all groups, zero for what is held, and at the end for what belongs to no group: known."""
+    """C of all groups; zero for held components, and in the last row and column for ungrouped observations."""
     names = [c.group for c in components.components]
     free = [k for k, c in enumerate(components.components) if not c.held]
     covariance = np.zeros((len(names) + 1, len(names) + 1))
@@ -76,16 +70,16 @@ def _satterthwaite(share: Array, covariance: Array) -> Array:
     return np.asarray(np.minimum(KNOWN, 2.0 / np.maximum(variance, 2.0 / KNOWN)))
 
 
-def _own(residuals: Residuals, rows: Index, columns: Array) -> Array:
-    """Shares where what groups give to each other's residuals is not known: those of the suspect's own rows."""
+def _own(residuals: Residuals, s: Suspects) -> Array:
+    """Shares (n, g) of the groups of the suspects' rows, if the contributions of all groups are not known."""
     select = np.eye(len(residuals.groups.names) + 1)[residuals.labels]  # -1 is the last
-    found = np.einsum("nm,nmg->ng", np.sum(columns**2, axis=2), select[rows])
-    return np.asarray(found / found.sum(axis=1, keepdims=True))
+    share = np.einsum("nm,nmg->ng", np.sum(s.columns**2, axis=2), select[s.rows])
+    return np.asarray(share / share.sum(axis=1, keepdims=True))
 
 
 @dataclass(frozen=True, eq=False)
 class UnknownFreedom:
-    """Degrees of freedom of tests of image unknowns: their variance is a mixture of the components, too.
+    """Degrees of freedom of tests of image unknowns: their variance is a sum of the components, too.
 
     Cofactors ``Q = sum_j W_j`` (``fg_orient.quality.group_cofactors``), so of unknowns with cofactors ``Q = L L^T``
     together ``c_j = tr(L^-1 W_j L^-T) / d``.
@@ -108,13 +102,7 @@ class UnknownFreedom:
         cls, problem: Problem, state: State, cofactors: Cofactors, components: VarianceComponents,
         known: ResidualCofactors,
     ) -> UnknownFreedom:  # fmt: skip
-        """Take all that is needed of a solution with these components.
-
-        Raises
-        ------
-        NoSolutionError
-            Image unknowns and groups are too many.
-        """
+        """Of a solution with these components; NoSolutionError if image unknowns and groups are too many."""
         groups = groups_of(problem, problem.block.options.variance_components)
         parts = Residuals(problem, state, cofactors, groups, known).parts
         u = problem.n_free_unknowns
@@ -142,13 +130,13 @@ class UnknownFreedom:
 
 
 def least_freedom(components: VarianceComponents) -> float:
-    """Degrees of freedom of the component that is known worst: of what was not in the adjustment."""
+    """Degrees of freedom of the least certain component, for observations that were not in the adjustment."""
     variances = np.diag(components.covariance)
     return min(KNOWN, 2.0 / float(variances.max())) if len(variances) else KNOWN
 
 
 def with_freedom(fit: ConsistencyTest, freedom: float, test: str) -> ConsistencyTest:
-    """Judge what was predicted from the rest with degrees of freedom of its own."""
+    """Consistency test with these degrees of freedom instead of the redundancy."""
     if not fit.dimension:
         return fit
     t, d = np.array([fit.quadratic]), np.array([fit.dimension])

@@ -1,15 +1,15 @@
-"""Distributions of the outlier tests, control of many tests at once, and the global test.
+"""Distributions of the outlier tests, control of multiple tests, and the global test.
 
 T is the decrease of the weighted sum of squares v^T v (f degrees of freedom) when d parameters of a gross error are
-added. Three judgements of one T, where nothing is wrong:
+added. Three tests use T; without gross errors:
 
 - **Baarda** (1968), sigmas a priori: ``T ~ chi2(d)``; d = 1: ``w = sqrt(T) ~ N(0, 1)``;
-- **Pope** (1976), scale ``m0^2 = v^T v / f`` with the suspect in it: ``T / v^T v ~ Beta(d/2, (f - d)/2)``; d = 1:
+- **Pope** (1976), scale ``m0^2 = v^T v / f`` with the suspect: ``T / v^T v ~ Beta(d/2, (f - d)/2)``; d = 1:
   ``tau = sqrt(T) / m0``;
 - **t** or F, scale without the suspect: ``F = (T/d) / ((v^T v - T)/(f - d)) ~ F(d, f - d)``; d = 1: ``t = sqrt(F)``.
 
-Pope's statistic is a monotone function of the third, so both decide alike and give one probability. They ask for right
-ratios of the sigmas only; Baarda's test asks for right sigmas.
+Pope's statistic is a monotone function of the third, so both give the same decision and probability. They require
+correct ratios of the sigmas only; Baarda's test requires correct sigmas.
 """
 
 from __future__ import annotations
@@ -40,17 +40,12 @@ Index = npt.NDArray[np.intp]
 #: Name of the statistic for one degree of freedom, and for more.
 SYMBOLS: Final[dict[str, tuple[str, str]]] = {"baarda": ("w", "T"), "pope": ("tau", "T/m0^2"), "t": ("t", "F")}
 _TINY: Final = float(np.finfo(float).tiny)
-#: What is left of v^T v is known to this share of it: a suspect that takes all of it is infinitely unlikely no more.
+#: Relative precision of the remaining v^T v: it is not zero, even if one suspect explains all residuals.
 _ROUNDING: Final = float(np.finfo(float).eps)
 
 
 def require_names(test: str, control: str, level: float) -> None:
-    """Refuse a test, a control of many tests or a level that does not exist.
-
-    Raises
-    ------
-    InputError
-    """
+    """Raise InputError for an unknown test or control of multiple tests, or an invalid level."""
     for option, value, known in (
         ("test", test, get_args(OutlierTest)),
         ("control", control, get_args(MultipleTesting)),
@@ -62,31 +57,22 @@ def require_names(test: str, control: str, level: float) -> None:
 
 
 def can_be_tested(d: npt.ArrayLike, redundancy: float | Array, test: str) -> npt.NDArray[np.bool_]:
-    """Tell where d parameters of an error can be tested: some freedom, and some left for the scale if it is estimated.
-
-    Parameters
-    ----------
-    d : (n,) int array
-    redundancy : int
-        f.
-    test : str
-        "baarda", "pope" or "t".
-    """
+    """Whether d parameters (n,) of an error can be tested: redundancy must remain for the scale if it is estimated."""
     d = np.asarray(d)
     return np.asarray((d > 0) & ((d <= redundancy) if test == "baarda" else (d < redundancy)))
 
 
 def statistics(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | Array, test: str) -> Array:
-    """Statistic as it is reported: w, tau, t for d = 1; T, T/m0^2, F for more.
+    """Reported statistic: w, tau, t for d = 1; T, T/m0^2, F for more.
 
     Parameters
     ----------
     t : (n,) array
-        Decrease T of the weighted sum of squares; any shape that goes with the others.
+        Decrease T of the weighted sum of squares; any shape that broadcasts with the others.
     d : (n,) int array
-        Its degrees of freedom, where it can be tested.
+        Degrees of freedom of T, where it can be tested.
     chi2 : float or array
-        v^T v with the suspects in it.
+        v^T v with the suspects.
     redundancy : int
         f, without the suspects' parameters.
     test : str
@@ -102,7 +88,7 @@ def statistics(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | Arra
 
 
 def f_statistics(t: npt.ArrayLike, d: npt.ArrayLike, chi2: npt.ArrayLike, redundancy: float | Array) -> Array:
-    """F of any d, the scale estimated without the suspect; arguments as of :func:`statistics`."""
+    """F for any d, with the scale estimated without the suspect; arguments as of :func:`statistics`."""
     t, chi2 = np.asarray(t, np.float64), np.asarray(chi2, np.float64)
     left = np.maximum(np.maximum(chi2 - t, _ROUNDING * chi2), _TINY)
     return np.asarray(t / d / (left / (redundancy - np.asarray(d))))
@@ -133,12 +119,12 @@ def limits(level: npt.ArrayLike, d: Index, redundancy: float | Array, test: str)
 
 
 def level_of_each(p: Array, level: float, control: str) -> float:
-    """Level at which single hypotheses are rejected so that the control holds over all.
+    """Level of single hypotheses with which the control holds over all.
 
     Parameters
     ----------
     p : (n,) array
-        Probabilities of all hypotheses that are tested.
+        Probabilities of all tested hypotheses.
     level : float
         alpha.
     control : str
@@ -146,10 +132,8 @@ def level_of_each(p: Array, level: float, control: str) -> float:
         probability of any false alarm. "benjamini_hochberg" (1995): alpha bounds the expected share of false ones
         among the alarms.
 
-    Returns
-    -------
-    float
-        For the step-wise two the level of the last hypothesis rejected: all with ``p <= level`` are.
+    For the last two (step-wise) controls the result is the level of the last rejected hypothesis: all with
+    ``p <= level`` are rejected.
     """
     n = len(p)
     if control == "none" or n == 0:
@@ -168,7 +152,7 @@ def level_of_each(p: Array, level: float, control: str) -> float:
 
 @dataclass(frozen=True)
 class GlobalTest:
-    """Test of the whole model: whether the weighted sum of squares is what sigmas and redundancy say.
+    """Test of the whole model: agreement of the weighted sum of squares with sigmas and redundancy.
 
     Parameters
     ----------
@@ -177,9 +161,9 @@ class GlobalTest:
     redundancy : int
         f; ``v^T v ~ chi2(f)`` if model and weights hold.
     level : float
-        Probability of a false alarm, both sides together.
+        Probability of a false alarm on both sides together.
     limits : (float, float)
-        Between them the model is accepted.
+        The model is accepted between them.
     probability : float
         Twice the smaller tail.
     """
@@ -192,29 +176,14 @@ class GlobalTest:
 
     @property
     def accepted(self) -> bool:
-        """Tell whether the statistic is within its limits."""
+        """Whether the statistic is within its limits."""
         return self.limits[0] <= self.statistic <= self.limits[1]
 
 
 def global_test(chi2: float, redundancy: int, level: float = 0.001) -> GlobalTest | None:
-    """Two-sided chi-square test of the variance factor with sigmas a priori.
+    """Two-sided chi-square test of the variance factor with a priori sigmas; None without redundancy.
 
-    Parameters
-    ----------
-    chi2 : float
-        Weighted sum of squares of all residuals.
-    redundancy : int
-    level : float
-
-    Returns
-    -------
-    GlobalTest or None
-        None without redundancy: there is nothing to test.
-
-    Raises
-    ------
-    InputError
-        The level is not between 0 and 1.
+    ``chi2`` is the weighted sum of squares of all residuals. InputError: the level is not between 0 and 1.
     """
     require_names("baarda", "none", level)
     if redundancy <= 0:

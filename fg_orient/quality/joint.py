@@ -1,11 +1,11 @@
-"""Joint cofactors of anything by name: images, single parameters, points, adjusted observations, residuals.
+"""Joint cofactors by name: images, single parameters, points, adjusted observations, residuals.
 
-All are linear in the unknowns x. With whitened rows A, observations l of unit weight and ``Q = N^-1``::
+All quantities are linear in the unknowns x. With whitened rows A, observations l of unit weight and ``Q = N^-1``::
 
     Q_xx = Q,   Q_x,lbar = Q A^T,   Q_lbar = A Q A^T,   Q_vv = I - A Q A^T,   Q_xv = 0,   Q_lbar,v = 0
 
-(Mikhail & Ackermann 1976, 4.5; T(2.76) and T(2.77) in the corrected form, whose B is -I here). Without a sign
-convention of conditions ``Q_x,l = Q_x,lbar``: an unknown goes with the adjusted observation.
+(Mikhail & Ackermann 1976, 4.5; T(2.76) and T(2.77) in the corrected form with B = -I). Independent of a sign convention
+of conditions ``Q_x,l = Q_x,lbar``: an unknown is correlated with the adjusted observation.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ Index = npt.NDArray[np.intp]
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows of one name: what they are called, their unit, and their derivatives by images and points.
+    """Rows of one name: names, units, and derivatives with respect to images and points.
 
-    ``observed`` holds the row of ``problem.observations`` for residuals, -1 for all else; ``coordinate`` 0 or 1.
+    ``observed``: row of ``problem.observations`` and coordinate (0 or 1) of residuals; row -1 for other quantities.
     """
 
     names: tuple[str, ...]
@@ -44,20 +44,20 @@ def joint_cofactors(problem: Problem, state: State, cofactors: Cofactors, names:
     Parameters
     ----------
     problem : Problem
-        The one that the cofactors belong to.
+        Problem of the cofactors.
     state : State
     cofactors : Cofactors
     names : tuple of str
         "image:left" (all parameters), "image:left.x_0", "point:12", "point:12.z", "observation:left/12" (adjusted line
-        and sample, px), "residual:left/12" (adjusted minus observed, px). None: all images.
+        and sample, px), "residual:left/12" (adjusted minus observed, px). Empty: all images.
 
     Raises
     ------
     InputError
-        A name that does not exist, or a point that is no unknown.
+        A name that does not exist, or a point that is not an unknown.
     """
-    asked = names or tuple(f"image:{image.id}" for image in problem.block.images)
-    parts = [rows for name in asked for rows in _find(problem, state, name)]
+    names = names or tuple(f"image:{image.id}" for image in problem.block.images)
+    parts = [rows for name in names for rows in _find(problem, state, name)]
     images = tuple(dict.fromkeys(k for part in parts for k in part.images))
     points = tuple(dict.fromkeys(j for part in parts for j in part.points))
     sizes = {k: len(problem.parameters[k]) for k in images}
@@ -80,7 +80,7 @@ def joint_cofactors(problem: Problem, state: State, cofactors: Cofactors, names:
 
 
 def _with_residuals(problem: Problem, q: Array, observed: list[tuple[int, int]]) -> Array:
-    """Turn the rows that stand for residuals from adjusted observations into residuals."""
+    """Convert the rows of residuals, formed as adjusted observations, to residuals."""
     is_residual = np.array([row >= 0 for row, _ in observed], bool)
     out = np.where(is_residual[:, None] == is_residual, q, 0.0)
     where = np.flatnonzero(is_residual)
@@ -95,21 +95,15 @@ def _with_residuals(problem: Problem, q: Array, observed: list[tuple[int, int]])
 
 
 def _find(problem: Problem, state: State, name: str) -> list[_Rows]:
-    """Rows of a name.
-
-    Raises
-    ------
-    InputError
-        It does not exist, or is a point that is no unknown.
-    """
+    """Rows of a name; errors as of :func:`joint_cofactors`."""
     kind, _, rest = name.partition(":")
     if kind in ("observation", "residual"):
-        found = [_of_observation(problem, state, int(row), kind) for row in _image_points(problem, rest)]
+        rows = [_of_observation(problem, state, int(row), kind) for row in _image_points(problem, rest)]
     else:
-        found = [_of_unknown(problem, name)]
-    if not found:
+        rows = [_of_unknown(problem, name)]
+    if not rows:
         raise InputError.of("covariance.no_such", place="covariance", value=name)
-    return found
+    return rows
 
 
 def _of_unknown(problem: Problem, name: str) -> _Rows:
@@ -139,7 +133,7 @@ def _of_unknown(problem: Problem, name: str) -> _Rows:
 
 
 def _image_points(problem: Problem, rest: str) -> Index:
-    """Rows of the measurements of a point in an image, named "image/point"."""
+    """Rows of the image points of a point in an image, named "image/point"."""
     o, ids = problem.observations, problem.block.points.ids
     for k, image in enumerate(problem.block.images):
         point = rest.removeprefix(f"{image.id}/")

@@ -1,15 +1,15 @@
-"""Points located with the adjusted orientation, and the covariance that measurement, orientation and height give them.
+"""Points located with the adjusted orientation, with covariance from measurement, orientation and height.
 
 The whitened rows of the image points at the located point, ``e + J dx + G dX = 0``, are solved for dX; a point of one
-image has a third row, the height (or the slope of the DEM). With B the inverse or, of several images, the
+image has a third row, the height (or the slope of the DEM). With B the inverse or, for several images, the
 pseudo-inverse ``(G^T G)^-1 G^T``::
 
     C = B (I + J C_x J^T) B^T
 
-C_x is the joint covariance of the images, so that errors that two images share are not taken for independent.
+C_x is the joint covariance of the images; it includes the correlation of their errors.
 
 Error ellipses and the radii CE90, LE90 and SE90 follow exactly from the covariance: the normal density is integrated
-over the circle or sphere. The usual rule, CE90 = 2.146 times the mean of the two sigmas, holds for circles only: for
+over the circle or sphere. The usual rule, CE90 = 2.146 times the mean of the two sigmas, is valid for circles only: for
 an ellipse of 10 : 1 it is 28 % too small.
 """
 
@@ -36,9 +36,9 @@ from fg_orient.sensors.correction import HeightSurface
 Array = npt.NDArray[np.float64]
 Pixel = tuple[float, float]
 
-#: Half the step of the slope of a DEM.
+#: Half the distance over which the slope of a DEM is computed.
 SLOPE_M = 1.0
-#: Steps of the intersection, and the length of the last.
+#: Maximum number of steps of the intersection, and step length at convergence.
 MAX_STEPS, STEP_M = 20, 1e-6
 
 
@@ -51,7 +51,7 @@ class LocatedPoint:
     ground_m : (3,) array
         ECEF, or X, Y, Z of a local system.
     covariance_m2 : (3, 3) array
-        Same axes.
+        In the same axes.
     axes : (3, 3) array
         Rotation to East, North, Up; identity in a local system.
     """
@@ -83,17 +83,17 @@ class LocatedPoint:
 
     @property
     def ce90_m(self) -> float:
-        """Radius of the circle that holds 90 % of the horizontal errors."""
+        """Radius of the circle that contains 90 % of the horizontal errors."""
         return radius(self.covariance_enu_m2[:2, :2])
 
     @property
     def le90_m(self) -> float:
-        """Height error that 90 % do not exceed."""
+        """Height error that 90 % of the errors do not exceed."""
         return radius(self.covariance_enu_m2[2:, 2:])
 
     @property
     def se90_m(self) -> float:
-        """Radius of the sphere that holds 90 % of the errors."""
+        """Radius of the sphere that contains 90 % of the errors."""
         return radius(self.covariance_enu_m2)
 
 
@@ -107,22 +107,16 @@ class Orientation:
     scale: float
 
     def index(self, image: str) -> int:
-        """Number of an image.
-
-        Raises
-        ------
-        InputError
-            There is no such image.
-        """
-        found = self.problem.block.find(f"image:{image}")
-        if found is None:
+        """Index of an image; InputError for an unknown image."""
+        place = self.problem.block.find(f"image:{image}")
+        if place is None:
             raise InputError.of("covariance.no_such", place="image", value=image)
-        return found[1]
+        return place[1]
 
     def measured(self, pixels: Mapping[str, Pixel], sigma_px: Pixel | None) -> ImagePoints:
         """Image points of one ground point.
 
-        Sigmas that are not given are the medians of the image's measurements times ``scale``.
+        Default sigmas: medians of the image's measurements times ``scale``.
         """
         o = self.problem.observations
         rows = []
@@ -171,18 +165,18 @@ def locate(
 
 
 def _slope(dem: HeightSurface, ground_m: Array, axes: Array) -> Array:
-    """Slope of the DEM to East and North, metres per metre, over 2 m about the point."""
+    """Slope of the DEM to East and North, metres per metre, over 2 m around the point."""
     steps = SLOPE_M * np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
     lon, lat, _ = ellipsoid.geodetic_array(np.ascontiguousarray(ground_m + steps @ axes)).T
     east, west, north, south = dem.height_m(np.degrees(lon), np.degrees(lat))
-    found = np.array([east - west, north - south]) / (2.0 * SLOPE_M)
-    if not np.isfinite(found).all():
+    slope = np.array([east - west, north - south]) / (2.0 * SLOPE_M)
+    if not np.isfinite(slope).all():
         raise InputError.of("statistics.dem_border", file=dem.path, place="locate")
-    return found
+    return slope
 
 
 def intersect(orientation: Orientation, pixels: Mapping[str, Pixel], *, sigma_px: Pixel | None) -> LocatedPoint:
-    """Intersect the rays of a point in two images or more, by least squares; see ``Solution.intersect``."""
+    """Intersect the rays of a point in two or more images, by least squares; see ``Solution.intersect``."""
     if len(pixels) < 2:
         raise InputError.of("statistics.one_image", place="pixels", value=", ".join(pixels))
     p, points = orientation.problem, orientation.measured(pixels, sigma_px)
@@ -205,9 +199,9 @@ def intersect(orientation: Orientation, pixels: Mapping[str, Pixel], *, sigma_px
 
 # --- error ellipses and radii ---------------------------------------------------------------------
 
-#: Nodes of Gauss-Legendre on a quarter circle: 1e-8 of probability for any ratio of the axes (tested).
+#: Gauss-Legendre nodes on a quarter circle: error below 1e-8 of probability for any ratio of the axes (tested).
 NODES: Final = 96
-#: Sigmas beyond which there is nothing of a normal density.
+#: Number of sigmas beyond which the normal density is negligible.
 FAR: Final = 9.0
 _NODE, _WEIGHT = np.polynomial.legendre.leggauss(NODES)
 
@@ -220,7 +214,7 @@ class ErrorEllipse:
     ----------
     semi_major_m, semi_minor_m : float
     azimuth_deg : float
-        Of the major axis, from North over East, 0 to 180.
+        Azimuth of the major axis, from North over East, 0 to 180.
     """
 
     semi_major_m: float
@@ -237,7 +231,7 @@ def error_ellipse(covariance_m2: Array) -> ErrorEllipse:
 
 
 def radius(covariance: Array, probability: float = 0.9) -> float:
-    """Radius of the interval, circle or sphere about 0 that holds this share of normal errors.
+    """Radius of the interval, circle or sphere around 0 that contains this share of normal errors.
 
     Parameters
     ----------
@@ -256,13 +250,13 @@ def radius(covariance: Array, probability: float = 0.9) -> float:
     sigma = np.sqrt(np.maximum(np.linalg.eigvalsh(np.atleast_2d(covariance)), 0.0))[::-1]
     if sigma[0] == 0.0:
         return 0.0
-    low = float(normal_quantile(0.5 * (1.0 + probability)))  # all of it along one axis; the upper end: along all axes
+    low = float(normal_quantile(0.5 * (1.0 + probability)))  # errors along one axis; ``high``: equal along all axes
     if len(sigma) == 1 or sigma[1] == 0.0:
         return float(low * sigma[0])
     high = float(np.sqrt(chi_square_limit(len(sigma), 1.0 - probability)))
     share = sigma / sigma[0]
-    found = brentq(lambda r: inside(share, r) - probability, 0.999 * low, 1.001 * high, xtol=1e-13, rtol=1e-13)
-    return float(found * sigma[0])
+    root = brentq(lambda r: inside(share, r) - probability, 0.999 * low, 1.001 * high, xtol=1e-13, rtol=1e-13)
+    return float(root * sigma[0])
 
 
 def inside(sigma: Array, r: float) -> float:

@@ -1,17 +1,17 @@
-"""Observability: what the image observations cannot tell, in the user's terms, before anything is solved.
+"""Observability: directions of the unknowns that the observations do not determine, described before the adjustment.
 
 A whitened Jacobian with respect to unknowns in prior sigmas is decomposed by SVD. A direction of singular value s is
 
-- **unobservable** if s <= 1e-5: the data say nothing,
-- **held by the prior** if 1e-5 < s < 1: the prior says more than the data,
+- **unobservable** if s <= 1e-5: the observations contain no information;
+- **held by the prior** if 1e-5 < s < 1: the prior contains more information than the observations;
 - **determined** if s >= 1.
 
-It is done for each image at fixed ground points, which is the optimistic case: what is unobservable there is so in
-every adjustment of the image. It is done for the block, too, with the ground points eliminated, where all observations
-together have their say.
+Each image is analysed with fixed ground points. This is the optimistic case: a direction that is unobservable there is
+unobservable in every adjustment of the image. The whole block is analysed with the ground points eliminated
+(``fg_orient.quality.elimination``).
 
-Unobservable directions of an image are named by matching them with physical candidates, which its model gives
-(``silent_directions``); those of the block by the motions of the block as a whole (``fg_orient.quality.motions``).
+Unobservable directions of an image are matched with the physical candidates of its model (``silent_directions``),
+directions of the block with its motions (``fg_orient.quality.motions``).
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
 from fg_orient.model.errors import Finding, finding
 from fg_orient.model.parameters import ImageParameters
-from fg_orient.quality.elimination import eliminated, eliminated_with_own
-from fg_orient.quality.motions import SHIFT_M, UNOBSERVABLE, FreeMotions, free_motions, held_on_board
+from fg_orient.quality.elimination import UNOBSERVABLE, reduced_rows, spectrum
+from fg_orient.quality.motions import SHIFT_M, FreeMotions, free_motions, held_on_board, without
 from fg_orient.quality.structure import Structure, analyse_structure, named
 from fg_orient.sensors.base import ImageModel
 
 Array = npt.NDArray[np.float64]
 
-#: Singular values from this on: the data say more than the prior.
+#: Least singular value of directions that the observations determine better than the prior.
 DETERMINED: Final = 1.0
-#: A candidate explains an unobservable direction when this share of its length lies in the null space.
+#: A candidate explains an unobservable direction if this share of its length is in the null space.
 MATCH: Final = 0.9
-#: Condition of a Jacobian above which its normal equations, whose condition is the square, have no digit left.
+#: Condition of a Jacobian above which its normal equations, with the square as condition, have no correct digit.
 NEEDS_SCALING: Final = float(np.finfo(float).eps ** -0.5)
 
 
 @dataclass(frozen=True)
 class ImageObservability:
-    """What the data say about one image.
+    """Directions of the unknowns of one image.
 
     Parameters
     ----------
@@ -52,20 +52,20 @@ class ImageObservability:
         Image id.
     singular_values : (k,) array, descending; k unknowns, in sigmas of the data per prior sigma
     rank_defect : int
-        Unobservable directions.
+        Number of unobservable directions.
     weak : int
-        Directions held by the prior.
+        Number of directions held by the prior.
     null_space : (k, rank_defect) array
         Orthonormal unobservable directions in prior sigmas.
     sentences : tuple of str
         One per unobservable direction.
     held : tuple of str
-        One per direction held by the prior, by falling singular value: the unknown that it is mostly made of.
+        One per direction held by the prior, by descending singular value: its largest unknown.
     condition, raw_condition : float or None
         Condition of the Jacobian with unknowns in prior sigmas, and with unknowns in raw units (coefficients per
         line, as publications write them); None without full rank.
     summary : str
-        All of it in one sentence.
+        Summary in one sentence.
     """
 
     image: str
@@ -81,11 +81,11 @@ class ImageObservability:
 
     @property
     def determined(self) -> int:
-        """Directions that the data determine better than the prior."""
+        """Number of directions that the observations determine better than the prior."""
         return len(self.singular_values) - self.rank_defect - self.weak
 
     def as_dict(self) -> dict[str, Any]:
-        """For ``result.json`` (docs/results.md)."""
+        """Plain values for ``result.json`` (docs/results.md)."""
         return {
             "image": self.image, "rank_defect": self.rank_defect, "weak": self.weak, "determined": self.determined,
             "held_by_the_prior": list(self.held), "condition": self.condition, "raw_condition": self.raw_condition,
@@ -95,7 +95,7 @@ class ImageObservability:
 
 
 def analyse(image: str, jacobian: Array, model: ImageModel) -> ImageObservability:
-    """Judge one image by the unknowns that no other image shares: of the others it says no last word.
+    """Analyse the unknowns of one image that no other image shares.
 
     Parameters
     ----------
@@ -104,23 +104,20 @@ def analyse(image: str, jacobian: Array, model: ImageModel) -> ImageObservabilit
     jacobian : (2n, k) array
         Whitened, with respect to the unknowns in prior sigmas.
     model : ImageModel
-        Names the unknowns and the directions that physics hides.
+        Names the unknowns and the physically unobservable directions.
     """
     own = model.parameters.own
     parameters, jacobian = model.parameters.take(own), jacobian[:, own]
     k = len(parameters)
     if not k:
-        none = np.zeros((0, 0))
-        return ImageObservability(image, np.zeros(0), 0, 0, none, (), summary=f"image {image}: held")
-    short = np.asarray(np.linalg.qr(jacobian, mode="r")) if len(jacobian) > k else jacobian
-    full = np.vstack([short, np.zeros((max(0, k - len(short)), k))])
-    _, s, vt = np.linalg.svd(full, full_matrices=False)
+        return ImageObservability(image, np.zeros(0), 0, 0, np.zeros((0, 0)), (), summary=f"image {image}: held")
+    s, vt = spectrum(jacobian)
     dead, weak = s <= UNOBSERVABLE, (s > UNOBSERVABLE) & (s < DETERMINED)
     null = vt[dead].T
     candidates = [(text, direction[own]) for text, direction in model.silent_directions()]
     texts = _name_directions(null, parameters, candidates) if dead.any() else []
     held = _name_by_unknowns(vt[weak], parameters.words)
-    condition, raw = (None, None) if dead.any() else (float(s[0] / s[-1]), _raw_condition(full, model))
+    condition, raw = (None, None) if dead.any() else (float(s[0] / s[-1]), _raw_condition(s, vt, model))
     return ImageObservability(
         image, s, int(dead.sum()), int(weak.sum()), null, tuple(f"image {image}: {t}" for t in texts), held, condition,
         raw, f"image {image}: {_summary(texts, len(held), k, condition, raw)}",
@@ -128,49 +125,46 @@ def analyse(image: str, jacobian: Array, model: ImageModel) -> ImageObservabilit
 
 
 def _name_directions(null: Array, parameters: ImageParameters, candidates: list[tuple[str, Array]]) -> list[str]:
-    """Words per unobservable direction: greedy match with the candidates, the rest by components."""
-    found, rest = [], null
+    """Description of each unobservable direction: the candidates that match best, then combinations of unknowns."""
+    matched, rest = list[int](), null
     while rest.shape[1]:
-        shares = [0.0 if k in found else float(np.linalg.norm(rest.T @ d)) for k, (_, d) in enumerate(candidates)]
+        shares = [0.0 if k in matched else float(np.linalg.norm(rest.T @ d)) for k, (_, d) in enumerate(candidates)]
         if not shares or max(shares) < MATCH:
             break
-        found.append(int(np.argmax(shares)))
-        direction = candidates[found[-1]][1]
-        explained = rest @ (rest.T @ direction)
-        explained /= np.linalg.norm(explained)
-        u, s, _ = np.linalg.svd(rest - np.outer(explained, explained @ rest), full_matrices=False)
-        rest = u[:, s > 0.5]
-    texts = [candidates[k][0] for k in sorted(found)]
-    return texts + [_by_components(rest[:, j], parameters) for j in range(rest.shape[1])]
+        matched.append(int(np.argmax(shares)))
+        rest = without(rest, candidates[matched[-1]][1][:, None])
+    texts = [candidates[k][0] for k in sorted(matched)]
+    lead = "this combination is not observable (in prior sigmas): "
+    return texts + [lead + _combination(d, list(parameters.words), 3, 0.05) for d in rest.T]
 
 
-def _by_components(direction: Array, parameters: ImageParameters) -> str:
-    """Describe a direction by its three largest components, in prior sigmas."""
-    order = np.argsort(-np.abs(direction))[:3]
-    parts = [f"{direction[j]:+.2f} {parameters.words[j]}" for j in order if abs(direction[j]) > 0.05]
-    return "this combination is not observable (in prior sigmas): " + " ".join(parts)
+def _combination(direction: Array, words: list[str], most: int, least: float) -> str:
+    """Largest components of a direction: at most this number, of at least this size, the first one positive."""
+    order = np.argsort(-np.abs(direction))[:most]
+    d = direction * np.sign(direction[order[0]])
+    return " ".join(f"{d[j]:+.2f} {words[j]}" for j in order if abs(d[j]) > least)
 
 
 def _name_by_unknowns(directions: Array, words: tuple[str, ...]) -> tuple[str, ...]:
-    """Unknown that each direction (d, k) is mostly made of, no unknown twice, in the order of the directions."""
+    """Largest unknown of each direction (d, k), no unknown twice, in the order of the directions."""
     shares = directions**2
     largest = shares == shares.max(axis=1, keepdims=True)
     if largest.sum(axis=1).max(initial=0) <= 1 and largest.sum(axis=0).max(initial=0) <= 1:
-        return tuple(words[j] for j in shares.argmax(axis=1))  # the rule: no two directions ask for the same unknown
+        return tuple(words[j] for j in shares.argmax(axis=1))  # usual case: all largest unknowns are different
     from scipy.optimize import linear_sum_assignment
 
     return tuple(words[j] for j in linear_sum_assignment(-shares)[1])
 
 
-def _raw_condition(triangle: Array, model: ImageModel) -> float:
+def _raw_condition(s: Array, vt: Array, model: ImageModel) -> float:
     """Condition with the unknowns in physical units per line, where the model has such coefficients.
 
-    As a product of two norms, ``|R D| |D^-1 R^-1|``: the inverse is taken in prior sigmas, where it is accurate, so
-    conditions far beyond 1 / eps are right, too.
+    Product of two norms, ``|J D| |D^-1 J^+|`` with ``J = U S V^T``. The inverse is computed in prior sigmas, where it
+    is accurate, so that conditions far beyond 1 / eps are correct.
     """
     factors, own = model.per_line()[0], model.parameters.own
     unit = (model.parameters.sigma * np.where(np.isfinite(factors), factors, 1.0))[own]
-    return float(np.linalg.norm(triangle / unit, 2) * np.linalg.norm(unit[:, None] * np.linalg.inv(triangle), 2))
+    return float(np.linalg.norm(s[:, None] * vt / unit, 2) * np.linalg.norm(unit[:, None] * vt.T / s, 2))
 
 
 #: Beginning of a sentence on velocity, and its word in a summary.
@@ -179,7 +173,7 @@ _VELOCITY: Final = (("velocity along track", "along track"), ("velocity across t
 
 
 def _summary(texts: list[str], held: int, k: int, condition: float | None, raw: float | None) -> str:
-    """Say in one line what is unobservable, how much the prior holds, and whether units need scaling."""
+    """Unobservable directions, number of directions held by the prior, and need of scaling, in one line."""
     silent = [t for t in texts if t.endswith("acts on nothing")]
     yaw = [t for t in texts if "acts as yaw" in t]
     names = [short for long, short in _VELOCITY if any(t.startswith(long) for t in silent)]
@@ -200,7 +194,7 @@ def _summary(texts: list[str], held: int, k: int, condition: float | None, raw: 
 
 @dataclass(frozen=True)
 class BlockObservability:
-    """What all observations together say about all images, ground points free, no priors.
+    """Directions of the unknowns of all images, determined by all observations without priors, ground points free.
 
     Parameters
     ----------
@@ -209,17 +203,17 @@ class BlockObservability:
     sentences : tuple of str
         One per unobservable direction: motions of the block by name, others by their largest components.
     weak : int
-        Directions determined 100 times worse than their prior sigma, unobservable ones not counted.
+        Number of directions determined 100 times worse than their prior sigma, without unobservable ones.
     datum : tuple of str
-        One per common shift, turn or change of scale of all images that no control point fixes.
+        One per common shift, rotation or change of scale of all images that no control point fixes.
     motions : tuple of FreeMotions
-        The motions of each part of the block that has free ones.
+        Free motions of each part of the block that has any.
     structure : Structure
-        Parts of the block, and what lacks observations.
+        Parts of the block, and unknowns with too few observations.
     unexplained : int
-        Unobservable directions that are no motions of the block.
+        Number of unobservable directions that are not motions of the block.
     on_board : tuple of str
-        One per shift, drift, lever arm or boresight of what was observed on board that the priors hold.
+        One per shift, drift, lever arm or boresight of the navigation that the priors hold.
     """
 
     singular_values: Array
@@ -233,7 +227,7 @@ class BlockObservability:
 
     @property
     def counts(self) -> dict[str, int] | None:
-        """Directions of the three classes; None for a block that is too large."""
+        """Number of directions of the three classes; None for a block that is too large."""
         s = self.singular_values
         if not len(s):
             return None
@@ -242,18 +236,16 @@ class BlockObservability:
 
     @property
     def n_free_motions(self) -> int:
-        """Motions of the block that no control point fixes."""
+        """Number of motions of the block that no control point fixes."""
         return sum(len(m) for m in self.motions)
 
     @property
     def relative(self) -> bool:
-        """Nothing but the priors tells where the block lies: it has free motions and no control point."""
-        return bool(self.motions) and not any(m.control for m in self.motions) and self.structure.n_parts == len(
-            self.motions
-        )  # fmt: skip
+        """Whether only the priors determine the position of the block: free motions and no control point."""
+        return 0 < len(self.motions) == self.structure.n_parts and not any(m.control for m in self.motions)
 
     def as_dict(self) -> dict[str, Any]:
-        """For ``result.json`` (docs/results.md)."""
+        """Plain values for ``result.json`` (docs/results.md)."""
         counts = self.counts or dict.fromkeys(("unobservable", "held_by_the_prior", "determined"))
         motions = [
             {"images": list(m.images), "control": list(m.control), "words": list(m.words),
@@ -266,38 +258,36 @@ class BlockObservability:
         }  # fmt: skip
 
     def deficiencies(self, problem: Problem) -> tuple[Finding, ...]:
-        """One per part with free motions, and one that names the parts."""
-        options = problem.block.options
+        """One finding per part with free motions, and a finding that lists the parts."""
+        options, structure = problem.block.options, self.structure
         code = "solution.motions_inner" if options.datum == "inner" else "solution.motions"
         out = [
             finding(code, direction=part_sentence(m, priors=options.priors), remedy=m.remedy, images=m.images,
                     control=m.control, motions=m.words)
             for m in self.motions
         ]  # fmt: skip
-        if self.structure.n_parts > 1 and (self.motions or not self._each_part_has_control(problem)):
-            out.append(_parts(problem, self.structure))
+        with_control = structure.point_part[problem.observed | ~problem.active]
+        each = len(np.unique(with_control[with_control >= 0])) == structure.n_parts
+        if structure.n_parts > 1 and (self.motions or not each):
+            out.append(_parts(problem, structure))
         return tuple(out)
 
-    def _each_part_has_control(self, problem: Problem) -> bool:
-        known = self.structure.point_part[problem.observed | ~problem.active]
-        return len(np.unique(known[known >= 0])) == self.structure.n_parts
 
-
-#: Without priors, directions below this singular value are pointed out.
+#: Without priors, directions below this singular value are reported.
 WEAK_WITHOUT_PRIORS: Final = 1e-2
-#: Rows times squared unknowns up to which a block with priors is judged as a whole (some 0.3 s).
+#: Rows times squared unknowns up to which a block with priors is analysed as a whole.
 WORK_LIMIT: Final = 2e9
 
 
 def affordable(problem: Problem) -> bool:
-    """Tell whether the whole block can be decomposed in no time beside its adjustment."""
+    """Whether the decomposition of the whole block takes much less time than its adjustment."""
     return 2.0 * len(problem.observations) * problem.n_image_unknowns**2 <= WORK_LIMIT
 
 
 def analyse_block(problem: Problem, structure: Structure | None = None, *, whole: bool = True) -> BlockObservability:
-    """Judge the block without priors: unknown ground points are eliminated point by point (QR).
+    """Analyse the block without priors, with the unknown ground points eliminated.
 
-    Own observations take part up to 2000 unknowns, beyond them only in the structure.
+    Extra observations are included up to 2000 unknowns; in larger blocks they count in the structure only.
 
     Parameters
     ----------
@@ -305,100 +295,78 @@ def analyse_block(problem: Problem, structure: Structure | None = None, *, whole
     structure : Structure, optional
         Of the block, if it is known.
     whole : bool
-        False: no singular values, only the motions of its parts, at a cost linear in the observations.
+        False: no singular values, only the motions of the parts, in a time proportional to the observations.
     """
     structure = structure or analyse_structure(problem)
-    rows, u = linearised(problem, problem.start), problem.n_free_unknowns
-    own = bool(problem.block.extra) and problem.n_unknowns <= MAX_UNKNOWNS
-    rest = None if not whole else eliminated_with_own(problem) if own else eliminated(problem, rows)
+    rows = linearised(problem, problem.start)
+    extra = bool(problem.block.extra) and problem.n_unknowns <= MAX_UNKNOWNS
+    reduced = reduced_rows(problem, rows, problem.start if extra else None) if whole else None
     parts = [np.flatnonzero(structure.part == p) for p in range(structure.n_parts)]
-    motions = tuple(m for m in (free_motions(problem, rows, rest, p) for p in parts) if len(m))
-    datum = tuple(t for m in motions for t in _motion_sentences(m, problem, alone=structure.n_parts == 1))
-    if rest is None:
+    motions = tuple(m for m in (free_motions(problem, rows, reduced, p) for p in parts) if len(m))
+    texts = [_motion_sentences(m, problem, alone=structure.n_parts == 1) for m in motions]
+    datum = tuple(text for part in texts for text in part)
+    if reduced is None:
         return BlockObservability(np.zeros(0), (), 0, datum, motions, structure)
-    free = rest if problem.ties is None else problem.ties.columns(rest)
-    full = np.vstack([free, np.zeros((max(0, u - len(free)), u))])
-    _, s, vt = np.linalg.svd(full, full_matrices=False)
+    s, vt = spectrum(reduced)
     dead = s <= UNOBSERVABLE
-    sentences, unexplained = _dead_sentences(problem, vt[dead].T, motions, structure)
+    sentences, unexplained = _unobservable_sentences(problem, vt[dead].T, motions, texts)
     weak = int(((s < WEAK_WITHOUT_PRIORS) & ~dead).sum())
     on_board = held_on_board(problem, s, vt, DETERMINED)
     return BlockObservability(s, sentences, weak, datum, motions, structure, unexplained, on_board)
 
 
-def _dead_sentences(
-    problem: Problem, null: Array, motions: tuple[FreeMotions, ...], structure: Structure
+def _unobservable_sentences(
+    problem: Problem, null: Array, motions: tuple[FreeMotions, ...], texts: list[list[str]]
 ) -> tuple[tuple[str, ...], int]:
-    """One sentence per unobservable direction (u, d) of the block, motions first; and how many are no motions."""
-    told, rest = [], null
-    for m in motions:
-        texts = _motion_sentences(m, problem, alone=structure.n_parts == 1)
+    """One sentence per unobservable direction (u, d) of the block, motions first; number of other directions."""
+    out, rest = list[str](), null
+    for m, sentences in zip(motions, texts, strict=True):
         inside = m.unobservable
-        told += [t for t, yes in zip(texts, inside, strict=True) if yes]
+        out += [text for text, yes in zip(sentences, inside, strict=True) if yes]
         if inside.any() and rest.shape[1]:
-            moves = m.moves[:, inside] if problem.ties is None else m.moves[problem.ties.place][:, inside]
-            moved, s, _ = np.linalg.svd(rest @ (rest.T @ _unit(moves)), full_matrices=False)
-            known = moved[:, s > UNOBSERVABLE]
-            u, s, _ = np.linalg.svd(rest - known @ (known.T @ rest), full_matrices=False)
-            rest = u[:, s > 0.5]
-    told = told[: null.shape[1]]
-    left = null.shape[1] - len(told)
-    names = _names(problem)
-    shown, control = min(left, rest.shape[1]), problem.has_control
-    told += [_block_sentence(rest[:, k], names, control=control) for k in range(shown)]
-    return tuple(told), left
-
-
-def _names(problem: Problem) -> list[tuple[str, str]]:
-    """Image, or id under which images share it, and words of each unknown."""
+            moves = m.moves[:, inside]
+            rest = without(rest, moves / np.linalg.norm(moves, axis=0))
+    out = out[: null.shape[1]]
+    others = null.shape[1] - len(out)
     wide = [
-        (p.shared[j] if p.shared and p.shared[j] else image.id, p.words[j])
-        for image, p in zip(problem.block.images, problem.parameters, strict=True)
-        for j in range(len(p))
-    ]
-    return wide if problem.ties is None else [wide[j] for j in problem.ties.place]
-
-
-def _unit(columns: Array) -> Array:
-    """Columns of length 1."""
-    return np.asarray(columns / np.linalg.norm(columns, axis=0))
+        f"{p.shared[j] if p.shared and p.shared[j] else image.id} {p.words[j]}"
+        for image, p in zip(problem.block.images, problem.parameters, strict=True) for j in range(len(p))
+    ]  # fmt: skip
+    words = wide if problem.ties is None else [wide[j] for j in problem.ties.place]
+    who = "the control points do not fix" if problem.has_control else "no control point fixes"
+    lead = f"block: {who} this combination (in prior sigmas): "
+    out += [lead + _combination(rest[:, k], words, 4, 0.1) for k in range(min(others, rest.shape[1]))]
+    return tuple(out), others
 
 
 def _motion_sentences(m: FreeMotions, problem: Problem, *, alone: bool) -> list[str]:
     """One sentence per free motion of a part of the block."""
     who = "block: the images" if alone else f"block: images {named(m.images)}"
-    out = []
-    for words, felt, strength in zip(m.words, m.felt, m.strength, strict=True):
-        told = f"{who} may be {words}: {_control_words(m)}; {SHIFT_M:g} m change the residuals by {felt:.1g} of their "
-        out.append(f"{told}sigma (root mean square), {_holder(strength, problem.block.options.priors)}")
-    return out
-
-
-def _holder(strength: float, priors: bool) -> str:
-    """What holds a motion."""
-    if strength >= DETERMINED:
-        return "the curvature of the models alone holds it"
-    if not priors:
-        return "nothing else holds it"
-    return "the priors alone hold it"
+    otherwise = "the priors alone hold it" if problem.block.options.priors else "nothing else holds it"
+    return [
+        f"{who} may be {words}: {_control_words(m)}; {SHIFT_M:g} m change the residuals by {felt:.1g} of their sigma "
+        f"(root mean square), "
+        f"{'the curvature of the models alone holds it' if strength >= DETERMINED else otherwise}"
+        for words, felt, strength in zip(m.words, m.felt, m.strength, strict=True)
+    ]
 
 
 def _control_words(m: FreeMotions) -> str:
-    """Control points of a part."""
+    """Number and ids of the control points of a part."""
     if not m.control:
         return "no control point"
     return f"{len(m.control)} control point{'s' if len(m.control) > 1 else ''} only, {named(m.control)}"
 
 
 def part_sentence(m: FreeMotions, *, priors: bool) -> str:
-    """Say how many motions of a part of the block are free, and which."""
+    """Sentence on the number and the names of the free motions of a part of the block."""
     by = "held by the priors alone" if priors else "free"
     many = f"{len(m)} motions are" if len(m) > 1 else "1 motion is"
     return f"images {named(m.images)}, {_control_words(m)}: {many} {by} ({', '.join(m.words)})"
 
 
 def _parts(problem: Problem, structure: Structure) -> Finding:
-    """Parts of the block that no ground point links."""
+    """Finding that lists the parts of the block without common ground points."""
     ids = problem.block.points.ids
     parts = []
     for p in range(structure.n_parts):
@@ -408,10 +376,3 @@ def _parts(problem: Problem, structure: Structure) -> Finding:
         known = f"control points {named(control)}" if control else "no control point"
         parts.append(f"images {named(images)} ({len(points)} points, {known})")
     return finding("solution.parts", n=structure.n_parts, parts=parts)
-
-
-def _block_sentence(direction: Array, names: list[tuple[str, str]], *, control: bool) -> str:
-    order = np.argsort(-np.abs(direction))[:4]
-    parts = [f"{direction[j]:+.2f} {names[j][0]} {names[j][1]}" for j in order if abs(direction[j]) > 0.1]
-    who = "the control points do not fix" if control else "no control point fixes"
-    return f"block: {who} this combination (in prior sigmas): " + " ".join(parts)

@@ -1,6 +1,6 @@
-"""Groups of observations that share a variance: image points, control points by axes, priors by kind.
+"""Groups of observations with a common variance: image points, control points by axes, priors by kind.
 
-A grouping is a tuple of the words of :data:`GROUPINGS`. What no word names belongs to no group and keeps its sigmas.
+A grouping is a tuple of words of :data:`GROUPINGS`. Other observations are ungrouped and keep their sigmas.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from fg_orient.model.parameters import N_EOP, parameter_name
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: How image points may be grouped, one of these; control points: all axes together, or position and height apart.
+#: Groupings of image points (one of them); of control points: all axes together, or position and height separately.
 IMAGE_GROUPINGS: Final = ("image", "image_by_role", "image_by_image", "image_by_sensor")
 GROUPINGS: Final = (*IMAGE_GROUPINGS, "control", "position", "height", "priors")
 
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """Which group each observation of a block belongs to; -1: none.
+    """Group of each observation of a block; -1: none.
 
     Parameters
     ----------
     names : tuple of str
     image : (n,) int array
-        Of ``block.observations``.
+        Group of each of ``block.observations``.
     axes : (3,) int array
-        Of East, North, Up of every control point.
+        Groups of East, North, Up of every control point.
     prior : tuple of (u_k,) int arrays
-        Of the unknowns of each image; empty without priors.
+        Groups of the unknowns of each image; empty without priors.
     """
 
     names: tuple[str, ...]
@@ -49,13 +49,7 @@ class Groups:
 
 
 def require_groups(groups: tuple[str, ...]) -> None:
-    """Refuse words that do not exist or exclude each other.
-
-    Raises
-    ------
-    InputError
-        See above.
-    """
+    """Raise InputError for words that do not exist or exclude each other."""
     wrong = [name for name in groups if name not in GROUPINGS]
     if wrong or not groups:
         raise InputError.of(
@@ -70,13 +64,7 @@ def require_groups(groups: tuple[str, ...]) -> None:
 
 
 def groups_of(problem: Problem, groups: tuple[str, ...] = USUAL_GROUPS) -> Groups:
-    """Group the observations of a problem.
-
-    Raises
-    ------
-    InputError
-        A grouping does not exist or overlaps another.
-    """
+    """Group the observations of a problem; errors as of :func:`require_groups`."""
     require_groups(groups)
     names: list[str] = []
 
@@ -126,7 +114,7 @@ def _sensor_name(sensor: Any) -> str:
 
 
 def _prior_kinds() -> dict[str, str]:
-    """Kind of prior of each named unknown; those of a frame camera belong to the camera and are not among them."""
+    """Kind of prior of each named unknown, without the unknowns of frame cameras."""
     eop = ("prior position", "prior velocity", "prior attitude")
     out = {parameter_name(code): eop[code // 9] for code in range(N_EOP)}
     out |= {parameter_name(code): "prior look angles" for code in range(N_EOP, N_EOP + 12)}
@@ -138,7 +126,7 @@ _PRIOR_KIND: Final = _prior_kinds()
 
 
 def scaled(block: Block, groups: Groups, factor: Array) -> Block:
-    """The block with the sigmas of its groups times their factors (g,)."""
+    """The block with the sigmas of its groups multiplied by their factors (g,)."""
     by_group = np.append(factor, 1.0)  # -1 is the last
     o, known, options = block.observations, block.points.known, block.options
     image = by_group[groups.image]

@@ -1,10 +1,10 @@
-"""Gross errors: each observation tested against all others, on the covariance of the residuals.
+"""Outlier tests: each observation is tested against all others with the covariance of the residuals.
 
-Suspected of an error of any size and direction are an image point (line, sample), the position of a control point
-(East, North) and its height (Up); or single coordinates; or whole ground points (``fg_orient.quality.suspects``).
-Tests and the control of many tests at once: ``fg_orient.quality.hypotheses``. What no other observation checks cannot
-be tested. Suspects that one error cannot tell apart (position of a control point and its only image point) count as
-one hypothesis and are named together. The search that leaves them out is ``fg_orient.orientation.outlier_search``.
+A suspect is an image point (line, sample), the position of a control point (East, North) or its height (Up); or a
+single coordinate; or a whole ground point (``fg_orient.quality.suspects``). Its error may have any size and direction.
+Tests and control of multiple tests: ``fg_orient.quality.hypotheses``. An observation that no other observation checks
+cannot be tested. Inseparable suspects (position of a control point and its only image point) are one hypothesis and are
+named together. The search that leaves observations out is ``fg_orient.orientation.outlier_search``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from fg_orient.quality.variance_components import Residuals, VarianceComponents
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: Two suspects are inseparable if their T agree to this ratio.
+#: Two suspects are inseparable if their T agree to this relative difference.
 SAME: Final = 1e-6
 
 
@@ -43,24 +43,24 @@ class GroupTest:
     part : str
         "image", "position" or "height"; "line", "sample", "east", "north" or "up"; "point".
     image : str
-        Image id; "" for what is not in one image.
+        Image id; "" for suspects that are not image points.
     point : str
     dimension : int
-        d; 0 where the other observations do not check the suspect.
+        d; 0 if the other observations do not check the suspect.
     statistic : float or None
-        w, tau or t for d = 1; T, T/m0^2 or F for more. None where it is not tested, as the next two.
+        w, tau or t for d = 1; T, T/m0^2 or F for more. None if not tested, as ``critical`` and ``probability``.
     critical : float or None
-        Limit of the statistic; beyond it a gross error is suspected.
+        Limit of the statistic; above it a gross error is suspected.
     probability : float or None
-        To find such a statistic without a gross error; it ranks suspects of different d.
+        Probability of this or a larger statistic without a gross error; ranks suspects of different d.
     error : array
-        Estimated gross error in ``unit``, as observed minus true; empty for a whole point.
+        Estimated gross error in ``unit``, observed minus true; empty for a whole point.
     inseparable : tuple of str
-        Others that the same error could lie in.
+        Other suspects that may contain the same error.
     symbol : str
         Name of the statistic.
     level : float
-        Probability of a false alarm in this test.
+        Probability of a false alarm of this test.
     unit : str
         Unit and axes of the error.
     """
@@ -80,16 +80,16 @@ class GroupTest:
 
     @property
     def suspicious(self) -> bool:
-        """Tell whether the statistic is beyond its limit."""
+        """Whether the statistic is above its limit."""
         return self.statistic is not None and self.critical is not None and self.statistic > self.critical
 
     @property
     def name(self) -> str:
-        """The suspect in words."""
+        """Name of the suspect."""
         return _name(self.part, self.image, self.point)
 
     def sentence(self) -> str:
-        """Name the suspect, its error and the test."""
+        """Sentence on the suspect, its error and the test."""
         if self.statistic is None or self.critical is None:
             return f"{self.name}: not tested, the other observations do not check it"
         size = ", ".join(f"{value:+.2f}" for value in self.error)
@@ -102,7 +102,7 @@ class GroupTest:
 
 @dataclass(frozen=True)
 class OutlierTests(Sequence[GroupTest]):
-    """Tests of all suspects, most suspicious first, what nothing checks at the end; columns, and rows on demand.
+    """Tests of all suspects, most suspicious first, untested ones last; stored by columns, rows on demand.
 
     Parameters
     ----------
@@ -110,11 +110,11 @@ class OutlierTests(Sequence[GroupTest]):
     test, control : str
         See ``fg_orient.quality.hypotheses``.
     level : float
-        Of all tests, in the sense of the control.
+        Level of all tests, as defined by the control.
     level_each : float
-        Of each test: a suspect is suspicious if its probability is not larger.
+        Level of each test: a suspect is suspicious if its probability is not larger.
     n_tested : int
-        Hypotheses that were tested; inseparable suspects are one.
+        Number of tested hypotheses; inseparable suspects are one.
     parts, units : tuple of str
     part : (n,) int array
         Positions in ``parts``.
@@ -123,11 +123,11 @@ class OutlierTests(Sequence[GroupTest]):
     dimension : (n,) int array
         d; 0: not tested.
     quadratic, statistic, critical, probability : (n,) arrays
-        T, and what the test makes of it; nan, nan, nan and 1 where it is not tested.
+        T, statistic, limit and probability; nan, nan, nan and 1 if not tested.
     error : (n, 2) array
-        Estimated errors, nan behind those of one axis.
+        Estimated errors; the second is nan for errors of one axis.
     of_class : (n,) int array
-        Class of suspects that one error cannot tell apart; -1 where it is not tested.
+        Class of inseparable suspects; -1 if not tested.
     """
 
     problem: Problem
@@ -157,7 +157,7 @@ class OutlierTests(Sequence[GroupTest]):
     @overload
     def __getitem__(self, place: slice) -> tuple[GroupTest, ...]: ...
     def __getitem__(self, place: int | slice) -> GroupTest | tuple[GroupTest, ...]:
-        """Give one test, or some; suspicious ones with those that they cannot be told apart from."""
+        """One test, or some; suspicious ones with their inseparable suspects."""
         if isinstance(place, slice):
             return tuple(self[k] for k in range(*place.indices(len(self))))
         k = range(len(self))[place]
@@ -172,16 +172,16 @@ class OutlierTests(Sequence[GroupTest]):
         )  # fmt: skip
 
     def suspicious(self) -> tuple[GroupTest, ...]:
-        """Give the suspicious ones."""
+        """Suspicious tests."""
         return self[: self.n_suspicious]
 
     @property
     def n_suspicious(self) -> int:
-        """Number of suspicious ones."""
+        """Number of suspicious tests."""
         return int(np.count_nonzero(self.statistic > self.critical))
 
     def _inseparable(self, k: int) -> tuple[str, ...]:
-        """Suspects that the error of a suspicious one could as well lie in."""
+        """Other suspects that may contain the error of a suspicious one."""
         if not self.statistic[k] > self.critical[k]:
             return ()
         same = self.of_class == self.of_class[k]
@@ -216,60 +216,45 @@ def outlier_tests(
     known: ResidualCofactors | None = None,
     components: VarianceComponents | None = None,
 ) -> OutlierTests:
-    """Test all suspects of a kind.
+    """Test all suspects of a kind at a least-squares solution.
 
     Parameters
     ----------
     problem, state, cofactors, chi2
-        Of a solution of least squares.
-    level : float
-        Probability of a false alarm, as the control means it.
-    test : str
-        "baarda", "pope" or "t".
-    control : str
-        "none", "bonferroni", "sidak", "holm" or "benjamini_hochberg".
-    kind : str
-        "groups", "coordinates" or "points".
+        Of the solution.
+    level, test, control, kind
+        See ``fg_orient.quality.hypotheses`` and ``suspects``; InputError for an unknown name or invalid level.
     known : ResidualCofactors, optional
-        Those of the solution, if they were computed before.
+        Of the solution, if known.
     components : VarianceComponents, optional
-        Those that the sigmas of the problem were estimated with: each test has degrees of freedom of its own then
+        Variance components in the sigmas of the problem; the degrees of freedom then differ from test to test
         (``fg_orient.quality.freedom``).
-
-    Returns
-    -------
-    OutlierTests
-
-    Raises
-    ------
-    InputError
-        A name that does not exist, a level that is none.
     """
     hypotheses.require_names(test, control, level)
     if kind not in KINDS:
         raise InputError.of("options.value", place="kind", value=repr(kind), expected=", ".join(KINDS))
-    found, freedom = suspects(problem, state, cofactors, kind, known), None
+    families, freedom = suspects(problem, state, cofactors, kind, known), None
     if components is not None:
         residuals = Residuals(
             problem, state, cofactors, groups_of(problem, problem.block.options.variance_components), known
         )
-        freedom = freedoms(residuals, found, components)
-    return assess_suspects(problem, found, chi2, level=level, test=test, control=control, freedom=freedom)
+        freedom = freedoms(residuals, families, components)
+    return assess_suspects(problem, families, chi2, level=level, test=test, control=control, freedom=freedom)
 
 
 def assess_suspects(
-    problem: Problem, found: Sequence[Suspects], chi2: float, *, level: float, test: str, control: str,
+    problem: Problem, families: Sequence[Suspects], chi2: float, *, level: float, test: str, control: str,
     freedom: Array | None = None,
 ) -> OutlierTests:  # fmt: skip
     """Test suspects and sort them; see :func:`outlier_tests`. ``freedom`` (n,) is both v^T v and f of each."""
-    sizes = [len(s.point) for s in found]
-    results = [s.quadratic() for s in found]
+    sizes = [len(s.point) for s in families]
+    results = [s.quadratic() for s in families]
     t, d = np.concatenate([r[0] for r in results]), np.concatenate([r[1] for r in results])
     error = np.full((len(t), 2), np.nan)
-    for end, s, (_, _, own) in zip(np.cumsum(sizes), found, results, strict=True):
+    for end, s, (_, _, own) in zip(np.cumsum(sizes), families, results, strict=True):
         if s.unit:
             error[end - len(own) : end, : own.shape[1]] = own
-    part, point, row = np.repeat(np.arange(len(found)), sizes), _column(found, "point"), _column(found, "row")
+    part, point, row = np.repeat(np.arange(len(families)), sizes), _column(families, "point"), _column(families, "row")
     f: Array = np.full(len(t), float(problem.redundancy)) if freedom is None else freedom
     squares = np.full(len(t), chi2) if freedom is None else freedom
     tested = hypotheses.can_be_tested(d, f, test)
@@ -285,21 +270,22 @@ def assess_suspects(
     first[tested] = classes[of_class[tested]]
     order = np.lexsort((row < 0, -t[first], np.where(tested, probability[first], np.inf)))
     return OutlierTests(
-        problem, test, control, level, each, len(classes), tuple(s.part for s in found), tuple(s.unit for s in found),
+        problem, test, control, level, each, len(classes),
+        tuple(s.part for s in families), tuple(s.unit for s in families),
         part[order], point[order], row[order], d[order], t[order], statistic[order], critical[order],
         probability[order], error[order], of_class[order],
     )  # fmt: skip
 
 
-def _column(found: Sequence[Suspects], name: str) -> Index:
+def _column(families: Sequence[Suspects], name: str) -> Index:
     """One column of all suspects."""
-    return np.concatenate([getattr(s, name) for s in found])
+    return np.concatenate([getattr(s, name) for s in families])
 
 
 def _classes(point: Index, d: Index, t: Array, tested: npt.NDArray[np.bool_]) -> tuple[Index, Index]:
     """First member of each class of inseparable suspects, and the class of each suspect (n,); -1 for untested ones.
 
-    Inseparable are suspects of one point with the same d and, but for rounding, the same T.
+    Suspects of one point with the same d and, apart from rounding, the same T are inseparable.
     """
     of_class = np.full(len(t), -1, np.intp)
     order = np.flatnonzero(tested)

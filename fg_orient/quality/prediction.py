@@ -1,13 +1,15 @@
-"""Observations that took no part, predicted from those that did.
+"""Consistency of excluded observations with the adjustment of the others.
 
-They are judged as if they were in: with their misclosure v at the solution of the rest, their Jacobian J in whitened
-rows, the cofactors Q of the unknowns of the rest, ``S = I + J Q J^T`` and the columns E of the error in these rows::
+The excluded observations are tested as if they were included. With their misclosure v at the solution of the other
+observations, their Jacobian J in whitened rows, the cofactors Q of the unknowns, ``S = I + J Q J^T`` and the columns E
+of the error in these rows::
 
     T = (E^T S^-1 v)^T (E^T S^-1 E)^+ (E^T S^-1 v)
 
 is the T of the outlier test in the adjustment with them (its residuals are ``S^-1 v``, weighted, with these cofactors;
-leave one out, Kok 1984), and v^T v rises by ``v^T S^-1 v`` when they come back. A ground point that the rest does not
-hold is first intersected from the observations themselves, and they are judged by what is left over.
+leave one out, Kok 1984), and v^T v increases by ``v^T S^-1 v`` if they are included again. A ground point that the
+other observations do not determine is first intersected from the excluded observations; the test uses the remaining
+combinations.
 """
 
 from __future__ import annotations
@@ -21,14 +23,14 @@ import numpy.typing as npt
 
 from factors.conditions.control import POINT
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.rows import linearised
+from fg_orient.adjustment.rows import linearised, side_by_side
 from fg_orient.quality import hypotheses
 from fg_orient.quality.covariance import Cofactors
-from fg_orient.quality.suspects import CHECKED, point_rows
+from fg_orient.quality.suspects import CHECKED
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-#: Gauss-Newton steps of an intersection, and the step in m at which it ends.
+#: Maximum number of Gauss-Newton steps of an intersection, and the step in m at convergence.
 MAX_STEPS: Final = 20
 STEP_M: Final = 1e-6
 
@@ -42,11 +44,11 @@ class ConsistencyTest:
     quadratic : float
         T.
     dimension : int
-        d; 0 where the rest does not check them.
+        d; 0 if the other observations do not check them.
     statistic : float or None
-        w, tau, t, or T, T/m0^2, F (``fg_orient.quality.hypotheses``); None where nothing checks them.
+        w, tau, t, or T, T/m0^2, F (``fg_orient.quality.hypotheses``); None if d is 0.
     probability : float or None
-        Of a larger statistic without a gross error.
+        Probability of a larger statistic without a gross error.
     """
 
     quadratic: float
@@ -57,7 +59,7 @@ class ConsistencyTest:
 
 @dataclass(frozen=True)
 class Suspect:
-    """Where an error is suspected: "image" with its row of the full problem, "position", "height" or "point"."""
+    """Place of a suspected error: "image" with its row of the full problem, "position", "height" or "point"."""
 
     part: str
     row: int = -1
@@ -67,34 +69,33 @@ def prediction(
     full: Problem, rest: Problem, state: State, cofactors: Cofactors, chi2: float, test: str,
     point: int, rows: Sequence[int], control: bool, suspect: Suspect,
 ) -> ConsistencyTest:  # fmt: skip
-    """Judge a suspect among observations of one ground point that took no part.
+    """Test a suspect among excluded observations of one ground point.
 
     Parameters
     ----------
     full : Problem
-        With them; the same images, options and ground points as ``rest``.
+        With these observations; the same images, options and ground points as ``rest``.
     rest, state, cofactors, chi2
-        The adjustment without them.
+        Adjustment without these observations.
     test : str
         "baarda", "pope" or "t".
     point : int
     rows : sequence of int
         Image points of ``full``, all of this ground point.
     control : bool
-        Whether the point's coordinates came back, too.
+        Whether the measured coordinates of the point are among them.
     suspect : Suspect
-        Where the error is suspected.
     """
-    held = bool(rest.active[point] or not full.active[point])  # unknown there, or a constant
+    held = bool(rest.active[point] or not full.active[point])  # an unknown of the others, or a constant
     x = (state if rest.active[point] else full.start).ground[point]
     if not held:
-        found = _intersected(full, state, point, rows, control)
-        if found is None:  # no place, so nothing to judge them by
+        place = _intersected(full, state, point, rows, control)
+        if place is None:
             return ConsistencyTest(0.0, 0, None, None)
-        x = found
+        x = place
     v, d_image, d_ground, images = _rows(full, state, point, x, rows, control)
     e = _columns(full, point, rows, control, suspect)
-    e = e / np.linalg.norm(e, axis=0)  # before the projection: what it leaves of an error is its checked share
+    e = e / np.linalg.norm(e, axis=0)  # before the projection, so that its length after it is the checked share
     if rest.active[point]:
         q = cofactors.joint(images, (point,)) if images else cofactors.point(point)
         design = np.hstack([d_image, d_ground])
@@ -120,7 +121,7 @@ def _columns(full: Problem, point: int, rows: Sequence[int], control: bool, susp
 
 
 def _judged(v: Array, e: Array, s: Array, chi2: float, redundancy: int, test: str) -> ConsistencyTest:
-    """Test in the adjustment with the observations: f grows by their number, v^T v by their own sum."""
+    """Test in the adjustment with the observations: f increases by their number, v^T v by their sum."""
     residual, weighted = np.linalg.solve(s, v), np.linalg.solve(s, e)
     size, axes = np.linalg.eigh(e.T @ weighted)
     checked = size > CHECKED
@@ -140,13 +141,17 @@ def _rows(
     taken, ground = np.asarray(rows, np.intp), state.ground.copy()
     ground[point] = x
     rays = linearised(full, State(state.image, ground), taken)
-    given = full.control_weights(point) @ (x - full.control_records[point, POINT.place]) if control else None
-    v, j_image, j_ground, _, images = point_rows(full, point, full.observations.image[taken], rays, given)
+    j_image, _, images = side_by_side(full, full.observations.image[taken], rays.image)
+    v, j_ground = rays.residual.ravel(), rays.ground.reshape(-1, 3)
+    if control:
+        w = full.control_weights(point)
+        v = np.concatenate([v, w @ (x - full.control_records[point, POINT.place])])
+        j_image, j_ground = np.pad(j_image, ((0, 3), (0, 0))), np.vstack([j_ground, w])
     return v, j_image, j_ground, images
 
 
 def _intersected(full: Problem, state: State, point: int, rows: Sequence[int], control: bool) -> Array | None:
-    """Ground point of the observations alone, local m, the orientation held; None where the steps do not end."""
+    """Ground point from these observations with fixed orientation, local m; None without convergence."""
     x: Array = full.start.ground[point].copy()
     for _ in range(MAX_STEPS):
         v, _, d_ground, _ = _rows(full, state, point, x, rows, control)

@@ -1,11 +1,12 @@
 """Rejection of gross errors: fit, test, leave out the worst observation, fit again.
 
-One observation per round (Baarda 1968), because a gross error raises the statistics of its neighbours, too. A domain
-gives its fit and its tests; this loop decides what is left out, what comes back and when the search ends.
+One observation per round (Baarda 1968), because a gross error increases the statistics of its neighbours, too. Each
+domain supplies its fit and its tests; this loop decides which observation is left out or put back and when the search
+ends.
 
-An early choice among suspects need not be right. After each fit the observations that are out are therefore predicted
-from the others, and the one that fits best is put back before anything else is left out. Each may come back once. So
-every round but the last takes one of at most three changes from an observation (out, back, out again), and the search
+An early choice among suspects may be wrong. After each fit the excluded observations are therefore predicted from the
+others, and the observation that fits best is put back before another one is left out. Each observation returns at most
+once. Every round but the last is one of at most three changes of an observation (out, back, out again), so the search
 ends.
 
 The record of a search in an adjustment (``fg_orient.orientation.outlier_search``) is :class:`Search`.
@@ -28,13 +29,13 @@ if TYPE_CHECKING:
 F = TypeVar("F")
 T = TypeVar("T")
 
-#: More than this share of the observations cannot be gross errors: then it is the model that is wrong.
+#: Maximum share of gross errors among the observations; with more of them the model is wrong.
 MOST: Final = 0.25
 
 
 @dataclass(frozen=True)
 class Change(Generic[T]):
-    """Observation that was left out or put back after a fit; neither after the last."""
+    """Observation that was left out or put back after a fit; None and None after the last fit."""
 
     left_out: T | None = None
     put_back: T | None = None
@@ -53,9 +54,9 @@ class Rejection(Generic[F, T]):
     out : tuple
         Observations that stay out, in the order in which they were left out.
     worst : object or None
-        The most suspicious observation of those that are in; None: nothing is suspicious.
+        Most suspicious observation of the last fit; None: no observation is suspicious.
     error : Exception or None
-        Reason why there is no fit without ``worst``; None: ``worst`` is in because too many are out.
+        Error of the fit without ``worst``; None: ``worst`` remains because too many are out.
     """
 
     fit: F
@@ -81,17 +82,17 @@ def reject(
     first : object
         Fit of all observations.
     fit : callable
-        Fits without the observations that are out; it also takes the fit before.
+        Fits without the excluded observations, given these and the previous fit.
     worst : callable
-        Most suspicious observation of a fit, None if none is suspicious; it also takes the observations that are out.
+        Most suspicious observation, given a fit and the excluded observations; None if no observation is suspicious.
     most : int
-        Number of observations that may be out.
+        Maximum number of excluded observations.
     returning : callable, optional
-        For each observation that is out the probability of its test in the fit without it; 0 where it does not fit.
-        Without this function nothing comes back.
+        For each excluded observation the probability of its test in the fit without it; 0 if it does not fit. Without
+        this function no observation returns.
     impossible : tuple of exception classes
-        Raised where the observations that are left do not determine a fit. The last one is taken back in, and the
-        search ends. Other exceptions pass.
+        Errors of a fit that the remaining observations do not determine. The last exclusion is then undone, and the
+        search ends.
     """
     last, out, changes, returned = first, list[T](), list[Change[T]](), list[T]()
     while True:
@@ -124,13 +125,13 @@ class ExcludedObservation:
     Parameters
     ----------
     test : GroupTest
-        Its test in the adjustment with it.
+        Test in the adjustment with the observation.
     round : int
-        Adjustment in which it was found, from 1.
+        Number of this adjustment, from 1.
     with_it : tuple of str
-        What nothing determined any more without it, and went with it: the other ray of a point seen twice.
+        Observations without use when it is excluded, such as the other image point of a point measured twice.
     fit : ConsistencyTest
-        How it fits to the adjustment without it: when it was put back, else in the last round.
+        Consistency with the adjustment without it: when it was put back, otherwise in the last round.
     readmitted : int or None
         Adjustment after which it was put back; None: it stays out.
     """
@@ -142,7 +143,7 @@ class ExcludedObservation:
     readmitted: int | None = None
 
     def sentence(self) -> str:
-        """Name it, its test and what became of it."""
+        """Sentence on the observation, its test, and its return."""
         also = f"; with it {', '.join(self.with_it)}" if self.with_it else ""
         back = "" if self.readmitted is None else f"; put back after round {self.readmitted}: it fits to the rest"
         return f"{self.test.sentence()}{also}{back}"
@@ -161,7 +162,7 @@ class Round:
     n_tested : int
     n_suspicious : int
     left_out, put_back : str
-        Name of what was changed after it; "" for nothing.
+        Name of the observation changed after this adjustment; "" if none.
     """
 
     number: int
@@ -181,13 +182,13 @@ class Search:
     ----------
     rounds : tuple of Round
     found : tuple of ExcludedObservation
-        All that was ever left out, in the order of the rounds.
+        All observations that were left out, in the order of the rounds.
     given_up : Finding or None
-        Why the search ended although something is suspicious; None if it came to its end.
+        Reason why the search ended with suspicious observations; None if no observation is suspicious.
     went_with : tuple of str
-        Image points that stay out because they would be the single ray of a point.
+        Image points that stay out because they would be the only image point of a point.
     check_points : tuple of str
-        Ids of check points that have no ray any more: they are not in the accuracy.
+        Ids of check points without remaining image points: they are not in the accuracy.
     """
 
     rounds: tuple[Round, ...]
@@ -199,12 +200,12 @@ class Search:
     @property
     def left_out(self) -> tuple[ExcludedObservation, ...]:
         """Observations that stay out."""
-        return tuple(found for found in self.found if found.readmitted is None)
+        return tuple(one for one in self.found if one.readmitted is None)
 
     @property
     def tests(self) -> tuple[GroupTest, ...]:
         """Tests of the observations that stay out, in the order in which they were left out."""
-        return tuple(found.test for found in self.left_out)
+        return tuple(one.test for one in self.left_out)
 
     @property
     def points(self) -> tuple[str, ...]:
@@ -217,10 +218,10 @@ class Search:
         return not self.given_up
 
     def findings(self) -> tuple[Finding, ...]:
-        """What was left out, and whether the search came to an end."""
+        """Findings on excluded observations and on an incomplete search."""
         out = []
         if self.left_out:
-            names = [found.test.name for found in self.left_out]
+            names = [one.test.name for one in self.left_out]
             out.append(finding("search.left_out", n=len(names), rounds=len(self.rounds), names=names,
                                with_them=self.went_with))  # fmt: skip
             if self.check_points:

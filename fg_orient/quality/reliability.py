@@ -1,20 +1,20 @@
 """Reliability: how far the observations check each other (Baarda 1968; Förstner 1985; Luhmann et al. 2019, 2.4.4).
 
-A bias b of one observation (sigma s, redundancy number r) moves its residual by r b and the test statistic
-``w = v / (s sqrt(r))`` by ``b sqrt(r) / s``. The test of size alpha finds it with the given power if the square of that
-is the non-centrality delta; hence the *minimal detectable bias* (internal reliability) and its effect (external)::
+A bias b of one observation (sigma s, redundancy number r) changes its residual by r b and the test statistic
+``w = v / (s sqrt(r))`` by ``b sqrt(r) / s``. The test of size alpha detects it with the given power if the square of
+this change is the non-centrality delta. Hence the *minimal detectable bias* (internal reliability) and its effect
+(external)::
 
     mdb = s sqrt(delta / r),   dx = N^-1 A^T e mdb / s,   delta_bar = sqrt(dx^T Q^-1 dx)
 
-An image point as a whole has two coordinates that are tested together (delta of 2 degrees of freedom); the bias that
-is just found depends on its direction then. Where the others do not check a direction (two rays: along the epipolar
-line; the ground point follows) r is 0 and nothing finds an error, however large.
+The two coordinates of an image point are tested together (delta of 2 degrees of freedom), and the minimal bias depends
+on its direction. In a direction that the other observations do not check r is 0, and no error is detected. (With two
+rays this is the epipolar line: the ground point follows.)
 
-Cofactors of the residuals, ``Q_vv = I - A N^-1 A^T``, of all observations; their traces are redundancy numbers.
-
-Everything is whitened: residuals are divided by their a priori sigmas, so that without unknowns Q_vv = I. Formed point
-by point from the cofactors of the images (``fg_orient.adjustment.cofactors``); where own observations name a
-ground point, from joint cofactors. The sum of all redundancy numbers is the redundancy (Baarda 1968).
+Cofactors of the residuals are ``Q_vv = I - A N^-1 A^T``; the traces are redundancy numbers, and their sum is the
+redundancy (Baarda 1968). Residuals are whitened (divided by their a priori sigmas). The cofactors are formed point by
+point from those of the images (``fg_orient.adjustment.cofactors``), for ground points that extra observations name from
+joint cofactors.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.conditions.control import POINT
 from fg_orient.adjustment.cofactors import RayCofactors, blocks_of_images, cofactors_of_rays, inverse_roots
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
@@ -35,61 +34,53 @@ from fg_orient.model.block import ExtraObservation
 from fg_orient.model.distributions import chi_square_limit, chi_square_noncentrality
 from fg_orient.model.errors import InputError
 from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.elimination import control_residuals, control_rows, named_points
 
 Array = npt.NDArray[np.float64]
 
-#: Baarda's usual choice: probability of a false alarm, and of finding the minimal detectable bias.
+#: Baarda's usual choice: probabilities of a false alarm, and of detecting the minimal detectable bias.
 ALPHA, POWER = 0.001, 0.80
-#: Below this redundancy number an observation is called not checkable: its minimal detectable bias exceeds 41 sigmas
+#: Limit of the redundancy number of checkable observations; below it the minimal detectable bias exceeds 41 sigmas
 #: (Förstner 1985 calls 0.01 the limit of local redundancy).
 CHECKABLE: Final = 0.01
-#: Below this one a redundancy number is rounding of zero: what follows from it is not given.
+#: Smaller redundancy numbers are rounding errors of zero: quantities derived from them are not given.
 ROUNDING: Final = 1e-6
 
 
 @cache
 def noncentrality(alpha: float = ALPHA, power: float = POWER, dimension: int = 1) -> float:
-    """Non-centrality delta of chi-square by which a test of this size rejects with this power.
+    """Non-centrality delta of chi-square with which a test of size alpha has this power.
 
-    17.075 for 0.001, 0.80 and one dimension (Baarda 1968).
-
-    Parameters
-    ----------
-    alpha : float
-        Size of the test.
-    power : float
-        Probability to find the bias, above alpha and below 1.
-    dimension : int
-        Coordinates that are tested together.
+    17.075 for 0.001, 0.80 and one dimension (Baarda 1968). ``dimension`` is the number of coordinates tested together.
     """
     return chi_square_noncentrality(dimension, chi_square_limit(dimension, alpha), power)
 
 
 @dataclass(frozen=True)
 class Reliability:
-    """Of observations in coordinates of their own: n observations of d coordinates; nan where there is no such figure.
+    """Reliability of n observations of d coordinates; nan where a quantity does not exist.
 
     Parameters
     ----------
     redundancy : (n, d) array
-        Redundancy numbers, 0 to 1: the share of an error that shows in its own residual.
+        Redundancy numbers, 0 to 1: the share of an error in its residual.
     least : (n,) array
-        Redundancy number of the direction that is checked least.
+        Redundancy number of the least checked direction.
     direction : (n, d) array
-        That direction, a unit vector in the unit of the coordinates, its largest component positive.
+        This direction, a unit vector in the unit of the coordinates, with a positive largest component.
     normalised : (n, d) array
-        Normalised residuals w, adjusted minus observed, N(0, 1) with right sigmas.
+        Normalised residuals w, adjusted minus observed, N(0, 1) with correct sigmas.
     minimal_detectable_bias : (n, d) array
         Of each coordinate, in its unit.
     smallest, largest : (n,) arrays
-        Minimal detectable bias of the coordinates tested together, in the directions that are checked best and least
-        (unit of the coordinates).
+        Minimal detectable bias of the coordinates tested together, in the best and the least checked direction (unit of
+        the coordinates).
     ground_m : (n, d) array
         External reliability: shift of the ground point by the minimal detectable bias, m.
     ground : (n, d) array
-        The same in the point's own sigmas, delta-bar.
+        The same shift in sigmas of the point, delta-bar.
     eop : (n, d) array
-        Change of the unknowns of the image in their own sigmas, delta-bar; nan for control points.
+        Change of the unknowns of the image in their sigmas, delta-bar; nan for control points.
     """
 
     redundancy: Array
@@ -105,7 +96,7 @@ class Reliability:
 
     @property
     def not_checkable(self) -> npt.NDArray[np.bool_]:
-        """Observations (n,) with a direction that the others do not check."""
+        """Observations (n,) with a direction that the other observations do not check."""
         return np.asarray(self.least < CHECKABLE)
 
 
@@ -116,15 +107,15 @@ class BlockReliability:
     Parameters
     ----------
     alpha, power : float
-        Of the test that the minimal detectable biases belong to.
+        Probabilities of the test of the minimal detectable biases.
     image : Reliability
         Image points, in the order of ``problem.observations``: line, sample; pixels.
     control : Reliability
         Control points ``np.flatnonzero(problem.observed)``: East, North, Up (X, Y, Z in a local system); m.
     prior, extra : array, tuple of arrays
-        Redundancy numbers of priors and own observations; see ``ResidualCofactors``.
+        Redundancy numbers of priors and extra observations; see ``ResidualCofactors``.
     redundancy_sum : float
-        Sum of all redundancy numbers; but for rounding the redundancy.
+        Sum of all redundancy numbers; apart from rounding the redundancy.
     """
 
     alpha: float
@@ -146,49 +137,38 @@ def reliability(
     problem, state
         Of a solution, without a loss.
     cofactors : ResidualCofactors
-        See ``fg_orient.quality.reliability``.
+        Of the solution.
     alpha, power : float
-        Of the test; 0 < alpha < power < 1.
+        Probabilities of the test; 0 < alpha < power < 1.
 
     Raises
     ------
     InputError
-        The two probabilities are no such numbers.
+        Invalid probabilities.
     """
     if not 0.0 < alpha < power < 1.0:
         raise InputError.of("statistics.power", place="alpha, power", value=f"{alpha}, {power}")
     o, rays = problem.observations, cofactors.rays
     sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
-    eop = rays.on_image
     image = _reliability(
-        cofactors.image, residuals(problem, state), sigma, rays.response, rays.points[o.point], eop, alpha, power
-    )
-    q, whitened, own, response, points = _control(problem, state, cofactors)
-    control = _reliability(q, whitened, own, response, points, np.full(own.shape, np.nan), alpha, power)
+        cofactors.image, residuals(problem, state), sigma, rays.response, rays.points[o.point], rays.on_image, alpha,
+        power,
+    )  # fmt: skip
+    w = control_rows(problem, np.flatnonzero(problem.observed))
+    points, sigma_m = rays.points[problem.observed], 1.0 / np.linalg.norm(w, axis=2)
+    control = _reliability(
+        cofactors.control, control_residuals(problem, state), sigma_m, points @ np.swapaxes(w, 1, 2), points,
+        np.full(sigma_m.shape, np.nan), alpha, power,
+    )  # fmt: skip
     return BlockReliability(
         alpha, power, image, control, cofactors.prior, cofactors.extra, cofactors.redundancy_sum
     )  # fmt: skip
 
 
-def _control(problem: Problem, state: State, cofactors: ResidualCofactors) -> tuple[Array, Array, Array, Array, Array]:
-    """Cofactors, residuals (adjusted minus observed) and sigmas of control points in their axes; effects on them."""
-    rows = np.flatnonzero(problem.observed)
-    w = problem.control_weights(rows)
-    measured = problem.control_records[rows, POINT.place]
-    columns = w @ np.swapaxes(problem.axes(measured + problem.origin_m), 1, 2)  # errors of 1 m in whitened rows
-    length = np.linalg.norm(columns, axis=1)
-    turn = columns / length[:, None]  # orthogonal: the measured coordinates are uncorrelated in their axes
-    back = np.swapaxes(turn, 1, 2)
-    residual = np.einsum("nij,nj->ni", back @ w, state.ground[rows] - measured)
-    points = cofactors.rays.points[rows]
-    response = points @ np.swapaxes(w, 1, 2) @ turn
-    return back @ cofactors.control @ turn, residual, 1.0 / length, response, points
-
-
 def _reliability(
     q: Array, v: Array, sigma: Array, response: Array, points: Array, eop: Array, alpha: float, power: float
 ) -> Reliability:
-    """Figures of n observations of d coordinates from whitened cofactors (n, d, d) and residuals (n, d).
+    """Reliability of n observations of d coordinates from whitened cofactors (n, d, d) and residuals (n, d).
 
     ``response`` (n, 3, d): effect of a whitened unit error on the ground point, of cofactors ``points`` (n, 3, 3);
     ``eop`` (n, d): on the image, in its sigmas.
@@ -218,7 +198,7 @@ def _direction(axis: Array) -> Array:
 
 
 def _in_own_sigmas(points: Array, response: Array) -> Array:
-    """Roots of ``x^T Q^-1 x`` (n, d) of the columns (n, 3, d); nan for points that are no unknowns."""
+    """Roots of ``x^T Q^-1 x`` (n, d) of the columns (n, 3, d); nan for points that are not unknowns."""
     out = np.full((len(points), response.shape[2]), np.nan)
     free = np.einsum("nii->n", points) > 0.0
     solved = np.linalg.solve(points[free], response[free])
@@ -238,15 +218,14 @@ class ResidualCofactors:
     image : (n, 2, 2) array
         Blocks of the image points, in the order of ``problem.observations``.
     control : (m, 3, 3) array
-        Blocks of the control points ``np.flatnonzero(problem.observed)``, in the rows of their factor
-        ``W (G - G_0)``.
+        Blocks of the control points ``np.flatnonzero(problem.observed)``: East, North, Up.
     prior : (u,) array
-        Redundancy numbers of the prior observations, in the order of ``problem.image_vector``: one for an unknown that
-        images have in common; empty without priors.
+        Redundancy numbers of the prior observations, in the order of ``problem.image_vector`` (shared unknowns once);
+        empty without priors.
     extra : tuple of (m_e,) arrays
-        Redundancy numbers of the rows of each own observation.
+        Redundancy numbers of the rows of each extra observation.
     rays : RayCofactors
-        What they were made of: cofactors of adjusted image points, points and images.
+        Cofactors of adjusted image points, points and images.
     """
 
     image: Array
@@ -257,7 +236,7 @@ class ResidualCofactors:
 
     @property
     def redundancy_sum(self) -> float:
-        """Sum of all redundancy numbers; but for rounding ``problem.redundancy``."""
+        """Sum of all redundancy numbers; apart from rounding ``problem.redundancy``."""
         blocks = sum(float(np.einsum("nii->", block)) for block in (self.image, self.control))
         return blocks + sum(float(np.sum(numbers)) for numbers in (self.prior, *self.extra))
 
@@ -268,22 +247,18 @@ def residual_cofactors(problem: Problem, state: State, cofactors: Cofactors) -> 
     Parameters
     ----------
     problem : Problem
-        Under a loss the one with the weights at the solution (``fg_orient.adjustment.robust.weighted_problem``).
+        Under a loss the problem with the weights at the solution (``fg_orient.adjustment.robust.weighted_problem``).
     state : State
         The solution.
     cofactors : Cofactors
         Of any backend.
-
-    Returns
-    -------
-    ResidualCofactors
     """
     rays = cofactors_of_rays(
         problem, state, lambda pairs: blocks_of_images(problem, lambda images: cofactors.joint(images, ()), pairs)
     )
     if problem.block.extra:
-        _through_own_observations(problem, state, cofactors, rays)
-    w = problem.control_weights(problem.observed)
+        _of_named_points(problem, state, cofactors, rays)
+    w = control_rows(problem, np.flatnonzero(problem.observed))
     return ResidualCofactors(
         np.eye(2) - rays.fitted,
         np.eye(3) - w @ rays.points[problem.observed] @ np.swapaxes(w, 1, 2),
@@ -294,18 +269,16 @@ def residual_cofactors(problem: Problem, state: State, cofactors: Cofactors) -> 
 
 
 def _variances(problem: Problem, rays: RayCofactors) -> Array:
-    """Cofactors (u,) of the image unknowns, those in common once."""
+    """Cofactors (u,) of the image unknowns, shared ones once."""
     sizes = np.diff(problem.first).tolist()
     wide = np.concatenate([np.diag(q)[:size] for q, size in zip(rays.images, sizes, strict=True)])
     return wide if problem.ties is None else wide[problem.ties.place]
 
 
-def _through_own_observations(problem: Problem, state: State, cofactors: Cofactors, rays: RayCofactors) -> None:
-    """Replace what concerns ground points that own observations name: more than their rays determines them."""
-    arguments = (a for extra in problem.block.extra for a in problem.extra_arguments(extra))
-    named = sorted({a.index for a in arguments if not a.is_image and a.constant is None})
+def _of_named_points(problem: Problem, state: State, cofactors: Cofactors, rays: RayCofactors) -> None:
+    """Replace the cofactors of ground points that extra observations name: more than their rays determines them."""
     o, rays_of = problem.observations, dict(problem.rows_by_point())
-    for j in named:
+    for j in named_points(problem):
         images = tuple(np.unique(o.image[rays_of[j]]).tolist())
         q = cofactors.joint(images, (j,))
         first = np.concatenate([[0], np.cumsum([len(problem.parameters[k]) for k in images])])
@@ -324,7 +297,7 @@ def _through_own_observations(problem: Problem, state: State, cofactors: Cofacto
 
 
 def _of_extra(problem: Problem, state: State, cofactors: Cofactors, extra: ExtraObservation) -> Array:
-    """Redundancy numbers of the rows of an own observation."""
+    """Redundancy numbers of the rows of an extra observation."""
     _, blocks = extra_blocks(problem, extra, state, jacobian=True)
     parts: dict[tuple[bool, int], Array] = {}
     for a, block in blocks:

@@ -3,12 +3,12 @@
 ``m_j = m0 sqrt(q_jj)``, ``t = |x_j| / m_j`` with f degrees of freedom (Terlemezoğlu 2019, eqs. 2.78-2.80; m0^2 =
 v^T P v / f), of d unknowns together ``F = x^T Q^-1 x / (d m0^2)`` with d and f. The hypothesis is that the correction
 is zero: an insignificant orientation parameter keeps the value of the metadata, an insignificant term of a look-angle
-polynomial or an RPC compensation is dropped. Of many tests together 5 % would come out by chance: ``adjusted`` is
-Holm's (1979) probability over all coefficients, F groups are tests of their own.
+polynomial or an RPC compensation is dropped. Of many single tests 5 % are significant by chance: ``adjusted`` is Holm's
+(1979) probability over all coefficients. F tests of groups are not adjusted.
 
-A prior observation says the same as the hypothesis. It belongs to x and Q, and an unknown that its prior holds
-(``prior_share`` near 1) is never significant: the observations do not speak of it. Correlated unknowns may each be
-insignificant although together they are not, so they are dropped one at a time (``fg_orient.orientation.reduction``).
+A prior observation agrees with the hypothesis. It contributes to x and Q, and an unknown that its prior holds
+(``prior_share`` near 1) is never significant: the observations contain no information about it. Correlated unknowns may
+each be insignificant but significant together, so they are dropped one at a time (``fg_orient.orientation.reduction``).
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ class CoefficientTest:
         Correction and its standard deviation, ``unit``.
     t : float
     probability : float
-        To find such a t without a correction.
+        Probability of this or a larger t if the correction is zero.
     adjusted : float
-        The same over all coefficients of the block (Holm).
+        Probability over all coefficients of the block (Holm).
     prior_share : float or None
-        Which part of its weight is the prior's, 0 to 1; None without priors.
+        Share of the prior in the weight of the unknown, 0 to 1; None without priors.
     freedom : float
         Degrees of freedom of t: f, with estimated variance components Satterthwaite's.
     """
@@ -79,7 +79,7 @@ class GroupTest:
     statistic : float
         F.
     probability : float
-        To find such an F without any correction.
+        Probability of this or a larger F if all corrections are zero.
     freedom : float
         Degrees of freedom of the denominator.
     """
@@ -102,7 +102,7 @@ class Significance:
     level : float
     coefficients : tuple of CoefficientTest
     groups : tuple of GroupTest
-        Each coefficient over all images (of several), each component, each degree of one kind (``parameters.Term``).
+        Each coefficient over all images (if several), each component, each degree of one kind (``parameters.Term``).
     """
 
     redundancy: int
@@ -111,11 +111,11 @@ class Significance:
     groups: tuple[GroupTest, ...]
 
     def significant(self, test: CoefficientTest) -> bool:
-        """Whether a coefficient is significant, all of them considered."""
+        """Whether a coefficient is significant among all coefficients."""
         return test.adjusted <= self.level
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Plain values for JSON."""
         return {
             "redundancy": self.redundancy, "level": self.level,
             "coefficients": [{**vars(c), "significant": self.significant(c)} for c in self.coefficients],
@@ -132,22 +132,13 @@ def significance(
     Parameters
     ----------
     problem, state, cofactors
-        Of a solution by any backend, without a loss.
+        Of a solution by any backend, without a loss; NoSolutionError without redundancy.
     sigma0 : float
         m0.
     level : float
         Probability of a false alarm among all coefficients.
     freedom : UnknownFreedom, optional
-        With estimated variance components: their scale takes the place of m0, whose f it is not.
-
-    Returns
-    -------
-    Significance
-
-    Raises
-    ------
-    NoSolutionError
-        There is no redundancy, so no m0.
+        With estimated variance components: their scale replaces m0 and its degrees of freedom.
     """
     f = problem.redundancy
     if f <= 0:
@@ -187,7 +178,7 @@ def group_test(
     q = cofactors.joint(images, ())[np.ix_(mine, mine)]
     x, d = problem.image_columns(state)[index], len(index)
     m0, f = (sigma0, float(problem.redundancy)) if freedom is None else (1.0, freedom.together(index))
-    # scaled to correlations: unknowns of very different size are tested together
+    # scaled to correlations, because unknowns of very different size are tested together
     length = np.sqrt(np.diag(q))
     statistic = float((x / length) @ np.linalg.solve(q / np.outer(length, length), x / length)) / (d * m0**2)
     return GroupTest(name, d, statistic, float(f_tail(d, f, statistic)), f)
@@ -203,12 +194,12 @@ def places_of(problem: Problem, wanted: Callable[[str], bool]) -> Index:
 def _groups(problem: Problem) -> dict[str, Index]:
     """Groups of more than one unknown: coefficient over all images, component, degree."""
     names = list(dict.fromkeys(name for p in problem.parameters for name in p.names))
-    found: dict[str, Index] = {}
+    groups: dict[str, Index] = {}
     if problem.n_images > 1:
-        found |= {f"{n} of all images": places_of(problem, lambda name, n=n: name == n) for n in names}  # type: ignore[misc]
+        groups |= {f"{n} of all images": places_of(problem, lambda name, n=n: name == n) for n in names}  # type: ignore[misc]
     terms = {name: term for name in names if (term := term_of(name)) is not None}
     for words, of in (("{}, all terms", attrgetter("component")), ("all terms of {}", attrgetter("kind"))):
         for value in filter(None, dict.fromkeys(map(of, terms.values()))):
             mine = {name for name, term in terms.items() if of(term) == value}
-            found[words.format(value)] = places_of(problem, mine.__contains__)
-    return {name: index for name, index in found.items() if len(index) > 1}
+            groups[words.format(value)] = places_of(problem, mine.__contains__)
+    return {name: index for name, index in groups.items() if len(index) > 1}

@@ -1,14 +1,14 @@
-"""Structural rank: what no observation can determine for want of observations, before numbers are looked at.
+"""Structural rank: unknowns with too few observations, determined before any number is computed.
 
-Unknowns and observations form a bipartite graph. Its coarse decomposition (Dulmage & Mendelsohn 1958) names the
-unknowns that even the best assignment of observations leaves without one. All unknowns of an image stand in the same
-observations, and so do the three of a ground point; hence the decomposition of the scalars is that of a flow
-between whole images, ground points and observations: a ray gives two, a control point three, an image needs as many as
-it has unknowns, a point three.
+Unknowns and observations form a bipartite graph. Its coarse decomposition (Dulmage & Mendelsohn 1958) gives the
+unknowns that have no observation under the best assignment. All unknowns of an image occur in the same observations,
+and so do the three coordinates of a ground point. The decomposition of the scalars is therefore one of a flow between
+whole images, ground points and observations: an image point supplies two, a control point three; an image needs as many
+as it has unknowns, a ground point three.
 
-Most blocks need no flow: if every point takes its three in equal shares from its rays, and the rest is enough for
-each image, the shares are a fractional flow, and there is a whole one too (the constraints of a flow are totally
-unimodular). That test costs a few passes over the observations.
+Most blocks need no flow. Each point may take its three in equal shares from its image points. If the rest is enough for
+each image, these shares are a fractional flow, and an integer flow exists too (the constraints of a flow are totally
+unimodular). This test reads the observations a few times.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from fg_orient.adjustment.problem import Problem
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: Names in one sentence.
+#: Maximum number of names in one sentence.
 NAMED: Final = 10
 
 
@@ -36,9 +36,9 @@ class Lack:
     Parameters
     ----------
     images, points : tuple of str
-        Ids: the under-determined part of the decomposition that hangs together.
+        Ids of a connected under-determined part of the decomposition.
     free : int
-        Directions that at least stay free.
+        Minimum number of free directions.
     sentence, remedy : str
     """
 
@@ -51,14 +51,14 @@ class Lack:
 
 @dataclass(frozen=True)
 class Structure:
-    """What the structure of a block tells.
+    """Parts of a block and its structural rank.
 
     Parameters
     ----------
     part : (M,) int array
-        Which part of the block each image is in; parts have no ground point or own observation in common.
+        Part of the block of each image; parts have no ground point or extra observation in common.
     point_part : (N,) int array
-        The same of ground points; -1 for those in no observation.
+        Part of each ground point; -1 for points in no observation.
     lacks : tuple of Lack
         Empty if the structural rank is full.
     """
@@ -74,15 +74,12 @@ class Structure:
 
     @property
     def n_parts(self) -> int:
-        """Parts of the block."""
+        """Number of parts."""
         return int(self.part.max()) + 1
 
 
 def analyse_structure(problem: Problem) -> Structure:
-    """Parts of a block, and what lacks observations in each.
-
-    Priors count as observations where the problem has them.
-    """
+    """Parts of a block, and unknowns with too few observations; priors are observations if the problem has them."""
     part, point_part = _parts(problem)
     image_need, point_need = _needs(problem)
     lacks = () if _enough(problem, image_need, point_need) else _lacking(problem, image_need, point_need)
@@ -94,10 +91,15 @@ def named(ids: list[str] | tuple[str, ...]) -> str:
     return ", ".join(ids[:NAMED]) + (f" ... ({len(ids)})" if len(ids) > NAMED else "")
 
 
-def _needs(problem: Problem) -> tuple[Index, Index]:
-    """Observations that each image (M,) and each ground point (N,) still needs besides priors and its own control.
+def of_ids(noun: str, ids: list[str] | tuple[str, ...]) -> str:
+    """Noun with ids: "image 1", "images 1, 2"."""
+    return f"{noun}{'s' if len(ids) > 1 else ''} {named(ids)}"
 
-    Unknowns that images share are left to the singular values: what is found here is a lower bound.
+
+def _needs(problem: Problem) -> tuple[Index, Index]:
+    """Observations that each image (M,) and each ground point (N,) needs in addition to priors and its coordinates.
+
+    Shared unknowns of images are not counted, so the defect is a lower bound; the singular values include them.
     """
     own = np.array([int(p.own.sum()) for p in problem.parameters])
     images = own * (0 if problem.block.options.priors else 1)
@@ -105,7 +107,7 @@ def _needs(problem: Problem) -> tuple[Index, Index]:
 
 
 def _enough(problem: Problem, image_need: Index, point_need: Index) -> bool:
-    """Tell whether equal shares of the rays are enough for all points and images (sufficient, not necessary)."""
+    """Whether equal shares of the image points are enough for all points and images (sufficient, not necessary)."""
     o = problem.observations
     rays = np.bincount(o.point, minlength=len(point_need))
     if np.any(2 * rays < point_need):
@@ -116,7 +118,7 @@ def _enough(problem: Problem, image_need: Index, point_need: Index) -> bool:
 
 
 def _groups(problem: Problem) -> tuple[Index, Index, Index]:
-    """Observations as pairs (observation, unknown): images are unknowns 0 .. M-1, points M ..; and their sizes."""
+    """Pairs (observation, unknown), and sizes of the observations; images are unknowns 0 .. M-1, points M ..."""
     o, m = problem.observations, problem.n_images
     n = len(o)
     rows, columns, sizes = [np.tile(np.arange(n), 2)], [np.concatenate([o.image, m + o.point])], [np.full(n, 2)]
@@ -129,12 +131,12 @@ def _groups(problem: Problem) -> tuple[Index, Index, Index]:
 
 
 def _parts(problem: Problem) -> tuple[Index, Index]:
-    """Parts of the block by images and unknown ground points; a fixed point links nothing."""
+    """Parts of the block by images and unknown ground points; a fixed point links no images."""
     m, n_points, o = problem.n_images, len(problem.active), problem.observations
     linking = problem.active[o.point]
     image, point = o.image[linking].astype(np.intp), o.point[linking]
     first = np.full(n_points, -1, np.intp)
-    first[point[::-1]] = image[::-1]  # a point stands for the first image that sees it
+    first[point[::-1]] = image[::-1]  # each point is represented by the first image that sees it
     pairs = np.unique(image * m + first[point])
     links = list(zip((pairs // m).tolist(), (pairs % m).tolist(), strict=True))
     for extra in problem.block.extra:
@@ -148,12 +150,12 @@ def _parts(problem: Problem) -> tuple[Index, Index]:
 
 
 def _joined(m: int, links: list[tuple[int, int]]) -> list[int]:
-    """Least node of the part of each node below m; nodes beyond occur in links only."""
+    """Least node of the part of each node below m; larger nodes occur in links only."""
     above: dict[int, int] = {}
 
     def least(node: int) -> int:
         while (up := above.get(node, node)) != node:
-            above[node] = above.get(up, up)  # halves the way of the next one
+            above[node] = above.get(up, up)  # path halving
             node = up
         return node
 
@@ -164,7 +166,7 @@ def _joined(m: int, links: list[tuple[int, int]]) -> list[int]:
 
 
 def _lacking(problem: Problem, image_need: Index, point_need: Index) -> tuple[Lack, ...]:
-    """Decompose by the flow: source - observations - unknowns - sink."""
+    """Decomposition by the flow from a source through observations and unknowns to a sink."""
     row, column, supply = _groups(problem)
     need = np.concatenate([image_need, point_need])
     flow, got = _flow(row, column, supply, need)
@@ -186,7 +188,7 @@ def _lacking(problem: Problem, image_need: Index, point_need: Index) -> tuple[La
 
 
 def _flow(row: Index, column: Index, supply: Index, need: Index) -> tuple[Index, Index]:
-    """Largest flow: along the pairs (observation, unknown), and what each unknown gets of its need."""
+    """Largest flow along the pairs (observation, unknown), and to each unknown."""
     from scipy import sparse
     from scipy.sparse import csgraph
 
@@ -206,10 +208,10 @@ def _flow(row: Index, column: Index, supply: Index, need: Index) -> tuple[Index,
 def _under_determined(
     row: Index, column: Index, flow: Index, missing: Index, n_rows: int
 ) -> tuple[Index, npt.NDArray[np.bool_]]:
-    """Parts of the unknowns that hang together, and which of them are under-determined.
+    """Connected part of each unknown, and whether the unknown is under-determined.
 
-    Those are reached from unknowns that miss something: by any observation they stand in, to the unknowns that this
-    observation was given to.
+    Under-determined unknowns are reached from unknowns with unmet needs, through any observation that contains them, to
+    the unknowns that this observation was assigned to.
     """
     from scipy import sparse
     from scipy.sparse import csgraph
@@ -228,39 +230,34 @@ def _under_determined(
 
 
 def _seen_once(problem: Problem, points: list[int]) -> Lack:
-    """Points with one ray: nothing tells how far along it they lie."""
+    """Points with one image point: their position along this ray is not determined."""
     o, block = problem.observations, problem.block
     ids = tuple(block.points.ids[j] for j in points)
     only = dict(zip(o.point.tolist(), o.image.tolist(), strict=True))
     seen = [block.images[only[j]].id for j in points]
-    many = len(ids) > 1
-    if len(set(seen)) == 1:
-        who, where = named(ids), f"image {seen[0]}"
-    else:
+    s, them = ("s", "them") if len(ids) > 1 else ("", "it")
+    who, where = named(ids), f"image {seen[0]}"
+    if len(set(seen)) > 1:
         who, where = named([f"{p} (image {image})" for p, image in zip(ids, seen, strict=True)]), "that image"
-    sentence = (
-        f"point{'s' if many else ''} {who}: seen in {where} only, without control: {len(ids)} free "
-        f"motion{'s' if many else ''}, along the ray{'s' if many else ''}"
-    )
-    them = "them" if many else "it"
+    sentence = f"point{s} {who}: seen in {where} only, without control: {len(ids)} free motion{s}, along the ray{s}"
     return Lack((), ids, len(ids), sentence, f"measure {them} in a second image, or give {them} coordinates as control")
 
 
 def _lack(problem: Problem, images: Index, points: Index, free: int) -> Lack:
-    """Images, or images with their points, for which there are too few image points."""
+    """Images, or images with their points, that have too few image points."""
     block, o = problem.block, problem.observations
-    ids, names = (tuple(block.images[k].id for k in images), tuple(block.points.ids[j] for j in points))
+    ids, names = tuple(block.images[k].id for k in images), tuple(block.points.ids[j] for j in points)
     unknowns = int(np.diff(problem.first)[images].sum())
     n = int(np.isin(o.image, images).sum())
-    what = f"image{'s' if len(ids) > 1 else ''} {named(ids)}" if ids else f"points {named(names)}"
+    who = of_ids("image", ids) if ids else f"points {named(names)}"
     if ids and not n:
-        told = f"in no observation, {'their' if len(ids) > 1 else 'its'} {unknowns} unknowns are free"
+        why = f"in no observation, {'their' if len(ids) > 1 else 'its'} {unknowns} unknowns are free"
     elif ids:
         shared = f" and points {named(names)}" if names else ""
-        told = f"{n} image points are too few for {unknowns} unknowns{shared}, {free} directions at least are free"
+        why = f"{n} image points are too few for {unknowns} unknowns{shared}, {free} directions at least are free"
     else:
-        told = f"too few rays, {free} directions at least are free"
-    where = f" in image{'s' if len(ids) > 1 else ''} {named(ids)}" if ids else ""
+        why = f"too few rays, {free} directions at least are free"
+    where = f" in {of_ids('image', ids)}" if ids else ""
     return Lack(
-        ids, names, free, f"{what}: {told}", f"measure more points{where}, best control points, or keep the priors"
+        ids, names, free, f"{who}: {why}", f"measure more points{where}, best control points, or keep the priors"
     )

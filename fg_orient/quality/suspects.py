@@ -1,12 +1,12 @@
-"""Suspects: groups of observations that one gross error may lie in, with what a test needs of them.
+"""Suspects: groups of observations with a possible gross error in common, and the inputs of their tests.
 
 With whitened residuals v of the group's rows, their cofactors ``Q = I - J N^-1 J^T`` and the columns E of the error in
-these rows, the weighted sum of squares falls by
+these rows, the weighted sum of squares decreases by
 
     T = (E^T v)^T (E^T Q E)^+ (E^T v)
 
-when the error becomes unknown, and ``(E^T Q E)^+ E^T v`` is its estimate (Baarda 1968; Kok 1984). d, the rank of
-``E^T Q E``, counts what the other observations check.
+if the error becomes an unknown, and ``(E^T Q E)^+ E^T v`` is its estimate (Baarda 1968; Kok 1984). d, the rank of
+``E^T Q E``, is the number of directions that the other observations check.
 """
 
 from __future__ import annotations
@@ -17,20 +17,27 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from factors.conditions.control import POINT
 from fg_orient.adjustment.cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.rows import Rows, linearised, residuals, side_by_side
+from fg_orient.adjustment.rows import linearised, residuals
 from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.elimination import (
+    PointRows,
+    control_residuals,
+    control_rows,
+    eliminated_points,
+    free_cofactors,
+    named_points,
+)
 from fg_orient.quality.reliability import ResidualCofactors, residual_cofactors
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-#: What is suspected: image points, positions and heights; single coordinates; ground points with all they are seen in.
+#: Image points, positions and heights; single coordinates; ground points with all their observations.
 Kind = Literal["groups", "coordinates", "points"]
 KINDS: Final = ("groups", "coordinates", "points")
 
-#: Directions below this share of a free observation are not checked by the others.
+#: Directions below this share of a free observation are not checked by the other observations.
 CHECKED: Final = 1e-6
 
 
@@ -43,15 +50,17 @@ class Suspects:
     part : str
         "image", "position", "height"; "line", "sample", "east", "north", "up"; "point".
     unit : str
-        Of the error: "px line, sample", "m East, North", ...; "" for a whole point, whose error has no one unit.
+        Of the error: "px line, sample", "m East, North", ...; "" for a whole point, whose error has several units.
     point : (n,) int array
         Ground points.
     row : (n,) int array
-        Rows of ``problem.observations``; -1 for suspects that are no image points.
+        Rows of ``problem.observations``; -1 for suspects that are not image points.
+    rows : (n, m) int array
+        Rows of v among all rows: image points, then control points in East, North, Up.
     v : (n, m) array
         Whitened residuals.
     q : (n, m, m) array
-        Their cofactors.
+        Cofactors of v.
     columns : (n, m, k) array
         Change of the whitened residuals with the error.
     """
@@ -60,12 +69,13 @@ class Suspects:
     unit: str
     point: Index
     row: Index
+    rows: Index
     v: Array
     q: Array
     columns: Array
 
     def quadratic(self) -> tuple[Array, Index, Array]:
-        """T (n,), its degrees of freedom d (n,) and the estimated error (n, k), zero along what nothing checks."""
+        """T (n,), its degrees of freedom d (n,) and the estimated error (n, k), zero in unchecked directions."""
         length = np.linalg.norm(self.columns, axis=-2)
         e = self.columns / length[..., None, :]
         turned = np.swapaxes(e, -1, -2)
@@ -88,7 +98,7 @@ def quadratic(v: Array, q: Array) -> tuple[Array, Index, Array]:
 def suspects(
     problem: Problem, state: State, cofactors: Cofactors, kind: Kind = "groups", known: ResidualCofactors | None = None
 ) -> list[Suspects]:
-    """Give all suspects of a kind.
+    """All suspects of a kind.
 
     Parameters
     ----------
@@ -96,97 +106,65 @@ def suspects(
         Of a solution of least squares.
     kind : str
         "groups": image points (line and sample), positions (East and North) and heights of weighted control points;
-        "coordinates": each of their coordinates alone; "points": a ground point with all its image points and its
-        coordinates. The first two take 20 us each, the third 0.5 ms.
+        "coordinates": each coordinate alone; "points": a ground point with all its image points and its coordinates.
     known : ResidualCofactors, optional
-        Those of the solution, if they were computed before.
-
-    Returns
-    -------
-    list of Suspects
+        Of the solution, if known.
     """
     if kind == "points":
         return _whole_points(problem, state, cofactors)
-    found = known or residual_cofactors(problem, state, cofactors)
+    known = known or residual_cofactors(problem, state, cofactors)
     o, given = problem.observations, np.flatnonzero(problem.observed)
-    rows = np.arange(len(o))
-    scale = np.zeros((len(o), 2, 2))
-    scale[:, 0, 0], scale[:, 1, 1] = -1.0 / o.sigma_line_px, -1.0 / o.sigma_sample_px  # v: adjusted minus observed
-    image = (o.point, rows, residuals(problem, state), found.image)
-    w = problem.control_weights(given)
-    at = problem.control_records[given, POINT.place]
-    columns = -w @ np.swapaxes(problem.axes(at + problem.origin_m), 1, 2)
-    v = problem.control_residuals(state, given)
-    control = (given, np.full(len(given), -1), v, found.control)
+    place, n = np.arange(len(o)), 2 * len(o)
+    image = (o.point, place, 2 * place[:, None] + np.arange(2), residuals(problem, state), known.image)
+    rows = n + 3 * np.arange(len(given))[:, None] + np.arange(3)
+    control = (given, np.full(len(given), -1), rows, control_residuals(problem, state), known.control)
+    # the residuals are adjusted minus observed
+    pixel = -np.eye(2) / np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)[:, None]
+    metre = -np.eye(3) * np.linalg.norm(control_rows(problem, given), axis=2)[:, None]
     east, north, up = problem.axis_names
     if kind == "coordinates":
+        names = (("east", east), ("north", north), ("up", up))
         return [
-            Suspects("line", "px line", *image, scale[:, :, :1]),
-            Suspects("sample", "px sample", *image, scale[:, :, 1:]),
-            Suspects("east", f"m {east}", *control, columns[:, :, :1]),
-            Suspects("north", f"m {north}", *control, columns[:, :, 1:2]),
-            Suspects("up", f"m {up}", *control, columns[:, :, 2:]),
-        ]
+            Suspects("line", "px line", *image, pixel[:, :, :1]),
+            Suspects("sample", "px sample", *image, pixel[:, :, 1:]),
+            *(Suspects(part, f"m {axis}", *control, metre[:, :, [k]]) for k, (part, axis) in enumerate(names)),
+        ]  # fmt: skip
     return [
-        Suspects("image", "px line, sample", *image, scale),
-        Suspects("position", f"m {east}, {north}", *control, columns[:, :, :2]),
-        Suspects("height", f"m {up}", *control, columns[:, :, 2:]),
+        Suspects("image", "px line, sample", *image, pixel),
+        Suspects("position", f"m {east}, {north}", *control, metre[:, :, :2]),
+        Suspects("height", f"m {up}", *control, metre[:, :, 2:]),
     ]
 
 
 def _whole_points(problem: Problem, state: State, cofactors: Cofactors) -> list[Suspects]:
-    """Ground points with all their rays and their coordinates, those of as many rows together."""
-    rays = linearised(problem, state)
-    few = problem.n_image_unknowns <= WHOLE_LIMIT
-    of_images = cofactors.joint(tuple(range(problem.n_images)), ()) if few else None
-    arguments = (a for extra in problem.block.extra for a in problem.extra_arguments(extra))
-    tied = {a.index for a in arguments if not a.is_image}
-    found: dict[int, list[tuple[int, Array, Array]]] = {}
-    for j, rows in problem.rows_by_point():
-        control = problem.control_residuals(state, j) if problem.observed[j] else None
-        of_point = Rows(*(part[rows] for part in rays))
-        v, b, g, columns, images = point_rows(problem, j, problem.observations.image[rows], of_point, control)
-        g = g[:, : 3 * int(problem.active[j])]
-        if j in tied:  # more than its rays and its coordinates determines it
-            q = np.eye(len(v)) - _propagated(np.hstack([b, g]), cofactors.joint(images, (j,)))
-        else:
-            own = cofactors.joint(images, ()) if of_images is None else of_images[np.ix_(columns, columns)]
-            q = _left_over(g, np.eye(len(v)) - _propagated(b, own))
-        found.setdefault(len(v), []).append((j, v, q))
-    return [
-        Suspects(
-            "point", "", np.array([j for j, _, _ in members]), np.full(len(members), -1),
-            np.stack([v for _, v, _ in members]), np.stack([q for _, _, q in members]),
-            np.tile(np.eye(size), (len(members), 1, 1)),
-        )
-        for size, members in sorted(found.items())
-    ]  # fmt: skip
+    """Ground points with all their image points and their coordinates, those with the same number of rows together."""
+    v = np.concatenate([residuals(problem, state).ravel(), control_residuals(problem, state).ravel()])
+    rays, named = linearised(problem, state), named_points(problem)
+    whole = free_cofactors(problem, cofactors.joint, named) if problem.n_image_unknowns <= WHOLE_LIMIT else None
+    by_size: dict[int, list[tuple[Index, Index, Array]]] = {}
+    for part in eliminated_points(problem, rays, named, groups=1):
+        joint = _joint_of_each(problem, cofactors, part, named) if whole is None else whole
+        q = part.free - part.quadratic(joint)
+        by_size.setdefault(part.rows.shape[1], []).append((part.point, part.rows, q))
+    out = []
+    for size, parts in sorted(by_size.items()):
+        point, rows, q = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        order = np.argsort(point)
+        unit = np.tile(np.eye(size), (len(point), 1, 1))
+        out.append(Suspects("point", "", point[order], np.full(len(point), -1), rows[order], v[rows[order]], q[order],
+                            unit))  # fmt: skip
+    return out
 
 
-def _propagated(design: Array, cofactors: Array) -> Array:
-    """Cofactors ``J Q J^T``."""
-    return np.asarray(design @ cofactors @ design.T)
-
-
-def _left_over(d_ground: Array, q: Array) -> Array:
-    """Cofactors of what the ground point's own coordinates leave of residuals with cofactors q."""
-    if not d_ground.shape[1]:
-        return q
-    free = np.linalg.qr(d_ground, mode="complete")[0][:, d_ground.shape[1] :]
-    return np.asarray(free @ (free.T @ q @ free) @ free.T)
-
-
-def point_rows(
-    problem: Problem, j: int, image: Index, rays: Rows, control: Array | None
-) -> tuple[Array, Array, Array, Index, tuple[int, ...]]:
-    """Whitened residuals (m,) of a ground point j, its image points first, then its coordinates.
-
-    With them Jacobians (m, u) and (m, 3), the places of the u columns among the unknowns of all images, and the images.
-    ``rays`` are its image points in the images ``image`` (n,), ``control`` the residuals (3,) of its coordinates.
-    """
-    v, g = rays.residual.ravel(), rays.ground.reshape(2 * len(image), 3)
-    b, columns, images = side_by_side(problem, image, rays.image)
-    if control is not None:
-        v, b = np.concatenate([v, control]), np.pad(b, ((0, 3), (0, 0)))
-        g = np.vstack([g, problem.control_weights(j)])
-    return v, b, g, columns, images
+def _joint_of_each(problem: Problem, cofactors: Cofactors, part: PointRows, named: list[int]) -> Array:
+    """Joint cofactors (P, c, c) of the columns of each ground point, where those of all images are too many."""
+    own, size, c = part.point[0] in named, np.diff(problem.first), part.columns.shape[1]
+    out = np.empty((len(part.point), c, c))
+    for place, images in enumerate(part.kind[:, : part.kind.shape[1] - own].tolist()):
+        seen = tuple(dict.fromkeys(images))
+        first = np.cumsum([0, *size[list(seen)]])
+        begin = dict(zip(seen, first.tolist(), strict=False))
+        at = [begin[k] + np.minimum(np.arange(size.max()), size[k] - 1) for k in images]
+        columns = np.concatenate([*at, first[-1] + np.arange(3 * own)])
+        out[place] = cofactors.joint(seen, (int(part.point[place]),) if own else ())[np.ix_(columns, columns)]
+    return out

@@ -40,14 +40,14 @@ SIGMA0_LEVEL = 0.999
 #: Image points with a smaller weight count as down-weighted; a solution with a larger share of them is not trustworthy.
 DOWN = 0.5
 MOST_DOWN = 0.5
-#: Images that are named one by one.
+#: Maximum number of images that are named.
 NAMED = 10
 NO_INTERVAL = (float("nan"), float("nan"))
 
 
 @dataclass(frozen=True)
 class SolutionAssessment:
-    """Status, what decided on it, and the 99.9 % interval of sigma0 (nan where there is none)."""
+    """Status, its reason, and the 99.9 % interval of sigma0 (nan if there is none)."""
 
     status: Status
     finding: Finding
@@ -92,8 +92,8 @@ def _assess_weights(problem: Problem, estimate: Estimate, weights: Weights) -> S
         )
     images = [f"image {name}: {bad} of {all_}" for name, bad, all_ in turned_down_images(problem, weights)]
     if images:
-        found = finding("verdict.loss_of_images", count=len(images), limit=DOWN, images=images)
-        return SolutionAssessment(Status.NOT_TRUSTWORTHY, found, NO_INTERVAL)
+        reason = finding("verdict.loss_of_images", count=len(images), limit=DOWN, images=images)
+        return SolutionAssessment(Status.NOT_TRUSTWORTHY, reason, NO_INTERVAL)
     return SolutionAssessment(Status.CONVERGED, estimate.end, NO_INTERVAL)
 
 
@@ -106,18 +106,11 @@ def turned_down_images(problem: Problem, weights: Weights) -> list[tuple[str, in
     return [(problem.block.images[k].id, int(bad[k]), int(n[k])) for k in np.flatnonzero(bad > MOST_DOWN * n)]
 
 
-def points_without_ray(problem: Problem, weights: Weights) -> list[str]:
-    """Ids of unknown points with all rays down-weighted: no other observation checks their position."""
-    return [problem.block.points.ids[j] for j in _left_with(problem, weights, 0)]
+def points_with_rays(problem: Problem, weights: Weights, rays: int) -> list[int]:
+    """Unknown points with this number of rays (0 or 1) not down-weighted, and without control of full weight.
 
-
-def points_on_one_ray(problem: Problem, weights: Weights) -> list[str]:
-    """Ids of unknown points with all rays but one down-weighted: their position along this ray is not determined."""
-    return [problem.block.points.ids[j] for j in _left_with(problem, weights, 1)]
-
-
-def _left_with(problem: Problem, weights: Weights, rays: int) -> list[int]:
-    """Unknown points with this number of rays left by a loss, without control or with down-weighted control."""
+    Without a ray no observation checks the position; with one ray the position along it is not determined.
+    """
     o, n = problem.observations, len(problem.active)
     if problem.block.options.loss in UNWEIGHED:
         return []
@@ -128,10 +121,10 @@ def _left_with(problem: Problem, weights: Weights, rays: int) -> list[int]:
 
 
 def _lost(problem: Problem, weights: Weights) -> list[Finding]:
-    """Points that the loss has left without a ray, or on one; check points among them, too."""
+    """Findings on points with no or one ray left by the loss, including check points."""
     out, points = [], problem.block.points
     for rays, code in ((0, "weights.no_ray"), (1, "weights.one_ray")):
-        lost = _left_with(problem, weights, rays)
+        lost = points_with_rays(problem, weights, rays)
         if lost:
             check = [points.ids[j] for j in lost if points.roles[j] is Role.CHECK]
             out.append(finding(code, n=len(lost), points=[points.ids[j] for j in lost], check=check))
@@ -139,7 +132,7 @@ def _lost(problem: Problem, weights: Weights) -> list[Finding]:
 
 
 def _of_weights(problem: Problem, weights: Weights) -> Finding:
-    """What the figures of a robust adjustment are."""
+    """Finding on the down-weighted observations of a robust adjustment."""
     options = problem.block.options
     down, control = (int(np.count_nonzero(w < DOWN)) for w in (weights.image, weights.control))
     counts = {"loss": options.loss, "down": down, "n": len(weights.image), "control": control}
@@ -163,7 +156,7 @@ def findings(
     block: BlockObservability | None,
     accuracy: Accuracy,
 ) -> tuple[Finding, ...]:
-    """Problems first, in the order a reader should meet them."""
+    """Findings, the most serious first."""
     f = problem.redundancy
     out = [] if verdict.status is Status.CONVERGED and f > 0 else [verdict.finding]
     if estimate.weights is not None:
@@ -195,27 +188,27 @@ def findings(
 
 
 def of_check_points(check: PointDifferences) -> list[Finding]:
-    """Check points beyond 3 standard deviations, if they are more than chance gives or one is too far for it."""
-    found = check.beyond()
-    if found.by_chance:
+    """Check coordinates beyond 3 standard deviations, if chance does not explain their number or the largest."""
+    beyond = check.beyond()
+    if beyond.by_chance:
         return []
-    if found.count <= found.limit:
-        return [finding("solution.check_far", limit=found.largest_limit, n=found.n, points=found.far)]
+    if beyond.count <= beyond.limit:
+        return [finding("solution.check_far", limit=beyond.largest_limit, n=beyond.n, points=beyond.far)]
     points = list(dict.fromkeys(row[0] for row in check.suspicious()))
-    return [finding("solution.check_beyond", points=points, count=found.count, n=found.n, expected=found.expected,
-                    limit=found.limit)]  # fmt: skip
+    return [finding("solution.check_beyond", points=points, count=beyond.count, n=beyond.n, expected=beyond.expected,
+                    limit=beyond.limit)]  # fmt: skip
 
 
 def _moved(problem: Problem, estimate: Estimate) -> tuple[float, float, float]:
-    """Mean movement East, North, Up (or along the local axes) of the unknown points from their start, to 0.1 m."""
+    """Mean movement of the unknown points from their start East, North, Up (or along the local axes), to 0.1 m."""
     j = problem.active
     mean = (estimate.state.ground[j] - problem.start.ground[j]).mean(axis=0)
-    east, north, up = np.round(problem.axes(problem.origin_m[None])[0] @ mean, 1) + 0.0  # no minus before a zero
+    east, north, up = np.round(problem.axes(problem.origin_m[None])[0] @ mean, 1) + 0.0  # no negative zero
     return float(east), float(north), float(up)
 
 
 def _outside(problem: Problem, estimate: Estimate) -> list[Finding]:
-    """Adjusted points at which the model of one of their images may not be used, per image."""
+    """Findings on adjusted points outside the validity of an image model, one per image."""
     out = []
     for k, (image, model) in enumerate(zip(problem.block.images, problem.models, strict=True)):
         points = np.unique(problem.observations.point[problem.observations.image == k])
@@ -230,13 +223,13 @@ def _outside(problem: Problem, estimate: Estimate) -> list[Finding]:
 
 Array = npt.NDArray[np.float64]
 
-#: Points that an image needs for a judgement, and how many times better another reading must fit.
+#: Minimum number of points of an image, and factor by which another reading must fit better.
 LEAST_POINTS: Final = 3
 BETTER: Final = 10.0
 
 Reading = Callable[[Array, Array, Any], tuple[Array, Array]]
 
-#: Other readings of line and sample, by what they mean.
+#: Other readings of line and sample, by their description.
 READINGS: Final[dict[str, Reading]] = {
     "line and sample exchanged": lambda line, sample, sensor: (sample, line),
     "lines counted from the last one": lambda line, sample, sensor: (
@@ -249,7 +242,7 @@ READINGS: Final[dict[str, Reading]] = {
 
 
 def mix_ups(block: Block) -> tuple[Finding, ...]:
-    """Name images whose control points fit far better when their image coordinates are read in another way.
+    """Images whose control points fit far better with another reading of their image coordinates.
 
     Parameters
     ----------
@@ -258,8 +251,8 @@ def mix_ups(block: Block) -> tuple[Finding, ...]:
     Returns
     -------
     tuple of Finding
-        One per image; median distances are those between the points measured and the points projected with
-        the orientation of the metadata, in pixels.
+        One per image, with median distances between measured image points and points projected with the orientation of
+        the metadata, in pixels.
     """
     out = []
     for k, image in enumerate(block.images):
@@ -274,7 +267,7 @@ def mix_ups(block: Block) -> tuple[Finding, ...]:
 
 
 def _distances(block: Block, k: int) -> dict[str, float] | None:
-    """Median distance in pixels by reading, "" as given; None where an image cannot be judged."""
+    """Median distance in pixels for each reading, "" as given; None if it cannot be computed."""
     o, known, sensor = block.observations, block.points.known, block.images[k].sensor
     row = np.flatnonzero((o.image == k) & np.isfinite(known.ecef_m[o.point]).all(axis=1))
     if len(row) < LEAST_POINTS:
@@ -283,7 +276,7 @@ def _distances(block: Block, k: int) -> dict[str, float] | None:
         line, sample = (np.asarray(x, np.float64) for x in sensor.project(known.ecef_m[o.point[row]]))
         read = {"": (o.line[row], o.sample[row])}
         read |= {name: reading(o.line[row], o.sample[row], sensor) for name, reading in READINGS.items()}
-    except (FgOrientError, AttributeError):  # nothing to hold them against
+    except (FgOrientError, AttributeError):  # no projection to compare with
         return None
     away = {name: np.hypot(x - line, y - sample) for name, (x, y) in read.items()}
     seen = np.isfinite(away[""])

@@ -21,8 +21,8 @@ from fg_orient.model.names import EOP_SETS, Status
 from fg_orient.model.options import Options
 from fg_orient.quality.accuracy import rms_px, y_parallaxes
 from fg_orient.quality.deficiency import DEFICIENT, Evidence, judge_observability
-from fg_orient.quality.motions import UNOBSERVABLE
-from fg_orient.quality.verdict import DOWN, points_on_one_ray, points_without_ray, turned_down_images
+from fg_orient.quality.elimination import UNOBSERVABLE
+from fg_orient.quality.verdict import DOWN, points_with_rays, turned_down_images
 from fg_orient.result.plain import plain
 from fg_orient.result.provenance import provenance
 from fg_orient.result.record import Result
@@ -200,8 +200,8 @@ def _robust(solution: Solution) -> dict[str, Any] | None:
         "n_control_points_below_half": len(control),
         "control_points_below_half": [ids[j] for j in control],
         "images_below_half": [name for name, _, _ in turned_down_images(problem, weights)],
-        "points_without_ray": points_without_ray(problem, weights)[:MAX_NAMED],
-        "points_on_one_ray": points_on_one_ray(problem, weights)[:MAX_NAMED],
+        "points_without_ray": [ids[j] for j in points_with_rays(problem, weights, 0)[:MAX_NAMED]],
+        "points_on_one_ray": [ids[j] for j in points_with_rays(problem, weights, 1)[:MAX_NAMED]],
         "scale_image": weights.scale[0],
         "scale_control": weights.scale[1],
         "least": [

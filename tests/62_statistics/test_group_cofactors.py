@@ -10,7 +10,7 @@ import pytest
 import fg_orient as fg
 from fg_orient.model.block import Block
 from fg_orient.orientation.solution import Solution
-from fg_orient.quality import group_cofactors
+from fg_orient.quality import elimination
 from fg_orient.quality.observation_groups import groups_of
 from fg_orient.quality.suspects import KINDS, suspects
 from fg_orient.quality.variance_components import Residuals
@@ -57,11 +57,10 @@ def assert_equal_to_full_matrix(solution: Solution, groups: tuple[str, ...] = GR
         assert np.abs((own - mine) / scale).max() < TOLERANCE
     for kind in KINDS:
         for s in suspects(solution.problem, solution.state, solution.cofactors, kind):
-            rows, columns = residuals.rows_of(s), residuals.columns_of(s)
-            found = parts.shares(s.point, rows, columns)
+            found = parts.shares(s.point, s.rows, s.columns)
             assert found.sum(axis=1)[s.quadratic()[1] > 0] == pytest.approx(1.0, abs=TOLERANCE)
             for k in range(0, len(found), 7):
-                assert found[k] == pytest.approx(share(r, select, rows[k], columns[k]), abs=1e-7)
+                assert found[k] == pytest.approx(share(r, select, s.rows[k], s.columns[k]), abs=1e-7)
 
 
 def share(r: np.ndarray, select: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -110,9 +109,9 @@ def test_any_division_gives_the_same(grid: Block, monkeypatch: pytest.MonkeyPatc
     solution = fg.adjust(grid, backend="schur")
     found = suspects(solution.problem, solution.state, solution.cofactors)[0]
     whole = residuals_of(solution)
-    monkeypatch.setattr(group_cofactors, "CHUNK", 3000)  # a few points at once
+    monkeypatch.setattr(elimination, "CHUNK", 3000)  # a few points at once
     parts = residuals_of(solution)
-    given = found.point, whole.rows_of(found), whole.columns_of(found)
+    given = found.point, found.rows, found.columns
     assert whole.parts is not None and parts.parts is not None
     assert np.abs(parts.parts.shared - whole.parts.shared).max() < 1e-10
     assert np.abs(parts.parts.shares(*given) - whole.parts.shares(*given)).max() < 1e-10

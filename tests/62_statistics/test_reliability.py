@@ -113,7 +113,7 @@ def test_control_points_in_their_own_axes(solution: Solution, found: BlockReliab
 def test_normalised_residuals(solution: Solution, found: BlockReliability) -> None:
     problem, full = solution.problem, Full.of(solution.problem, solution.state)
     n = 2 * len(problem.observations)
-    expected = -full.v[:n] / np.sqrt(np.diag(full.residuals)[:n])
+    expected = full.v[:n] / np.sqrt(np.diag(full.residuals)[:n])
     given = found.image.normalised.ravel()
     known = ~np.isnan(given)
     assert known.sum() > 0.9 * n

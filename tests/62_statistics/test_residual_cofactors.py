@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
+from factors.conditions.control import POINT
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.robust import weighted_problem
 from fg_orient.adjustment.rows import whitened_records
@@ -32,9 +33,13 @@ def assert_equal_to_full_matrix(solution: Solution) -> None:
     for k in range(n):
         part = slice(2 * k, 2 * k + 2)
         assert found.image[k] == pytest.approx(full.residuals[part, part], abs=TOLERANCE)
+    observed = np.flatnonzero(problem.observed)
+    axes = problem.axes(problem.control_records[observed, POINT.place] + problem.origin_m)
     for k in range(m):
         part = slice(2 * n + 3 * k, 2 * n + 3 * k + 3)
-        assert found.control[k] == pytest.approx(full.residuals[part, part], abs=TOLERANCE)
+        columns = problem.control_weights(observed[k]) @ axes[k].T  # errors of 1 m East, North, Up in whitened rows
+        turn = columns / np.linalg.norm(columns, axis=0)
+        assert found.control[k] == pytest.approx(turn.T @ full.residuals[part, part] @ turn, abs=TOLERANCE)
     rest = np.diag(full.residuals)[2 * n + 3 * m :]
     numbers = np.concatenate([found.prior, *found.extra])
     assert numbers == pytest.approx(rest, abs=TOLERANCE)
@@ -113,9 +118,9 @@ def test_shared_priors_and_their_variance_component(twin: Block) -> None:
     q, r, count = Residuals(problem, solution.state, solution.cofactors, groups).sums()
     assert (int(count[place]), r[place]) == (4, pytest.approx(np.diag(full)[look].sum(), abs=TOLERANCE))
     assert q[place] == pytest.approx(float(np.sum(v[look] ** 2)), rel=1e-12)
-    shared = Residuals(problem, solution.state, solution.cofactors, groups).shared()
-    assert shared is not None
-    assert shared[place, place] == pytest.approx(float(np.sum(full[np.ix_(look, look)] ** 2)), abs=TOLERANCE)
+    parts = Residuals(problem, solution.state, solution.cofactors, groups).parts
+    assert parts is not None
+    assert parts.shared[place, place] == pytest.approx(float(np.sum(full[np.ix_(look, look)] ** 2)), abs=TOLERANCE)
 
 
 @pytest.mark.oracle

@@ -39,9 +39,8 @@ def preselected(twin: LinearTwin) -> dict[str, tuple[Suspects, int]]:
 
 def one(found: Suspects, k: int) -> Suspects:
     """A single suspect."""
-    return Suspects(
-        found.part, found.unit, found.point[[k]], found.row[[k]], found.v[[k]], found.q[[k]], found.columns[[k]]
-    )
+    parts = (found.point, found.row, found.rows, found.v, found.q, found.columns)
+    return Suspects(found.part, found.unit, *(part[[k]] for part in parts))
 
 
 def alarm_rates(twin: LinearTwin, v: np.ndarray, scale: float = 1.0) -> dict[tuple[str, str, float], float]:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from fg_orient.adjustment.dense import assemble
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError, NoSolutionError, finding
 from fg_orient.quality import prediction
 from fg_orient.quality.outliers import assess_suspects
 from fg_orient.quality.suspects import Kind, suspects
+from tests.support.full_statistics import turned_rows
 from tests.support.linear_twin import linear_twin
 from tests.support.rpc_block import rpc_twin
 
@@ -29,7 +29,7 @@ def test_quadratic_forms_are_what_more_unknowns_gain(kind: Kind) -> None:
     """
     twin = linear_twin()
     problem, state = twin.solution.problem, twin.solution.state
-    v, _ = assemble(problem, state)
+    v, _ = turned_rows(problem, state)
     for found in twin.suspects(kind):
         t, d, _ = found.quadratic()
         rows = twin.rows(found)

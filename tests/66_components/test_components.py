@@ -284,8 +284,6 @@ def test_freedom_of_a_suspect_is_that_of_the_variance_of_its_error(solution: fg.
         s = found[part]
         e = np.zeros((n, s.columns.shape[2]))
         e[rows] = s.columns[place]
-        if part:
-            e[rows] = residuals.columns_of(s)[place]
         effect = r @ e
         weight = np.einsum("na,ab,nb->n", effect, np.linalg.pinv(e.T @ effect), effect) / e.shape[1]
         share = np.bincount(np.where(residuals.labels < 0, 3, residuals.labels), weight)[:3]
@@ -297,7 +295,7 @@ def test_freedom_of_a_suspect_is_that_of_the_variance_of_its_error(solution: fg.
     s = next(s for s in whole if at in s.point)
     mine = np.flatnonzero(problem.observations.point == at)
     expected = [*np.stack([2 * mine, 2 * mine + 1], axis=1).ravel(), 197, 198, 199]
-    assert residuals.rows_of(s)[s.point.tolist().index(at)].tolist() == expected
+    assert s.rows[s.point.tolist().index(at)].tolist() == expected
     assert nu.max() < problem.redundancy  # less is known of a mixture than of one unit weight
     known = fg.adjust(solution.block, variance_components=(), **DENSE)
     assert solution.outlier_tests().critical.max() > known.outlier_tests().critical.max()

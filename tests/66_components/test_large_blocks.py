@@ -50,7 +50,7 @@ def alarms(runs: int, seed: int, monkeypatch: pytest.MonkeyPatch) -> dict[str, t
     as_too_large = Residuals(problem, state, cofactors, residuals.groups)
     out = {}
     for s in suspects(problem, state, cofactors, "coordinates"):
-        rows, columns, k = residuals.rows_of(s), residuals.columns_of(s), 3
+        rows, columns, k = s.rows, s.columns, 3
         share = residuals.parts.shares(s.point[[k]], rows[[k]], columns[[k]])[0, :-1]
         nu = freedoms(residuals, [s], components)[k]
         own = freedoms(as_too_large, [s], components)[k]

@@ -13,7 +13,7 @@ from fg_orient.adjustment.problem import compile_problem
 from fg_orient.adjustment.rows import linearised
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.names import Role
-from fg_orient.quality.elimination import eliminated, eliminated_with_own
+from fg_orient.quality.elimination import reduced_rows
 from fg_orient.quality.motions import free_motions
 from fg_orient.quality.observability import analyse_block
 from fg_orient.result.summary import deficient_summary
@@ -226,8 +226,6 @@ def test_counts_are_those_of_the_full_jacobian() -> None:
         s = np.linalg.svd(left, compute_uv=False)
         found = analyse_block(problem).singular_values
         assert found == pytest.approx(s, rel=1e-6, abs=1e-9 * s[0])
-        own = np.linalg.svd(eliminated_with_own(problem), compute_uv=False)
-        assert own[:u] == pytest.approx(s, rel=1e-6, abs=1e-9 * s[0])
 
 
 @pytest.mark.truth
@@ -237,7 +235,7 @@ def test_images_that_do_not_follow_have_no_motion() -> None:
 
     problem = compile_problem(options(with_control(rpc("shift"), ()), datum="priors"))
     rows = linearised(problem, problem.start)
-    rest = eliminated(problem, rows)
+    rest = reduced_rows(problem, rows)
     assert len(free_motions(problem, rows, rest, np.arange(2))) == 3
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "FOLLOWED", np.inf)

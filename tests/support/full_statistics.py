@@ -85,14 +85,20 @@ def step_of_numpy(problem: Problem, state: State, robust: Robust | None = None) 
 
 def turned_design(problem: Problem, state: State) -> np.ndarray:
     """Whitened Jacobian with the rows of control points in East, North, Up, in sigmas; shared unknowns once."""
-    _, a = assemble(problem, state)
+    return turned_rows(problem, state)[1]
+
+
+def turned_rows(problem: Problem, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals and Jacobian of :func:`turned_design`."""
+    v, a = assemble(problem, state)
     a, n = a if problem.ties is None else problem.ties.columns(a), 2 * len(problem.observations)
     for k, j in enumerate(np.flatnonzero(problem.observed)):
         rows, record = slice(n + 3 * k, n + 3 * k + 3), problem.control_records[j]
         axes = problem.axes(record[None, POINT.place] + problem.origin_m)[0]
         sigma = problem.block.points.known.sigma_enu_m[j]
-        a[rows] = axes / sigma[:, None] @ np.linalg.inv(record[POINT.whitening].reshape(3, 3)) @ a[rows]
-    return a
+        turn = axes / sigma[:, None] @ np.linalg.inv(record[POINT.whitening].reshape(3, 3))
+        v[rows], a[rows] = turn @ v[rows], turn @ a[rows]
+    return v, a
 
 
 def options(block: Block, **given: object) -> Block:

@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 
 import fg_orient as fg
-from fg_orient.adjustment.dense import assemble
 from fg_orient.quality.suspects import Kind, Suspects, suspects
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from tests.support.full_statistics import turned_design
 
 
 @dataclass(frozen=True)
 class LinearTwin:
-    """A solution, and an orthonormal basis (N, u) of its whitened design matrix."""
+    """A solution, and an orthonormal basis (N, u) of its whitened design matrix, control points in East, North, Up."""
 
     solution: fg.Solution
     basis: np.ndarray
@@ -62,5 +62,5 @@ def linear_twin() -> LinearTwin:
     """The Zonguldak twin at its solution."""
     block, _ = zonguldak_block(ZonguldakOptions(seed=1))
     solution = fg.adjust(block, backend="dense")
-    _, design = assemble(solution.problem, solution.state)
+    design = turned_design(solution.problem, solution.state)
     return LinearTwin(solution, np.linalg.qr(design / np.linalg.norm(design, axis=0))[0])
