@@ -1,19 +1,18 @@
 """Direct linear transformation: 11 parameters and distortion, interior and exterior orientation recovered from them.
 
-Flat control points are refused if they show no more than a plane within the noise of the image.
-Let the middle of the points be the origin and their plane Z = 0. A photo of the plane alone is a homography, whose
-eight parameters leave the third column (L3, L7, L11) of the matrix open, and the noise of the image decides on it where
-the heights are too small. With columns m1, m2, m3, m4 the projection centre lies at the height ``-D4 / D3``,
-``D3 = det(m1, m2, m3)`` and ``D4 = det(m1, m2, m4)``: of all that noise may do to the third column, what it does to
-``D3`` moves the centre, as the inverse of a number that may be nothing but noise. ``D3`` is the determinant of the left
-part of the matrix in any axes, so the plane need not be known. It is 0 for a parallel projection as well.
+Control points are refused if their heights above a plane are within the noise of the image. Let the middle of the
+points be the origin and their plane Z = 0. A photo of the plane alone is a homography. Its eight parameters do not
+determine the third column (L3, L7, L11) of the matrix; if the heights are too small, noise determines this column. With
+columns m1, m2, m3, m4 the projection centre has the height ``-D4 / D3``, ``D3 = det(m1, m2, m3)`` and
+``D4 = det(m1, m2, m4)``. Noise in the third column moves the centre through 1 / ``D3``. ``D3`` is the determinant of
+the left part of the matrix in any axes, so the plane need not be known. It is also 0 for a parallel projection.
 
-A determinant that differs from 0 (q sigmas, q the quantile of ``LEVEL``) is not enough: the inverse of a number has the
-standard deviation of its derivative only where the number is many sigmas from 0. Let the estimate be T sigmas from 0
-and the truth t: the centre is then ``T (T - t) / t`` standard deviations off. It may be ``ALLOWED`` only where noise
-exceeds q: T - t >= q at ``T (T - t) / t = ALLOWED`` needs ``T >= q ALLOWED / (ALLOWED - q)``, 8.1 = 2.6 q for known
-sigmas. Where m0 stands for an unknown sigma q is Student's quantile, but at most ``ALLOWED``: with a redundancy below 7
-honest coordinates are that far off more often than ``LEVEL``, too. A redundancy of 1 then lets one flat set of 15 pass.
+A test that ``D3`` differs from 0 by q sigmas (q: quantile of ``LEVEL``) is not sufficient, because error propagation to
+the inverse of a number is valid only many sigmas from 0. If the estimate is T sigmas from 0 and the true value t, the
+error of the centre is ``T (T - t) / t`` standard deviations. This error may exceed ``ALLOWED`` only if the noise
+exceeds q: T - t >= q at ``T (T - t) / t = ALLOWED`` requires ``T >= q ALLOWED / (ALLOWED - q)``, 8.1 = 2.6 q for known
+sigmas. If m0 replaces unknown sigmas, q is Student's quantile, at most ``ALLOWED``: with a redundancy below 7, errors
+of good coordinates exceed that limit more often than ``LEVEL``. With a redundancy of 1, one flat set of 15 passes.
 """
 
 from __future__ import annotations
@@ -31,14 +30,14 @@ from fg_orient.closerange.fitting import (
     RANK_LIMIT,
     UNDETERMINED,
     Determination,
-    Deviations,
+    Fit,
     Rows,
     adjust,
     as_points,
     determination,
     equation_rows,
     require_sigmas,
-    unit_weight,
+    statistics,
 )
 from fg_orient.closerange.photo import Photo, YAxis, corrections_of
 from fg_orient.model.distributions import normal_quantile, t_quantile
@@ -94,7 +93,7 @@ class Recovered:
 
 
 @dataclass(frozen=True)
-class DltFit(Deviations):
+class DltFit(Fit):
     """An adjusted DLT.
 
     Parameters
@@ -104,17 +103,9 @@ class DltFit(Deviations):
     names : tuple of str
         L1 to L11 and the distortion coefficients, in the unit of the image coordinates.
     values : (u,) array
-    cofactors : (u, u) array
-        Times m0 squared their covariance.
     residuals : (n, 2) array
         Computed minus corrected image coordinates.
-    m0 : float or None
-        Standard deviation of unit weight; None without redundancy.
-    redundancy : int
-    condition : float
-        Of the scaled design.
     recovered : Recovered
-    iterations : int
     doubt : Finding or None
         Standard deviations are too small, because the projection is hardly central.
     """
@@ -122,13 +113,8 @@ class DltFit(Deviations):
     photo: Photo
     names: tuple[str, ...]
     values: Array
-    cofactors: Array
     residuals: Array
-    m0: float | None
-    redundancy: int
-    condition: float
     recovered: Recovered
-    iterations: int
     doubt: Finding | None = None
 
 
@@ -187,7 +173,13 @@ def fit_dlt(
     ground = as_points(ground_m, 3, "ground")
     measured = as_points(image, 2, "image")
     size = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, float), measured.shape)
-    codes = _require(ground, measured, size, distortion, iterate)
+    for unknown in [name for name in distortion if name not in DISTORTION or not iterate]:
+        raise InputError.of("closerange.distortion", place="distortion", value=unknown, known=", ".join(DISTORTION))
+    least = (11 + len(distortion) + 1) // 2
+    if len(ground) != len(measured) or len(ground) < least:
+        raise InputError.of("closerange.few", place="DLT", value=len(ground), least=least)
+    require_sigmas(size)
+    codes = np.array([DISTORTION.index(name) for name in distortion], float)
     source, target = Scaling.of(ground, shared=True), Scaling.of(measured, shared=True)
     scale = target.scale / size
     records = RECORD.pack(source=source.normalised(ground), target=target.normalised(measured), w11=scale[:, 0],
@@ -195,7 +187,7 @@ def fit_dlt(
     setup = np.ascontiguousarray(np.stack([codes, np.ones(len(codes))]))
     rows = equation_rows(DLT, records, setup)
     direct = direct_dlt(records[:, RECORD.source], records[:, RECORD.target])
-    state, log = np.concatenate([direct, np.zeros(len(codes))]), 1
+    state, iterations = np.concatenate([direct, np.zeros(len(codes))]), 1
     _require_spatial(ground, rows(state, True)[1][:, :11])
     if len(codes):
         centre = (
@@ -203,19 +195,25 @@ def fit_dlt(
         )
         records[:, RECORD.centre] = centre
     if iterate:
-        state, log = _iterated(rows, records, state, moves=len(codes) > 0 and about is None)
+        state, iterations = _iterated(rows, records, state, moves=len(codes) > 0 and about is None)
     below = 1.0 + records[:, RECORD.source] @ state[8:11]
     if not (below > 0.0).all():
         raise NoSolutionError.of("closerange.behind", place=f"point {int(np.argmin(below)) + 1}")
-    residual, design = rows(state, True)
+    white, design = rows(state, True)
     judged = _require_spatial(ground, design)
-    assert judged.cofactors is not None
-    white, redundancy = residual.ravel(), residual.size - len(state)
-    doubt = require_depth(ground, state[:11], judged.cofactors, unit_weight(float(white @ white), redundancy),
-                          redundancy, known=sigma is not None)  # fmt: skip
-    fitted = _result(name, tuple(distortion), ground, source, target, state, residual.reshape(-1, 2) * size, size,
-                     target.physical(records[0, RECORD.centre]), judged, log)  # fmt: skip
-    return replace(fitted, doubt=doubt)
+    scaled = statistics(white, judged, iterations, np.eye(len(state)))
+    doubt = require_depth(ground, state[:11], scaled["cofactors"], scaled["m0"], scaled["redundancy"],
+                          known=sigma is not None)  # fmt: skip
+    # physical parameters are linear in the normalised ones because the last element of the matrix is 1
+    to_physical = _denormalisation(source, target, distortion)
+    values, residuals = to_physical @ state, white.reshape(-1, 2) * size
+    values[[3, 7]] += target.offset  # times the 1 of the last element
+    facts = statistics((residuals / size).ravel(), judged, iterations, to_physical)
+    recovered = _scaled(recover(values[:11], source.offset, facts["cofactors"][:11, :11]), facts["m0"], ground, size)
+    origin = target.physical(records[0, RECORD.centre]) if distortion else recovered.principal
+    photo = Photo(name, np.append(values[:11], 1.0).reshape(3, 4), source.offset, origin,
+                  corrections_of(distortion, values[11:]))  # fmt: skip
+    return DltFit(photo, (*PARAMETERS, *distortion), values, residuals, recovered, doubt, **facts)
 
 
 def _iterated(rows: Rows, records: Array, state: Array, *, moves: bool) -> tuple[Array, int]:
@@ -239,17 +237,6 @@ def _iterated(rows: Rows, records: Array, state: Array, *, moves: bool) -> tuple
         last = adjust(rows, last.state, "DLT")
         iterations += len(last.log)
     return last.state, iterations
-
-
-def _require(ground: Array, image: Array, sigma: Array, distortion: Sequence[str], iterate: bool) -> Array:
-    """Codes of the distortion coefficients (k,)."""
-    for unknown in [name for name in distortion if name not in DISTORTION or not iterate]:
-        raise InputError.of("closerange.distortion", place="distortion", value=unknown, known=", ".join(DISTORTION))
-    least = (11 + len(distortion) + 1) // 2
-    if len(ground) != len(image) or len(ground) < least:
-        raise InputError.of("closerange.few", place="DLT", value=len(ground), least=least)
-    require_sigmas(sigma)
-    return np.array([DISTORTION.index(name) for name in distortion], float)
 
 
 def _open(ground: Array, value: str) -> InputError:
@@ -341,27 +328,6 @@ def _heights_shown(heights: Array, parameters: Array, cofactors: Array) -> float
     return float(np.sqrt(column @ np.linalg.solve(rows @ given_distortion @ rows.T, column)))
 
 
-def _result(
-    name: str, distortion: tuple[str, ...], ground: Array, source: Scaling, target: Scaling, state: Array,
-    residuals: Array, sigma: Array, about: Array, judged: Determination, iterations: int,
-) -> DltFit:  # fmt: skip
-    """Result with physical parameters, linear in the normalised ones because the last element of the matrix is 1."""
-    to_physical = _denormalisation(source, target, distortion)
-    values = to_physical @ state
-    values[[3, 7]] += target.offset  # times the 1 of the last element
-    assert judged.cofactors is not None
-    cofactors = to_physical @ judged.cofactors @ to_physical.T
-    white = (residuals / sigma).ravel()
-    redundancy = len(white) - len(state)
-    m0 = unit_weight(float(white @ white), redundancy)
-    recovered = _scaled(recover(values[:11], source.offset, cofactors[:11, :11]), m0, ground, sigma)
-    matrix = np.append(values[:11], 1.0).reshape(3, 4)
-    centre = about if distortion else recovered.principal
-    photo = Photo(name, matrix, source.offset, centre, corrections_of(distortion, values[11:]))
-    return DltFit(photo, (*PARAMETERS, *distortion), values, cofactors, residuals, m0, redundancy, judged.condition,
-                  recovered, iterations)  # fmt: skip
-
-
 def _scaled(recovered: Recovered, m0: float | None, ground: Array, sigma: Array) -> Recovered:
     """Orientation with a posteriori standard deviations; refused if its centre is 1000 times worse than a point."""
     apriori = recovered.sigma
@@ -374,7 +340,7 @@ def _scaled(recovered: Recovered, m0: float | None, ground: Array, sigma: Array)
     return replace(recovered, sigma=None if m0 is None else {name: m0 * s for name, s in apriori.items()})
 
 
-def _denormalisation(source: Scaling, target: Scaling, distortion: tuple[str, ...]) -> Array:
+def _denormalisation(source: Scaling, target: Scaling, distortion: Sequence[str]) -> Array:
     """Physical from normalised parameters (u, u), ground coordinates about the offset of the normalisation."""
     u, size = 11 + len(distortion), float(target.scale[0])
     out = np.zeros((u, u))

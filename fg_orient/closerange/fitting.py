@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -66,24 +66,40 @@ def unit_weight(weighted_squares: float, redundancy: int) -> float | None:
     return float(np.sqrt(weighted_squares / redundancy)) if redundancy > 0 else None
 
 
-class Deviations:
-    """A posteriori standard deviations of adjusted parameters.
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """Statistics of a fit; derived classes add the fitted object and state the parameters.
 
-    Attributes
+    Parameters
     ----------
     cofactors : (u, u) array
-        Times m0 squared their covariance.
+        Of the parameters, for the given sigmas; times m0 squared their covariance.
     m0 : float or None
-        None without redundancy.
+        Standard deviation of unit weight; None without redundancy.
+    redundancy : int
+    condition : float
+        Condition number of the design with columns of unit length.
+    iterations : int
     """
 
     cofactors: Array
     m0: float | None
+    redundancy: int
+    condition: float
+    iterations: int
 
     @property
     def sigma(self) -> Array | None:
         """Standard deviations (u,) in the order and units of the cofactors; None without redundancy."""
         return None if self.m0 is None else np.asarray(self.m0 * np.sqrt(np.diag(self.cofactors)))
+
+
+def statistics(whitened: Array, judged: Determination, iterations: int, away: Array) -> dict[str, Any]:
+    """Keyword arguments of a :class:`Fit` from whitened residuals; ``away`` (p, u): user's parameters by unknowns."""
+    assert judged.cofactors is not None
+    redundancy = whitened.size - len(judged.cofactors)
+    return {"cofactors": away @ judged.cofactors @ away.T, "m0": unit_weight(float(whitened @ whitened), redundancy),
+            "redundancy": redundancy, "condition": judged.condition, "iterations": iterations}  # fmt: skip
 
 
 def finite_rows(rows: Rows, what: str = "") -> Rows:
@@ -166,6 +182,20 @@ def determination(design: Array, sigma: Array | None = None) -> Determination:
     if sigma is not None and np.sqrt(np.diag(cofactors).max()) > UNDETERMINED * float(np.sqrt(np.mean(sigma**2))):
         return Determination(condition, None, weakest)
     return Determination(condition, cofactors, weakest)
+
+
+def determined(design: Array, sigma: Array, code: str, place: str) -> Determination:
+    """Determination of all unknowns; ``sigma`` as in :func:`determination`.
+
+    Raises
+    ------
+    InputError
+        With this code: the rows do not determine all unknowns.
+    """
+    judged = determination(design, sigma)
+    if judged.cofactors is None:
+        raise InputError.of(code, place=place, value=f"condition {judged.condition:.2g}")
+    return judged
 
 
 def plain_rms(values: Array) -> list[float | None]:

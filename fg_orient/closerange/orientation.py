@@ -17,16 +17,16 @@ from factors.conditions.coplanarity import RECORD as PAIR
 from factors.conditions.similarity import RECORD, SIMILARITY
 from fg_orient.closerange.fitting import (
     Conditions,
-    Determination,
-    Deviations,
+    Fit,
     Rows,
     adjust,
     as_points,
     determination,
+    determined,
     distance_rows,
     equation_rows,
     require_sigmas,
-    unit_weight,
+    statistics,
     weighted_distances,
 )
 from fg_orient.closerange.minima import SAME, Rival, bend, ratio_limit, rival_of
@@ -40,11 +40,15 @@ Array = npt.NDArray[np.float64]
 
 LEAST_RELATIVE: Final = 6
 LEAST_ABSOLUTE: Final = 3
+#: Message of points on a line, which do not determine the rotation about it.
+ON_A_LINE: Final = ("closerange.line", "absolute orientation")
 
 
 @dataclass(frozen=True)
-class RelativeOrientation(Deviations):
+class RelativeOrientation(Fit):
     """Orientation of the second photo relative to the first.
+
+    Cofactors are those of rotations about the axes of the second camera and of the base along ``base_axes``, rad.
 
     Parameters
     ----------
@@ -54,18 +58,10 @@ class RelativeOrientation(Deviations):
         Direction to the second projection centre in axes of the first camera, length 1.
     base_axes : (2, 3) array
         Directions at right angles to the base, along which its errors are given.
-    cofactors : (5, 5) array
-        Of rotations about the axes of the second camera and of the base along ``base_axes``, rad; times m0 squared
-        their covariance.
     model : (n, 3) array
         Points in axes of the first camera; the base has length 1.
     distances : (n,) array
         Distance of each pair of image points from coplanarity, in its sigmas.
-    m0 : float or None
-        None without redundancy.
-    redundancy : int
-    condition : float
-    iterations : int
     bend : float
         Above 0.25 the covariance as a whole is optimistic (:func:`fg_orient.closerange.minima.bend`), but not each
         standard deviation: few points of a plane, short bases.
@@ -76,13 +72,8 @@ class RelativeOrientation(Deviations):
     rotation: Array
     base: Array
     base_axes: Array
-    cofactors: Array
     model: Array
     distances: Array
-    m0: float | None
-    redundancy: int
-    condition: float
-    iterations: int
     bend: float = 0.0
     rival: Rival | None = None
 
@@ -213,19 +204,15 @@ def _adjusted_pair(points: Array, sigma: Array, rotation: Array, base: Array) ->
     judged, squares = determination(design, sigma), float(distances @ distances)
     if judged.cofactors is None:
         return _Candidate(squares, rotation, base, in_front, None)
-    redundancy = len(points) - 5
-    m0 = unit_weight(squares, redundancy)
-    whole = RelativeOrientation(
-        rotation, base, axes, judged.cofactors, model, distances, m0, redundancy, judged.condition, len(minimum.log),
-    )  # fmt: skip
-    return _Candidate(squares, rotation, base, in_front, whole)
+    facts = statistics(distances, judged, len(minimum.log), np.eye(5))
+    return _Candidate(squares, rotation, base, in_front, RelativeOrientation(rotation, base, axes, model, distances,
+                                                                             **facts))  # fmt: skip
 
 
 def _pair_rows(record: Array, points: Array, sigma: Array, x: Array, with_jacobian: bool) -> tuple[Array, Array]:
     """Weighted distances of the image points from coplanarity, and their derivatives."""
     turn, base = turn_and_base(record, x)
-    across = np.array([[0.0, -base[2], base[1]], [base[2], 0.0, -base[0]], [-base[1], base[0], 0.0]])
-    g = turn[CAMERA.rotation].reshape(3, 3) @ across
+    g = turn[CAMERA.rotation].reshape(3, 3) @ np.cross(np.eye(3), base)
     square = np.zeros((4, 4))
     square[2:, :2], square[:2, 2:] = 0.5 * g[:2, :2], 0.5 * g[:2, :2].T
     conditions = Conditions(square, 0.5 * np.concatenate([g[2, :2], g[:2, 2]]), float(g[2, 2]))
@@ -247,22 +234,18 @@ def _model(points: Array, rotation: Array, base: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Similarity(Deviations):
+class Similarity(Fit):
     """Seven-parameter transformation: ground = shift + scale rotation model.
+
+    Cofactors are those of rotations about the ground axes (rad), of the logarithm of the scale, and of the shift (m).
 
     Parameters
     ----------
     scale : float
     rotation : (3, 3) array
     shift_m : (3,) array
-    cofactors : (7, 7) array
-        Of rotations about the ground axes (rad), of the logarithm of the scale, and of the shift (m); times m0 squared
-        their covariance.
     residuals_m : (n, 3) array
         Computed minus given.
-    m0 : float or None
-    redundancy : int
-    condition : float
     bend : float
         Above 0.25 the covariance as a whole is optimistic (:func:`fg_orient.closerange.minima.bend`), but not each
         standard deviation: points close to a line. For unknowns about the middle of the points.
@@ -271,11 +254,7 @@ class Similarity(Deviations):
     scale: float
     rotation: Array
     shift_m: Array
-    cofactors: Array
     residuals_m: Array
-    m0: float | None
-    redundancy: int
-    condition: float
     bend: float
 
     def apply(self, model: npt.ArrayLike) -> Array:
@@ -320,33 +299,23 @@ def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma
     size = float(to.scale[0])
     start = _umeyama(a, b)
     rows = _similarity_rows(a, b, sigma / size, *start)
-    _require_off_line(rows, sigma / size)
+    determined(rows(np.zeros(7), True)[1], sigma / size, *ON_A_LINE)
     minimum = adjust(rows, np.zeros(7), "absolute orientation")
     x = minimum.state
     rotation, scale, shift = rotated(start[0], x[:3]), float(np.exp(x[3]) * start[1]), np.asarray(start[2] + x[4:])
     rows = _similarity_rows(a, b, sigma / size, rotation, scale, shift)
-    judged, cofactors = _require_off_line(rows, sigma / size)
+    judged = determined(rows(np.zeros(7), True)[1], sigma / size, *ON_A_LINE)
     physical = scale * size / float(from_.scale[0])
     offset = physical * rotation @ from_.offset
     # shift = centre on the ground - scale R (middle of the model), so rotations and scale about that middle change it
     away = np.eye(7)
     away[4:, 4:] *= size
-    away[4:, :3] = np.array([[0.0, -offset[2], offset[1]], [offset[2], 0.0, -offset[0]], [-offset[1], offset[0], 0.0]])
-    away[4:, 3] = -offset
-    redundancy = 3 * len(source) - 7
-    m0 = unit_weight(minimum.squares, redundancy)
+    away[4:, :3], away[4:, 3] = np.cross(np.eye(3), offset), -offset
+    facts = statistics(minimum.residual, judged, len(minimum.log), away)
     return Similarity(
-        physical, rotation, to.offset + size * shift - offset, away @ cofactors @ away.T,
-        minimum.residual.reshape(-1, 3) * sigma, m0, redundancy, judged.condition, bend(rows, np.zeros(7), m0),
+        physical, rotation, to.offset + size * shift - offset, minimum.residual.reshape(-1, 3) * sigma,
+        bend(rows, np.zeros(7), facts["m0"]), **facts,
     )  # fmt: skip
-
-
-def _require_off_line(rows: Rows, sigma: Array) -> tuple[Determination, Array]:
-    """Condition and cofactors at the start of the rows; refused for points on a line, which do not fix a rotation."""
-    judged = determination(rows(np.zeros(7), True)[1], sigma)
-    if judged.cofactors is None:
-        raise InputError.of("closerange.line", place="absolute orientation", value=f"condition {judged.condition:.2g}")
-    return judged, judged.cofactors
 
 
 def _umeyama(a: Array, b: Array) -> tuple[Array, float, Array]:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from fg_orient.closerange.report_words import length, round_length
+from fg_orient.closerange.report_words import length, photo_rows, round_length
 from fg_orient.closerange.surface import Surface
 from fg_orient.report.chart import Axis, Chart, broad, large, mapped, round_down, thousands
 from fg_orient.report.words import printable
@@ -78,7 +78,7 @@ class Scene:
 
 def scene_of(record: dict[str, Any]) -> Scene:
     """Take points and stations out of a record of any kind."""
-    points = record.get("points") or _control(record)
+    points = record.get("points") or list({row["id"]: row for row in photo_rows(record)}.values())
     at = columns(points, *(f"{a}_m" for a in "xyz"))
     sigma = columns(points, *(f"sigma_{a}_m" for a in "xyz"))
     covariance = np.full((len(points), 3, 3), np.nan)
@@ -86,25 +86,22 @@ def scene_of(record: dict[str, Any]) -> Scene:
     for (i, j), name in _MIXED.items():
         covariance[:, i, j] = covariance[:, j, i] = columns(points, name)[:, 0]
     photos = [p for p in record.get("photos") or record.get("stations") or [] if p.get("exterior")]
-    centres = np.array([p["exterior"]["centre_m"] for p in photos], float).reshape(-1, 3)
-    looks = [p["exterior"]["rotation"][2] if "rotation" in p["exterior"] else [np.nan] * 3 for p in photos]
-    spread = [[np.nan if s is None else s for s in p["exterior"].get("sigma_centre_m", [None] * 3)] for p in photos]
+    nothing = {"rotation": [[None] * 3] * 3, "sigma_centre_m": [None] * 3}
+    exterior = [nothing | p["exterior"] for p in photos]
+    centres, looks, spread = (
+        np.array(rows, float).reshape(-1, 3) for rows in (
+            [e["centre_m"] for e in exterior], [e["rotation"][2] for e in exterior],
+            [e["sigma_centre_m"] for e in exterior])
+    )  # fmt: skip
     return Scene(
         [p["id"] for p in points], [p.get("role", "new") for p in points], at, covariance,
-        columns(points, *(f"difference_{a}_m" for a in "xyz")), [p["photo"] for p in photos], centres,
-        np.array(looks, float).reshape(-1, 3), np.array(spread, float).reshape(-1, 3),
+        columns(points, *(f"difference_{a}_m" for a in "xyz")), [p["photo"] for p in photos], centres, looks, spread,
     )  # fmt: skip
 
 
-def _control(record: dict[str, Any]) -> list[dict[str, Any]]:
-    """Points of photos that were oriented one by one, each once."""
-    rows = [row for photo in record.get("photos", []) for row in photo["points"]]
-    return list({row["id"]: row for row in rows}.values())
-
-
 def columns(rows: list[dict[str, Any]], *names: str) -> Array:
-    """Numbers (n, k) of rows; nan where there is none."""
-    values = [[np.nan if row.get(name) is None else row[name] for name in names] for row in rows]
+    """Numbers (n, k) of rows; nan for None or a missing name."""
+    values = [[row.get(name) for name in names] for row in rows]
     return np.array(values, float).reshape(len(rows), len(names))
 
 
@@ -135,11 +132,8 @@ def view(scene: Scene, words: str, across: int, up: int) -> Chart:
     """
     axes = [across, up]
     rows = _thinned(scene)
-    at, flat, vectors = (
-        scene.at[rows][:, axes],
-        scene.covariance[rows][:, axes][:, :, axes],
-        scene.difference[rows][:, axes],
-    )
+    at, vectors = scene.at[rows][:, axes], scene.difference[rows][:, axes]
+    flat = scene.covariance[rows][:, axes][:, :, axes]
     chart = _frame(words, np.vstack([at, scene.centres[:, axes]]), across, up)
     chart.per_width = _per_width(flat, vectors, at, float(np.ptp(chart.x.limits)))
     enlarged = float(np.ptp(chart.x.limits)) / chart.per_width if chart.per_width else 0.0
@@ -274,9 +268,9 @@ def outline(surface: dict[str, Any], axes: list[int]) -> Array:
     axes : list of int
         Across and up.
     """
-    found = Surface(surface["kind"], np.array(surface["centre_m"]), np.array(surface["semi_axes_m"]),
-                    np.array(surface["rotation"]), np.array(surface["coefficients"] or [], float))  # fmt: skip
-    form = found.conditions
+    coefficients = np.array(surface["coefficients"] or [], float)
+    form = Surface(surface["kind"], surface["centre_m"], surface["semi_axes_m"], surface["rotation"],
+                   coefficients).conditions  # fmt: skip
     values, vectors = np.linalg.eigh(form.square)
     if np.abs(values).min() <= _FLAT * np.abs(values).max():
         return np.zeros((0, 2))
@@ -288,7 +282,7 @@ def outline(surface: dict[str, Any], axes: list[int]) -> Array:
     angle = np.linspace(0.0, 2.0 * math.pi, 72, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     half = np.linalg.cholesky(shape[np.ix_(np.array(axes), np.array(axes))])
-    return np.asarray((found.centre + middle)[axes] + circle @ half.T)
+    return np.asarray((np.array(surface["centre_m"]) + middle)[axes] + circle @ half.T)
 
 
 def distance_histogram(record: dict[str, Any]) -> Chart:

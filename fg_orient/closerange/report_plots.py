@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from fg_orient.closerange.report import read_record
 from fg_orient.closerange.report_maps import columns, deviation_views, scene_of, views_of
+from fg_orient.closerange.report_words import photo_rows
 from fg_orient.model.names import Progress
 from fg_orient.report import figures
 from fg_orient.report.chart import Axis, Chart, broad, cut, round_down
@@ -33,24 +34,20 @@ REFUSED: Final = 1e-3
 
 def by_photo(record: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
     """Image points with residuals by photo, in the order of the photos."""
-    if record.get("residuals"):
-        out: dict[str, list[dict[str, Any]]] = {}
-        for row in record["residuals"]:
-            out.setdefault(row["photo"], []).append(row)
-        return out
-    return {photo["photo"]: photo["points"] for photo in record.get("photos", []) if photo["points"]}
+    out: dict[str, list[dict[str, Any]]] = {}
+    for row in record.get("residuals") or photo_rows(record):
+        out.setdefault(row["photo"], []).append(row)
+    return out
 
 
 def residual_rows(record: dict[str, Any]) -> list[dict[str, Any]]:
     """Figures of each photo: number of points, RMS of x and y, largest residual and its point."""
     out = []
     for name, rows in by_photo(record).items():
-        v = columns(rows, "residual_x", "residual_y")
-        worst = int(np.argmax(np.abs(v).max(axis=1)))
-        w = columns(rows, "w_x", "w_y")
+        v, w = columns(rows, "residual_x", "residual_y"), columns(rows, "w_x", "w_y")
+        worst, (rms_x, rms_y) = int(np.argmax(np.abs(v).max(axis=1))), np.sqrt(np.mean(v**2, axis=0)).tolist()
         out.append({
-            "photo": name, "n": len(rows), "rms_x": float(np.sqrt(np.mean(v[:, 0] ** 2))),
-            "rms_y": float(np.sqrt(np.mean(v[:, 1] ** 2))), "largest": float(np.abs(v).max()),
+            "photo": name, "n": len(rows), "rms_x": rms_x, "rms_y": rms_y, "largest": float(np.abs(v).max()),
             "worst": rows[worst]["id"], "w": float(np.nanmax(np.abs(w))) if np.isfinite(w).any() else None,
         })  # fmt: skip
     return out
@@ -99,8 +96,7 @@ def distortions(record: dict[str, Any]) -> list[dict[str, Any]]:
     out = []
     for one in record.get("distortion", [])[:MAX_PHOTOS]:
         names = ", ".join(one["photos"][:4]) + (", ..." if len(one["photos"]) > 4 else "")
-        edge = {"radius": one["radius"][-1], "radial": one["radial"][-1], "sigma": one["sigma"][-1],
-                "across": one["across"][-1]}  # fmt: skip
+        edge = {name: one[name][-1] for name in ("radius", "radial", "sigma", "across")}
         out.append({"photos": names, "n": len(one["photos"]), "determined": one["determined"],
                     "drawing": distortion(one, names), "edge": edge})  # fmt: skip
     return out
@@ -170,7 +166,7 @@ def write_figures(
     overwrite : bool
         Replace a folder of figures.
     progress : callable, optional
-        Told after each figure.
+        Called with (done, of, text) after each figure.
 
     Returns
     -------

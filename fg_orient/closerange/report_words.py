@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
 from fg_orient.model.distributions import chi_square_interval, chi_square_limit, f_quantile, normal_quantile, sidak
 from fg_orient.model.errors import sentences
-from fg_orient.report.words import number
+from fg_orient.report.words import check_point_words, number
+
+#: Size; size divided by its given standard deviation (or the size again without one); redundancy; words.
+Residual = tuple[float, float, int, str]
 
 #: Level of the test of m0, and of the search for the worst residual among all.
 LEVEL: Final = 0.001
@@ -20,6 +22,8 @@ ROUNDING: Final = 1e-9
 SUSPECTS: Final = 3
 #: Standard deviation in units of one image point above which a direction is reported; above 1000 it is refused.
 WEAK: Final = 100.0
+#: Units of length and their factors from m.
+LENGTHS: Final = (("km", 1e-3), ("m", 1.0), ("mm", 1e3), ("µm", 1e6))
 KINDS: Final = {
     "bundle": "Bundle adjustment", "dlt": "Direct linear transformation", "resection": "Resection",
     "intersection": "Intersection", "surface": "Surface",
@@ -38,18 +42,14 @@ def significant(value: float | None, digits: int = 3) -> str:
 
 def length(metres: float) -> str:
     """Length in m, mm or µm."""
-    for unit, factor in (("m", 1.0), ("mm", 1e3), ("µm", 1e6)):
-        if abs(metres) * factor >= 0.1 or unit == "µm":
-            return f"{significant(metres * factor)} {unit}" if metres else "0 m"
-    return ""
+    unit, factor = next((one for one in LENGTHS[1:] if abs(metres) * one[1] >= 0.1), LENGTHS[-1])
+    return f"{significant(metres * factor)} {unit}" if metres else "0 m"
 
 
 def round_length(metres: float) -> str:
     """Round length of a scale bar."""
-    for unit, factor in (("km", 1e-3), ("m", 1.0), ("mm", 1e3), ("µm", 1e6)):
-        if metres * factor >= 1.0 or unit == "µm":
-            return f"{metres * factor:g} {unit}"
-    return ""
+    unit, factor = next((one for one in LENGTHS if metres * one[1] >= 1.0), LENGTHS[-1])
+    return f"{metres * factor:g} {unit}"
 
 
 def unit_of(metres: list[float]) -> tuple[str, float]:
@@ -58,8 +58,13 @@ def unit_of(metres: list[float]) -> tuple[str, float]:
     return ("m", 1.0) if largest >= 0.2 else ("mm", 1e3)
 
 
+def photo_rows(record: dict[str, Any]) -> list[dict[str, Any]]:
+    """Image points of photos that were oriented one by one, with the name of their photo."""
+    return [{"photo": photo["photo"]} | row for photo in record.get("photos", []) for row in photo["points"]]
+
+
 def m0_words(record: dict[str, Any]) -> tuple[str, str]:
-    """Kind (good, warn) and a sentence on m0: against 1 with standard deviations, else what it is."""
+    """Kind (good, warn) and a sentence on m0: its comparison with 1, or its unit if no sigmas were given."""
     m0, f = record["m0"], record["redundancy"]
     if m0 is None:
         return "warn", "Without redundancy nothing was checked: there are no standard deviations."
@@ -67,51 +72,40 @@ def m0_words(record: dict[str, Any]) -> tuple[str, str]:
         unit = "metres" if record["kind"] == "surface" else "the unit of the image coordinates"
         return "good", f"m0, the standard deviation of one observation, is {significant(m0)}, in {unit}."
     low, high = (math.sqrt(v / f) for v in chi_square_interval(f, LEVEL))
-    between = f"chance leaves it between {number(low, 2)} and {number(high, 2)}"
+    between, size = f"chance leaves it between {number(low, 2)} and {number(high, 2)}", significant(m0, 3)
     if m0 > high:
-        return "warn", (
-            f"The residuals are {significant(m0, 3)} times as large as the given standard deviations (m0; {between}): "
-            "these are too small, or the model lacks something, or there are gross errors"
-            + ("." if record["kind"] == "surface" else ", or y of the image coordinates points the other way (y_axis).")
-        )
+        axis = "" if record["kind"] == "surface" else ", or y of the image coordinates points the other way (y_axis)"
+        text = f"The residuals are {size} times as large as the given standard deviations (m0; {between})"
+        return "warn", f"{text}: these are too small, or the model lacks something, or there are gross errors{axis}."
     if m0 < low:
-        return "warn", f"m0 is {significant(m0, 3)}, and {between}: the given standard deviations are too large."
-    return (
-        "good",
-        f"The observations fit the model within their standard deviations: m0 is {significant(m0, 3)}, {between}.",
-    )
+        return "warn", f"m0 is {size}, and {between}: the given standard deviations are too large."
+    return "good", f"The observations fit the model within their standard deviations: m0 is {size}, {between}."
 
 
-def _judged(record: dict[str, Any]) -> tuple[list[dict[str, Any]], list[tuple[str, str]]]:
-    """Records with an m0 (the whole one, or each photo), and for each the kind and the sentence on it."""
+def _assessed(record: dict[str, Any]) -> list[tuple[float | None, str, str]]:
+    """The m0 of the adjustment or of each photo, with the kind of its sentence and the sentence."""
     if "m0" in record:
-        return [record], [m0_words(record)]
-    facts = [photo | {"weights": record["weights"], "kind": record["kind"]} for photo in record["photos"]]
-    if len(facts) == 1:
-        return facts, [m0_words(facts[0])]
-    named = [(kind, f"{one['photo'] or 'photo'}: {text}") for one in facts for kind, text in [m0_words(one)]]
-    return facts, named
+        return [(record["m0"], *m0_words(record))]
+    names = [f"{photo['photo'] or 'photo'}: " if len(record["photos"]) > 1 else "" for photo in record["photos"]]
+    facts = [m0_words({**photo, "weights": record["weights"], "kind": record["kind"]}) for photo in record["photos"]]
+    return [(photo["m0"], kind, name + text)
+            for photo, name, (kind, text) in zip(record["photos"], names, facts, strict=True)]  # fmt: skip
 
 
 def doubts(record: dict[str, Any]) -> list[str]:
     """Doubts in addition to the warnings: an m0 that chance does not explain, too large residuals."""
-    facts, found = _judged(record)
-    unlikely = [
-        text for one, (kind, text) in zip(facts, found, strict=True) if kind == "warn" and one["m0"] is not None
-    ]
-    return unlikely + _look_at(record)
+    return [text for m0, kind, text in _assessed(record) if kind == "warn" and m0 is not None] + _look_at(record)
 
 
 def verdict(record: dict[str, Any], problems: list[str]) -> dict[str, Any]:
     """Assessment of the result: ``kind`` (good, warn), ``title``, ``text``."""
     done = "Fitted" if record["kind"] in ("surface", "dlt") else "Adjusted"
-    facts, found = _judged(record)
-    texts = [words for _, words in found][:4]
-    unchecked = any(one["m0"] is None for one in facts)
-    if unchecked or problems or any(kind == "warn" for kind, _ in found):
-        title = f"{done}, unchecked" if unchecked else f"{done}, with doubts"
-        return {"kind": "warn", "title": title, "text": [*texts, *accuracy_words(record)]}
-    return {"kind": "good", "title": f"{done}, nothing stands out", "text": [*texts, *accuracy_words(record)]}
+    facts = _assessed(record)
+    kind, title = "good", "nothing stands out"
+    if problems or any(kind == "warn" for _, kind, _ in facts):
+        kind, title = "warn", "unchecked" if any(m0 is None for m0, _, _ in facts) else "with doubts"
+    texts = [text for _, _, text in facts][:4]
+    return {"kind": kind, "title": f"{done}, {title}", "text": [*texts, *accuracy_words(record)]}
 
 
 def accuracy_words(record: dict[str, Any]) -> list[str]:
@@ -122,9 +116,7 @@ def accuracy_words(record: dict[str, Any]) -> list[str]:
                 f"{length(worst['distance_m'])} at point {worst['id']}."]  # fmt: skip
     if record.get("check"):
         along = ", ".join(f"{length(v / 1e3)} {axis}" for v, axis in zip(record["check"]["rms_mm"], "XYZ", strict=True))
-        n = record["check"]["n"]
-        points = "one check point" if n == 1 else f"{n} check points"
-        return [f"At {points}, whose coordinates took no part, the root mean square error is {along}."]
+        return [check_point_words(record["check"]["n"], along)]
     new = [p for p in record.get("points", []) if p.get("role", "new") != "control" and p.get("sigma_x_m") is not None]
     if not new:
         return []
@@ -152,24 +144,25 @@ def suspects(record: dict[str, Any]) -> list[tuple[float, str]]:
 
 def _look_at(record: dict[str, Any]) -> list[str]:
     """Sentences on the most suspicious observations."""
-    found = suspects(record)
+    large = suspects(record)
     scaled = record["weights"] == "absolute" and (record.get("m0") or 1.0) > 1.0
     own = "its own standard deviation and m0" if scaled else "its own standard deviation"
-    out = [f"look at {words}: its residual is {number(w, 1)} times {own}" for w, words in found[:SUSPECTS]]
-    if len(found) > SUSPECTS:
-        out.append(f"{len(found) - SUSPECTS} more observations to look at are listed with the residuals")
+    out = [f"look at {words}: its residual is {number(w, 1)} times {own}" for w, words in large[:SUSPECTS]]
+    if len(large) > SUSPECTS:
+        out.append(f"{len(large) - SUSPECTS} more observations to look at are listed with the residuals")
     return out + _outlying(record)
 
 
 def _outlying(record: dict[str, Any]) -> list[str]:
     """Sentences on the most suspicious residuals without redundancy numbers: all kinds except the bundle."""
-    groups = [Group(f, record["weights"] == "absolute", rows) for f, rows in _groups(record)]
-    found = sorted((one for group in groups for one in outlying(group, LEVEL / len(groups))), key=lambda one: -one[0])
-    more = [f"{len(found) - SUSPECTS} more residuals stand out like these"] if len(found) > SUSPECTS else []
-    return [text for _, text in found[:SUSPECTS]] + more
+    groups, absolute = _groups(record), record["weights"] == "absolute"
+    large = [one for f, rows in groups for one in outlying(f, rows, LEVEL / len(groups), absolute=absolute)]
+    large.sort(key=lambda one: -one[0])
+    more = [f"{len(large) - SUSPECTS} more residuals stand out like these"] if len(large) > SUSPECTS else []
+    return [text for _, text in large[:SUSPECTS]] + more
 
 
-def _groups(record: dict[str, Any]) -> list[tuple[int, list[tuple[float, float, int, str]]]]:
+def _groups(record: dict[str, Any]) -> list[tuple[int, list[Residual]]]:
     """Redundancy and residuals of each adjustment, except of surfaces fitted by other conditions than distances."""
     if record["kind"] == "surface":
         rows = [(abs(p["distance_m"]), p.get("distance_over_sigma", abs(p["distance_m"])), 1,
@@ -182,7 +175,7 @@ def _groups(record: dict[str, Any]) -> list[tuple[int, list[tuple[float, float, 
     return [(photo["redundancy"], _coordinates(photo["points"], photo["photo"])) for photo in photos]
 
 
-def _misfits(record: dict[str, Any]) -> list[tuple[float, float, int, str]]:
+def _misfits(record: dict[str, Any]) -> list[Residual]:
     """Points with the misfit of their rays, divided by the root of their redundancy."""
     squares: dict[str, float] = {}
     for r in record["residuals"]:
@@ -193,33 +186,15 @@ def _misfits(record: dict[str, Any]) -> list[tuple[float, float, int, str]]:
             for p in record["points"]]  # fmt: skip
 
 
-def _coordinates(rows: list[dict[str, Any]], photo: str) -> list[tuple[float, float, int, str]]:
+def _coordinates(rows: list[dict[str, Any]], photo: str) -> list[Residual]:
     """Residuals of image coordinates without check points."""
     return [(abs(r[f"residual_{a}"]), abs(r[f"residual_{a}"]) / r.get(f"sigma_{a}", 1.0), 1,
              f"{a} of point {r['id']} in photo {photo or '-'}: its residual, {significant(r[f'residual_{a}'])},")
             for r in rows for a in "xy" if r.get("role") != "check"]  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Group:
-    """Residuals of one adjustment.
-
-    Parameters
-    ----------
-    redundancy : int
-    absolute : bool
-        Standard deviations were given.
-    residuals : list of (float, float, int, str)
-        Size; size divided by its given standard deviation (or again the size without one); redundancy; words.
-    """
-
-    redundancy: int
-    absolute: bool
-    residuals: list[tuple[float, float, int, str]]
-
-
-def outlying(group: Group, level: float) -> list[tuple[float, str]]:
-    """Ratios and words of residuals too large for the largest of a group by chance, worst first.
+def outlying(redundancy: int, residuals: list[Residual], level: float, *, absolute: bool) -> list[tuple[float, str]]:
+    """Ratios and words of residuals too large for the largest of one adjustment by chance, worst first.
 
     A residual is divided by its given standard deviation, or by that of the others if this is larger or none is given:
     externally studentised (Cook and Weisberg 1982, section 2.2.1), with a redundancy number of 1, which makes the ratio
@@ -228,24 +203,27 @@ def outlying(group: Group, level: float) -> list[tuple[float, str]]:
 
     Parameters
     ----------
-    group : Group
+    redundancy : int
+    residuals : list of Residual
     level : float
         Probability of any of these among good residuals.
+    absolute : bool
+        Standard deviations were given.
     """
-    if not group.residuals:
+    if not residuals:
         return []
-    ratio, own = np.array([row[1:3] for row in group.residuals], float).T
-    chance, f = sidak(level, len(ratio)), group.redundancy - own
+    ratio, own = np.array([row[1:3] for row in residuals], float).T
+    chance, f = sidak(level, len(ratio)), redundancy - own
     squares = ratio**2 * own
     others = np.sqrt(np.maximum(squares.sum() - squares, 0.0) / np.maximum(f, 1.0))
     out = []
-    for (size, w, n, what), scatter, left in zip(group.residuals, others.tolist(), f.tolist(), strict=True):
-        given = group.absolute and scatter <= 1.0
-        found = w if given else w / scatter if scatter > 0.0 else math.inf
+    for (size, w, n, what), scatter, left in zip(residuals, others.tolist(), f.tolist(), strict=True):
+        given = absolute and scatter <= 1.0
+        times = w if given else w / scatter if scatter > 0.0 else math.inf
         limit = chi_square_limit(n, chance) / n if given else f_quantile(n, max(left, 1.0), 1.0 - chance)
-        if left >= 1.0 and size > ROUNDING and found**2 > float(limit):
+        if left >= 1.0 and size > ROUNDING and times**2 > float(limit):
             over = "its standard deviation" if given else "the standard deviation that the others show"
-            out.append((found, f"look at {what} is {number(found, 1)} times {over}"))
+            out.append((times, f"look at {what} is {number(times, 1)} times {over}"))
     return sorted(out, key=lambda row: -row[0])
 
 
@@ -254,11 +232,8 @@ def problems(record: dict[str, Any]) -> list[str]:
     out = _look_at(record)
     for one in record.get("directions", {}).get("weakest", []):
         if one["value"] < 1.0 / WEAK:
-            times = significant(1.0 / one["value"], 2)
-            out.append(
-                f"hardly determined: {one['words']} (standard deviation {times} times what one image point tells)"
-            )
-    out += sentences(record)
-    for photo in record.get("photos", []):
-        out += [f"photo {photo['photo'] or '-'}: {text}" for text in sentences(photo)]
-    return out
+            times = f"standard deviation {significant(1.0 / one['value'], 2)} times what one image point tells"
+            out.append(f"hardly determined: {one['words']} ({times})")
+    photos = record.get("photos", [])
+    own = [f"photo {photo['photo'] or '-'}: {text}" for photo in photos for text in sentences(photo)]
+    return out + sentences(record) + own

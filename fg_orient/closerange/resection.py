@@ -15,13 +15,13 @@ from factors.cameras.frame_camera import CAMERA
 from fg_orient.closerange.dlt import direct_dlt, recover
 from fg_orient.closerange.fitting import (
     UNDETERMINED,
-    Deviations,
+    Fit,
     adjust,
     as_points,
-    determination,
+    determined,
     equation_rows,
     require_sigmas,
-    unit_weight,
+    statistics,
 )
 from fg_orient.closerange.minima import SAME, Rival, bend, rival_of
 from fg_orient.closerange.photo import Photo, PhotoInterior
@@ -36,11 +36,15 @@ LEAST: Final = 4
 SPREAD: Final = 6
 #: Starts that are iterated, the best ones of all.
 TRIED: Final = 4
+#: Message of points that do not determine a photo; the sigma of a point is that of its image at the object's distance.
+REFUSED: Final = ("closerange.pose", "resection")
 
 
 @dataclass(frozen=True)
-class Resection(Deviations):
+class Resection(Fit):
     """Photo oriented by control points.
+
+    Cofactors are those of rotations about the camera axes (rad) and of the centre (m).
 
     Parameters
     ----------
@@ -48,17 +52,10 @@ class Resection(Deviations):
     rotation : (3, 3) array
         Camera axes X right, Y down, Z along the view, from ground axes.
     centre_m : (3,) array
-    cofactors : (6, 6) array
-        Of rotations about the camera axes (rad) and the centre (m); times m0 squared their covariance.
     residuals : (n, 2) array
         Computed minus ideal image coordinates, in their unit.
     weighted_squares : float
         v'Pv for the given sigmas.
-    m0 : float or None
-    redundancy : int
-        Two or more, because four points have eight coordinates.
-    condition : float
-    iterations : int
     bend : float
         Above 0.25 the covariance as a whole is optimistic (:func:`fg_orient.closerange.minima.bend`), but not each
         standard deviation: far cameras, whose rotations move the centre along an arc.
@@ -69,13 +66,8 @@ class Resection(Deviations):
     photo: Photo
     rotation: Array
     centre_m: Array
-    cofactors: Array
     residuals: Array
     weighted_squares: float
-    m0: float | None
-    redundancy: int
-    condition: float
-    iterations: int
     bend: float
     rival: Rival | None = None
 
@@ -202,34 +194,24 @@ def _adjusted(
     try:
         minimum = adjust(rows, np.zeros(6), "resection")
     except NoSolutionError:
-        _require_determined(rows(np.zeros(6), True)[1], sigma)
+        determined(rows(np.zeros(6), True)[1], sigma, *REFUSED)
         raise
     turned = camera(records[0], setup, minimum.state)
     rotation = turned[CAMERA.rotation].reshape(3, 3)
     depth = (ground - centre - turned[CAMERA.centre]) @ rotation[2]
     if not (depth > 0.0).all():
         raise NoSolutionError.of("closerange.behind", place=f"point {int(np.argmin(depth)) + 1}")
-    condition, cofactors = _require_determined(minimum.design, sigma)
+    judged = determined(minimum.design, sigma, *REFUSED)
     # the unknowns are rotations about the start's axes; J transforms them to the axes of the adjusted camera
     away = np.diag(setup[1])
     away[:3, :3] = turned[CAMERA.jacobian].reshape(3, 3)
     moved = centre + turned[CAMERA.centre]
     photo = Photo.of(name, interior, rotation, moved)
     residuals = minimum.residual.reshape(-1, 2)[:, ::-1] * sigma * interior.focal * [1.0, interior.sign]
-    redundancy = len(minimum.residual) - 6
-    m0 = unit_weight(minimum.squares, redundancy)
+    facts = statistics(minimum.residual, judged, len(minimum.log), away)
     return Resection(
-        photo, rotation, moved, away @ cofactors @ away.T, residuals, minimum.squares, m0, redundancy, condition,
-        len(minimum.log), bend(rows, minimum.state, m0),
-    )  # fmt: skip
-
-
-def _require_determined(design: Array, sigma: Array) -> tuple[float, Array]:
-    """Condition and cofactors; the sigma of a point is that of its image at the object's distance."""
-    judged = determination(design, sigma)
-    if judged.cofactors is None:
-        raise InputError.of("closerange.pose", place="resection", value=f"condition {judged.condition:.2g}")
-    return judged.condition, judged.cofactors
+        photo, rotation, moved, residuals, minimum.squares, bend(rows, minimum.state, facts["m0"]), **facts
+    )
 
 
 def start_poses(ground: Array, tangents: Array) -> list[Pose]:

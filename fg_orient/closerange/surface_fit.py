@@ -9,7 +9,7 @@ very different values (``closerange.minima``).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from fg_orient.closerange.fitting import (
     UNDETERMINED,
     Determination,
-    Deviations,
+    Fit,
     Minimum,
     Rows,
     adjust,
@@ -27,7 +27,7 @@ from fg_orient.closerange.fitting import (
     distance_rows,
     finite_rows,
     require_sigmas,
-    unit_weight,
+    statistics,
     weighted_distances,
 )
 from fg_orient.closerange.minima import followed, held, reach
@@ -47,8 +47,8 @@ NAMED: Final = 0.1
 
 
 @dataclass(frozen=True)
-class SurfaceFit(Deviations):
-    """Fitted surface.
+class SurfaceFit(Fit):
+    """Fitted surface; the condition number is that of weighted normal distances.
 
     Parameters
     ----------
@@ -58,32 +58,19 @@ class SurfaceFit(Deviations):
         Of the parameters: lengths in m; coefficients of a quadric without unit; rotations and tilts in rad about the
         axes of ``surface.rotation``, whose values are 0 by definition.
     values : (u,) array
-    cofactors : (u, u) array
-        Of the parameters in these units, for the given sigmas; times m0 squared their covariance.
-    m0 : float or None
-        Standard deviation of unit weight; None without redundancy.
-    redundancy : int
-    condition : float
-        Of the design with columns of unit length, of weighted normal distances.
     deviations_m : (n, 3) array
         Along X, Y, Z from the points to the surface: to their foot points, or first-order residuals of the algebraic
         method (:meth:`Surface.deviations`).
     distances_m : (n,) array
         Normal distances, above 0 outside.
-    iterations : int
     """
 
     surface: Surface
     method: str
     names: tuple[str, ...]
     values: Array
-    cofactors: Array
-    m0: float | None
-    redundancy: int
-    condition: float
     deviations_m: Array
     distances_m: Array
-    iterations: int
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -345,15 +332,14 @@ def _result(given: _Points, model: SurfaceModel, minimum: Minimum, method: str, 
     least = _least(given, model, state, priors)
     for k in _semi_axes(model, priors):
         _require_steep(given, model, least, k, priors)
-    own = judged
+    cofactors = judged.cofactors
     if method == "algebraic":
-        own = determination(model.derivatives(state, given.points)[1] @ tangent)
-    if own.cofactors is None:  # the normal distances determine the same unknowns
+        cofactors = determination(model.derivatives(state, given.points)[1] @ tangent).cofactors
+    if cofactors is None:  # the normal distances determine the same unknowns
         raise NoSolutionError.of("closerange.not_converged", place=model.kind, reason="the conditions are singular")
     scale = np.where(model.is_length, given.size, 1.0)
-    away = scale[:, None] * tangent
     residual = minimum.residual[: len(minimum.residual) - (model.kind == "quadric")]
-    redundancy = len(residual) - tangent.shape[1]
+    own = replace(judged, cofactors=cofactors)
     unit = model.surface(state)
     surface = Surface(
         unit.kind, unit.centre * given.size + given.offset, unit.semi_axes * given.size, unit.rotation,
@@ -363,7 +349,6 @@ def _result(given: _Points, model: SurfaceModel, minimum: Minimum, method: str, 
     foot = surface.foot_points(points, given.sigma)
     return SurfaceFit(
         surface, method, model.names, model.values(state) * scale + _shift(given, model),
-        away @ own.cofactors @ away.T, unit_weight(float(residual @ residual), redundancy), redundancy,
-        judged.condition, foot - points if method == "geometric" else surface.deviations(points),
-        surface.distances(points), len(minimum.log),
+        foot - points if method == "geometric" else surface.deviations(points), surface.distances(points),
+        **statistics(residual, own, len(minimum.log), scale[:, None] * tangent),
     )  # fmt: skip

@@ -82,5 +82,10 @@ def accuracy_words(record: dict[str, Any]) -> list[str]:
     if not check["n"]:
         return ["There are no check points: the accuracy on the ground is not verified."]
     axes = ", ".join(f"{number(check[f'rmse_{axis}_m'], 2)} m {axis.capitalize()}" for axis in ("east", "north", "up"))
-    points = "one check point" if check["n"] == 1 else f"{check['n']} check points"
-    return [f"At {points}, whose coordinates took no part, the root mean square error is {axes}."]
+    return [check_point_words(check["n"], axes)]
+
+
+def check_point_words(n: int, axes: str) -> str:
+    """Sentence on the error at ``n`` check points; ``axes``: root mean square error along each axis, in words."""
+    points = "one check point" if n == 1 else f"{n} check points"
+    return f"At {points}, whose coordinates took no part, the root mean square error is {axes}."
