@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import functools
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,6 +14,7 @@ from fg_orient.cli.command import command
 from fg_orient.cli.common import Overwrite, command_line
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings
 from fg_orient.cli.progress import progress
+from fg_orient.closerange.options import BundleOptions, DltOptions, ImageOptions, SurfaceOptions
 from fg_orient.model.errors import InputError, finding
 
 app = typer.Typer(help="Close range: DLT, resection, intersection, bundle, surfaces of the second degree.")
@@ -28,96 +31,86 @@ Measured = Annotated[
     typer.Argument(metavar="POINTS", show_default=False, help="CSV: id,photo,x,y; sigma_x and sigma_y if wanted."),
 ]
 Photos = Annotated[Path, typer.Argument(metavar="PHOTOS", show_default=False, help='TOML: a table "photos" for each.')]
-Sigma = Annotated[
-    float | None,
-    typer.Option(
-        metavar="S",
-        show_default=False,
-        help="Default standard deviation of image coordinates, in their unit; without it weights are relative, and "
-        "m0 is that standard deviation.",
-    ),
-]
 Out = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Folder of the results, report.html among them.")
 ]
 Report = Annotated[
     Path | None, typer.Option("--report", metavar="FILE.html", help="The report alone, as one self-contained page.")
 ]
+#: Options of the outputs of a command.
+OUTPUTS = {"out": (Out, None), "report": (Report, None), "overwrite": (Overwrite, False)}
+
+
+def outputs(function: Callable[..., None]) -> Callable[..., None]:
+    """Decorator: replace the parameter ``output`` of a command by the options of its outputs."""
+    signature = inspect.signature(function, eval_str=True)
+
+    @functools.wraps(function)
+    def run(**values: Any) -> None:
+        from fg_orient.closerange.job import Output
+
+        given = {name: values.pop(name) for name in OUTPUTS}
+        function(**values, output=Output(**given, command=command_line()))
+
+    kept = [one for name, one in signature.parameters.items() if name != "output"]
+    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    added = [inspect.Parameter(name, kind, default=value, annotation=of) for name, (of, value) in OUTPUTS.items()]
+    run.__signature__ = signature.replace(parameters=[*kept, *added])  # type: ignore[attr-defined]
+    return run
 
 
 @app.command("dlt")
-@command()
-def dlt(
-    points: Control,
-    distortion: Annotated[
-        str, typer.Option(metavar="NAMES", help="Unknown coefficients: k1,k2,k3,p1,p2; none if not given.")
-    ] = "",
-    direct: Annotated[bool, typer.Option("--direct", help="The direct linear solution, not iterated.")] = False,
-    sigma: Sigma = None,
-    out: Out = None,
-    report: Report = None,
-    overwrite: Overwrite = False,
-) -> None:
+@command(DltOptions)
+@outputs
+def dlt(points: Control, options: Mapping[str, Any], output: Any) -> None:
     """Orient photos of unknown cameras by a direct linear transformation."""
-    from fg_orient.closerange.job import Output, run_dlt
+    from fg_orient.closerange.job import run_dlt
 
-    record = run_dlt(points, distortion=_words(distortion), sigma=_positive("sigma", sigma), iterate=not direct,
-                     output=Output(out, report, overwrite, command_line()))  # fmt: skip
+    record = run_dlt(points, DltOptions(**options), output=output)
     answer(record, _show, record, _show_photos)
 
 
 @app.command("resect")
-@command()
-def resect(
-    points: Control,
-    camera: Photos,
-    sigma: Sigma = None,
-    out: Out = None,
-    report: Report = None,
-    overwrite: Overwrite = False,
-) -> None:
+@command(ImageOptions)
+@outputs
+def resect(points: Control, camera: Photos, options: Mapping[str, Any], output: Any) -> None:
     """Orient photos of known cameras by control points."""
-    from fg_orient.closerange.job import Output, run_resect
+    from fg_orient.closerange.job import run_resect
 
-    output = Output(out, report, overwrite, command_line())
-    record = run_resect(points, camera, sigma=_positive("sigma", sigma), output=output)
+    record = run_resect(points, camera, ImageOptions(**options), output=output)
     answer(record, _show, record, _show_photos)
 
 
 @app.command("intersect")
-@command()
-def intersect(
-    points: Measured,
-    photos: Photos,
-    sigma: Sigma = None,
-    out: Out = None,
-    report: Report = None,
-    overwrite: Overwrite = False,
-) -> None:
+@command(ImageOptions)
+@outputs
+def intersect(points: Measured, photos: Photos, options: Mapping[str, Any], output: Any) -> None:
     """Intersect points of oriented photos."""
-    from fg_orient.closerange.job import Output, run_intersect
+    from fg_orient.closerange.job import run_intersect
 
-    output = Output(out, report, overwrite, command_line())
-    record = run_intersect(points, photos, sigma=_positive("sigma", sigma), output=output)
+    record = run_intersect(points, photos, ImageOptions(**options), output=output)
     answer(record, _show, record, _show_points)
 
 
 @app.command("bundle")
-@command()
+@command(BundleOptions)
+@outputs
 def bundle(
     points: Measured,
     photos: Photos,
+    options: Mapping[str, Any],
+    output: Any,
     control: Annotated[
         Path | None,
         typer.Option(metavar="CSV", help="id,x_m,y_m,z_m; sigma_x_m,sigma_y_m,sigma_z_m if wanted."),
     ] = None,
     check: Annotated[
         Path | None,
-        typer.Option(metavar="CSV", help="id,x_m,y_m,z_m of points that take no part as control and judge the result."),
+        typer.Option(metavar="CSV", help="id,x_m,y_m,z_m of check points, which are not used in the adjustment."),
     ] = None,
     start: Annotated[
         Path | None,
-        typer.Option(metavar="CSV", help="id,x_m,y_m,z_m of new points to begin with; others are intersected."),
+        typer.Option(metavar="CSV", help="id,x_m,y_m,z_m: approximate values of new points; others are intersected."),
     ] = None,
     constraints: Annotated[
         Path | None, typer.Option(metavar="TOML", help='TOML: a table "constraints" for each, between points.')
@@ -130,36 +123,14 @@ def bundle(
             "(docs/closerange.md).",
         ),
     ] = None,
-    unknown: Annotated[
-        str,
-        typer.Option(
-            metavar="NAMES",
-            help="Unknown camera parameters of each photo: c,x0,y0,k1,k2,k3,p1,p2, a1 to a21, or "
-            "sets: radial-even, film, brown, ... (docs/closerange.md).",
-        ),
-    ] = "",
-    shared: Annotated[str, typer.Option(metavar="NAMES", help="Unknown ones that all photos share.")] = "",
-    sigma: Sigma = None,
-    sigma_control: Annotated[
-        float, typer.Option(metavar="M", help="Default standard deviation of control points, m; 0: exact.")
-    ] = 0.0,
-    backend: Annotated[Literal["dense", "graph"], typer.Option(help="Correlates, or a GTSAM graph.")] = "dense",
-    out: Out = None,
-    report: Report = None,
-    overwrite: Overwrite = False,
 ) -> None:
     """Adjust photos and points together: self-calibration, control points, constraints."""
     from fg_orient.closerange.bundle_job import run_bundle
-    from fg_orient.closerange.job import Output
 
-    if sigma_control != 0.0:
-        _positive("sigma_control", sigma_control)
     with progress() as watch:
         record = run_bundle(
-            points, photos, control=control, start=start, constraints=constraints,
-            stations=stations, check=check, sigma=_positive("sigma", sigma), sigma_control_m=sigma_control,
-            unknown=_words(unknown), shared=_words(shared), backend=backend,
-            output=Output(out, report, overwrite, command_line()), callback=watch.iteration, stage=watch.stage,
+            points, photos, BundleOptions(**options), control=control, start=start, constraints=constraints,
+            stations=stations, check=check, output=output, callback=watch.iteration, stage=watch.stage,
         )  # fmt: skip
     answer(record, _show, record, _show_bundle)
 
@@ -186,10 +157,12 @@ def import_(
     overwrite: Overwrite = False,
 ) -> None:
     """Write the tables of the bundle from a project of another program (PhotoModeler)."""
+    from fg_orient.closerange.fitting import require_sigmas
     from fg_orient.closerange.importing import run_import
 
-    sigma_px = _positive("sigma_image", sigma_image)
-    record = run_import(export, source=source, control=control, stations=stations, sigma_image_px=sigma_px,
+    if sigma_image is not None:
+        require_sigmas(sigma_image, "<sigma_image>")
+    record = run_import(export, source=source, control=control, stations=stations, sigma_image_px=sigma_image,
                         out=out, overwrite=overwrite)  # fmt: skip
     answer(record, _show_imported)
 
@@ -204,7 +177,8 @@ def _show_imported(record: dict[str, Any]) -> None:
 
 
 @app.command("surface")
-@command()
+@command(SurfaceOptions)
+@outputs
 def surface(
     points: Annotated[
         Path,
@@ -213,46 +187,17 @@ def surface(
         ),
     ],
     kind: Annotated[Literal["sphere", "spheroid", "ellipsoid", "quadric"], typer.Option(help="Kind of surface.")],
-    axis: Annotated[Literal["x", "y", "z", "free"], typer.Option(help="Axis of a spheroid.")] = "y",
-    method: Annotated[
-        Literal["geometric", "algebraic"], typer.Option(help="Distances to the surface, or conditions (Ayhan 1996).")
-    ] = "geometric",
-    sigma: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M",
-            show_default=False,
-            help="Default standard deviation of coordinates, m; without it weights are relative, and m0 is that "
-            "standard deviation.",
-        ),
-    ] = None,
+    options: Mapping[str, Any],
+    output: Any,
     prior: Annotated[
         list[str] | None, typer.Option(metavar="NAME=VALUE:SIGMA", help="Observed parameter, m; repeatable.")
     ] = None,
-    out: Out = None,
-    report: Report = None,
-    overwrite: Overwrite = False,
 ) -> None:
     """Fit a sphere, spheroid, ellipsoid or quadric to points."""
-    from fg_orient.closerange.job import Output, run_surface
+    from fg_orient.closerange.job import run_surface
 
-    record = run_surface(points, kind, axis=axis, method=method, sigma_m=_positive("sigma", sigma),
-                         priors=_priors(prior or []),
-                         output=Output(out, report, overwrite, command_line()))  # fmt: skip
+    record = run_surface(points, kind, SurfaceOptions(**options), priors=_priors(prior or []), output=output)
     answer(record, _show, record, _show_surface)
-
-
-def _words(text: str) -> list[str]:
-    """Names of a list with commas."""
-    return [word.strip() for word in text.split(",") if word.strip()]
-
-
-def _positive(option: str, value: float | None) -> float | None:
-    from fg_orient.closerange.fitting import require_sigmas
-
-    if value is not None:
-        require_sigmas(value, f"<{option}>")
-    return value
 
 
 def _priors(texts: Sequence[str]) -> dict[str, tuple[float, float]]:

@@ -288,8 +288,7 @@ def adjust_bundle(
             raise InputError.of("linear.too_large", place="bundle", value=network.n_unknowns, limit=MAX_UNKNOWNS)
         require_rays(built, which, of)
         engine = BACKENDS[backend](network)
-        found = _solved(built, engine, optimizer, callback)
-        return _result(built, engine, found, which, of, given)
+        return _result(built, engine, _solved(built, engine, optimizer, callback), which, of, given)
 
 
 def _begun(
@@ -321,19 +320,19 @@ def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None
         rows = network.rows(network.start)
         _require_independent(network, rows)
         require_determined(built, rows)
-        found: LoopResult[Array] = OPTIMIZERS[optimizer](
+        run: LoopResult[Array] = OPTIMIZERS[optimizer](
             engine, network.start, MAX_ITERATIONS, callback, tolerance=TOLERANCE
         )
-        if not found.converged:
-            raise _not_converged(network, found.end.message)
-        rows = network.rows(found.state)
+        if not run.converged:
+            raise _not_converged(network, run.end.message)
+        rows = network.rows(run.state)
         if len(rows.condition) and np.abs(rows.condition).max() > HELD:
             raise _not_converged(network, "hard constraints are not satisfied where the steps end")
         _require_independent(network, rows)  # some depend on others only where these are satisfied
         require_determined(built, rows)
     except (NotFiniteError, RuntimeError) as error:
         raise _not_converged(network, str(error)) from error
-    return found
+    return run
 
 
 def _require_independent(network: Network, rows: NetworkRows) -> None:
@@ -351,25 +350,22 @@ def _not_converged(network: Network, reason: str) -> NoSolutionError:
     return NoSolutionError.of("closerange.not_converged", place="bundle", reason=reason)  # type: ignore[return-value]
 
 
-def _result(built: Built, engine: Any, found: LoopResult[Array], which: Index, of: Index, sigma: Array) -> BundleResult:
-    network, state = built.network, found.state
+def _result(built: Built, engine: Any, run: LoopResult[Array], which: Index, of: Index, sigma: Array) -> BundleResult:
+    network, state = built.network, run.state
     rows = network.rows(state)
     built.require_in_front(state, which, of)
     m0 = unit_weight(float(rows.residual @ rows.residual), network.redundancy)
-    whole, parts = bordered_inverse(rows), [network.part(k) for k in range(len(network.variables))]
+    whole = bordered_inverse(rows)
     is_dense = isinstance(engine, DenseNetwork)
-    blocks = [whole[p, p] for p in parts] if is_dense else engine.cofactors(state)
-    # hard conditions give variances of 0, which rounding can make negative
-    cofactors = np.maximum(np.concatenate([block.diagonal() for block in blocks]), 0.0)
+    variances = whole.diagonal() if is_dense else np.concatenate([q.diagonal() for q in engine.cofactors(state)])
+    cofactors = np.maximum(variances, 0.0)  # hard conditions give variances of 0, which rounding can make negative
     scaled = cofactors * built.steps**2
-    values = built.values(state)
+    values, every = built.values(state), np.arange(network.n_unknowns)
 
-    def of_variables(name: str, numbers: Sequence[int], labels: Sequence[str] | None = None) -> Adjustment:
-        parts = [network.part(k) for k in numbers]
-        every = [n for k in numbers for n in network.variables[k].labels] if labels is None else labels
-        q = np.concatenate([np.zeros(0), *(scaled[p] for p in parts)])
-        return Adjustment(name, tuple(every), np.concatenate([np.zeros(0), *(values[p] for p in parts)]), q,
-                          None if m0 is None else m0 * np.sqrt(q))  # fmt: skip
+    def of_variables(name: str, numbers: Sequence[int]) -> Adjustment:
+        labels = tuple(label for k in numbers for label in network.variables[k].labels)
+        mine = np.concatenate([np.zeros(0, np.intp), *(every[network.part(k)] for k in numbers)])
+        return Adjustment(name, labels, values[mine], scaled[mine], None if m0 is None else m0 * np.sqrt(scaled[mine]))
 
     points, spread = built.start.copy(), np.zeros_like(built.start)
     for j, k in built.point_variables.items():
@@ -382,6 +378,5 @@ def _result(built: Built, engine: Any, found: LoopResult[Array], which: Index, o
         None if m0 is None else m0 * np.sqrt(spread),
         tuple(of_variables(network.variables[k].name, [k]) for k in built.figure_variables),
         rows.residual[: 2 * len(of)].reshape(-1, 2) * sigma, state, tuple(network.labels), cofactors, m0,
-        network.redundancy, len(found.log), engine.name,
-        quality_of(built, rows, whole, rotations, found.log),
+        network.redundancy, len(run.log), engine.name, quality_of(built, rows, whole, rotations, run.log),
     )  # fmt: skip

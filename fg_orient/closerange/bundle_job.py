@@ -32,9 +32,8 @@ from fg_orient.closerange.job import (
     finished,
     of_name,
     require_absolute,
-    unit_of_weights,
-    weights_of,
 )
+from fg_orient.closerange.options import BundleOptions
 from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.closerange.resection import resect
 from fg_orient.formats.closerange import ConstraintEntry, read_constraints, read_photos
@@ -47,10 +46,8 @@ Stage = Callable[[str, int], None]
 
 
 def run_bundle(
-    path: Path, photos: Path, *, control: Path | None = None, start: Path | None = None,
-    constraints: Path | None = None, stations: Path | None = None, check: Path | None = None,
-    sigma: float | None = None, sigma_control_m: float = 0.0,
-    unknown: Sequence[str] = (), shared: Sequence[str] = (), backend: str = "dense", output: Output = NONE,
+    path: Path, photos: Path, options: BundleOptions, *, control: Path | None = None, start: Path | None = None,
+    constraints: Path | None = None, stations: Path | None = None, check: Path | None = None, output: Output = NONE,
     callback: Callback | None = None, stage: Stage | None = None,
 ) -> Record:  # fmt: skip
     """Adjust the photos and points of a table.
@@ -61,6 +58,7 @@ def run_bundle(
         Image points, see :func:`fg_orient.closerange.files.read_image_points`.
     photos : Path
         Photo file; a photo without orientation is resected from its points with known coordinates.
+    options : BundleOptions
     control : Path, optional
         Points with coordinates, see :func:`fg_orient.closerange.files.read_ground_points`.
     start : Path, optional
@@ -71,15 +69,6 @@ def run_bundle(
         Observed projection centres and attitudes, see :func:`fg_orient.closerange.files.read_stations`.
     check : Path, optional
         Check points, whose coordinates are not used in the adjustment, in the columns of ``control``.
-    sigma : float, optional
-        Of image coordinates without sigma in the table; by default all have weight 1, and m0 is their sigma.
-    sigma_control_m : float
-        Of control points without sigma in their table; 0: they are exact.
-    unknown, shared : sequence of str
-        Unknown camera parameters of each photo, and common to all photos: names of parameters and of sets
-        (``closerange.corrections``).
-    backend : str
-        "dense" or "graph".
     output : Output, optional
     callback, stage : callable, optional
         Called with an ``IterationRecord`` after each iteration; see ``Stage``.
@@ -93,8 +82,8 @@ def run_bundle(
     output.require_possible()
     report_progress = stage or (lambda name, count: None)
     report_progress("reading", 0)
-    table = read_image_points(path)
-    own, common = parameters_of(unknown, "<unknown>"), parameters_of(shared, "<shared>")
+    table, sigma_control_m = read_image_points(path, options.sigma), options.sigma_control_m
+    own, common = parameters_of(options.unknown, "<unknown>"), parameters_of(options.shared, "<shared>")
     known, begun = _control(control, sigma_control_m), _control(start, 0.0)
     places = begun | known
     names, ids = list(dict.fromkeys(table.photos)), list(dict.fromkeys((*table.ids, *begun)))
@@ -108,28 +97,26 @@ def run_bundle(
     entries = read_constraints(constraints) if constraints else ()
     stated = [_constraint(entry) for entry in entries]
     require_absolute(
-        path, table, sigma,
+        path, table,
         [*_own_sigmas(control, sigma_control_m, known), *_stated(constraints, entries), *station_sigmas(stations, seen)]
     )  # fmt: skip
     report_progress("start values", len(table.ids))
     with one_blas_thread():
-        starts, doubts = _starts(photos, names, table, which, of, ids, places, weights_of(table, sigma), seen)
+        starts, doubts = _starts(photos, names, table, which, of, ids, places, seen)
         given = [_photo(n, start, seen.get(n), own, common) for n, start in zip(names, starts, strict=True)]
         begin = _points(starts, names, table, which, of, ids, places)
         report_progress("iterations", len(table.ids))
         result = adjust_bundle(
-            given, ids, begin, which, of, table.image, sigma=weights_of(table, sigma),
-            control={i: known[i] for i in ids if i in known}, constraints=stated, backend=backend, callback=callback,
+            given, ids, begin, which, of, table.image, sigma=table.image_sigma,
+            control={i: known[i] for i in ids if i in known}, constraints=stated, callback=callback,
+            backend=options.backend,
         )  # fmt: skip
     photos_of = [] if result.beyond else result.oriented()
     texts = [
         photo_text(p, i, r) for p, i, r in zip(photos_of, result.interiors, result.rotations, strict=bool(photos_of))
     ]
-    unit, weights = unit_of_weights(table, sigma), weights_of(table, sigma)
-    judges = {name: at for name, (at, _) in withheld.items()}
-    record = unit | bundle_record(
-        result, table, known, which, of, weights, unit["weights"] == "absolute", seen, judges, doubts
-    )
+    checks = {name: at for name, (at, _) in withheld.items()}
+    record = {"weights": table.weights} | bundle_record(result, table, known, which, of, seen, checks, doubts)
     beside = (photos, control, check, start, constraints, stations)
     return finished(record, path, table, output, texts, beside)
 
@@ -163,9 +150,9 @@ def _control(path: Path | None, sigma_m: float) -> dict[str, tuple[Array, Array]
     """Coordinates and sigmas of the control points by id."""
     if path is None:
         return {}
-    table = read_ground_points(path)
-    sigma = np.full((len(table), 3), sigma_m) if table.sigma is None else table.sigma
-    return {name: (table.ground[k], sigma[k]) for k, name in enumerate(table.ids)}
+    table = read_ground_points(path, sigma_m)
+    assert table.sigma is not None  # else there is no default
+    return {name: (at, sigma) for name, at, sigma in zip(table.ids, table.ground, table.sigma, strict=True)}
 
 
 Start = tuple[PhotoInterior, Array, Array]
@@ -173,7 +160,7 @@ Start = tuple[PhotoInterior, Array, Array]
 
 def _starts(
     path: Path, names: Sequence[str], table: Observed, which: Index, of: Index, ids: Sequence[str],
-    known: Mapping[str, tuple[Array, Array]], sigma: Array, seen: Mapping[str, Station],
+    known: Mapping[str, tuple[Array, Array]], seen: Mapping[str, Station],
 ) -> tuple[list[Start], list[Finding]]:  # fmt: skip
     """PhotoInterior, rotation and centre of each photo, and what to doubt there.
 
@@ -194,7 +181,7 @@ def _starts(
         if len(rows) < 4:
             raise InputError.of("closerange.not_oriented", file=path, place=name)
         ground = np.array([known[ids[of[a]]][0] for a in rows])
-        pose = resect(interior, ground, table.image[rows], sigma=sigma[rows], name=name)
+        pose = resect(interior, ground, table.image[rows], sigma=table.image_sigma[rows], name=name)
         out.append((interior, pose.rotation, pose.photo.origin_m))
         doubts += pose.second_pose(f"the bundle begins with a resection of photo {name}")
     return out, doubts

@@ -19,13 +19,11 @@ from fg_orient.closerange.constraints import (
     FIGURES,
     OF_PHOTOS,
     Constraint,
-    Figure,
-    figure_observations,
     figure_of,
+    figure_parts,
     observed_element,
     plain_observation,
     require_one_value,
-    variable_of,
 )
 from fg_orient.closerange.photo import PhotoInterior
 from fg_orient.model.errors import InputError, NoSolutionError
@@ -63,16 +61,23 @@ class Built:
     points: list[int | Array] = field(default_factory=list)
     rims: dict[str, float] = field(default_factory=dict)
     camera_variables: dict[str, int] = field(default_factory=dict)
-    point_variables: dict[int, int] = field(default_factory=dict)
     figure_variables: list[int] = field(default_factory=list)
-    figures: list[tuple[Constraint, Figure]] = field(default_factory=list)
 
-    def add(self, variable: Variable, steps: Array, offset: Array) -> int:
-        """Number of an added variable. Its values are offset + steps times unknowns."""
+    def add(self, variable: Variable, offset: Array, steps: Array | None = None) -> int:
+        """Number of an added variable. Its values are offset + steps (default 1) times unknowns."""
         self.variables.append(variable)
-        self.steps_of.append(steps)
+        self.steps_of.append(np.ones(len(offset)) if steps is None else steps)
         self.offset_of.append(offset)
         return len(self.variables) - 1
+
+    @property
+    def point_variables(self) -> dict[int, int]:
+        """Variables of the unknown points, by the number of the point."""
+        return {j: k for j, k in enumerate(self.points) if not isinstance(k, np.ndarray)}
+
+    def at(self, unknown: int | Array, state: Array) -> Array:
+        """Constant, or a variable's part of a state."""
+        return unknown if isinstance(unknown, np.ndarray) else state[self.network.part(unknown)]
 
     @cached_property
     def network(self) -> Network:
@@ -112,8 +117,8 @@ class Built:
         out = np.where(length > 0.0, 1.0 / np.where(length > 0.0, length, 1.0), 0.0)
         ground = np.concatenate([out[self.network.part(k)] for k in self.point_variables.values()] or [np.ones(1)])
         typical = float(np.median(ground[ground > 0.0])) if (ground > 0.0).any() else 1.0
-        for k, (_, figure) in zip(self.figure_variables, self.figures, strict=True):
-            slopes = [name.startswith(("tilt", "slope")) for name in figure.names]
+        for k in self.figure_variables:
+            slopes = [name.startswith(("tilt", "slope")) for name in self.variables[k].labels]
             out[self.network.part(k)] = np.where(slopes, typical / self.extent, typical)
         return np.where(out > 0.0, out, typical)
 
@@ -124,14 +129,11 @@ class Built:
 
     def rotation(self, k: int, state: Array) -> Array:
         """Rotation (3, 3) of a photo at a state."""
-        unknown = self.turns[k]
-        w = unknown if isinstance(unknown, np.ndarray) else state[self.network.part(unknown)]
-        return rotated(self.photos[k].rotation, w)
+        return rotated(self.photos[k].rotation, self.at(self.turns[k], state))
 
     def place(self, unknown: int | Array, state: Array) -> Array:
         """Centre or point (3,) at a state, in the user's coordinates."""
-        x = unknown if isinstance(unknown, np.ndarray) else state[self.network.part(unknown)]
-        return np.asarray(x + self.origin)
+        return np.asarray(self.at(unknown, state) + self.origin)
 
     def oriented(self, state: Array) -> tuple[list[PhotoInterior], list[Array], list[Array]]:
         """Interiors, rotations, centres of the photos at a state."""
@@ -139,8 +141,7 @@ class Built:
         for photo, own, shared in zip(self.photos, self.own, self.shared, strict=True):
             camera = camera_of(photo.interior)
             for unknown, names in ((shared, photo.shared), (own, photo.unknown)):
-                if not isinstance(unknown, np.ndarray):
-                    camera[[NAMES.index(n) for n in names]] = values[self.network.part(unknown)]
+                camera[[NAMES.index(n) for n in names]] = self.at(unknown, values)
             c, principal, corrections = float(camera[CAMERA.c]), camera[CAMERA.principal], camera[CAMERA.lens]
             interiors.append(PhotoInterior(c, principal, corrections, photo.interior.y_axis))
         every = range(len(self.photos))
@@ -188,11 +189,10 @@ def build(
         rim = float(np.linalg.norm(xy, axis=1).max(initial=1e-9))
         built.rims[photo.key] = max(rim, built.rims.get(photo.key, 0.0))
     extras: list[Observation] = []
-    for k, photo in enumerate(photos):
-        _add_photo(built, photo, reach[k], extras)
+    setups = [_add_photo(built, photo, size, extras) for photo, size in zip(photos, reach, strict=True)]
     _add_points(built, control, extras)
-    for a in range(len(of)):
-        _add_image_point(built, int(which[a]), int(of[a]), image[a], sigma[a], reach, is_condition)
+    for k, j, xy, s in zip(which.tolist(), of.tolist(), image, sigma, strict=True):
+        built.observations.append(_image_point(built, k, j, xy, s, setups[k], is_condition))
     built.observations += extras
     if begin is not None:  # the variables of figures follow those of photos and points
         other, state = begin
@@ -229,28 +229,33 @@ def camera_steps(names: Sequence[str], reach: float) -> Array:
     return np.array([1e-3 * reach ** (1 - power[name]) for name in names])
 
 
-def _add_photo(built: Built, photo: BundlePhoto, reach: float, extras: list[Observation]) -> None:
-    start = camera_of(photo.interior)
-    built.own.append(_camera_variable(built, f"photo {photo.name}", photo.unknown, start, reach, photo, extras))
-    key = photo.key
+def _add_photo(built: Built, photo: BundlePhoto, reach: float, extras: list[Observation]) -> tuple[Array, Array]:
+    """Add the variables of a photo; setup (2, k) and camera (40,) of the equations of its image points."""
+    start, key, name = camera_of(photo.interior), photo.key, f"photo {photo.name}"
+    none: int | Array = np.zeros(0)
+    own = _camera_variable(built, name, photo.unknown, reach, photo, extras) if photo.unknown else none
     if photo.shared and key not in built.camera_variables:
-        made = _camera_variable(built, f"camera {key}", photo.shared, start, reach, photo, extras)
-        assert not isinstance(made, np.ndarray)
-        built.camera_variables[key] = made
-    common: int | Array = built.camera_variables[key] if photo.shared else np.zeros(0)
-    if not isinstance(common, np.ndarray) and built.variables[common].labels != photo.shared:
-        raise photo.fault(
-            "shared", ", ".join(photo.shared), f"those of the camera: {', '.join(built.variables[common].labels)}"
-        )
-    built.shared.append(common)
+        built.camera_variables[key] = _camera_variable(built, f"camera {key}", photo.shared, reach, photo, extras)
+    steps = camera_steps(photo.unknown, reach)
+    if photo.shared:
+        common = built.camera_variables[key]
+        known = built.variables[common].labels
+        if known != photo.shared:
+            raise photo.fault("shared", ", ".join(photo.shared), f"those of the camera: {', '.join(known)}")
+        steps = np.append(steps, built.steps_of[common])
+        # all photos of a camera start from the values of its first photo
+        start[[NAMES.index(n) for n in photo.shared]] = built.offset_of[common]
+    built.own.append(own)
+    built.shared.append(built.camera_variables[key] if photo.shared else none)
+    codes = [NAMES.index(n) for n in (*photo.unknown, *photo.shared)]
+    setup = np.ascontiguousarray(np.array([codes, steps], float))
     centre = photo.centre_m - built.origin
     if photo.held:
         built.turns.append(np.zeros(3))
         built.centres.append(centre)
-        return
-    name = f"photo {photo.name}"
-    turn = built.add(Variable(name, np.zeros(3), TURNS), np.ones(3), np.zeros(3))
-    place = built.add(Variable(name, centre, CENTRE, True), np.ones(3), built.origin)
+        return setup, start
+    turn = built.add(Variable(name, np.zeros(3), TURNS), np.zeros(3))
+    place = built.add(Variable(name, centre, CENTRE, True), built.origin)
     built.turns.append(turn)
     built.centres.append(place)
     if photo.sigma_centre_m is not None:
@@ -259,17 +264,15 @@ def _add_photo(built: Built, photo: BundlePhoto, reach: float, extras: list[Obse
     if photo.sigma_turn_rad is not None:
         extras += [observed_element(turn, j, 0.0, float(s), f"{name}: observed attitude")
                    for j, s in enumerate(photo.sigma_turn_rad)]  # fmt: skip
+    return setup, start
 
 
 def _camera_variable(
-    built: Built, name: str, names: tuple[str, ...], start: Array, reach: float, photo: BundlePhoto,
-    extras: list[Observation],
-) -> int | Array:  # fmt: skip
-    """Variable of camera parameters, with observations of some; an empty array without parameters."""
-    if not names:
-        return np.zeros(0)
-    steps, offset = camera_steps(names, reach), start[[NAMES.index(n) for n in names]]
-    k = built.add(Variable(name, np.zeros(len(names)), names), steps, offset)
+    built: Built, name: str, names: tuple[str, ...], reach: float, photo: BundlePhoto, extras: list[Observation]
+) -> int:
+    """Number of a variable of camera parameters; ``extras`` receives observations of some of them."""
+    steps, offset = camera_steps(names, reach), camera_of(photo.interior)[[NAMES.index(n) for n in names]]
+    k = built.add(Variable(name, np.zeros(len(names)), names), offset, steps)
     for j, n in enumerate(names):
         if n in photo.observed:
             value, sigma = photo.observed[n]
@@ -299,36 +302,27 @@ def _add_points(built: Built, control: Control, extras: list[Observation]) -> No
         if sigma is not None and not sigma.any():
             built.points.append(at - built.origin)
             continue
-        k = built.add(Variable(f"point {name}", built.start[j] - built.origin, POINT, True), np.ones(3), built.origin)
+        k = built.add(Variable(f"point {name}", built.start[j] - built.origin, POINT, True), built.origin)
         built.points.append(k)
-        built.point_variables[j] = k
         if sigma is not None:
             extras.append(observed_place(k, at - built.origin, sigma, f"point {name}: control"))
 
 
-def _add_image_point(
-    built: Built, k: int, j: int, image: Array, sigma: Array, reach: Sequence[float], is_condition: bool
-) -> None:
-    photo = built.photos[k]
-    names = (*photo.unknown, *photo.shared)
-    shared = built.shared[k]
-    common = built.steps_of[shared] if not isinstance(shared, np.ndarray) else np.zeros(0)
-    steps = np.concatenate([camera_steps(photo.unknown, reach[k]), common])
-    start = camera_of(photo.interior)
-    if len(common):  # all photos of a camera start from the values of its first photo
-        assert not isinstance(shared, np.ndarray)
-        start[[NAMES.index(n) for n in photo.shared]] = built.offset_of[shared]
-    setup = np.ascontiguousarray(np.array([[NAMES.index(n) for n in names], steps], float).reshape(2, len(names)))
+def _image_point(
+    built: Built, k: int, j: int, image: Array, sigma: Array, equation: tuple[Array, Array], is_condition: bool
+) -> Observation:
+    """Observation of point ``j`` in photo ``k``; ``equation``: setup and camera of the photo."""
+    photo, (setup, camera) = built.photos[k], equation
     record = RECORD.pack(
         x=image[0], y=image[1], w11=1.0 / sigma[0], w12=0.0, w22=1.0 / sigma[1], power=is_condition,
-        sign=photo.interior.sign, held_c=photo.interior.focal, camera=start, rotation=np.ravel(photo.rotation),
+        sign=photo.interior.sign, held_c=photo.interior.focal, camera=camera, rotation=np.ravel(photo.rotation),
         radius=built.rims[photo.key],
     )  # fmt: skip
     unknowns = (built.own[k], built.shared[k], built.turns[k], built.centres[k], built.points[j])
     if all(isinstance(u, np.ndarray) for u in unknowns):
         raise photo.fault(f"point {built.ids[j]}", "photo and point held", "a point or a photo that is unknown")
     label = f"photo {photo.name}, point {built.ids[j]}"
-    built.observations.append(Observation(EXTENDED_COLLINEARITY, unknowns, record, setup, 2, label))
+    return Observation(EXTENDED_COLLINEARITY, unknowns, record, setup, 2, label)
 
 
 def _add_constraint(built: Built, constraint: Constraint) -> None:
@@ -341,12 +335,10 @@ def _add_constraint(built: Built, constraint: Constraint) -> None:
     if constraint.kind in FIGURES:
         figure = figure_of(constraint, built.start[members] - built.origin, _accuracy(built, members))
         base = np.array([built.origin[POINT.index(n.upper())] if n in ("x", "y", "z") else 0.0 for n in figure.names])
-        variable = variable_of(constraint, figure)
-        offset = base + (figure.base - variable.start)
-        k = built.add(variable, np.ones(len(figure.names)), offset)
-        built.figure_variables.append(k)
-        built.figures.append((constraint, figure))
-        built.observations += figure_observations(constraint, figure, k, [built.points[j] for j in members])
+        points = [built.points[j] for j in members]
+        variable, rows = figure_parts(constraint, figure, len(built.variables), points)
+        built.figure_variables.append(built.add(variable, base + figure.offset))
+        built.observations += rows
         return
     if constraint.kind == "equal attitude":
         unknowns, start = [built.turns[j] for j in members], [built.photos[j].rotation for j in members]

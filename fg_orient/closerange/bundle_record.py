@@ -30,8 +30,8 @@ _WEAK: Final = 5
 
 
 def bundle_record(
-    result: BundleResult, table: Observed, known: Known, which: Index, of: Index, sigma: Array, absolute: bool,
-    seen: Mapping[str, Station], check: Mapping[str, Array], started: Sequence[Finding] = (),
+    result: BundleResult, table: Observed, known: Known, which: Index, of: Index, seen: Mapping[str, Station],
+    check: Mapping[str, Array], started: Sequence[Finding] = (),
 ) -> Record:  # fmt: skip
     """Record of a bundle.
 
@@ -39,15 +39,11 @@ def bundle_record(
     ----------
     result : BundleResult
     table : Observed
-        Image points.
+        Image points. With relative weights m0 replaces the sigmas in tests.
     known : mapping
         Control points: coordinates, sigmas.
     which, of : (m,) int arrays
         Photo and point of each image point.
-    sigma : (m, 2) array
-        Of the image coordinates.
-    absolute : bool
-        These are standard deviations; else weights are relative, and m0 replaces the sigmas in tests.
     seen : mapping
         Observed stations by photo.
     check : mapping
@@ -56,13 +52,13 @@ def bundle_record(
         On the start values.
     """
     quality = result.quality
-    unit = 1.0 if absolute else (result.m0 or 1.0)
+    unit = (result.m0 or 1.0) if table.sigma is None else 1.0
     return {
         "kind": "bundle", "backend": result.backend, "m0": result.m0, "redundancy": result.redundancy,
         "iterations": result.iterations, "unknowns": len(result.labels), "photos": _photos(result, which, seen),
         "cameras": [{"camera": c.name, "parameters": _numbers(c)} for c in result.cameras],
         "figures": [{"figure": f.name, "numbers": _numbers(f)} for f in result.figures],
-        "points": _points(result, known, of, check), "residuals": _residuals(result, table, sigma, unit),
+        "points": _points(result, known, of, check), "residuals": _residuals(result, table, unit),
         "distortion": _distortion(result, table, which), "observations": _others(quality, unit),
         "check": _check(result, check), "reliability": _reliability(quality),
         "correlations": _correlations(quality), "directions": _directions(quality), "history": _history(quality),
@@ -139,8 +135,9 @@ def _points(result: BundleResult, known: Known, of: Index, check: Mapping[str, A
     return out
 
 
-def _residuals(result: BundleResult, table: Observed, sigma: Array, unit: float) -> list[Record]:
+def _residuals(result: BundleResult, table: Observed, unit: float) -> list[Record]:
     """Image points: residuals (computed minus measured, corrected), redundancy numbers, w and detectable errors."""
+    sigma = table.image_sigma
     own, detectable = _tested(result.residuals, sigma * unit, result.quality.redundancy)
     columns = {"": table.image, "residual_": result.residuals, "sigma_": sigma,
                "redundancy_": result.quality.redundancy, "w_": own, "mdb_": detectable}  # fmt: skip

@@ -82,7 +82,7 @@ class Constraint:
             raise self.fault("value_m", self.value_m, "a length above 0 for a distance or base, none for others")
         if self.sigma is not None and not SMALLEST <= self.sigma <= LARGEST:
             raise self.fault("sigma", self.sigma, "a number above 0, or none: the constraint is then hard")
-        known = FIGURES[self.kind].observable if self.kind in FIGURES else ()
+        _, known = FIGURES.get(self.kind, (None, ()))
         for name, (value, sigma) in self.observed.items():
             if name not in known or not (0.0 < value <= LARGEST and SMALLEST <= sigma <= LARGEST):
                 expected = f"value and sigma of {', '.join(known) or '-'}, above 0"
@@ -107,7 +107,7 @@ class Constraint:
 
 @dataclass(frozen=True)
 class Figure:
-    """Figure near its start; the unknowns are corrections to ``base``.
+    """Start of a figure, whose parameters have the values ``offset`` plus unknowns.
 
     Parameters
     ----------
@@ -116,37 +116,25 @@ class Figure:
         With s = 1.
     setup : (2, k) array
     names : tuple of str
-    base : (k,) array
+    start, offset : (k,) arrays
+        The equation of a spheroid has corrections to the ``offset`` in its record as unknowns.
     n_residuals : int
     scale : float
         Factor of the record's s for residuals in metres.
-    frame : (3, 3) array
-        Of planes, lines and circles: normal or direction, then two axes across it.
-    origin : (3,) array
-        Of the frame.
     """
 
     equation: Equation
     record: Array
     setup: Array
     names: tuple[str, ...]
-    base: Array
+    start: Array
+    offset: Array
     n_residuals: int
     scale: float = 1.0
-    frame: Array = field(default_factory=lambda: np.eye(3))
-    origin: Array = field(default_factory=lambda: np.zeros(3))
-
-    def scaled(self, factor: float) -> Array:
-        """Record with s times a factor."""
-        out = self.record.copy()
-        out[constraints.FIGURE.factor] *= factor * self.scale
-        return out
 
 
-@dataclass(frozen=True)
-class _Kind:
-    start: Callable[[Array, Constraint, Array | None], Figure]
-    observable: tuple[str, ...] = ()
+#: Start of a figure from its points, the constraint and the sigmas of the points.
+_Start = Callable[[Array, Constraint, Array | None], Figure]
 
 
 def _axes(points: Array, along: int) -> Array:
@@ -157,25 +145,17 @@ def _axes(points: Array, along: int) -> Array:
     return out
 
 
-def _figure(origin: Array, frame: Array) -> Array:
-    """Record of a plane or line: origin and frame (3, 3)."""
-    return constraints.FIGURE.pack(factor=1.0, place=origin, normal=frame[0], e_1=frame[1], e_2=frame[2])
+def _by_values(equation: Equation, record: Array, names: str, start: Array, n_residuals: int, scale: float = 1.0
+               ) -> Figure:  # fmt: skip
+    """Figure whose unknowns are the values of its parameters."""
+    return Figure(equation, record, _NONE, tuple(names.split()), start, np.zeros(len(start)), n_residuals, scale)
 
 
-def _plane(points: Array, _: Constraint, __: Array | None) -> Figure:
-    origin, frame = points.mean(axis=0), _axes(points, 2)
-    return Figure(constraints.PLANE, _figure(origin, frame), _NONE,
-                  ("tilt_1", "tilt_2", "distance"), np.zeros(3), 1, frame=frame, origin=origin)  # fmt: skip
-
-
-def _line(points: Array, _: Constraint, __: Array | None) -> Figure:
-    origin, frame = points.mean(axis=0), _axes(points, 0)
-    return Figure(constraints.LINE, _figure(origin, frame), _NONE,
-                  ("foot_1", "foot_2", "slope_1", "slope_2"), np.zeros(4), 2, frame=frame, origin=origin)  # fmt: skip
-
-
-def _plumb_line(points: Array, _: Constraint, __: Array | None) -> Figure:
-    return Figure(circles.PLUMB_LINE, np.ones(1), _NONE, ("x", "y"), points.mean(axis=0)[:2], 2)
+def _framed(equation: Equation, points: Array, along: int, names: str, n_residuals: int) -> Figure:
+    """Plane or line: the record has origin and frame; see :func:`_axes` for ``along``."""
+    frame = _axes(points, along)
+    record = constraints.FIGURE.pack(factor=1.0, place=points.mean(axis=0), normal=frame[0], e_1=frame[1], e_2=frame[2])
+    return _by_values(equation, record, names, np.zeros(len(names.split())), n_residuals)
 
 
 def _flat_circle(plan: Array) -> tuple[Array, float]:
@@ -189,24 +169,22 @@ def _flat_circle(plan: Array) -> tuple[Array, float]:
 def _circle(points: Array, _: Constraint, __: Array | None) -> Figure:
     origin, frame = points.mean(axis=0), _axes(points, 2)
     centre, radius = _flat_circle((points - origin) @ frame[1:].T)
-    base = np.concatenate([origin + centre @ frame[1:], [0.0, 0.0, radius]])
+    start = np.concatenate([origin + centre @ frame[1:], [0.0, 0.0, radius]])
     record = circles.CIRCLE_RECORD.pack(factor=1.0, normal=frame[0], e_1=frame[1], e_2=frame[2])
-    return Figure(circles.CIRCLE, record, _NONE,
-                  ("x", "y", "z", "tilt_1", "tilt_2", "radius"), base, 2, frame=frame)  # fmt: skip
+    return _by_values(circles.CIRCLE, record, "x y z tilt_1 tilt_2 radius", start, 2)
 
 
 def _horizontal_circle(points: Array, _: Constraint, __: Array | None) -> Figure:
     centre, radius = _flat_circle(points[:, :2])
-    base = np.array([*centre, points[:, 2].mean(), radius])
-    return Figure(circles.HORIZONTAL_CIRCLE, np.ones(1), _NONE, ("x", "y", "z", "radius"), base, 2)
+    start = np.array([*centre, points[:, 2].mean(), radius])
+    return _by_values(circles.HORIZONTAL_CIRCLE, np.ones(1), "x y z radius", start, 2)
 
 
 def _sphere(points: Array, c: Constraint, sigma: Array | None) -> Figure:
     priors = {"a": c.observed["radius"]} if "radius" in c.observed else None
     sphere = fit_surface(points, "sphere", priors=priors, sigma_m=sigma).surface
     radius = float(sphere.semi_axes[0])
-    return Figure(surfaces.SPHERE, np.ones(1), _NONE, ("x", "y", "z", "radius"), np.append(sphere.centre, radius), 1,
-                  0.5 / radius)  # fmt: skip
+    return _by_values(surfaces.SPHERE, np.ones(1), "x y z radius", np.append(sphere.centre, radius), 1, 0.5 / radius)
 
 
 def _spheroid(points: Array, c: Constraint, sigma: Array | None) -> Figure:
@@ -216,20 +194,21 @@ def _spheroid(points: Array, c: Constraint, sigma: Array | None) -> Figure:
     a, b = float(semi[(along + 1) % 3]), float(semi[along])
     record = surfaces.RECORD.pack(factor=1.0, centre=centre, rotation=np.eye(3).ravel(), semi_axes=semi)
     setup = np.array([[0.0, 1.0, 2.0, 9.0 + along, 6.0 + along], np.ones(5)])
-    # the unknowns are corrections to the record, which holds the base
-    return Figure(surfaces.ELLIPSOID, record, setup, ("x", "y", "z", "a", "b"), np.array([*centre, a, b]), 1,
-                  0.5 * min(a, b))  # fmt: skip
+    return Figure(surfaces.ELLIPSOID, record, setup, ("x", "y", "z", "a", "b"), np.zeros(5), np.array([*centre, a, b]),
+                  1, 0.5 * min(a, b))  # fmt: skip
 
 
-FIGURES: Final[dict[str, _Kind]] = {
-    "plane": _Kind(_plane),
-    "line": _Kind(_line),
-    "plumb line": _Kind(_plumb_line),
-    "circle": _Kind(_circle, ("radius",)),
-    "horizontal circle": _Kind(_horizontal_circle, ("radius",)),
-    "sphere": _Kind(_sphere, ("radius",)),
-    "spheroid": _Kind(_spheroid, ("a", "b")),
-}
+#: Start and observable parameters of each figure.
+FIGURES: Final[dict[str, tuple[_Start, tuple[str, ...]]]] = {
+    "plane": (lambda points, _, __: _framed(constraints.PLANE, points, 2, "tilt_1 tilt_2 distance", 1), ()),
+    "line": (lambda points, _, __: _framed(constraints.LINE, points, 0, "foot_1 foot_2 slope_1 slope_2", 2), ()),
+    "plumb line": (lambda points, _, __: _by_values(circles.PLUMB_LINE, np.ones(1), "x y", points.mean(axis=0)[:2], 2),
+                   ()),
+    "circle": (_circle, ("radius",)),
+    "horizontal circle": (_horizontal_circle, ("radius",)),
+    "sphere": (_sphere, ("radius",)),
+    "spheroid": (_spheroid, ("a", "b")),
+}  # fmt: skip
 
 
 def figure_of(constraint: Constraint, points: Array, sigma_m: Array | None = None) -> Figure:
@@ -250,7 +229,7 @@ def figure_of(constraint: Constraint, points: Array, sigma_m: Array | None = Non
     """
     try:
         with np.errstate(all="raise"):
-            return FIGURES[constraint.kind].start(points, constraint, sigma_m)
+            return FIGURES[constraint.kind][0](points, constraint, sigma_m)
     except FloatingPointError:
         raise constraint.fault("members", "start coordinates", "points that determine the figure") from None
 
@@ -273,29 +252,23 @@ def require_one_value(constraints: Sequence[Constraint]) -> None:
             raise InputError.of("closerange.contradiction", place="constraints", names=names)
 
 
-def variable_of(constraint: Constraint, figure: Figure) -> Variable:
-    """Unknowns of a figure: corrections for the spheroid, whose record holds its base, else values."""
-    start = np.zeros(len(figure.base)) if figure.equation is surfaces.ELLIPSOID else figure.base
-    return Variable(constraint.label, start, figure.names)
-
-
-def figure_observations(
+def figure_parts(
     constraint: Constraint, figure: Figure, k: int, points: Sequence[int | Array]
-) -> list[Observation]:
-    """Observations of points on figure number ``k``, and of the parameters of the figure."""
+) -> tuple[Variable, list[Observation]]:
+    """Variable number ``k`` of a figure; observations of the points on it and of its parameters."""
     hard = constraint.sigma is None
-    record = figure.scaled(1.0 / (constraint.sigma or 1.0))
+    record = figure.record.copy()
+    record[constraints.FIGURE.factor] *= 1.0 / (constraint.sigma or 1.0) * figure.scale
     out = [
         Observation(
             figure.equation, (k, p), record, figure.setup, figure.n_residuals, f"{constraint.label}: {name}", hard
         )
         for p, name in zip(points, constraint.members, strict=True)
     ]
-    shift = figure.base if figure.equation is surfaces.ELLIPSOID else np.zeros(len(figure.base))
     for name, (value, sigma) in constraint.observed.items():
         j = figure.names.index(name)
-        out.append(observed_element(k, j, value - shift[j], sigma, f"{constraint.label}: observed {name}"))
-    return out
+        out.append(observed_element(k, j, value - figure.offset[j], sigma, f"{constraint.label}: observed {name}"))
+    return Variable(constraint.label, figure.start, figure.names), out
 
 
 def observed_element(k: int, element: int, value: float, sigma: float, label: str) -> Observation:
@@ -306,15 +279,16 @@ def observed_element(k: int, element: int, value: float, sigma: float, label: st
 
 def plain_observation(constraint: Constraint, unknowns: Sequence[int | Array], start: Sequence[Array]) -> Observation:
     """Observation of a constraint without a figure; ``start``: coordinates of its points, rotations of its photos."""
-    s, hard = 1.0 / (constraint.sigma or 1.0), constraint.sigma is None
+    s = 1.0 / (constraint.sigma or 1.0)
     if constraint.kind in MEASURED:
-        record = constraints.LENGTH.pack(factor=s, distance=constraint.value_m or 0.0)
-        return Observation(constraints.DISTANCE, tuple(unknowns), record, _NONE, 1, constraint.label, hard)
-    if constraint.kind == "parallel":
+        equation, n, record = constraints.DISTANCE, 1, constraints.LENGTH.pack(factor=s, distance=constraint.value_m)
+    elif constraint.kind == "parallel":
         along = start[1] - start[0]
         across = _axes(np.array([-along, along]), 0)[1:]
+        equation, n = constraints.PARALLEL, 2
         record = constraints.DIRECTION.pack(factor=s, e_1=across[0], e_2=across[1])
-        return Observation(constraints.PARALLEL, tuple(unknowns), record, _NONE, 2, constraint.label, hard)
-    first, second, between = start[0].ravel(), start[1].ravel(), constraint.offset.ravel()
-    record = circles.ATTITUDE_RECORD.pack(factor=s, first=first, second=second, between=between)
-    return Observation(circles.EQUAL_ATTITUDE, tuple(unknowns), record, _NONE, 3, constraint.label, hard)
+    else:
+        first, second, between = start[0].ravel(), start[1].ravel(), constraint.offset.ravel()
+        equation, n = circles.EQUAL_ATTITUDE, 3
+        record = circles.ATTITUDE_RECORD.pack(factor=s, first=first, second=second, between=between)
+    return Observation(equation, tuple(unknowns), record, _NONE, n, constraint.label, constraint.sigma is None)

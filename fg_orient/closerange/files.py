@@ -50,7 +50,8 @@ class Observed:
         Empty columns where the table has none.
     ground : (n, 3) array
     sigma : array or None
-        Of the image coordinates (n, 2); of a table without them of the ground coordinates (n, 3).
+        Of the image coordinates (n, 2); of a table without them of the ground coordinates (n, 3). None: relative
+        weights, all 1.
     check : (n,) bool array
     sha256 : str
     """
@@ -66,9 +67,21 @@ class Observed:
     def __len__(self) -> int:
         return len(self.ids)
 
+    @property
+    def weights(self) -> str:
+        """Absolute (of given sigmas, m0 is a ratio), or relative (m0 is a sigma)."""
+        return "relative" if self.sigma is None else "absolute"
 
-def read_control(path: Path) -> Observed:
+    @property
+    def image_sigma(self) -> Array:
+        """Sigmas (n, 2) of the image coordinates, 1 with relative weights."""
+        return np.ones((len(self), 2)) if self.sigma is None else self.sigma
+
+
+def read_control(path: Path, sigma: float | None = None) -> Observed:
     """Control points measured in photos: id, x, y, x_m, y_m, z_m; optional photo, role, sigma_x and sigma_y.
+
+    ``sigma``: default standard deviation.
 
     Raises
     ------
@@ -76,20 +89,20 @@ def read_control(path: Path) -> Observed:
         All errors of the file.
     """
     extra = product(((), ("photo",)), ((), ("role",)), ((), SIGMA_IMAGE))
-    return _read(path, [("id", *IMAGE, *GROUND, *a, *b, *c) for a, b, c in extra])
+    return _read(path, [("id", *IMAGE, *GROUND, *a, *b, *c) for a, b, c in extra], sigma)
 
 
-def read_image_points(path: Path) -> Observed:
-    """Points measured in photos: id, photo, x, y; optional sigma_x and sigma_y."""
-    return _read(path, [("id", "photo", *IMAGE, *sigma) for sigma in ((), SIGMA_IMAGE)])
+def read_image_points(path: Path, sigma: float | None = None) -> Observed:
+    """Points measured in photos: id, photo, x, y; optional sigma_x and sigma_y. ``sigma``: default."""
+    return _read(path, [("id", "photo", *IMAGE, *own) for own in ((), SIGMA_IMAGE)], sigma)
 
 
-def read_ground_points(path: Path) -> Observed:
-    """Points in space: id, x_m, y_m, z_m; optional sigma_x_m, sigma_y_m, sigma_z_m."""
-    return _read(path, [("id", *GROUND, *sigma) for sigma in ((), SIGMA_GROUND)])
+def read_ground_points(path: Path, sigma_m: float | None = None) -> Observed:
+    """Points in space: id, x_m, y_m, z_m; optional sigma_x_m, sigma_y_m, sigma_z_m. ``sigma_m``: default."""
+    return _read(path, [("id", *GROUND, *own) for own in ((), SIGMA_GROUND)], sigma_m)
 
 
-def _read(path: Path, layouts: list[tuple[str, ...]]) -> Observed:
+def _read(path: Path, layouts: list[tuple[str, ...]], default: float | None) -> Observed:
     faults = Faults(str(path))
     table = read_table(path, layouts, faults)
     rows, columns = ((), ()) if table is None else (table.rows, table.columns)
@@ -101,10 +114,13 @@ def _read(path: Path, layouts: list[tuple[str, ...]]) -> Observed:
                 faults.add("closerange.sigma_range", place=row.place(name), value=value, least=SMALLEST, limit=LARGEST)
             if value <= 0.0:
                 faults.add("rectify.positive", place=row.place(name), value=value, unit="the unit of the coordinates")
+    own = sigma if sigma_names else None
+    if own is None and default is not None:
+        own = np.full((len(rows), 2 if "x" in columns else 3), default)
     points = Observed(
         tuple(row.cells["id"] for row in rows), tuple(row.cells.get("photo", "") for row in rows),
         _numbers(rows, IMAGE if "x" in columns else (), faults),
-        _numbers(rows, GROUND if "x_m" in columns else (), faults), sigma if sigma_names else None,
+        _numbers(rows, GROUND if "x_m" in columns else (), faults), own,
         check_roles(rows, faults), sha256_of(path) if table else "",
     )  # fmt: skip
     seen = set[tuple[str, str]]()

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.linear.threads import one_blas_thread
-from fg_orient.closerange.dlt import RECOVERED, DltFit, fit_dlt
+from fg_orient.closerange.dlt import RECOVERED, fit_dlt
 from fg_orient.closerange.files import (
     GROUND,
     Observed,
@@ -23,15 +23,16 @@ from fg_orient.closerange.files import (
     read_ground_points,
     read_image_points,
 )
-from fg_orient.closerange.fitting import plain_rms
+from fg_orient.closerange.fitting import Fit, plain_rms
 from fg_orient.closerange.intersection import intersect_photos
+from fg_orient.closerange.options import DltOptions, ImageOptions, SurfaceOptions
 from fg_orient.closerange.photo import Photo, aerial_from_rotation
 from fg_orient.closerange.report import RECORD_FILE, REPORT_FILE
 from fg_orient.closerange.report_html import render
-from fg_orient.closerange.report_words import doubts
-from fg_orient.closerange.resection import Resection, resect
+from fg_orient.closerange.report_words import doubts, photo_rows
+from fg_orient.closerange.resection import resect
 from fg_orient.closerange.surface import Kind
-from fg_orient.closerange.surface_fit import Method, Priors, fit_surface
+from fg_orient.closerange.surface_fit import Priors, fit_surface
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, write_text, writing
 from fg_orient.formats.closerange import read_photos
 from fg_orient.model.errors import Finding, InputError, as_record, finding
@@ -92,59 +93,34 @@ class Output:
 NONE: Final = Output()
 
 
-def run_dlt(
-    path: Path, *, distortion: Sequence[str] = (), sigma: float | None = None, iterate: bool = True,
-    output: Output = NONE,
-) -> Record:  # fmt: skip
-    """Fit a DLT to each photo of a table of control points.
-
-    Parameters
-    ----------
-    path : Path
-        See :func:`fg_orient.closerange.files.read_control`.
-    distortion : sequence of str
-        Unknown coefficients.
-    sigma : float, optional
-        Of image coordinates without a sigma in the table; by default all have weight 1, and m0 is their sigma.
-    iterate : bool
-        False: the direct linear solution.
-    output : Output, optional
+def run_dlt(path: Path, options: DltOptions, output: Output = NONE) -> Record:
+    """Fit a DLT to each photo of a table of control points (:func:`fg_orient.closerange.files.read_control`).
 
     Raises
     ------
     InputError, NoSolutionError
         See :func:`fg_orient.closerange.dlt.fit_dlt`.
     """
-    output.require_possible()
-    table, texts = read_control(path), list[str]()
 
-    def one(name: str, rows: Array, weights: Array) -> Record:
-        used = rows[~table.check[rows]]
-        stated = None if table.sigma is None and sigma is None else weights[~table.check[rows]]
-        fitted = fit_dlt(table.ground[used], table.image[used], sigma=stated, distortion=distortion, name=name,
-                         iterate=iterate)  # fmt: skip
-        texts.append(photo_text(fitted.photo))
-        little = fitted.redundancy == 1 and stated is None
-        doubts = [fitted.doubt, finding("closerange.little_redundancy") if little else None]
-        return _dlt_record(fitted, doubts) | _photo_points(table, rows, fitted.photo, sigma)
-
-    record = {"kind": "dlt", **unit_of_weights(table, sigma), "photos": _each_photo(table, sigma, one)}
-    return finished(record, path, table, output, texts)
-
-
-def _dlt_record(fitted: DltFit, doubts: Sequence[Finding | None]) -> Record:
-    r, s = fitted.recovered, fitted.recovered.sigma or dict.fromkeys(RECOVERED)
-    return {
-        "photo": fitted.photo.name, **_fit_facts(fitted, doubts),
-        "parameters": _parameters(fitted.names, fitted.values, fitted.sigma),
-        "origin_m": fitted.photo.origin_m.tolist(),
-        "interior": {
+    def one(name: str, ground: Array, image: Array, sigma: Array | None) -> tuple[Record, Photo, str]:
+        fit = fit_dlt(ground, image, sigma=sigma, distortion=options.distortion, name=name, iterate=not options.direct)
+        little = fit.redundancy == 1 and sigma is None
+        doubts = [fit.doubt, finding("closerange.little_redundancy") if little else None]
+        r, s = fit.recovered, fit.recovered.sigma or dict.fromkeys(RECOVERED)
+        interior = {
             "principal": r.principal.tolist(), "sigma_principal": [s["x0"], s["y0"]], "cx": r.cx, "sigma_cx": s["cx"],
             "cy": r.cy, "sigma_cy": s["cy"], "skew_rad": r.skew, "sigma_skew_rad": s["skew"], "y_axis": r.y_axis,
-        },
-        "exterior": exterior_record(r.rotation, r.centre_m, [s["turn_x"], s["turn_y"], s["turn_z"]],
-                              [s["X0"], s["Y0"], s["Z0"]]),
-    }  # fmt: skip
+        }  # fmt: skip
+        exterior = exterior_record(
+            r.rotation, r.centre_m, [s[n] for n in RECOVERED[8:]], [s[n] for n in RECOVERED[5:8]]
+        )
+        record = {
+            "photo": name, **_fit_facts(fit, doubts), "parameters": _parameters(fit.names, fit.values, fit.sigma),
+            "origin_m": fit.photo.origin_m.tolist(), "interior": interior, "exterior": exterior,
+        }  # fmt: skip
+        return record, fit.photo, photo_text(fit.photo)
+
+    return _each_photo("dlt", path, options.sigma, output, one)
 
 
 def _parameters(names: Sequence[str], values: Array, sigma: Array | None) -> list[Record]:
@@ -153,7 +129,7 @@ def _parameters(names: Sequence[str], values: Array, sigma: Array | None) -> lis
     return [{"name": n, "value": v, "sigma": s} for n, v, s in zip(names, values.tolist(), deviations, strict=True)]
 
 
-def run_resect(path: Path, camera: Path, *, sigma: float | None = None, output: Output = NONE) -> Record:
+def run_resect(path: Path, camera: Path, options: ImageOptions, output: Output = NONE) -> Record:
     """Orient each photo of a table of control points by its camera.
 
     Raises
@@ -161,23 +137,20 @@ def run_resect(path: Path, camera: Path, *, sigma: float | None = None, output: 
     InputError, NoSolutionError
         See :func:`fg_orient.closerange.resection.resect`; a photo without a camera.
     """
-    output.require_possible()
-    table, texts, cameras = read_control(path), list[str](), interiors(read_photos(camera))
+    cameras = interiors(read_photos(camera))
 
-    def one(name: str, rows: Array, weights: Array) -> Record:
-        interior, used = of_name(cameras, name, camera), rows[~table.check[rows]]
-        pose = resect(interior, table.ground[used], table.image[used], sigma=weights[~table.check[rows]], name=name)
-        texts.append(photo_text(pose.photo, interior, pose.rotation))
+    def one(name: str, ground: Array, image: Array, sigma: Array | None) -> tuple[Record, Photo, str]:
+        interior = of_name(cameras, name, camera)
+        pose = resect(interior, ground, image, sigma=1.0 if sigma is None else sigma, name=name)
         sd: list[Any] = [None] * 6 if pose.sigma is None else pose.sigma.tolist()
         exterior = exterior_record(pose.rotation, pose.centre_m, sd[:3], sd[3:])
-        facts = {"photo": name, **_fit_facts(pose, pose.second_pose()), "exterior": exterior}
-        return facts | _photo_points(table, rows, pose.photo, sigma)
+        record = {"photo": name, **_fit_facts(pose, pose.second_pose()), "exterior": exterior}
+        return record, pose.photo, photo_text(pose.photo, interior, pose.rotation)
 
-    record = {"kind": "resection", **unit_of_weights(table, sigma), "photos": _each_photo(table, sigma, one)}
-    return finished(record, path, table, output, texts, [camera])
+    return _each_photo("resection", path, options.sigma, output, one, [camera])
 
 
-def run_intersect(path: Path, photos: Path, *, sigma: float | None = None, output: Output = NONE) -> Record:
+def run_intersect(path: Path, photos: Path, options: ImageOptions, output: Output = NONE) -> Record:
     """Intersect the points of a table by oriented photos.
 
     Raises
@@ -186,13 +159,12 @@ def run_intersect(path: Path, photos: Path, *, sigma: float | None = None, outpu
         See :func:`fg_orient.closerange.intersection.intersect_photos`; a photo that the file does not contain.
     """
     output.require_possible()
-    table, known = read_image_points(path), oriented_photos(read_photos(photos))
+    table, known = read_image_points(path, options.sigma), oriented_photos(read_photos(photos))
     names, ids = list(dict.fromkeys(table.photos)), list(dict.fromkeys(table.ids))
     which, of = [names.index(name) for name in table.photos], [ids.index(name) for name in table.ids]
-    weights = weights_of(table, sigma)
     with one_blas_thread():
-        result = intersect_photos([of_name(known, n, photos) for n in names], which, of, table.image, sigma=weights,
-                                 ids=ids)  # fmt: skip
+        result = intersect_photos([of_name(known, n, photos) for n in names], which, of, table.image,
+                                  sigma=table.image_sigma, ids=ids)  # fmt: skip
     rms, sd = [np.linalg.norm(result.residuals[np.array(of) == k]) for k in range(len(ids))], result.sigma_m
     points = [
         {"id": name, **xyz(result.points_m[k]), **xyz(None if sd is None else sd[k], "sigma_"),
@@ -200,13 +172,13 @@ def run_intersect(path: Path, photos: Path, *, sigma: float | None = None, outpu
          "misfit": float(rms[k] / np.sqrt(of.count(k)))}
         for k, name in enumerate(ids)
     ]  # fmt: skip
-    seen = zip(table.photos, table.ids, table.image.tolist(), result.residuals.tolist(), strict=True)
-    given = _given_sigmas(table, sigma) or [{}] * len(table)
-    residuals = [{"photo": p, "id": i, "x": x, "y": y, "residual_x": vx, "residual_y": vy, **s}
-                 for (p, i, (x, y), (vx, vy)), s in zip(seen, given, strict=True)]  # fmt: skip
+    residuals = [
+        {"photo": table.photos[k], "id": table.ids[k], **_pair("", table.image[k]), **_pair("residual_", v),
+         **_given_sigmas(table, k)} for k, v in enumerate(result.residuals)
+    ]  # fmt: skip
     centres = [{"photo": n, "exterior": {"centre_m": known[n].origin_m.tolist()}} for n in names if n in known]
     record = {
-        "kind": "intersection", **unit_of_weights(table, sigma), "m0": result.m0, "redundancy": result.redundancy,
+        "kind": "intersection", "weights": table.weights, "m0": result.m0, "redundancy": result.redundancy,
         "iterations": result.iterations, "points": points, "residuals": residuals, "stations": centres,
         **as_record(no_redundancy(result.m0)),
     }  # fmt: skip
@@ -214,9 +186,8 @@ def run_intersect(path: Path, photos: Path, *, sigma: float | None = None, outpu
 
 
 def run_surface(
-    path: Path, kind: Kind, *, axis: str = "y", method: Method = "geometric", sigma_m: float | None = None,
-    priors: Priors | None = None, output: Output = NONE,
-) -> Record:  # fmt: skip
+    path: Path, kind: Kind, options: SurfaceOptions, *, priors: Priors | None = None, output: Output = NONE
+) -> Record:
     """Fit a surface to the points of a table.
 
     Raises
@@ -225,16 +196,14 @@ def run_surface(
         See :func:`fg_orient.closerange.surface_fit.fit_surface`; priors for points without sigma.
     """
     output.require_possible()
-    table = read_ground_points(path)
-    require_absolute(
-        path, table, sigma_m, [("", f"<prior> {name}", value[1]) for name, value in (priors or {}).items()]
-    )
-    weights = sigma_m if table.sigma is None else table.sigma
+    table, axis, method = read_ground_points(path, options.sigma_m), options.axis, options.method
+    sigma = table.sigma
+    require_absolute(path, table, [("", f"<prior> {name}", value[1]) for name, value in (priors or {}).items()])
     with one_blas_thread():
-        fit = fit_surface(table.ground, kind, axis=axis, sigma_m=weights, method=method, priors=priors)
-    ratio = None if weights is None or method != "geometric" else np.linalg.norm(fit.deviations_m / weights, axis=1)
+        fit = fit_surface(table.ground, kind, axis=axis, sigma_m=sigma, method=method, priors=priors)
+    ratio = None if sigma is None or method != "geometric" else np.linalg.norm(fit.deviations_m / sigma, axis=1)
     record: Record = {
-        "kind": "surface", **unit_of_weights(table, sigma_m), "surface": fit.surface.as_dict(), "method": method,
+        "kind": "surface", "weights": table.weights, "surface": fit.surface.as_dict(), "method": method,
         "axis": axis if kind == "spheroid" else None, "m0": fit.m0, "redundancy": fit.redundancy,
         "condition": fit.condition, "iterations": fit.iterations, "rms_m": fit.rms_m,
         "rms_deviation_m": plain_rms(fit.deviations_m),
@@ -253,19 +222,7 @@ def run_surface(
 # --- common parts ----------------------------------------------------------------------------------
 
 
-def weights_of(table: Observed, sigma: float | None) -> Array:
-    """Sigmas (n, 2) of the image coordinates: of the table, or one for all; 1 if unknown."""
-    return np.full((len(table), 2), 1.0 if sigma is None else sigma) if table.sigma is None else table.sigma
-
-
-def unit_of_weights(table: Observed, sigma: float | None) -> Record:
-    """Weights of given sigmas (m0 is a ratio), or relative weights (m0 is a sigma)."""
-    return {"weights": "relative" if table.sigma is None and sigma is None else "absolute"}
-
-
-def require_absolute(
-    path: Path, table: Observed, sigma: float | None, beside: Iterable[tuple[str, str, float]]
-) -> None:
+def require_absolute(path: Path, table: Observed, beside: Iterable[tuple[str, str, float]]) -> None:
     """Refuse sigmas in metres or radians together with relative weights of coordinates.
 
     Parameters
@@ -278,23 +235,38 @@ def require_absolute(
     InputError
         Names the first one.
     """
-    if table.sigma is None and sigma is None:
+    if table.sigma is None:
         for file, place, value in beside:
             raise InputError.of("closerange.relative", file=file, place=place, value=value, points=path.name)
 
 
-def _each_photo(table: Observed, sigma: float | None, one: Callable[[str, Any, Array], Record]) -> list[Record]:
-    """Records of the photos in the order of the table; errors name the photo."""
-    weights, out = weights_of(table, sigma), []
+def _each_photo(
+    kind: str, path: Path, sigma: float | None, output: Output,
+    one: Callable[[str, Array, Array, Array | None], tuple[Record, Photo, str]], beside: Sequence[Path] = (),
+) -> Record:  # fmt: skip
+    """Record of the photos of a table of control points, in its order; errors name the photo.
+
+    Parameters
+    ----------
+    one : callable
+        Record, photo and its table for a photo file, from the name, ground (n, 3) and image (n, 2) coordinates of the
+        control points and their sigmas (n, 2).
+    """
+    output.require_possible()
+    table, texts, photos = read_control(path, sigma), list[str](), list[Record]()
     with one_blas_thread():
         for name in dict.fromkeys(table.photos):
             rows = np.flatnonzero(np.array(table.photos, dtype=object) == name)
+            used = rows[~table.check[rows]]
             try:
-                out.append(one(name, rows, weights[rows]))
+                record, photo, text = one(name, table.ground[used], table.image[used],
+                                          None if table.sigma is None else table.sigma[used])  # fmt: skip
             except InputError as error:
                 of = f"photo {name}, " if name else ""
                 raise InputError(*(replace(p, place=f"{of}{p.place}".rstrip(", ")) for p in error.problems)) from None
-    return out
+            photos.append(record | _photo_points(table, rows, photo))
+            texts.append(text)
+    return finished({"kind": kind, "weights": table.weights, "photos": photos}, path, table, output, texts, beside)
 
 
 def of_name(known: Mapping[str, T], name: str, path: Path) -> T:
@@ -312,7 +284,7 @@ def no_redundancy(m0: float | None) -> list[Finding]:
     return [] if m0 is not None else [finding("closerange.no_redundancy")]
 
 
-def _fit_facts(fit: DltFit | Resection, doubts: Sequence[Finding | None]) -> Record:
+def _fit_facts(fit: Fit, doubts: Sequence[Finding | None]) -> Record:
     return {
         "m0": fit.m0, "redundancy": fit.redundancy, "condition": fit.condition, "iterations": fit.iterations,
         **as_record([*no_redundancy(fit.m0), *filter(None, doubts)]),
@@ -328,26 +300,25 @@ def exterior_record(rotation: Array, centre: Array, turns: Sequence[Any], sigma:
     }  # fmt: skip
 
 
-def _photo_points(table: Observed, rows: Array, photo: Photo, sigma: float | None) -> Record:
+def _photo_points(table: Observed, rows: npt.NDArray[np.intp], photo: Photo) -> Record:
     """Residuals of all points of a photo, computed minus measured, and their RMS by role."""
-    index = np.asarray(rows, np.intp)
-    residual = photo.project(table.ground[index]) - table.image[index]
-    given = _given_sigmas(table, sigma)
-    check = table.check[index]
+    residual, check = photo.project(table.ground[rows]) - table.image[rows], table.check[rows]
     points = [
-        {"id": table.ids[k], "role": "check" if table.check[k] else "control", "residual_x": float(r[0]),
-         "residual_y": float(r[1]), "x": float(table.image[k, 0]), "y": float(table.image[k, 1]),
-         **xyz(table.ground[k]), **(given[k] if given else {})}
-        for k, r in zip(index.tolist(), residual, strict=True)
+        {"id": table.ids[k], "role": "check" if table.check[k] else "control", **_pair("residual_", v),
+         **_pair("", table.image[k]), **xyz(table.ground[k]), **_given_sigmas(table, k)}
+        for k, v in zip(rows.tolist(), residual, strict=True)
     ]  # fmt: skip
     return {"rms": plain_rms(residual[~check]), "check_rms": plain_rms(residual[check]), "points": points}
 
 
-def _given_sigmas(table: Observed, sigma: float | None) -> list[Record]:
-    """Given standard deviations of the image coordinates; an empty list for equal weights."""
-    if unit_of_weights(table, sigma)["weights"] == "relative":
-        return []
-    return [{"sigma_x": x, "sigma_y": y} for x, y in weights_of(table, sigma).tolist()]
+def _pair(prefix: str, values: Array) -> Record:
+    """Two numbers of an image point."""
+    return {f"{prefix}{axis}": value for axis, value in zip("xy", values.tolist(), strict=True)}
+
+
+def _given_sigmas(table: Observed, row: int) -> Record:
+    """Given standard deviations of an image point; empty for relative weights."""
+    return {} if table.sigma is None else _pair("sigma_", table.sigma[row])
 
 
 def xyz(values: Array | None, prefix: str = "") -> Record:
@@ -392,10 +363,7 @@ def finished(
         with staged_folder(out, overwrite=output.overwrite, contents=CONTENTS) as folder, writing(out):
             (folder / RECORD_FILE).write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
             (folder / REPORT_FILE).write_text(page, encoding="utf-8")
-            rows = record.get("points") or [
-                {"photo": p["photo"]} | row for p in record["photos"] for row in p["points"]
-            ]
-            write_rows(folder / "points.csv", rows)
+            write_rows(folder / "points.csv", record.get("points") or photo_rows(record))
             if photos:
                 (folder / "photos.toml").write_text("schema = 1\n\n" + "\n".join(photos), encoding="utf-8")
     if report is not None:

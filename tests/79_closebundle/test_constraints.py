@@ -16,11 +16,10 @@ from fg_orient.closerange.constraints import (
     FIGURES,
     KINDS,
     Constraint,
-    figure_observations,
     figure_of,
+    figure_parts,
     observed_element,
     plain_observation,
-    variable_of,
 )
 
 from .conftest import Array
@@ -125,7 +124,8 @@ def networks(kind: str, shape: Array, rng: np.random.Generator, sigmas: Sequence
         if figure is None:
             more, own = [], [plain_observation(one, list(range(n)), start)]
         else:
-            more, own = [variable_of(one, figure)], figure_observations(one, figure, n, list(range(n)))
+            variable, own = figure_parts(one, figure, n, list(range(n)))
+            more = [variable]
         out.append(Network((*variables, *more), (*rows, *own)))
     return out
 

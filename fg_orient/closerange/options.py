@@ -1,0 +1,73 @@
+"""Options of the commands of close range; each field is the only declaration of its option.
+
+The types are read when the program runs, so annotations are not postponed here.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from fg_orient.model.declaration import Group, Names, documented, option, require_allowed
+
+MODEL: Final = Group("Model")
+WEIGHTS: Final = Group("Weights")
+#: Smallest and largest standard deviation: ``SMALLEST`` and ``LARGEST`` of ``formats.closerange``.
+SIZES: Final = (1e-12, 1e12)
+RELATIVE: Final = "without it weights are relative, and m0 is that standard deviation"
+
+# fmt: off
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class ImageOptions:
+    """Weights of image points."""
+
+    sigma: float | None = option(
+        None, WEIGHTS, f"Default standard deviation of image coordinates, in their unit; {RELATIVE}.", within=SIZES,
+    )
+
+    def __post_init__(self) -> None:
+        require_allowed(self)
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class DltOptions(ImageOptions):
+    """Options of a direct linear transformation."""
+
+    distortion: Names = option((), MODEL, "Unknown coefficients: k1,k2,k3,p1,p2; none if not given.")
+    direct: bool = option(False, MODEL, "The direct linear solution, not iterated.")
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class BundleOptions(ImageOptions):
+    """Options of a bundle adjustment."""
+
+    unknown: Names = option(
+        (), MODEL, "Unknown camera parameters of each photo: c,x0,y0,k1,k2,k3,p1,p2, a1 to a21, or sets such as "
+        "radial-even, film or brown (docs/closerange.md).",
+    )
+    shared: Names = option((), MODEL, "Unknown camera parameters that all photos share.")
+    sigma_control_m: float = option(
+        0.0, WEIGHTS, "Default standard deviation of control points, 0 for exact ones.", unit="m", within=SIZES,
+        zero="exact control points",
+    )
+    backend: Literal["dense", "graph"] = option("dense", MODEL, "Correlates, or a GTSAM graph.")
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class SurfaceOptions:
+    """Options of the fit of a surface."""
+
+    axis: Literal["x", "y", "z", "free"] = option("y", MODEL, "Axis of a spheroid.")
+    method: Literal["geometric", "algebraic"] = option(
+        "geometric", MODEL, "Distances to the surface, or conditions (Ayhan 1996).",
+    )
+    sigma_m: float | None = option(
+        None, WEIGHTS, f"Default standard deviation of coordinates; {RELATIVE}.", unit="m", within=SIZES,
+    )
+
+    def __post_init__(self) -> None:
+        require_allowed(self)
