@@ -14,12 +14,13 @@ from factors.cameras.extended_collinearity import NAMES
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import OPTIMIZERS, Callback, LoopResult
-from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, NetworkRows, bordered_inverse, dependent
+from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, bordered_inverse
 from fg_orient.closerange.bundle_checks import (
     HELD,
     missed_most,
     require_consistent,
     require_determined,
+    require_independent,
     require_rays,
     require_slopes,
 )
@@ -318,7 +319,8 @@ def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None
     network = built.network
     try:
         rows = network.rows(network.start)
-        _require_independent(network, rows)
+        require_slopes(network, rows)
+        require_independent(network, rows)
         require_determined(built, rows)
         run: LoopResult[Array] = OPTIMIZERS[optimizer](
             engine, network.start, MAX_ITERATIONS, callback, tolerance=TOLERANCE
@@ -328,19 +330,12 @@ def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None
         rows = network.rows(run.state)
         if len(rows.condition) and np.abs(rows.condition).max() > HELD:
             raise _not_converged(network, "hard constraints are not satisfied where the steps end")
-        _require_independent(network, rows)  # some depend on others only where these are satisfied
+        require_slopes(network, rows)
+        require_independent(network, rows)  # some depend on others only where these are satisfied
         require_determined(built, rows)
     except (NotFiniteError, RuntimeError) as error:
         raise _not_converged(network, str(error)) from error
     return run
-
-
-def _require_independent(network: Network, rows: NetworkRows) -> None:
-    """Refuse a hard constraint that depends on those before it: redundancy and cofactors would count it twice."""
-    require_slopes(network, rows)
-    label = dependent(network, rows)
-    if label:
-        raise InputError.of("closerange.dependent", place=label)
 
 
 def _not_converged(network: Network, reason: str) -> NoSolutionError:

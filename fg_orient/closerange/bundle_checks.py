@@ -39,29 +39,20 @@ ROUNDING: Final = 1e-15
 
 
 def require_rays(built: Built, which: Index, of: Index) -> None:
-    """Refuse points in fewer than two photos without other observations.
+    """Refuse points in fewer than two photos without other observations; photo and point (m,) of each image point.
 
     A control point or a point of a constraint is checked with all other unknowns, by :func:`require_determined`.
-
-    Parameters
-    ----------
-    which, of : (m,) int arrays
-        Photo and point of each image point.
-
-    Raises
-    ------
-    InputError
-        Names the points and their photos.
     """
     others = {u for o in built.observations if o.equation is not EXTENDED_COLLINEARITY
               for u in o.unknowns if not isinstance(u, np.ndarray)}  # fmt: skip
     faults = []
-    for j, variable in built.point_variables.items():
+    for j in (j for j, variable in built.point_variables.items() if variable not in others):
         photos = np.unique(which[of == j])
-        if len(photos) < 2 and variable not in others:
-            where = f", photo {built.photos[photos[0]].name}" if len(photos) else ""
-            code = "closerange.one_ray" if len(photos) else "closerange.no_ray"
-            faults.append(finding(code, place=f"point {built.ids[j]}{where}"))
+        if not len(photos):
+            faults.append(finding("closerange.no_ray", place=f"point {built.ids[j]}"))
+        elif len(photos) == 1:
+            where = f"point {built.ids[j]}, photo {built.photos[photos[0]].name}"
+            faults.append(finding("closerange.one_ray", place=where))
     if faults:
         raise InputError(*faults)
 
@@ -69,13 +60,9 @@ def require_rays(built: Built, which: Index, of: Index) -> None:
 def require_determined(built: Built, rows: NetworkRows) -> None:
     """Refuse unknowns that the rows do not determine.
 
-    Hard conditions leave a space of motions Z. The singular values of J Z, with unknowns in units of the accuracy of
-    their observations, measure how well these determine them. The unit of a figure is that of its points.
-
-    Raises
-    ------
-    InputError
-        Names the open motions of the coordinate system; if there are none, the unknowns and the direction.
+    Hard conditions allow a space of motions Z. The singular values of J Z, with unknowns in units of the accuracy of
+    their observations, measure how well the observations determine the unknowns. The unit of a figure is that of its
+    points. The error names the open motions of the coordinate system; without any, the unknowns and the direction.
     """
     unit = built.units(rows)
     border = rows.border * unit
@@ -113,29 +100,23 @@ def require_datum(built: Built, rows: NetworkRows, unit: Array) -> None:
 
     The figures follow the seven motions. With hard conditions as observations of large weight, small singular values
     belong to open motions.
-
-    Raises
-    ------
-    InputError
-        How many motions are open, and which.
     """
     length = np.linalg.norm(rows.border * unit, axis=1, keepdims=True)
     design = np.vstack([rows.design * unit, HARD * rows.border * unit / np.where(length > 0.0, length, 1.0)])
     moved = motions(built) / unit[:, None]
     figures = [i for k in built.figure_variables for i in range(*built.network.part(k).indices(len(unit)))]
+    effect = design @ moved
     if figures:  # the figures follow a motion without a misclosure
         follow, _ = np.linalg.qr(design[:, figures])
-        felt = design @ moved - follow @ (follow.T @ (design @ moved))
-    else:
-        felt = design @ moved
+        effect = effect - follow @ (follow.T @ effect)
     size = np.linalg.norm(moved, axis=0)
     if not (size > 0.0).all():  # all points and photos are held fixed
         return
-    moved, felt = moved / size, felt / size
-    _, values, right = np.linalg.svd(np.linalg.qr(felt, mode="r"))
+    moved, effect = moved / size, effect / size
+    _, values, right = np.linalg.svd(np.linalg.qr(effect, mode="r"))
     count = int(np.sum(np.abs(moved @ right.T).max(axis=0) > UNDETERMINED * values))
     if count:
-        alone = np.abs(moved).max(axis=0) > UNDETERMINED * np.linalg.norm(felt, axis=0)
+        alone = np.abs(moved).max(axis=0) > UNDETERMINED * np.linalg.norm(effect, axis=0)
         words = [name for name, is_open in zip(MOTIONS, alone, strict=True) if is_open]
         raise InputError.of("closerange.datum", place="bundle", count=count,
                             words=f" ({', '.join(words)})" if words else "")  # fmt: skip
@@ -166,12 +147,8 @@ def require_consistent(network: Network) -> None:
 
     Levenberg-Marquardt minimises the sum of their squares, without observations; the misclosure of a condition there
     is its part in a conflict. Conditions that vanish only if points merge (points of a plumb line on a horizontal
-    circle) are a conflict as well if the points were measured apart.
-
-    Raises
-    ------
-    InputError
-        Names the unsatisfied conditions, the merged points, or a condition that follows from the others where all hold.
+    circle) are a conflict as well if the points were measured apart. A condition that follows from the others where all
+    hold is refused, too.
     """
     hard = _hard(network)
     if not hard.observations:
@@ -190,19 +167,18 @@ def require_consistent(network: Network) -> None:
         named = [o.label.partition(": ")[0] for o in hard.observations if merged & {*_points(hard, o)}]
         points = ", ".join(hard.variables[k].name.removeprefix("point ") for k in sorted(merged))
         raise InputError.of("closerange.merged", place="bundle", names="; ".join(dict.fromkeys(named)), points=points)
-    label = dependent(hard, hard.rows(state))
+    require_independent(hard, hard.rows(state))
+
+
+def require_independent(network: Network, rows: NetworkRows) -> None:
+    """Refuse a hard constraint that depends on those before it: redundancy and cofactors would count it twice."""
+    label = dependent(network, rows)
     if label:
         raise InputError.of("closerange.dependent", place=label)
 
 
 def require_slopes(network: Network, rows: NetworkRows) -> None:
-    """Refuse an unsatisfied hard condition with zero derivatives: perpendicular lines that must be parallel.
-
-    Raises
-    ------
-    InputError
-        Names the condition and its misclosure.
-    """
+    """Refuse an unsatisfied hard condition with zero derivatives: perpendicular lines that must be parallel."""
     length = np.linalg.norm(rows.border, axis=1)
     stuck = (length <= DEPENDENT * length.max(initial=0.0)) & (np.abs(rows.condition) > HELD)
     if stuck.any():

@@ -22,7 +22,6 @@ from fg_orient.closerange.files import (
     read_ground_points,
     read_image_points,
     read_stations,
-    station_sigmas,
 )
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.job import (
@@ -87,23 +86,28 @@ def run_bundle(
     known, begun = _control(control, sigma_control_m), _control(start, 0.0)
     places = begun | known
     names, ids = list(dict.fromkeys(table.photos)), list(dict.fromkeys((*table.ids, *begun)))
-    which, of = (
-        np.array(v, np.intp) for v in ([names.index(n) for n in table.photos], [ids.index(i) for i in table.ids])
-    )
+    which = np.array([names.index(name) for name in table.photos], np.intp)
+    of = np.array([ids.index(name) for name in table.ids], np.intp)
     seen, withheld = read_stations(stations) if stations else {}, _control(check, 0.0)
     both = [name for name in withheld if name in known]
     if both:
         raise InputError.of("closerange.check_and_control", file=check, place=f"point {both[0]}")
     entries = read_constraints(constraints) if constraints else ()
-    stated = [_constraint(entry) for entry in entries]
-    require_absolute(
-        path, table,
-        [*_own_sigmas(control, sigma_control_m, known), *_stated(constraints, entries), *station_sigmas(stations, seen)]
-    )  # fmt: skip
+    stated = [Constraint(e.kind, e.members, e.value_m, e.sigma, e.observed, e.axis,
+                         np.eye(3) if e.offset is None else np.array(e.offset)) for e in entries]  # fmt: skip
+    require_absolute(path, table, [
+        *_own_sigmas(control, sigma_control_m, known), *_stated(constraints, entries),
+        *((str(stations), f"photo {name}", float(s.sigma_m.max())) for name, s in seen.items()),
+    ])  # fmt: skip
     report_progress("start values", len(table.ids))
     with one_blas_thread():
         starts, doubts = _starts(photos, names, table, which, of, ids, places, seen)
-        given = [_photo(n, start, seen.get(n), own, common) for n, start in zip(names, starts, strict=True)]
+        given = [
+            BundlePhoto(name, *start, own, "all", common, sigma_centre_m=station.sigma_m if station else None,
+                        sigma_turn_rad=station.sigma_turns_rad if station else None,
+                        observed_centre_m=station.centre_m if station else None)
+            for name, start, station in zip(names, starts, map(seen.get, names), strict=True)
+        ]  # fmt: skip
         begin = _points(starts, names, table, which, of, ids, places)
         report_progress("iterations", len(table.ids))
         result = adjust_bundle(
@@ -111,10 +115,9 @@ def run_bundle(
             control={i: known[i] for i in ids if i in known}, constraints=stated, callback=callback,
             backend=options.backend,
         )  # fmt: skip
-    photos_of = [] if result.beyond else result.oriented()
-    texts = [
-        photo_text(p, i, r) for p, i, r in zip(photos_of, result.interiors, result.rotations, strict=bool(photos_of))
-    ]
+    oriented = [] if result.beyond else result.oriented()
+    parts = zip(oriented, result.interiors, result.rotations, strict=bool(oriented))
+    texts = [photo_text(*part) for part in parts]
     checks = {name: at for name, (at, _) in withheld.items()}
     record = {"weights": table.weights} | bundle_record(result, table, known, which, of, seen, checks, doubts)
     beside = (photos, control, check, start, constraints, stations)
@@ -140,12 +143,6 @@ def _stated(path: Path | None, entries: Sequence[ConstraintEntry]) -> Iterator[t
             yield str(path), f"constraints[{k}].observed.{name}", sigma
 
 
-def _constraint(entry: ConstraintEntry) -> Constraint:
-    """Constraint of a table."""
-    offset = np.eye(3) if entry.offset is None else np.array(entry.offset)
-    return Constraint(entry.kind, entry.members, entry.value_m, entry.sigma, entry.observed, entry.axis, offset)
-
-
 def _control(path: Path | None, sigma_m: float) -> dict[str, tuple[Array, Array]]:
     """Coordinates and sigmas of the control points by id."""
     if path is None:
@@ -162,9 +159,9 @@ def _starts(
     path: Path, names: Sequence[str], table: Observed, which: Index, of: Index, ids: Sequence[str],
     known: Mapping[str, tuple[Array, Array]], seen: Mapping[str, Station],
 ) -> tuple[list[Start], list[Finding]]:  # fmt: skip
-    """PhotoInterior, rotation and centre of each photo, and what to doubt there.
+    """PhotoInterior, rotation and centre of each photo, and warnings.
 
-    An observed attitude begins as observed, the rest as the file says, else by resection.
+    An observed attitude is its own approximate value; the others come from the file, else from a resection.
     """
     file = read_photos(path)
     cameras, out, doubts = interiors(file), list[Start](), list[Finding]()
@@ -185,16 +182,6 @@ def _starts(
         out.append((interior, pose.rotation, pose.photo.origin_m))
         doubts += pose.second_pose(f"the bundle begins with a resection of photo {name}")
     return out, doubts
-
-
-def _photo(
-    name: str, start: Start, station: Station | None, own: tuple[str, ...], shared: tuple[str, ...]
-) -> BundlePhoto:
-    """Photo of the bundle, with what was observed of it."""
-    if station is None:
-        return BundlePhoto(name, *start, own, "all", shared)
-    return BundlePhoto(name, *start, own, "all", shared, sigma_centre_m=station.sigma_m,
-                       sigma_turn_rad=station.sigma_turns_rad, observed_centre_m=station.centre_m)  # fmt: skip
 
 
 def _points(

@@ -7,7 +7,7 @@ receiver, a total station or an inertial unit, in the coordinate system of the c
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -24,7 +24,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.rectification.points import check_roles, numbers_of
 
 if TYPE_CHECKING:
-    from fg_orient.formats.closerange import Photos
+    from fg_orient.formats.closerange import PhotoEntry, Photos
 
 Array = npt.NDArray[np.float64]
 
@@ -141,29 +141,18 @@ def _numbers(rows: Sequence[Row], names: Sequence[str], faults: Faults) -> Array
 
 
 def interiors(photos: Photos) -> dict[str, PhotoInterior]:
-    """Cameras of a photo file by name.
+    """Cameras of a photo file by name; InputError for a photo without a focal length."""
+    return {name: _interior(photos, name, entry) for name, entry in photos.entries.items()}
 
-    Raises
-    ------
-    InputError
-        A photo without a focal length.
-    """
-    out = {}
-    for name, entry in photos.entries.items():
-        if entry.focal is None:
-            raise InputError.of("closerange.no_camera", file=photos.file, place=name)
-        out[name] = PhotoInterior(entry.focal, np.array(entry.principal), np.array(entry.corrections), entry.y_axis)
-    return out
+
+def _interior(photos: Photos, name: str, entry: PhotoEntry) -> PhotoInterior:
+    if entry.focal is None:
+        raise InputError.of("closerange.no_camera", file=photos.file, place=name)
+    return PhotoInterior(entry.focal, np.array(entry.principal), np.array(entry.corrections), entry.y_axis)
 
 
 def oriented_photos(photos: Photos) -> dict[str, Photo]:
-    """Oriented photos of a file by name.
-
-    Raises
-    ------
-    InputError
-        A photo with neither a matrix nor rotation, centre and focal length.
-    """
+    """Oriented photos of a file by name; InputError without a matrix or without rotation, centre and focal length."""
     out = {}
     for name, entry in photos.entries.items():
         if entry.matrix is not None:
@@ -173,8 +162,7 @@ def oriented_photos(photos: Photos) -> dict[str, Photo]:
                                     value="singular", expected="the matrix of a central projection")  # fmt: skip
             out[name] = Photo(name, matrix, origin, np.array(entry.principal), np.array(entry.corrections))
         elif entry.focal is not None and entry.rotation is not None and entry.centre_m is not None:
-            camera = PhotoInterior(entry.focal, np.array(entry.principal), np.array(entry.corrections), entry.y_axis)
-            out[name] = Photo.of(name, camera, entry.rotation, entry.centre_m)
+            out[name] = Photo.of(name, _interior(photos, name, entry), entry.rotation, entry.centre_m)
         else:
             raise InputError.of("closerange.not_oriented", file=photos.file, place=name)
     return out
@@ -256,11 +244,6 @@ def _sigmas(row: Row, names: tuple[str, ...], limit: float, faults: Faults) -> A
         if not (np.isnan(value) or SMALLEST <= value <= limit):
             faults.add("closerange.sigma_range", place=row.place(name), value=value, least=SMALLEST, limit=limit)
     return values
-
-
-def station_sigmas(path: Path | None, stations: Mapping[str, Station]) -> list[tuple[str, str, float]]:
-    """File, place and largest standard deviation of each station."""
-    return [(str(path), f"photo {name}", float(s.sigma_m.max())) for name, s in stations.items()]
 
 
 def observed_record(station: Station | None, centre_m: Array) -> dict[str, Any] | None:

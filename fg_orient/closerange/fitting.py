@@ -1,6 +1,6 @@
 """Adjustment of a small problem by the loop of the bundle adjustment: rows of any kind, and foot points on quadrics.
 
-Unknowns should be of size 1: the loop judges a step by its largest element.
+Unknowns should be of size 1, because the loop compares the largest element of a step with its limit.
 
 A condition ``l^T S l + 2 u^T l + c = 0`` between the observations of one point (a surface in space, the coplanarity of
 two rays) with ``v^T Q^-1 v`` minimal has v in closed form except for one number t. Along the eigenvectors of the
@@ -38,17 +38,7 @@ _ROUNDING: Final = 1e-15
 
 @dataclass(frozen=True)
 class Minimum:
-    """Result of :func:`adjust`.
-
-    Parameters
-    ----------
-    state : (u,) array
-    residual : (n,) array
-        Whitened.
-    design : (n, u) array
-        Its derivatives.
-    log : tuple of IterationRecord
-    """
+    """Result of :func:`adjust`: state (u,), whitened residuals (n,), their derivatives (n, u) and log."""
 
     state: Array
     residual: Array
@@ -118,17 +108,9 @@ def finite_rows(rows: Rows, what: str = "") -> Rows:
 
 
 def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array], Array] = np.add) -> Minimum:
-    """Minimum of the squares of some rows, by Levenberg-Marquardt.
+    """Minimum of the squares of some rows from a start (u,), by Levenberg-Marquardt.
 
-    Parameters
-    ----------
-    rows : callable
-        See ``fg_orient.adjustment.dense.DenseRows``.
-    start : (u,) array
-    what : str
-        Named in the error.
-    moved : callable, optional
-        State after a step.
+    ``what`` is named in the error; ``moved`` gives the state after a step.
 
     Raises
     ------
@@ -215,13 +197,7 @@ def as_points(values: npt.ArrayLike, width: int, place: str) -> Array:
 
 
 def require_sigmas(sigma: npt.ArrayLike, place: str = "sigma") -> None:
-    """Refuse standard deviations that are not finite, not above zero, or of an impossible size.
-
-    Raises
-    ------
-    InputError
-        Names the first one.
-    """
+    """Refuse standard deviations that are not finite, not above zero, or of an impossible size."""
     values = np.asarray(sigma, float)
     possible = np.isfinite(values) & (values > 0.0)
     if not possible.all():
@@ -266,18 +242,9 @@ class Conditions:
 
 
 def foot_points(conditions: Conditions, points: Array, sigma: Array) -> Array:
-    """Points (n, d) that fulfil the conditions, nearest to given points in units of their sigmas.
+    """Points (n, d) that fulfil the conditions, nearest to given points (n, d) in units of their sigmas (n, d).
 
-    Parameters
-    ----------
-    conditions : Conditions
-    points, sigma : (n, d) arrays
-        Observations and their standard deviations.
-
-    Returns
-    -------
-    (n, d) array
-        nan without a unique nearest point (the centre of a sphere), or if the surface has no point.
+    nan without a unique nearest point (the centre of a sphere), or if the surface has no point.
     """
     square = sigma[:, :, None] * np.broadcast_to(conditions.square, (len(points), *conditions.square.shape[-2:]))
     square = square * sigma[:, None, :]

@@ -68,9 +68,7 @@ def run_import(
         raise InputError.of("closerange.control_mixed", file=control, place=f"point {ids[int(np.argmin(weighted))]}")
     shift = _shift(model, ids, known, control)
     centres = read_centres(stations) if stations else {}
-    tables: dict[str, tuple[Sequence[str], Iterable[Sequence[object]]]] = {
-        "image.csv": _marks(model, sigma_image_px),
-    }
+    tables: dict[str, tuple[Sequence[str], Iterable[Sequence[object]]]] = {"image.csv": _marks(model, sigma_image_px)}
     if new := _start(model, ids, shift):
         tables["start.csv"] = ("id", *GROUND), new
     if ids:
@@ -82,7 +80,8 @@ def run_import(
     with staged_folder(out, overwrite=overwrite, contents=CONTENTS) as folder, writing(out):
         (folder / "photos.toml").write_text("schema = 1\n\n" + "\n".join(photos), encoding="utf-8")
         for name, (head, rows) in tables.items():
-            _write(folder / name, head, rows)
+            with (folder / name).open("w", encoding="utf-8", newline="") as stream:
+                csv.writer(stream, lineterminator="\n").writerows([head, *rows])
     return {
         "kind": "import", "format": source, "photos": len(model.poses), "points": len(np.unique(model.point)),
         "image_points": len(model.point), "control": len(ids), "stations": len(centres), "shift_m": shift.tolist(),
@@ -97,13 +96,7 @@ def _unit(model: FrameModel) -> float:
 
 
 def _shift(model: FrameModel, ids: Sequence[str], known: Array, file: Path | None) -> Array:
-    """Mean difference (3,) of the control points from the project's points; 0 without control points.
-
-    Raises
-    ------
-    InputError
-        A control point that is not in the project.
-    """
+    """Mean difference (3,) of the control points from the project's points, which must contain them; 0 without any."""
     if not len(ids):
         return np.zeros(3)
     place = {name: k for k, name in enumerate(model.point_ids)}
@@ -131,13 +124,7 @@ def _start(model: FrameModel, control: Sequence[str], shift: Array) -> list[tupl
 
 
 def _photos(model: FrameModel, shift: Array, file: Path) -> list[str]:
-    """Photo tables.
-
-    Raises
-    ------
-    InputError
-        Two photos with one name, or a camera that a photo file cannot contain.
-    """
+    """Photo tables; InputError for two photos of one name, or a camera that a photo file cannot contain."""
     names = [pose.name for pose in model.poses]
     if len(set(names)) < len(names):
         twice = next(n for n in names if names.count(n) > 1)
@@ -148,13 +135,7 @@ def _photos(model: FrameModel, shift: Array, file: Path) -> list[str]:
 
 
 def _interior(camera: FrameInterior, unit_px: float, file: Path) -> PhotoInterior:
-    """Camera in the unit of the image coordinates; k1 k2 k3 P1 P2 for x right, y down.
-
-    Raises
-    ------
-    InputError
-        The distortion maps ideal to measured coordinates.
-    """
+    """Camera in the unit of the image coordinates; k1 k2 k3 P1 P2 for x right, y down, from measured to ideal ones."""
     if camera.model != MEASURED_TO_IDEAL and np.any(camera.distortion):
         raise InputError.of("closerange.direction", file=file, place=f"camera {camera.name}", value=camera.model)
     ratio = (camera.unit_px or camera.focal_px) / unit_px  # of the polynomial's unit to that of the coordinates
@@ -162,10 +143,3 @@ def _interior(camera: FrameInterior, unit_px: float, file: Path) -> PhotoInterio
     corrections = np.array([k1 / ratio**2, k2 / ratio**4, k3 / ratio**6, second / ratio, first / ratio, 0.0, 0.0])
     principal = np.array([camera.principal_px[1], camera.principal_px[0]]) / unit_px
     return PhotoInterior(camera.focal_px / unit_px, principal, corrections, "down")
-
-
-def _write(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(head)
-        writer.writerows(rows)

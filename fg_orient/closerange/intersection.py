@@ -98,9 +98,7 @@ def intersect_photos(
     require_sigmas(size)
     n = int(of.max()) + 1
     names = [str(k + 1) for k in range(n)] if ids is None else list(ids)
-    alone = np.flatnonzero(np.bincount(of, minlength=n) < 2)
-    if len(alone):
-        raise InputError.of("closerange.one_ray", place=f"point {names[alone[0]]}", value=f"{len(alone)} point(s)")
+    _refuse(np.bincount(of, minlength=n) < 2, names, "closerange.one_ray")
     origin = np.mean([_centre(one) for one in photos], axis=0)
     matrices = np.array([one.about(origin) for one in photos])[which]
     ideal = np.empty_like(measured)
@@ -113,12 +111,17 @@ def intersect_photos(
     residuals, slopes, depth = _rows(matrices, ideal, points[of], False)
     if not (depth > 0.0).all():
         raise NoSolutionError.of("closerange.behind", place=f"point {names[of[int(np.argmin(depth))]]}")
-    normal = _summed(slopes / size[:, :, None], slopes / size[:, :, None], of, n)
-    cofactors: Array = np.linalg.inv(normal).astype(float)
+    cofactors: Array = np.linalg.inv(_summed(slopes / size[:, :, None], of, n)).astype(float)
     _require_depth(cofactors, depth, matrices, size, of, names)
     white, redundancy = (residuals / size).ravel(), 2 * len(of) - 3 * n
     m0 = unit_weight(float(white @ white), redundancy)
     return Intersection(points + origin, cofactors, residuals, m0, redundancy, iterations)
+
+
+def _refuse(bad: npt.NDArray[np.bool_], names: Sequence[str], code: str = "closerange.parallel_rays") -> None:
+    """InputError that names the first of the bad points (n,)."""
+    if bad.any():
+        raise InputError.of(code, place=f"point {names[int(np.argmax(bad))]}", value=f"{bad.sum()} point(s)")
 
 
 def _centre(photo: Photo) -> Array:
@@ -130,20 +133,23 @@ def _start(matrices: Array, ideal: Array, of: Index, n: int, names: Sequence[str
     """Points of the linear equations with weight 1."""
     rows = ideal[:, :, None] * matrices[:, 2:, :] - matrices[:, :2, :]
     rows = rows / np.linalg.norm(rows[:, :, :3], axis=2, keepdims=True)
-    normal = _summed(rows[:, :, :3], rows[:, :, :3], of, n)
-    right = np.zeros((n, 3))
-    np.add.at(right, of, -np.einsum("mij,mi->mj", rows[:, :, :3], rows[:, :, 3]))
+    normal, right = _summed(rows[:, :, :3], of, n), _right(rows[:, :, :3], rows[:, :, 3], of, n)
     values = np.linalg.eigvalsh(normal)
-    weak = np.flatnonzero(values[:, 0] <= 1e-13 * values[:, 2])
-    if len(weak):
-        raise InputError.of("closerange.parallel_rays", place=f"point {names[weak[0]]}", value=f"{len(weak)} point(s)")
+    _refuse(values[:, 0] <= 1e-13 * values[:, 2], names)
     return np.asarray(np.linalg.solve(normal, right[:, :, None])[:, :, 0])
 
 
-def _summed(left: Array, right: Array, of: Index, n: int) -> Array:
-    """Sums over the observations of each point of left^T right: (n, 3, 3)."""
-    out = np.zeros((n, left.shape[2], right.shape[2]))
-    np.add.at(out, of, np.einsum("mij,mik->mjk", left, right))
+def _summed(rows: Array, of: Index, n: int) -> Array:
+    """Normal matrices (n, 3, 3) of the points from rows (m, 2, 3)."""
+    out = np.zeros((n, 3, 3))
+    np.add.at(out, of, np.einsum("mij,mik->mjk", rows, rows))
+    return out
+
+
+def _right(rows: Array, residuals: Array, of: Index, n: int) -> Array:
+    """Right sides (n, 3) of the normal equations from rows (m, 2, 3) and residuals (m, 2)."""
+    out = np.zeros((n, 3))
+    np.add.at(out, of, -np.einsum("mij,mi->mj", rows, residuals))
     return out
 
 
@@ -165,9 +171,7 @@ def _iterated(
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # divergence of a point ends the loop
             residuals, slopes, _ = _rows(matrices, ideal, points[of], reweighted)
             white = slopes / size[:, :, None]
-            normal, right = _summed(white, white, of, len(points)), np.zeros_like(points)
-            np.add.at(right, of, -np.einsum("mij,mi->mj", white, residuals / size))
-            step = _solved(normal, right)
+            step = _solved(_summed(white, of, len(points)), _right(white, residuals / size, of, len(points)))
             points = points + step
             length = np.linalg.norm(step, axis=1) / (np.linalg.norm(points, axis=1) + np.finfo(float).tiny)
         largest = float(length.max())
@@ -218,9 +222,7 @@ def _require_depth(
     unit = np.zeros(len(cofactors))
     np.maximum.at(unit, of, np.sqrt(np.mean(size**2, axis=1)) * depth / focal)
     sd = np.sqrt(np.einsum("nii->ni", cofactors).max(axis=1))
-    bad = np.flatnonzero(sd > UNDETERMINED * unit)
-    if len(bad):
-        raise InputError.of("closerange.parallel_rays", place=f"point {names[bad[0]]}", value=f"{len(bad)} point(s)")
+    _refuse(sd > UNDETERMINED * unit, names)
 
 
 # --- normal case -----------------------------------------------------------------------------------
@@ -270,13 +272,3 @@ def normal_case(
     depth = base_m * focal * other / parallax
     away = np.column_stack([depth * first[:, 0] / focal, depth, depth * first[:, 1] / focal])
     return np.asarray(away + np.asarray(station_m, float))
-
-
-def turned_about_z(image: npt.ArrayLike, focal: float, phi: float) -> Array:
-    """Image coordinates (n, 2) in the normal case, for a photo rotated by ``phi`` (rad) about the vertical.
-
-    Ayhan 1996, eq. 27: x' = c (x cos phi - c sin phi)/(x sin phi + c cos phi), z' = c z/(same).
-    """
-    x, z = as_points(image, 2, "image").T
-    below = x * np.sin(phi) + focal * np.cos(phi)
-    return np.asarray(focal * np.column_stack([x * np.cos(phi) - focal * np.sin(phi), z]) / below[:, None])

@@ -111,9 +111,8 @@ def run_dlt(path: Path, options: DltOptions, output: Output = NONE) -> Record:
             "principal": r.principal.tolist(), "sigma_principal": [s["x0"], s["y0"]], "cx": r.cx, "sigma_cx": s["cx"],
             "cy": r.cy, "sigma_cy": s["cy"], "skew_rad": r.skew, "sigma_skew_rad": s["skew"], "y_axis": r.y_axis,
         }  # fmt: skip
-        exterior = exterior_record(
-            r.rotation, r.centre_m, [s[n] for n in RECOVERED[8:]], [s[n] for n in RECOVERED[5:8]]
-        )
+        sd = [s[name] for name in RECOVERED]
+        exterior = exterior_record(r.rotation, r.centre_m, sd[8:], sd[5:8])
         record = {
             "photo": name, **_fit_facts(fit, doubts), "parameters": _parameters(fit.names, fit.values, fit.sigma),
             "origin_m": fit.photo.origin_m.tolist(), "interior": interior, "exterior": exterior,

@@ -1,20 +1,20 @@
-"""Trust in a minimum of weighted squares: other minima, curvature of the unknowns, profiles along one unknown.
+"""Tests of a minimum of weighted squares: other minima, curvature of the unknowns, profiles along one unknown.
 
-Cofactors describe a minimum by its tangent. Three things are not visible there.
+Cofactors describe a minimum by its tangent. They do not show:
 
-- Other minima of nearly the same height: an F test of equal redundancies compares them.
-- Curvature. If two unknowns are strongly correlated and badly determined (centre and rotations of a far camera), the
-  states that fit form a bent band. Each standard deviation is right, but the error of one unknown moves a
-  combination of unknowns that the tangent calls well determined, with its square. This is the parameter-effects
-  curvature of Bates and Watts (1980), here as the displacement at one standard deviation.
-- Profiles. Noise can make a narrow minimum beside a valley that leads far away at nearly the same height. The profile
-  shows how much worse a fit becomes if one unknown is held fixed at a very different value.
+- other minima of nearly the same height. An F test of equal redundancies compares them.
+- curvature. If two unknowns are strongly correlated and badly determined (centre and rotations of a far camera), the
+  states that fit form a bent band. Each standard deviation is right, but the error of one unknown also moves a
+  well-determined combination of unknowns, by its square. This is the parameter-effects curvature of Bates and Watts
+  (1980), here as the displacement at one standard deviation.
+- profiles. Noise can make a narrow minimum near a long valley of nearly the same height. The profile shows how much the
+  weighted squares grow if one unknown is held fixed at a very different value.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -60,7 +60,7 @@ class Rival:
     ratio : float
         Weighted squares, divided by those of the result.
     limit : float
-        Ratio at which the test distinguishes them (:func:`distinction_limit`).
+        Ratio at which the test distinguishes them (:func:`rival_of`).
     """
 
     rotation: Array
@@ -74,27 +74,25 @@ def ratio_limit(redundancy: int) -> float:
     return float(f_quantile(redundancy, redundancy, 1.0 - RIVAL_LEVEL))
 
 
-def distinction_limit(own: float, redundancy: int, *, known: bool = False) -> float:
-    """Ratio of weighted squares at which another minimum is distinguished from the result.
+def rival_of(
+    own: float, other: float, redundancy: int, rotation: Array, place: Array, *, known: bool = False
+) -> Rival | None:  # fmt: skip
+    """Another minimum, unless the test distinguishes it from the result.
 
     Parameters
     ----------
-    own : float
-        Weighted squares of the result.
+    own, other : float
+        Weighted squares of the result and of the other minimum.
     redundancy : int
+    rotation, place : arrays
+        See :class:`Rival`.
     known : bool
         Whether sigmas are given. The difference of the squares must then also exceed chi-square of one (a ratio of
         likelihoods), because two minima that both fit far better than the sigmas are both possible.
     """
     limit = ratio_limit(redundancy)
-    return max(limit, 1.0 + float(chi_square_limit(1.0, RIVAL_LEVEL)) / own) if known and own > 0.0 else limit
-
-
-def rival_of(
-    own: float, other: float, redundancy: int, rotation: Array, place: Array, *, known: bool = False
-) -> Rival | None:  # fmt: skip
-    """Another minimum, with its weighted squares and those of the result; None if the test distinguishes them."""
-    limit = distinction_limit(own, redundancy, known=known)
+    if known and own > 0.0:
+        limit = max(limit, 1.0 + float(chi_square_limit(1.0, RIVAL_LEVEL)) / own)
     return None if other > limit * own else Rival(rotation, place, other / own if own > 0.0 else 1.0, limit)
 
 
@@ -169,17 +167,10 @@ def reach(sigma: float, squares: float, redundancy: int, *, known: bool) -> tupl
     return UNDETERMINED * sigma * float(np.sqrt(scale * limit)), scale * limit
 
 
-@dataclass(frozen=True)
-class Held:
-    """Fit with one unknown held fixed.
+class Held(NamedTuple):
+    """Fit with one unknown held fixed: state (u,) and least weighted squares.
 
-    Parameters
-    ----------
-    state : (u,) array
-    squares : float
-        Least weighted squares.
-    converged : bool
-        False: they are below the limit, or too far above to reach it at their rate of decrease.
+    If not converged, these are below the limit, or too far above to reach it at their rate of decrease.
     """
 
     state: Array
@@ -191,17 +182,8 @@ def held(rows: Rows, state: Array, k: int, value: float, limit: float = np.inf) 
     """State with the least weighted squares while one unknown is held fixed.
 
     Far from the shape of the points the iteration may need hundreds of steps at squares thousands of times the limit.
-    So it need not converge: squares that stay above the limit suffice.
-
-    Parameters
-    ----------
-    limit : float
-        The question is whether the least weighted squares lie below. Default: the iteration must converge.
-
-    Returns
-    -------
-    Held or None
-        None: neither converged nor below the limit nor clearly above it.
+    So it need not converge if the squares are below the ``limit`` or stay above it. Without a limit it must converge.
+    None: neither converged nor below the limit nor clearly above it.
     """
     free = np.arange(len(state)) != k
 
@@ -241,11 +223,8 @@ def _off_ridge(rows: Rows, state: Array) -> Array:
 def followed(rows: Rows, state: Array, k: int, to: float, limit: float) -> tuple[Array, float] | None:
     """Fit with an unknown held fixed at ``to``, far from a state; each step starts on the line through the last two.
 
-    Returns
-    -------
-    tuple of (state (u,), weighted squares) or None
-        State after the first step, which still has the directions near the start, and the squares at the end; None if
-        these may lie on either side of the limit (:func:`held`).
+    State (u,) after the first step, which still has the directions near the start, and the weighted squares at the end;
+    None if these may lie on either side of the limit (:func:`held`).
     """
     path, squares = [state, state], np.inf
     for part in _WAY:
@@ -253,15 +232,12 @@ def followed(rows: Rows, state: Array, k: int, to: float, limit: float) -> tuple
         before, now = path[-2:]
         run = now[k] - before[k]
         begin = now + (now - before) * ((value - now[k]) / run if run else 0.0)
-        fits = list[Held]()
-        for first in (begin, now):
-            fit = held(rows, first, k, value, limit)
-            fits += [] if fit is None else [fit]
-            if fit is not None and fit.converged:
-                break
-        if not fits:
+        fits = [held(rows, begin, k, value, limit)]
+        if fits[0] is None or not fits[0].converged:
+            fits.append(held(rows, now, k, value, limit))
+        best = min((fit for fit in fits if fit is not None), key=lambda one: one.squares, default=None)
+        if best is None:
             return None
-        best = min(fits, key=lambda one: one.squares)
         path.append(best.state)
         squares = best.squares
     return path[2], squares

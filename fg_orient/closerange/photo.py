@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -171,13 +171,6 @@ class Photo:
         if seen.any():
             out[seen] = self.measured(ideal[seen])
         return out
-
-    def as_dict(self) -> dict[str, Any]:
-        """Content of a camera file."""
-        return {
-            "name": self.name, "matrix": self.matrix.tolist(), "origin_m": self.origin_m.tolist(),
-            "principal": self.principal.tolist(), "corrections": self.corrections.tolist(),
-        }  # fmt: skip
 
 
 def corrections_of(names: Sequence[str], values: npt.ArrayLike) -> Array:

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from factors.cameras.image_corrections import NAMES, ideal_points, slopes
 from fg_orient.closerange.dlt import fit_dlt
-from fg_orient.closerange.intersection import intersect_photos, normal_case, turned_about_z
+from fg_orient.closerange.intersection import intersect_photos, normal_case
 from fg_orient.closerange.orientation import absolute_orientation, relative_orientation
 from fg_orient.closerange.photo import (
     Photo,
@@ -395,8 +395,9 @@ def test_parallax_is_the_intersection_of_the_normal_case() -> None:
     assert np.abs(found - points).max() <= 1e-10
     turned = Photo.of("3", PhotoInterior(61.0), rotation_from_ayhan(0.0, 0.05, 0.0), right.origin_m)
     image = turned.project(points)
-    back = min((turned_about_z(image, 61.0, phi) for phi in (0.05, -0.05)),
-               key=lambda b: float(np.abs(b - right.project(points)).max()))  # fmt: skip
+    x, z = image.T  # Ayhan 1996, eq. 27
+    below = -x * np.sin(0.05) + 61.0 * np.cos(0.05)
+    back = 61.0 * np.column_stack([x * np.cos(0.05) + 61.0 * np.sin(0.05), z]) / below[:, None]
     assert np.abs(back - right.project(points)).max() <= 1e-10
     with pytest.raises(InputError, match="parallax is not above 0"):
         normal_case(right.project(points), left.project(points), 1.2, 60.0)
