@@ -238,17 +238,27 @@ def _show_photos(record: dict[str, Any]) -> None:
     for photo in record["photos"]:
         say(f"photo {photo['photo'] or '-'}: {len(photo['points'])} points, redundancy {photo['redundancy']}, "
             f"m0 {_m0(photo)}, condition {photo['condition']:.3g}")  # fmt: skip
-        rows = [(p["name"], f"{p['value']:.8g}", _short(p["sigma"])) for p in photo.get("parameters", [])]
         inner, outer = photo.get("interior"), photo["exterior"]
+        rows = _numbers(photo.get("parameters", []))
         if inner:
             rows += [(f"principal {axis}", f"{v:.4f}", _short(s)) for axis, v, s in
                      zip("xy", inner["principal"], inner["sigma_principal"], strict=True)]  # fmt: skip
             rows += [(name, f"{inner[name]:.4f}", _short(inner[f"sigma_{name}"])) for name in ("cx", "cy")]
-        rows += [(f"centre {axis}, m", f"{v:.4f}", _short(s)) for axis, v, s in
-                 zip("XYZ", outer["centre_m"], outer["sigma_centre_m"], strict=True)]  # fmt: skip
+        rows += _centre(outer)
         rows += [(f"{name}, deg", f"{outer[f'{name}_deg']:.5f}", "") for name in ("omega", "phi", "kappa")]
         table("", ("", "value", "sigma"), rows)
         tell_findings(photo)
+
+
+def _numbers(parameters: Sequence[dict[str, Any]]) -> list[tuple[str, str, str]]:
+    """Name, value and sigma of parameters."""
+    return [(p["name"], f"{p['value']:.8g}", _short(p["sigma"])) for p in parameters]
+
+
+def _centre(exterior: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Name, value and sigma of the coordinates of a projection centre."""
+    numbers = zip("XYZ", exterior["centre_m"], exterior["sigma_centre_m"], strict=True)
+    return [(f"centre {axis}, m", f"{v:.4f}", _short(s)) for axis, v, s in numbers]
 
 
 def _show_bundle(record: dict[str, Any]) -> None:
@@ -257,10 +267,8 @@ def _show_bundle(record: dict[str, Any]) -> None:
     parts = [(p["photo"], p["parameters"]) for p in record["photos"]]
     parts += [(c["camera"], c["parameters"]) for c in record["cameras"]]
     parts += [(f["figure"], f["numbers"]) for f in record["figures"]]
-    rows = [(name, n["name"], f"{n['value']:.8g}", _short(n["sigma"])) for name, numbers in parts for n in numbers]
-    for p in record["photos"]:
-        centre = zip("XYZ", p["exterior"]["centre_m"], p["exterior"]["sigma_centre_m"], strict=True)
-        rows += [(p["photo"], f"centre {axis}, m", f"{v:.4f}", _short(s)) for axis, v, s in centre]
+    rows = [(name, *row) for name, numbers in parts for row in _numbers(numbers)]
+    rows += [(p["photo"], *row) for p in record["photos"] for row in _centre(p["exterior"])]
     table("", ("of", "", "value", "sigma"), rows)
     _point_table(record)
     if record["check"] is not None:

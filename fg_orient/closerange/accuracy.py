@@ -66,11 +66,7 @@ def compare_points(reference_m: npt.ArrayLike, points_m: npt.ArrayLike, control:
 
 
 def _measures(difference: Array) -> Measures:
-    axes = [float(s) for s in 1e4 * np.sum(difference**2, axis=0)]
-    n = len(difference)
-    rms = plain_rms(1e3 * difference)
+    axes, n = (1e4 * np.sum(difference**2, axis=0)).tolist(), len(difference)
     radial = float(np.sqrt(100.0 * sum(axes) / n)) if n else None
-    worst: list[float | None] = [None] * 3
-    if n:
-        worst = np.abs(1e3 * difference).max(axis=0).tolist()
-    return Measures(n, [*axes, sum(axes)], [*rms, radial], worst)
+    worst = np.abs(1e3 * difference).max(axis=0).tolist() if n else [None] * 3
+    return Measures(n, [*axes, sum(axes)], [*plain_rms(1e3 * difference), radial], worst)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
@@ -90,9 +91,8 @@ class BundlePhoto:
 
     def __post_init__(self) -> None:
         names = (*self.unknown, *self.shared)
-        for name in names:
-            if name not in NAMES or names.count(name) > 1:
-                raise self.fault(f"unknown {name}", name, f"different ones of {', '.join(NAMES)}")
+        for name in (n for n in names if n not in NAMES or names.count(n) > 1):
+            raise self.fault(f"unknown {name}", name, f"different ones of {', '.join(NAMES)}")
         for name, (value, sigma) in self.observed.items():
             if name not in names or not (np.isfinite(value) and 0.0 < sigma < float("inf")):
                 raise self.fault(f"observed {name}", f"{value} +- {sigma}", "value and sigma of unknown parameters")
@@ -122,17 +122,9 @@ class BundlePhoto:
 
 @dataclass(frozen=True)
 class Adjustment:
-    """Adjusted photo or figure: values and standard deviations by name.
+    """Adjusted photo or figure: names (k), values (k,), their cofactors (k,) and standard deviations (k,).
 
-    Parameters
-    ----------
-    name : str
-    names : tuple of str
-    values : (k,) array
-    cofactors : (k,) array
-        Times m0 squared: variances.
-    sigma : (k,) array or None
-        None without redundancy.
+    Cofactors times m0 squared are variances. Without redundancy ``sigma`` is None.
     """
 
     name: str
@@ -283,35 +275,25 @@ def adjust_bundle(
             return build(photos, tuple(ids), start, which, of, measured, given, control or {}, stated,
                          residual == "condition", begin)  # fmt: skip
 
-        built = made(constraints, _begun(made, constraints, which, of, optimizer))
-        network = built.network
-        if network.n_unknowns > MAX_UNKNOWNS:
-            raise InputError.of("linear.too_large", place="bundle", value=network.n_unknowns, limit=MAX_UNKNOWNS)
-        require_rays(built, which, of)
-        engine = BACKENDS[backend](network)
+        # Inaccurate start points do not determine spheres and spheroids, although their rays do. From such a start a
+        # figure of small sigma is a narrow bent valley with many small damped steps. So begin without these figures.
+        others, begin = [c for c in constraints if c.kind not in JUDGED], None
+        if len(others) < len(constraints):
+            with suppress(FgOrientError):
+                free = made(others)
+                _require_possible(free, which, of)
+                begin = free, _solved(free, DenseNetwork(free.network), optimizer, None).state
+        built = made(constraints, begin)
+        _require_possible(built, which, of)
+        engine = BACKENDS[backend](built.network)
         return _result(built, engine, _solved(built, engine, optimizer, callback), which, of, given)
 
 
-def _begun(
-    made: Callable[[Sequence[Constraint]], Built], constraints: Sequence[Constraint], which: Index, of: Index,
-    optimizer: str,
-) -> tuple[Built, Array] | None:  # fmt: skip
-    """Bundle without spheres and spheroids and its state; None if these are needed or absent.
-
-    Inaccurate start points do not determine a figure, although their rays do. From such a start a figure of small sigma
-    is a narrow bent valley with many small damped steps.
-    """
-    others = [c for c in constraints if c.kind not in JUDGED]
-    if len(others) == len(constraints):
-        return None
-    try:
-        free = made(others)
-        if free.network.n_unknowns > MAX_UNKNOWNS:
-            return None
-        require_rays(free, which, of)
-        return free, _solved(free, DenseNetwork(free.network), optimizer, None).state
-    except FgOrientError:
-        return None
+def _require_possible(built: Built, which: Index, of: Index) -> None:
+    """Refuse too many unknowns, and points without rays."""
+    if built.network.n_unknowns > MAX_UNKNOWNS:
+        raise InputError.of("linear.too_large", place="bundle", value=built.network.n_unknowns, limit=MAX_UNKNOWNS)
+    require_rays(built, which, of)
 
 
 def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None) -> LoopResult[Array]:

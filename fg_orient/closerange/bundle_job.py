@@ -53,21 +53,14 @@ def run_bundle(
 
     Parameters
     ----------
-    path : Path
-        Image points, see :func:`fg_orient.closerange.files.read_image_points`.
-    photos : Path
-        Photo file; a photo without orientation is resected from its points with known coordinates.
+    path, photos : Path
+        Image points; photo file. A photo without orientation is resected from its points with known coordinates.
     options : BundleOptions
-    control : Path, optional
-        Points with coordinates, see :func:`fg_orient.closerange.files.read_ground_points`.
-    start : Path, optional
-        New points with start coordinates in the same columns; other new points are intersected.
-    constraints : Path, optional
-        See ``formats.constraints``.
-    stations : Path, optional
-        Observed projection centres and attitudes, see :func:`fg_orient.closerange.files.read_stations`.
-    check : Path, optional
-        Check points, whose coordinates are not used in the adjustment, in the columns of ``control``.
+    control, check, start : Path, optional
+        Tables of points in space: control points; check points, whose coordinates are not used in the adjustment; new
+        points with approximate coordinates (other new points are intersected).
+    constraints, stations : Path, optional
+        Constraint file; table of observed projection centres and attitudes.
     output : Output, optional
     callback, stage : callable, optional
         Called with an ``IterationRecord`` after each iteration; see ``Stage``.

@@ -148,13 +148,7 @@ class Built:
         return interiors, [self.rotation(k, state) for k in every], [self.place(c, state) for c in self.centres]
 
     def require_in_front(self, state: Array, which: Index, of: Index) -> None:
-        """Refuse points behind photos.
-
-        Raises
-        ------
-        NoSolutionError
-            Names the point.
-        """
+        """Raise NoSolutionError for a point behind a photo."""
         for k in np.unique(which):
             axis, centre = self.rotation(int(k), state)[2], self.place(self.centres[k], state)
             for j in of[which == k]:

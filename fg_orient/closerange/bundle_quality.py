@@ -28,20 +28,14 @@ class Quality:
     ----------
     redundancy : (m, 2) array
         Redundancy numbers of the image coordinates.
-    others : tuple of str
-        Other soft observations, element by element.
-    others_whitened, others_redundancy : (k,) arrays
-        Their whitened residuals and redundancy numbers.
-    points : (n, 3, 3) array
-        Cofactors of the points; 0 for fixed points.
-    angles_deg : (p, 3, 3) array
-        Cofactors of omega, phi, kappa of the photos; 0 for fixed photos.
-    orientation : (o, o) array
-        Cofactors of all unknowns except those of points.
-    labels : tuple of str
-        Of these.
+    others, others_whitened, others_redundancy
+        Names (k) of other soft observations, element by element; their whitened residuals and redundancy numbers (k,).
+    points, angles_deg : (n, 3, 3), (p, 3, 3) arrays
+        Cofactors of the points, and of omega, phi, kappa of the photos; 0 for fixed ones.
+    orientation, labels : (o, o) array, tuple of str
+        Cofactors and names of all unknowns except those of points.
     units : (o,) array
-        Their accuracy from one image point; an unknown that is 1000 times less accurate is not determined.
+        Accuracy of these from one image point; an unknown that is 1000 times less accurate is not determined.
     history : tuple of IterationRecord
     """
 

@@ -40,16 +40,14 @@ def bundle_record(
     result : BundleResult
     table : Observed
         Image points. With relative weights m0 replaces the sigmas in tests.
-    known : mapping
-        Control points: coordinates, sigmas.
+    known, check : mappings
+        Coordinates and sigmas of control points; coordinates of check points.
     which, of : (m,) int arrays
         Photo and point of each image point.
     seen : mapping
         Observed stations by photo.
-    check : mapping
-        Coordinates of check points.
     started : sequence of Finding
-        On the start values.
+        Warnings on the start values.
     """
     quality = result.quality
     unit = (result.m0 or 1.0) if table.sigma is None else 1.0
@@ -61,7 +59,9 @@ def bundle_record(
         "points": _points(result, known, of, check), "residuals": _residuals(result, table, unit),
         "distortion": _distortion(result, table, which), "observations": _others(quality, unit),
         "check": _check(result, check), "reliability": _reliability(quality),
-        "correlations": _correlations(quality), "directions": _directions(quality), "history": _history(quality),
+        "correlations": _correlations(quality), "directions": _directions(quality),
+        "history": [{name: _finite(getattr(i, name)) for name in ("iteration", "chi2", "chi2_after", "ratio", "step")}
+                    | {"iteration": i.iteration, "accepted": i.accepted} for i in quality.history],
         **as_record([*_findings(result, known, seen, check), *started]),
     }  # fmt: skip
 
@@ -167,12 +167,10 @@ def _others(quality: Quality, unit: float) -> list[Record]:
 
 def _check(result: BundleResult, check: Mapping[str, Array]) -> Record | None:
     """Statistics of adjusted minus given coordinates of the check points; None without check points."""
-    place = {name: k for k, name in enumerate(result.ids)}
-    rows = [name for name in check if name in place]
+    rows = [name for name in check if name in result.ids]
     if not rows:
         return None
-    at = np.array([place[name] for name in rows])
-    given, ours = np.array([check[name] for name in rows]), result.points_m[at]
+    given, ours = np.array([check[name] for name in rows]), result.points_m[[result.ids.index(name) for name in rows]]
     measures = compare_points(given, ours, np.zeros(len(rows), bool)).other
     return {"n": len(rows), "rms_mm": measures.rms_mm[:3], "worst_mm": measures.worst_mm,
             "mean_mm": (1e3 * (ours - given).mean(axis=0)).tolist()}  # fmt: skip
@@ -215,12 +213,6 @@ def _directions(quality: Quality) -> Record:
         "weakest": [{"value": float(values[k]), "words": quality.describe(rows[k])}
                     for k in range(min(_WEAK, len(finite)))],
     }  # fmt: skip
-
-
-def _history(quality: Quality) -> list[Record]:
-    return [{"iteration": i.iteration, "chi2": _finite(i.chi2), "chi2_after": _finite(i.chi2_after),
-             "ratio": _finite(i.ratio), "step": _finite(i.step), "accepted": i.accepted}
-            for i in quality.history]  # fmt: skip
 
 
 def _findings(

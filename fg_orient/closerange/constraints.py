@@ -107,20 +107,10 @@ class Constraint:
 
 @dataclass(frozen=True)
 class Figure:
-    """Start of a figure, whose parameters have the values ``offset`` plus unknowns.
+    """Start of a figure: ``start`` (k,) of the unknowns; the parameters have the values ``offset`` (k,) plus unknowns.
 
-    Parameters
-    ----------
-    equation : Equation
-    record : (d,) array
-        With s = 1.
-    setup : (2, k) array
-    names : tuple of str
-    start, offset : (k,) arrays
-        The equation of a spheroid has corrections to the ``offset`` in its record as unknowns.
-    n_residuals : int
-    scale : float
-        Factor of the record's s for residuals in metres.
+    The unknowns of a spheroid are corrections to the ``offset`` in its record. ``record`` (d,) has s = 1; ``scale`` is
+    the factor of s for residuals in metres.
     """
 
     equation: Equation
@@ -212,20 +202,10 @@ FIGURES: Final[dict[str, tuple[_Start, tuple[str, ...]]]] = {
 
 
 def figure_of(constraint: Constraint, points: Array, sigma_m: Array | None = None) -> Figure:
-    """Start of a figure from its points (n, 3).
+    """Start of a figure from its points (n, 3), which must determine it.
 
-    Parameters
-    ----------
-    constraint : Constraint
-    points : (n, 3) array
-    sigma_m : (n, 1) array, optional
-        Of the points, for the test whether they determine a sphere or spheroid; by default their misfit replaces it,
-        which is unreliable for five points on a sphere.
-
-    Raises
-    ------
-    InputError
-        The points do not determine the figure.
+    ``sigma_m`` (n, 1): sigmas of the points, for the test whether they determine a sphere or spheroid. By default their
+    misfit replaces it, which is unreliable for five points on a sphere.
     """
     try:
         with np.errstate(all="raise"):
@@ -238,11 +218,6 @@ def require_one_value(constraints: Sequence[Constraint]) -> None:
     """Refuse different hard lengths between the same two points or photos.
 
     The adjustment refuses equal ones as dependent; lengths with a sigma are observations.
-
-    Raises
-    ------
-    InputError
-        Names both with their values.
     """
     first: dict[tuple[str, frozenset[str]], Constraint] = {}
     for one in (c for c in constraints if c.kind in MEASURED and c.sigma is None):

@@ -52,7 +52,10 @@ def parameters_of(words: Sequence[str], place: str) -> tuple[str, ...]:
 
 
 def profile(camera: Array, rim: float, names: Sequence[str], covariance: Array) -> dict[str, Any]:
-    """Radial correction over the radius, its standard deviation, and the largest correction across the radius.
+    """Corrections of a camera over the radius, as lists of the same length, in image units.
+
+    ``radius``; ``radial``: radial part of the correction, mean over all directions; ``sigma``: its standard deviation;
+    ``across``: largest part at right angles to the radius.
 
     Parameters
     ----------
@@ -60,16 +63,8 @@ def profile(camera: Array, rim: float, names: Sequence[str], covariance: Array) 
         Parameters in the order of ``factors.cameras.extended_collinearity.NAMES``.
     rim : float
         Radius of the outermost image point, image units.
-    names : sequence of str
-        Determined parameters.
-    covariance : (k, k) array
-        Of these.
-
-    Returns
-    -------
-    dict
-        ``radius``, ``radial``, ``sigma`` and ``across``, image units: radial part of the correction, mean over all
-        directions; its standard deviation; largest part at right angles to the radius. Lists of the same length.
+    names, covariance
+        Determined parameters, and their covariance (k, k).
     """
     radius = np.linspace(0.0, rim, RADII)
     turn = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS

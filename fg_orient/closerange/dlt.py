@@ -64,7 +64,7 @@ ALLOWED: Final = 5.0
 
 @dataclass(frozen=True)
 class Recovered:
-    """PhotoInterior and exterior orientation of a DLT (Ayhan 1996, eq. 43).
+    """Interior and exterior orientation of a DLT (Ayhan 1996, eq. 43).
 
     Parameters
     ----------
@@ -121,11 +121,7 @@ class DltFit(Fit):
 def direct_dlt(ground: Array, image: Array) -> Array:
     """L1 to L11 by linear least squares of the equations times their denominator (Ayhan 1996, eq. 38).
 
-    Parameters
-    ----------
-    ground : (n, 3) array
-    image : (n, 2) array
-        Both about their middle: at 1000 m the form with "+1" is nearly singular.
+    Ground (n, 3) and image (n, 2) coordinates about their middle: at 1000 m the form with "+1" is nearly singular.
     """
     n = len(ground)
     design, right = np.zeros((2, n, 11)), image.T.copy()
@@ -217,10 +213,10 @@ def fit_dlt(
 
 
 def _iterated(rows: Rows, records: Array, state: Array, *, moves: bool) -> tuple[Array, int]:
-    """Adjusted state and number of iterations. The centre of the distortion follows the principal point of L.
+    """Adjusted state and number of iterations; if it ``moves``, the centre of distortion is the principal point of L.
 
-    If it does not converge (points that do not separate distortion and principal point), the centre of the direct
-    solution is used; ``records`` contain the used centre.
+    If this iteration does not converge (points that do not separate distortion and principal point), the centre of the
+    direct solution is used; ``records`` contain the used centre.
     """
     start, before = records[0, RECORD.centre].copy(), np.inf
     first = last = adjust(rows, state, "DLT")
@@ -267,7 +263,9 @@ def limits(redundancy: int, *, known: bool) -> tuple[float, float]:
 def require_depth(
     ground: Array, parameters: Array, cofactors: Array, m0: float | None, redundancy: int, *, known: bool
 ) -> Finding | None:
-    """Refuse points that are flat, or a projection that is parallel, within the noise.
+    """Refuse points that are flat, or a projection that is parallel, within the noise; see the module docstring.
+
+    Warn of a projection that is hardly central, whose centre has too small standard deviations.
 
     Parameters
     ----------
@@ -276,22 +274,11 @@ def require_depth(
     parameters : (11,) array
         L1 to L11 for coordinates about their middle, in any unit.
     cofactors : (u, u) array
-        Of them and of the coefficients of the distortion.
-    m0 : float or None
-    redundancy : int
+        Of these and of the coefficients of the distortion.
+    m0, redundancy
     known : bool
         Whether sigmas were given; m0 can only enlarge them. Without them and without redundancy the noise is unknown,
         and nothing is refused.
-
-    Returns
-    -------
-    Finding or None
-        Of a projection that is hardly central, whose centre has too small standard deviations.
-
-    Raises
-    ------
-    InputError
-        Gives the determinant in standard deviations, and the required number.
     """
     if not known and m0 is None:
         return None
@@ -357,7 +344,7 @@ def _denormalisation(source: Scaling, target: Scaling, distortion: Sequence[str]
 
 
 def recover(parameters: Array, origin_m: Array, covariance: Array | None = None) -> Recovered:
-    """PhotoInterior and exterior orientation from L1 to L11.
+    """Interior and exterior orientation from L1 to L11 (Ayhan 1996, eq. 43, with a corrected sign of omega).
 
     Parameters
     ----------
@@ -365,24 +352,17 @@ def recover(parameters: Array, origin_m: Array, covariance: Array | None = None)
         For ground coordinates about ``origin_m``.
     origin_m : (3,) array
     covariance : (11, 11) array, optional
-        Of the parameters.
+        Of the parameters. It gives standard deviations, by complex step through the same formulas.
 
     Raises
     ------
     NoSolutionError
         L9 to L11 are 0 (parallel projection), or the projection is degenerate.
-
-    Notes
-    -----
-    Ayhan 1996, eq. 43, with a corrected sign of omega. Standard deviations by complex step through the same formulas.
     """
     matrix = np.append(parameters, 1.0).reshape(3, 4)
-    handed = np.linalg.det(matrix[:, :3])
-    if handed == 0.0 or not np.isfinite(handed):
-        raise NoSolutionError.of("closerange.parallel", place="DLT")
-    sign = 1.0 if handed > 0.0 else -1.0
+    sign = float(np.sign(np.linalg.det(matrix[:, :3])))
     with np.errstate(all="ignore"):
-        values, rotation = _orientation(matrix, sign)
+        values, rotation = _orientation(matrix, sign) if abs(sign) == 1.0 else (np.array(np.nan), np.array(np.nan))
     if not (np.isfinite(values).all() and np.isfinite(rotation).all()):
         raise NoSolutionError.of("closerange.parallel", place="DLT")
     sigma = None

@@ -186,16 +186,10 @@ def photo_text(photo: Photo, interior: PhotoInterior | None = None, rotation: Ar
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """Observed orientation of a photo.
+    """Observed projection centre and, optionally, attitude of a photo with standard deviations (3,).
 
-    Parameters
-    ----------
-    centre_m, sigma_m : (3,) arrays
-        Projection centre and its standard deviations, m.
-    rotation : (3, 3) array or None
-        Camera axes from ground axes.
-    sigma_turns_rad : (3,) array or None
-        Of rotations about the camera's axes X right, Y down, Z along the view.
+    ``rotation`` (3, 3): camera axes from ground axes; ``sigma_turns_rad``: sigmas of rotations about the camera's axes
+    X right, Y down, Z along the view.
     """
 
     centre_m: Array
@@ -205,18 +199,10 @@ class Station:
 
 
 def read_stations(path: Path) -> dict[str, Station]:
-    """Read a table of stations by photo.
+    """Stations of a CSV table by photo; InputError with all errors of the table.
 
-    Parameters
-    ----------
-    path : Path
-        CSV: photo, x_m, y_m, z_m, sigma_x_m, sigma_y_m, sigma_z_m; optional omega_deg, phi_deg, kappa_deg,
-        sigma_x_deg, sigma_y_deg, sigma_z_deg.
-
-    Raises
-    ------
-    InputError
-        All errors of the table.
+    Columns: photo, x_m, y_m, z_m, sigma_x_m, sigma_y_m, sigma_z_m; optional omega_deg, phi_deg, kappa_deg,
+    sigma_x_deg, sigma_y_deg, sigma_z_deg.
     """
     faults = Faults(str(path))
     place = ("photo", *GROUND, *SIGMA_GROUND)
@@ -228,12 +214,12 @@ def read_stations(path: Path) -> dict[str, Station]:
         name = row.cells["photo"]
         if name in out or not name:
             faults.add("closerange.station_twice" if name else "table.cell_empty", place=row.place("photo"), value=name)
+        rotation = turns = None
         centre, sigma = _numbers([row], GROUND, faults)[0], _sigmas(row, SIGMA_GROUND, LARGEST, faults)
-        out[name] = Station(centre, sigma)
         if ANGLES[0] in table.columns:
-            omega, phi, kappa = np.radians(numbers_of([row], ANGLES, faults)[0]).tolist()
+            rotation = rotation_from_aerial(*np.radians(numbers_of([row], ANGLES, faults)[0]).tolist())
             turns = np.radians(_sigmas(row, SIGMA_TURNS, _LARGEST_TURN_DEG, faults))
-            out[name] = Station(centre, sigma, rotation_from_aerial(omega, phi, kappa), turns)
+        out[name] = Station(centre, sigma, rotation, turns)
     faults.raise_if_any()
     return out
 

@@ -128,14 +128,9 @@ def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array
 class Determination:
     """Information of rows about their unknowns.
 
-    Parameters
-    ----------
-    condition : float
-        Largest singular value of the design, its columns of unit length, divided by the smallest; inf if singular.
-    cofactors : (u, u) array or None
-        None if the unknowns are not determined.
-    weakest : (u,) array
-        Change of the unknowns with the smallest effect on the rows, of unit length in scaled unknowns.
+    ``condition``: condition number of the design with columns of unit length, inf if singular; ``cofactors`` (u, u):
+    None if the unknowns are not determined; ``weakest`` (u,): change of the unknowns with the smallest effect on the
+    rows, of unit length in scaled unknowns.
     """
 
     condition: float

@@ -39,14 +39,11 @@ def run_import(
 
     Parameters
     ----------
-    export : Path
-        Its file or folder.
-    source : str
-        A format with cameras and poses.
-    control : Path, optional
-        Control points: lines of id, name, X, Y, Z and, unless exact, one standard deviation or three.
-    stations : Path, optional
-        Observed projection centres: lines of photo, X, Y, Z and one standard deviation or three.
+    export, source
+        File or folder of the project; name of a format with cameras and poses.
+    control, stations : Path, optional
+        Control points: lines of id, name, X, Y, Z and, unless exact, one standard deviation or three. Observed
+        projection centres: lines of photo, X, Y, Z and one standard deviation or three.
     sigma_image_px : float, optional
         Standard deviation of image coordinates, pixels, added to the table.
     out, overwrite

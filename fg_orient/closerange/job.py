@@ -54,17 +54,7 @@ CONTENTS: Final = Contents(
 
 @dataclass(frozen=True)
 class Output:
-    """Outputs of a command.
-
-    Parameters
-    ----------
-    out, report : Path, optional
-        Folder of the results; a single HTML report.
-    overwrite : bool
-        Replace existing outputs.
-    command : sequence of str
-        Words of the command line, for the record.
-    """
+    """Outputs of a command: folder of the results, single HTML report; words of the command line for the record."""
 
     out: Path | None = None
     report: Path | None = None
@@ -72,13 +62,7 @@ class Output:
     command: Sequence[str] = ()
 
     def require_possible(self) -> None:
-        """Refuse outputs that may not be written, before anything is computed.
-
-        Raises
-        ------
-        InputError
-            An output exists and may not be replaced, or the report has no folder.
-        """
+        """Refuse outputs that exist and may not be replaced, and a report without folder, before the computation."""
         if self.out is not None:
             require_free(self.out, overwrite=self.overwrite, contents=CONTENTS)
         if self.report is None:
@@ -222,18 +206,7 @@ def run_surface(
 
 
 def require_absolute(path: Path, table: Observed, beside: Iterable[tuple[str, str, float]]) -> None:
-    """Refuse sigmas in metres or radians together with relative weights of coordinates.
-
-    Parameters
-    ----------
-    beside : iterable of (file, place, sigma)
-        Other observations with a sigma.
-
-    Raises
-    ------
-    InputError
-        Names the first one.
-    """
+    """Refuse other observations (file, place, sigma in m or rad) if the coordinates have relative weights."""
     if table.sigma is None:
         for file, place, value in beside:
             raise InputError.of("closerange.relative", file=file, place=place, value=value, points=path.name)
@@ -245,11 +218,8 @@ def _each_photo(
 ) -> Record:  # fmt: skip
     """Record of the photos of a table of control points, in its order; errors name the photo.
 
-    Parameters
-    ----------
-    one : callable
-        Record, photo and its table for a photo file, from the name, ground (n, 3) and image (n, 2) coordinates of the
-        control points and their sigmas (n, 2).
+    ``one`` gives record, photo and its table for a photo file from its name, the ground (n, 3) and image coordinates
+    (n, 2) of the control points and their sigmas (n, 2).
     """
     output.require_possible()
     table, texts, photos = read_control(path, sigma), list[str](), list[Record]()
@@ -338,18 +308,7 @@ def finished(
 ) -> Record:  # fmt: skip
     """Add the provenance to a record, and write folder and report.
 
-    Parameters
-    ----------
-    record : dict
-    path : Path
-        File of the points.
-    table : Observed
-        Its points.
-    output : Output
-    photos : sequence of str
-        Tables of ``photos.toml``.
-    beside : iterable of Path or None
-        Other inputs.
+    ``photos``: tables of ``photos.toml``; ``beside``: inputs in addition to the points of ``path``.
     """
     files, out, report = [one for one in beside if one is not None], output.out, output.report
     record = {"schema": SCHEMA, **record, "input": {"file": path.name, "sha256": table.sha256}, "versions": versions(),

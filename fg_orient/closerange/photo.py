@@ -19,7 +19,7 @@ import numpy.typing as npt
 from factors.cameras.image_corrections import AT, NAMES, ideal_points, slopes
 from fg_orient.closerange.fitting import as_points
 from fg_orient.model.errors import InputError, NoSolutionError
-from fg_orient.sensors.frame import FrameCamera
+from fg_orient.sensors.frame import FrameCamera, opk_of_rotation
 
 Array = npt.NDArray[np.float64]
 YAxis = Literal["up", "down"]
@@ -37,7 +37,7 @@ _TOLERANCE: Final = 1e-12
 
 @dataclass(frozen=True)
 class PhotoInterior:
-    """PhotoInterior orientation of a metric or non-metric camera.
+    """Interior orientation of a metric or non-metric camera.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def rotation_from_ayhan(omega: float, psi: float, kappa: float) -> Array:
 
 def ayhan_from_rotation(rotation: Array) -> tuple[float, float, float]:
     """Angles omega, psi, kappa of Ayhan 1996, rad, of camera axes from ground axes."""
-    return _angles(_DOWN @ rotation @ _ORDER)
+    return aerial_from_rotation(_BACK @ _DOWN @ rotation @ _ORDER)
 
 
 def rotation_from_aerial(omega: float, phi: float, kappa: float) -> Array:
@@ -202,7 +202,8 @@ def rotation_from_aerial(omega: float, phi: float, kappa: float) -> Array:
 
 def aerial_from_rotation(rotation: Array) -> tuple[float, float, float]:
     """Aerial angles omega, phi, kappa, rad: first about X, then the turned Y, then the turned Z."""
-    return _angles(_BACK @ rotation)
+    omega, phi, kappa = opk_of_rotation(rotation)[0].tolist()
+    return omega, phi, kappa
 
 
 def _from_angles(omega: float, phi: float, kappa: float) -> Array:
@@ -212,10 +213,3 @@ def _from_angles(omega: float, phi: float, kappa: float) -> Array:
         [-cp * sk, -so * sp * sk + co * ck, co * sp * sk + so * ck],
         [sp, -so * cp, co * cp],
     ])  # fmt: skip
-
-
-def _angles(m: Array) -> tuple[float, float, float]:
-    return (
-        float(np.arctan2(-m[2, 1], m[2, 2])), float(np.arcsin(np.clip(m[2, 0], -1.0, 1.0))),
-        float(np.arctan2(-m[1, 0], m[0, 0])),
-    )  # fmt: skip

@@ -38,10 +38,15 @@ def start_pairs(points: Array) -> list[tuple[Array, Array]]:
     return [*linear, *out, *((np.eye(3), corner) for corner in corners), *rolled, *_plane(points)]
 
 
+def _rays(points: Array) -> tuple[Array, Array]:
+    """Rays (n, 3), (n, 3) of both photos from tangents (n, 4)."""
+    ones = np.ones((len(points), 1))
+    return np.hstack([points[:, :2], ones]), np.hstack([points[:, 2:], ones])
+
+
 def _plane(points: Array) -> list[tuple[Array, Array]]:
     """The four decompositions of the homography H = R (1 - b n^T) of a plane, which maps rays d1 to d2."""
-    ones = np.ones((len(points), 1))
-    first, second = np.hstack([points[:, :2], ones]), np.hstack([points[:, 2:], ones])
+    first, second = _rays(points)
     # d2 x H d1 = 0
     across = np.cross(second[:, None, :], np.eye(3)[None])
     rows = np.einsum("nij,nk->njik", across, first).reshape(3 * len(points), 9)
@@ -80,7 +85,7 @@ def _eight_points(points: Array) -> list[tuple[Array, Array]]:
 
 
 def require_base(points: Array, sigma: Array, squares: float, *, known: bool) -> None:
-    """Refuse photos without a base: a rotation alone fits them, with two conditions for each point.
+    """Refuse photos whose base is zero within the noise: a rotation alone fits them, two conditions for each point.
 
     Parameters
     ----------
@@ -89,14 +94,8 @@ def require_base(points: Array, sigma: Array, squares: float, *, known: bool) ->
         Least weighted squares of coplanarity, one condition for each point: without known sigmas the size of the noise.
     known : bool
         Whether sigmas are given.
-
-    Raises
-    ------
-    InputError
-        The base is zero within the noise.
     """
-    n, ones = len(points), np.ones((len(points), 1))
-    first, second = (np.hstack([pair, ones]) for pair in (points[:, :2], points[:, 2:]))
+    n, (first, second) = len(points), _rays(points)
     rays = [d / np.linalg.norm(d, axis=1, keepdims=True) for d in (first, second)]
     left, _, right = np.linalg.svd(rays[1].T @ rays[0])
     turn = left * [1.0, 1.0, np.sign(np.linalg.det(left @ right))] @ right

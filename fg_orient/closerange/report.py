@@ -17,18 +17,12 @@ REPORT_FILE: Final = "report.html"
 
 
 def is_closerange(folder: Path) -> bool:
-    """Tell whether a folder holds a result of close range."""
+    """Whether a folder holds a result of close range."""
     return (folder / RECORD_FILE).is_file()
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """Read the record of a folder.
-
-    Raises
-    ------
-    InputError
-        It is missing or damaged, or of a version that has no report.
-    """
+    """Record of a folder; InputError if it is missing or damaged, or of a version that has no report."""
     path = folder / RECORD_FILE
     try:
         record = json.loads(path.read_text("utf-8"))
@@ -40,23 +34,7 @@ def read_record(folder: Path) -> dict[str, Any]:
 
 
 def write_report(folder: str | Path) -> Path:
-    """Write ``report.html`` of a close-range folder, whole or not at all.
-
-    Parameters
-    ----------
-    folder : path
-        Written by a command of close range.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        The folder holds no such result.
-    """
+    """Write ``report.html`` of a close-range folder, whole or not at all; path of the file."""
     from fg_orient.closerange.report_html import render
     from fg_orient.formats.atomic import write_text
 

@@ -49,20 +49,10 @@ _FLAT: Final = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Points and stations of a record.
+    """Points and stations of a record; nan for missing values.
 
-    Parameters
-    ----------
-    ids, roles : list of str
-    at : (n, 3) array
-    covariance : (n, 3, 3) array
-        nan without.
-    difference : (n, 3) array
-        Adjusted minus given; nan without.
-    stations : list of str
-    centres, looks : (s, 3) arrays
-        Projection centres and directions of view (nan without).
-    station_sigma : (s, 3) array
+    ``at`` (n, 3) with ``covariance`` (n, 3, 3) and ``difference`` (n, 3), adjusted minus given; projection ``centres``
+    (s, 3) with ``looks`` (s, 3), the directions of view, and ``station_sigma`` (s, 3).
     """
 
     ids: list[str]
@@ -120,16 +110,7 @@ def views_of(scene: Scene) -> list[tuple[str, Chart]]:
 
 
 def view(scene: Scene, words: str, across: int, up: int) -> Chart:
-    """One view of points and stations.
-
-    Parameters
-    ----------
-    scene : Scene
-    words : str
-        Content, for those who do not see it.
-    across, up : int
-        Axes, 0 to 2.
-    """
+    """One view of points and stations along axes 0 to 2; ``words``: content, for those who do not see it."""
     axes = [across, up]
     rows = _thinned(scene)
     at, vectors = scene.at[rows][:, axes], scene.difference[rows][:, axes]
@@ -140,7 +121,7 @@ def view(scene: Scene, words: str, across: int, up: int) -> Chart:
     for place, covariance in zip(at, flat, strict=True):
         if enlarged and np.isfinite(covariance).all() and covariance.any():
             chart.add("area", "ellipse", *_ellipse(place, covariance, enlarged).T)
-    roles = np.array([scene.roles[k] for k in rows])
+    roles = np.array(scene.roles)[rows]
     for role, kind in (("new", "tie"), ("control", "control"), ("check", "check")):
         mine = np.flatnonzero(roles == role)
         if len(mine):
@@ -230,7 +211,7 @@ def deviation_views(record: dict[str, Any]) -> list[tuple[str, Chart]]:
 
 
 def _deviations(record: dict[str, Any], words: str, across: int, up: int) -> Chart:
-    """One view: colour and its strength tell sign and size of a distance, so does the radius."""
+    """One view: colour shows the sign of a distance; its strength and the radius show the size."""
     points, axes = record["points"], [across, up]
     at = columns(points, *(f"{a}_m" for a in "xyz"))[:, axes]
     distance = columns(points, "distance_m")[:, 0]
@@ -259,15 +240,7 @@ def _deviation_tip(point: dict[str, Any]) -> str:
 
 
 def outline(surface: dict[str, Any], axes: list[int]) -> Array:
-    """Outline (n, 2) of a closed surface seen along the third axis; none of open quadrics.
-
-    Parameters
-    ----------
-    surface : dict
-        See :meth:`fg_orient.closerange.surface.Surface.as_dict`.
-    axes : list of int
-        Across and up.
-    """
+    """Outline (n, 2) of a closed surface (``Surface.as_dict``) in axes across and up; no points for open quadrics."""
     coefficients = np.array(surface["coefficients"] or [], float)
     form = Surface(surface["kind"], surface["centre_m"], surface["semi_axes_m"], surface["rotation"],
                    coefficients).conditions  # fmt: skip

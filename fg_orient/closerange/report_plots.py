@@ -155,31 +155,7 @@ def directions_chart(record: dict[str, Any]) -> Chart | None:
 def write_figures(
     folder: str | Path, out: str | Path | None = None, *, overwrite: bool = False, progress: Progress | None = None
 ) -> tuple[Path, list[str]]:
-    """Write the figures of a close-range folder, whole or not at all.
-
-    Parameters
-    ----------
-    folder : path
-        Written by a command of close range.
-    out : path, optional
-        Folder to come; default ``figures`` inside it.
-    overwrite : bool
-        Replace a folder of figures.
-    progress : callable, optional
-        Called with (done, of, text) after each figure.
-
-    Returns
-    -------
-    path : Path
-        The folder written.
-    names : list of str
-        Its files.
-
-    Raises
-    ------
-    InputError
-        The folder holds no result, matplotlib is missing, or the output may not be written.
-    """
+    """Write the figures of a close-range folder; see :func:`fg_orient.report.figures.write_figures`."""
     figures.require_matplotlib()
     record = read_record(Path(folder))
     target = figures.target_of(folder, out, overwrite)

@@ -215,18 +215,10 @@ def _adjusted(
 
 
 def start_poses(ground: Array, tangents: Array) -> list[Pose]:
-    """Start poses, that with the smallest misfit at all points first.
-
-    Parameters
-    ----------
-    ground : (n, 3) array
-    tangents : (n, 2) array
-        X/Z, Y/Z in camera axes.
-    """
-    chosen = _spread(tangents)
+    """Start poses from ground points (n, 3) and tangents (n, 2), ordered by their misfit at all points."""
     poses = list[Pose]()
-    for three in combinations(chosen, 3):
-        poses += three_point_poses(ground[list(three)], tangents[list(three)])
+    for three in map(list, combinations(_spread(tangents), 3)):
+        poses += three_point_poses(ground[three], tangents[three])
     if len(ground) >= 6:
         poses += _pose_by_dlt(ground, tangents)
     misfits = [_misfit(pose, ground, tangents) for pose in poses]
@@ -265,7 +257,9 @@ def _pose_by_dlt(ground: Array, tangents: Array) -> list[Pose]:
 
 
 def three_point_poses(ground: Array, tangents: Array) -> list[Pose]:
-    """Up to four poses of a camera from three points.
+    """Up to four poses of a camera from three points in front of it; none for points on a line.
+
+    Grunert 1841; coefficients of the quartic as in Haralick et al. 1994, eqs. 9-16.
 
     Parameters
     ----------
@@ -273,15 +267,6 @@ def three_point_poses(ground: Array, tangents: Array) -> list[Pose]:
         Points in its rows.
     tangents : (3, 2) array
         X/Z, Y/Z in camera axes.
-
-    Returns
-    -------
-    list of (rotation (3, 3), centre (3,))
-        Points in front of the camera; empty for points on a line.
-
-    Notes
-    -----
-    Grunert 1841; coefficients of the quartic as in Haralick et al. 1994, eqs. 9-16.
     """
     rays = np.column_stack([tangents, np.ones(3)])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)

@@ -68,7 +68,7 @@ class Surface:
             scale = self.semi_axes
             square, linear, constant = quadric_matrices(self.coefficients)
             return Conditions(square / np.outer(scale, scale), linear / scale, constant)
-        return Conditions(self.rotation.T @ np.diag(self.semi_axes**-2.0) @ self.rotation, np.zeros(3), -1.0)
+        return _ellipsoid_conditions(self.rotation, self.semi_axes)
 
     def foot_points(self, points_m: npt.ArrayLike, sigma_m: npt.ArrayLike = 1.0) -> Array:
         """Nearest points (n, 3) of the surface, m, weighted by sigmas; nan if not unique."""
@@ -144,6 +144,11 @@ def map_points(points_m: npt.ArrayLike, target: Surface, radius_m: npt.ArrayLike
     return target.on_rays(np.column_stack([radius * np.cos(azimuth), away[:, 1], radius * np.sin(azimuth)]))
 
 
+def _ellipsoid_conditions(rotation: Array, semi: Array) -> Conditions:
+    """Conditions of an ellipsoid about its centre."""
+    return Conditions(rotation.T @ np.diag(semi**-2.0) @ rotation, np.zeros(3), -1.0)
+
+
 def quadric_matrices(coefficients: Array) -> tuple[Array, Array, float]:
     """S (3, 3), u (3,) and c of ten coefficients."""
     a, b, c, d, e, f, g, h, i, j = coefficients.tolist()
@@ -170,17 +175,8 @@ def shape_of(coefficients: Array) -> str:
 class SurfaceModel:
     """Surface near a start; the state (u,) contains corrections for ellipsoids, values for spheres and quadrics.
 
-    Parameters
-    ----------
-    kind : str
-    equation : Equation
-    record : (d,) array
-    setup : (2, k) array
-    names : tuple of str
-        Of the unknowns.
-    start : (u,) array
-    is_length : (u,) bool array
-        Whether an unknown is a length (the others are angles or have no unit).
+    ``names``, ``start`` and ``is_length`` (the others are angles or have no unit) are those of the unknowns (u,);
+    record (d,) and setup (2, k) those of the equation.
     """
 
     kind: Kind
@@ -212,8 +208,13 @@ class SurfaceModel:
             return Surface("quadric", np.zeros(3), np.ones(3), coefficients=x)
         if self.kind == "sphere":
             return Surface("sphere", x[:3], np.full(3, abs(x[3])))
+        centre, rotation, semi = self._ellipsoid(x)
+        return Surface(self.kind, centre, np.abs(semi), rotation)
+
+    def _ellipsoid(self, x: Array) -> tuple[Array, Array, Array]:
+        """Centre, rotation (3, 3) and semi-axes of a state of an ellipsoid."""
         centre, turn, semi = surfaces.shape(self.record, self.setup, x)
-        return Surface(self.kind, centre, np.abs(semi), turn[CAMERA.rotation].reshape(3, 3))
+        return centre, turn[CAMERA.rotation].reshape(3, 3), semi
 
     def conditions(self, x: Array) -> tuple[Conditions, Array]:
         """Conditions of a state and their origin."""
@@ -221,15 +222,16 @@ class SurfaceModel:
             return Conditions(*quadric_matrices(x)), np.zeros(3)
         if self.kind == "sphere":
             return Conditions(np.eye(3), np.zeros(3), -float(x[3] ** 2)), x[:3]
-        centre, turn, semi = surfaces.shape(self.record, self.setup, x)
-        rotation = turn[CAMERA.rotation].reshape(3, 3)
-        return Conditions(rotation.T @ np.diag(semi**-2.0) @ rotation, np.zeros(3), -1.0), centre
+        centre, rotation, semi = self._ellipsoid(x)
+        return _ellipsoid_conditions(rotation, semi), centre
 
     def values(self, x: Array) -> Array:
         """Values (u,) for users: centre, semi-axes, rotations from the start; or coefficients."""
         if self.kind in ("sphere", "quadric"):
             return x
-        return np.asarray(x * self.setup[1] + _start_values(self.record, self.setup))
+        semi = self.record[RECORD.semi_axes]
+        of_code = np.concatenate([self.record[RECORD.centre], np.zeros(3), semi, np.roll(semi, -1)])
+        return np.asarray(x * self.setup[1] + of_code[self.setup[0].astype(int)])
 
     def settled(self, x: Array) -> tuple[SurfaceModel, Array]:
         """Model that starts at a state, and this state: rotations 0, semi-axes above 0, sorted for an ellipsoid."""
@@ -237,8 +239,8 @@ class SurfaceModel:
             return self, x
         if self.kind == "sphere":
             return self, np.append(x[:3], abs(x[3]))
-        centre, turn, semi = surfaces.shape(self.record, self.setup, x)
-        semi, rotation = np.abs(semi), turn[CAMERA.rotation].reshape(3, 3)
+        centre, rotation, semi = self._ellipsoid(x)
+        semi = np.abs(semi)
         if self.kind == "ellipsoid":
             order = np.argsort(-semi, kind="stable")
             semi, rotation = semi[order], rotation[order]
@@ -248,23 +250,8 @@ class SurfaceModel:
         return replace(self, record=record), np.zeros(len(x))
 
 
-def _start_values(record: Array, setup: Array) -> Array:
-    """Start value of each unknown of an ellipsoid."""
-    semi = record[RECORD.semi_axes]
-    of_code = np.concatenate([record[RECORD.centre], np.zeros(3), semi, np.roll(semi, -1)])
-    return np.asarray(of_code[setup[0].astype(int)])
-
-
 def models_of(kind: Kind, points: Array, axis: str) -> list[SurfaceModel]:
-    """Models of a kind for all possible start values.
-
-    Parameters
-    ----------
-    kind : str
-    points : (n, 3) array
-        Normalised.
-    axis : str
-        Of a spheroid: "x", "y", "z" or "free".
+    """Models of a kind for all possible start values; normalised points (n, 3), axis of a spheroid.
 
     Raises
     ------
@@ -272,7 +259,8 @@ def models_of(kind: Kind, points: Array, axis: str) -> list[SurfaceModel]:
         No such kind or axis.
     """
     if kind == "quadric":
-        return [_quadric(points)]
+        start = _algebraic_quadric(points)
+        return [SurfaceModel(kind, surfaces.QUADRIC, np.ones(1), np.zeros((2, 0)), _QUADRIC, start, np.zeros(10, bool))]
     ball = start_sphere(points)
     if kind == "sphere":
         lengths = np.ones(4, bool)
@@ -329,11 +317,6 @@ def _algebraic_quadric(points: Array) -> Array:
     x, y, z = points.T
     terms = [x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z, np.ones(len(x))]
     return np.asarray(np.linalg.svd(np.column_stack(terms), full_matrices=True)[2][-1])
-
-
-def _quadric(points: Array) -> SurfaceModel:
-    start = _algebraic_quadric(points)
-    return SurfaceModel("quadric", surfaces.QUADRIC, np.ones(1), np.zeros((2, 0)), _QUADRIC, start, np.zeros(10, bool))
 
 
 def _from_quadric(points: Array) -> list[tuple[Array, Array, Array]]:

@@ -9,6 +9,7 @@ very different values (``closerange.minima``).
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -20,7 +21,6 @@ from fg_orient.closerange.fitting import (
     Determination,
     Fit,
     Minimum,
-    Rows,
     adjust,
     as_points,
     determination,
@@ -84,28 +84,64 @@ class SurfaceFit(Fit):
 
 
 @dataclass(frozen=True)
-class _Points:
-    """Normalised points: ``p = offset + size * points``; known: sigmas were given."""
+class _Task:
+    """Model, priors and normalised points: ``p = offset + size * points``; known: sigmas were given."""
 
+    model: SurfaceModel
+    priors: Priors
     points: Array
     sigma: Array
     offset: Array
     size: float
     known: bool
 
-    @classmethod
-    def of(cls, points_m: npt.ArrayLike, sigma_m: npt.ArrayLike | None) -> _Points:
-        points = as_points(points_m, 3, "points")
-        sigma = np.broadcast_to(np.asarray(1.0 if sigma_m is None else sigma_m, float), points.shape)
-        require_sigmas(sigma, "sigma_m")
-        offset = points.mean(axis=0)
-        size = float(np.linalg.norm(points - offset, axis=1).max()) or 1.0
-        return cls((points - offset) / size, sigma / size, offset, size, sigma_m is not None)
+    @property
+    def scale(self) -> Array:
+        """Unit (u,) of the unknowns in m; 1 for those that are not lengths."""
+        return np.where(self.model.is_length, self.size, 1.0)
+
+    @property
+    def shift(self) -> Array:
+        """Change (u,) of the unknowns from normalised to original coordinates: the offset for the centre."""
+        centre = dict(zip(("x0", "y0", "z0"), self.offset.tolist(), strict=True))
+        return np.array([centre.get(name, 0.0) for name in self.model.names])
 
     @property
     def typical_sigma(self) -> float:
         """Root mean square of the sigmas."""
         return float(np.sqrt(np.mean(self.sigma**2)))
+
+    @property
+    def semi_axes(self) -> list[int]:
+        """Semi-axes without a prior, the axis of revolution first: every undetermined direction changes them."""
+        return [k for k, n in enumerate(self.model.names) if n in SEMI_AXES and n not in self.priors][::-1]
+
+    def geometric(self, x: Array, with_jacobian: bool) -> tuple[Array, Array]:
+        """Rows of normal distances divided by their sigmas, then of priors; derivatives at the foot points."""
+        model = self.model
+        conditions, centre = model.conditions(x)
+        residual, foot = weighted_distances(conditions, self.points - centre, self.sigma)
+        scale, at = self.scale, [model.names.index(name) for name in self.priors]
+        values = model.values(x) * scale + self.shift
+        given = list(zip(at, self.priors.values(), strict=True))
+        residual = np.append(residual, [(values[k] - v) / s for k, (v, s) in given])
+        if not with_jacobian:
+            return residual, np.zeros((0, len(x)))
+        _, by_unknown, slope = model.derivatives(x, foot + centre)
+        extra = np.zeros((len(at), len(x)))
+        extra[np.arange(len(at)), at] = [scale[k] / s for k, (_, s) in given]
+        return residual, np.vstack([distance_rows(by_unknown, slope, self.sigma), extra])
+
+    def refusal(self, direction: Array, condition: float) -> FgOrientError:
+        """Error that names the parameters of a direction (u,)."""
+        return InputError.of("closerange.undetermined", place=self.model.kind, value=f"condition {condition:.2g}",
+                             limit=UNDETERMINED, **_words(self.model.names, direction * self.scale))  # fmt: skip
+
+    def unverified(self, k: int, value: float) -> FgOrientError:
+        """Error for a semi-axis that may or may not be determined."""
+        name = self.model.names[k]
+        return InputError.of("closerange.unverified", place=self.model.kind, name=name,
+                             value=f"{name} held at {value * self.size:.4g} m")  # fmt: skip
 
 
 def fit_surface(
@@ -144,87 +180,66 @@ def fit_surface(
     """
     if method not in METHODS:
         raise InputError.of("closerange.method", place="method", value=method, known=", ".join(METHODS))
-    given = _Points.of(points_m, sigma_m)
-    models = models_of(kind, given.points, axis)
+    points = as_points(points_m, 3, "points")
+    sigma = np.broadcast_to(np.asarray(1.0 if sigma_m is None else sigma_m, float), points.shape)
+    require_sigmas(sigma, "sigma_m")
+    offset = points.mean(axis=0)
+    size = float(np.linalg.norm(points - offset, axis=1).max()) or 1.0
+    normalised = (points - offset) / size
+    models, observed = models_of(kind, normalised, axis), priors or {}
     unknowns = len(models[0].names) - (kind == "quadric")
-    known = _require_priors(models[0], priors or {}, method)
-    if len(given.points) + len(known) < unknowns:
-        raise InputError.of("closerange.few", place=kind, value=len(given.points), least=unknowns - len(known))
-    tried, failures = [], []
+    _require_priors(models[0], observed, method)
+    if len(points) + len(observed) < unknowns:
+        raise InputError.of("closerange.few", place=kind, value=len(points), least=unknowns - len(observed))
+    tried, failures = list[tuple[_Task, Minimum]](), list[FgOrientError]()
     for model in models:
+        task = _Task(model, observed, normalised, sigma / size, offset, size, sigma_m is not None)
         try:
-            tried.append(_fitted(given, model, method, known))
+            tried.append((task, _minimum(task, method)))
         except (InputError, NoSolutionError) as error:
             failures.append(error)
     if not tried:
         raise failures[0]
-    model, minimum = min(tried, key=lambda one: one[1].squares)
-    return _result(given, model, minimum, method, known)
+    return _result(*min(tried, key=lambda one: one[1].squares), method)
 
 
-def _require_priors(model: SurfaceModel, priors: Priors, method: str) -> Priors:
+def _require_priors(model: SurfaceModel, priors: Priors, method: str) -> None:
+    lengths = [name for name, is_length in zip(model.names, model.is_length, strict=True) if is_length]
     for name, (value, sigma) in priors.items():
         possible = abs(value) <= LARGEST and SMALLEST <= sigma <= LARGEST and (value > 0.0 or name not in SEMI_AXES)
-        lengths = [known for known, flag in zip(model.names, model.is_length, strict=True) if flag]
         if name not in lengths or method != "geometric" or not possible:
             raise InputError.of("closerange.prior", place=f"prior {name}", value=f"{value} +- {sigma}",
                                 known=", ".join(lengths))  # fmt: skip
-    return priors
 
 
-def _fitted(given: _Points, model: SurfaceModel, method: str, priors: Priors) -> tuple[SurfaceModel, Minimum]:
+def _minimum(task: _Task, method: str) -> Minimum:
     """Minimum from one start; without convergence undetermined parameters are refused at the last possible state."""
+    model = task.model
 
     def rows(x: Array, with_jacobian: bool) -> tuple[Array, Array]:
         if method == "algebraic":
-            value, design, _ = model.derivatives(x, given.points, with_jacobians=with_jacobian)
+            value, design, _ = model.derivatives(x, task.points, with_jacobians=with_jacobian)
         else:
-            value, design = _distance_rows(given, model, x, priors, with_jacobian)
+            value, design = task.geometric(x, with_jacobian)
         if model.kind != "quadric":
             return value, design
         # only ratios of coefficients are unknowns: a step along the coefficients is constrained to 0
         return np.append(value, 0.0), np.vstack([design, x]) if with_jacobian else design
 
     if model.kind == "quadric" and method == "algebraic":  # its start is the solution, by SVD
-        return model, Minimum(model.start, *rows(model.start, True), ())
+        return Minimum(model.start, *rows(model.start, True), ())
     try:
-        return model, adjust(rows, model.start, model.kind, moved=model.moved)
+        return adjust(rows, model.start, model.kind, moved=model.moved)
     except NoSolutionError:
-        _require_determined(given, model, model.start, priors)
-        for k in _semi_axes(model, priors):
-            start = held(_geometric(given, model, priors), model.start, k, float(model.start[k]))
+        _require_determined(task, model.start)
+        for k in task.semi_axes:
+            start = held(task.geometric, model.start, k, float(model.start[k]))
             if start is not None:
-                _require_steep(given, model, (start.state, start.squares), k, priors)
+                _require_steep(task, (start.state, start.squares), k)
         raise
 
 
-def _distance_rows(
-    given: _Points, model: SurfaceModel, x: Array, priors: Priors, with_jacobian: bool
-) -> tuple[Array, Array]:
-    """Rows of normal distances divided by their sigmas, then of priors; derivatives at the foot points."""
-    conditions, centre = model.conditions(x)
-    residual, foot = weighted_distances(conditions, given.points - centre, given.sigma)
-    scale = np.where(model.is_length, given.size, 1.0)
-    shift = _shift(given, model)
-    at = [model.names.index(name) for name in priors]
-    values = model.values(x) * scale + shift
-    residual = np.append(residual, [(values[k] - v) / s for k, (v, s) in zip(at, priors.values(), strict=True)])
-    if not with_jacobian:
-        return residual, np.zeros((0, len(x)))
-    _, by_unknown, slope = model.derivatives(x, foot + centre)
-    design = distance_rows(by_unknown, slope, given.sigma)
-    extra = np.zeros((len(at), len(x)))
-    extra[np.arange(len(at)), at] = [scale[k] / s for k, (_, s) in zip(at, priors.values(), strict=True)]
-    return residual, np.vstack([design, extra])
-
-
-def _shift(given: _Points, model: SurfaceModel) -> Array:
-    """Change (u,) of the unknowns from normalised to original coordinates: the offset for the centre."""
-    names = ("x0", "y0", "z0")
-    return np.array([given.offset[names.index(name)] if name in names else 0.0 for name in model.names])
-
-
-def _require_determined(given: _Points, model: SurfaceModel, x: Array, priors: Priors) -> Determination:
+def _require_determined(task: _Task, x: Array) -> Determination:
     """Determination by the weighted normal distances; see the module docstring.
 
     Raises
@@ -234,48 +249,25 @@ def _require_determined(given: _Points, model: SurfaceModel, x: Array, priors: P
     NoSolutionError
         Normal distances have no derivatives at this state.
     """
-    _, design = finite_rows(_geometric(given, model, priors), model.kind)(x, True)
-    tangent = _tangent(model, x)
+    _, design = finite_rows(task.geometric, task.model.kind)(x, True)
+    tangent = _tangent(task.model, x)
     judged = determination(design @ tangent)
     if judged.cofactors is not None:
         sd = np.sqrt(np.einsum("ij,jk,ik->i", tangent, judged.cofactors, tangent))
-        open_ = (sd > UNDETERMINED * given.typical_sigma) & ~np.isin(model.names, list(priors))
-        if not open_.any():
+        if not ((sd > UNDETERMINED * task.typical_sigma) & ~np.isin(task.model.names, list(task.priors))).any():
             return judged
-    raise _open(given, model, tangent @ judged.weakest, judged.condition)
+    raise task.refusal(tangent @ judged.weakest, judged.condition)
 
 
-def _open(given: _Points, model: SurfaceModel, direction: Array, condition: float) -> FgOrientError:
-    """Refusal that names the parameters of a direction."""
-    return InputError.of(
-        "closerange.undetermined", place=model.kind, value=f"condition {condition:.2g}", limit=UNDETERMINED,
-        **_words(model.names, direction * np.where(model.is_length, given.size, 1.0)),
-    )  # fmt: skip
-
-
-def _geometric(given: _Points, model: SurfaceModel, priors: Priors) -> Rows:
-    """Rows of weighted distances and priors."""
-    return lambda x, with_jacobian: _distance_rows(given, model, x, priors, with_jacobian)
-
-
-def _semi_axes(model: SurfaceModel, priors: Priors) -> list[int]:
-    """Semi-axes without a prior, that of revolution first: every undetermined direction changes them."""
-    return [k for k, name in enumerate(model.names) if name in SEMI_AXES and name not in priors][::-1]
-
-
-def _least(given: _Points, model: SurfaceModel, state: Array, priors: Priors) -> tuple[Array, float] | None:
-    """Least weighted squares of the distances, from the result of either method."""
-    try:
-        minimum = adjust(_geometric(given, model, priors), state, model.kind)
-    except NoSolutionError:
-        return None
-    return minimum.state, minimum.squares
-
-
-def _require_steep(
-    given: _Points, model: SurfaceModel, base: tuple[Array, float] | None, k: int, priors: Priors
-) -> None:  # fmt: skip
+def _require_steep(task: _Task, base: tuple[Array, float] | None, k: int) -> None:
     """Refuse a semi-axis if a fit with it fixed at a very different value is hardly worse.
+
+    Parameters
+    ----------
+    base : tuple of (state (u,), weighted squares) or None
+        Least weighted squares of the distances; None: no convergence.
+    k : int
+        Number of the unknown.
 
     Raises
     ------
@@ -283,29 +275,25 @@ def _require_steep(
         Names the parameters and the direction near the start; or the semi-axis that cannot be verified, because no fit
         converges there and its squares do not stay far above.
     """
+    model = task.model
     if base is None:
-        raise _unverified(given, model, k, float(model.values(model.start)[k]))
+        raise task.unverified(k, float(model.values(model.start)[k]))
     state, squares = base
-    redundancy = len(given.points) + len(priors) - len(state)
-    ends = reach(given.typical_sigma, squares, redundancy, known=given.known)
+    redundancy = len(task.points) + len(task.priors) - len(state)
+    ends = reach(task.typical_sigma, squares, redundancy, known=task.known)
     if ends is None:
         return
-    rows, (far, growth) = _geometric(given, model, priors), ends
+    far, growth = ends
     for away in (far, -far):
-        if model.values(state)[k] + away <= 0.0:
+        value = float(model.values(state)[k] + away)
+        if value <= 0.0:
             continue
-        other = followed(rows, state, k, float(state[k] + away), squares + growth)
+        other = followed(task.geometric, state, k, float(state[k] + away), squares + growth)
         if other is None:
-            raise _unverified(given, model, k, float(model.values(state)[k] + away))
+            raise task.unverified(k, value)
         if other[1] - squares < growth:
-            judged = determination(rows(other[0], True)[1])
-            raise _open(given, model, judged.weakest, judged.condition)
-
-
-def _unverified(given: _Points, model: SurfaceModel, k: int, value: float) -> FgOrientError:
-    """Refusal of a semi-axis that may or may not be determined."""
-    return InputError.of("closerange.unverified", place=model.kind, name=model.names[k],
-                         value=f"{model.names[k]} held at {value * given.size:.4g} m")  # fmt: skip
+            judged = determination(task.geometric(other[0], True)[1])
+            raise task.refusal(judged.weakest, judged.condition)
 
 
 def _tangent(model: SurfaceModel, x: Array) -> Array:
@@ -326,29 +314,29 @@ def _words(names: tuple[str, ...], direction: Array) -> dict[str, str]:
     return {"names": which, "direction": ", ".join(ratios) or f"d{first} alone"}
 
 
-def _result(given: _Points, model: SurfaceModel, minimum: Minimum, method: str, priors: Priors) -> SurfaceFit:
-    model, state = model.settled(minimum.state)
-    judged, tangent = _require_determined(given, model, state, priors), _tangent(model, state)
-    least = _least(given, model, state, priors)
-    for k in _semi_axes(model, priors):
-        _require_steep(given, model, least, k, priors)
+def _result(task: _Task, minimum: Minimum, method: str) -> SurfaceFit:
+    model, state = task.model.settled(minimum.state)
+    task = replace(task, model=model)
+    judged, tangent = _require_determined(task, state), _tangent(model, state)
+    least = None
+    with suppress(NoSolutionError):
+        geometric = adjust(task.geometric, state, model.kind)
+        least = geometric.state, geometric.squares
+    for k in task.semi_axes:
+        _require_steep(task, least, k)
     cofactors = judged.cofactors
     if method == "algebraic":
-        cofactors = determination(model.derivatives(state, given.points)[1] @ tangent).cofactors
+        cofactors = determination(model.derivatives(state, task.points)[1] @ tangent).cofactors
     if cofactors is None:  # the normal distances determine the same unknowns
         raise NoSolutionError.of("closerange.not_converged", place=model.kind, reason="the conditions are singular")
-    scale = np.where(model.is_length, given.size, 1.0)
     residual = minimum.residual[: len(minimum.residual) - (model.kind == "quadric")]
     own = replace(judged, cofactors=cofactors)
     unit = model.surface(state)
-    surface = Surface(
-        unit.kind, unit.centre * given.size + given.offset, unit.semi_axes * given.size, unit.rotation,
-        unit.coefficients,
-    )  # fmt: skip
-    points = given.points * given.size + given.offset
-    foot = surface.foot_points(points, given.sigma)
+    surface = replace(unit, centre=unit.centre * task.size + task.offset, semi_axes=unit.semi_axes * task.size)
+    points = task.points * task.size + task.offset
+    foot = surface.foot_points(points, task.sigma)
     return SurfaceFit(
-        surface, method, model.names, model.values(state) * scale + _shift(given, model),
+        surface, method, model.names, model.values(state) * task.scale + task.shift,
         foot - points if method == "geometric" else surface.deviations(points), surface.distances(points),
-        **statistics(residual, own, len(minimum.log), scale[:, None] * tangent),
+        **statistics(residual, own, len(minimum.log), task.scale[:, None] * tangent),
     )  # fmt: skip
