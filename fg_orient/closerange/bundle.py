@@ -27,7 +27,7 @@ from fg_orient.closerange.bundle_checks import (
 )
 from fg_orient.closerange.bundle_network import Built, build
 from fg_orient.closerange.bundle_quality import Quality, quality_of
-from fg_orient.closerange.constraints import JUDGED, Constraint
+from fg_orient.closerange.constraints import FITTED_FIRST, Constraint
 from fg_orient.closerange.fitting import as_points, require_sigmas, unit_weight
 from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
@@ -277,7 +277,7 @@ def adjust_bundle(
 
         # Inaccurate start points do not determine spheres and spheroids, although their rays do. From such a start a
         # figure of small sigma is a narrow bent valley with many small damped steps. So begin without these figures.
-        others, begin = [c for c in constraints if c.kind not in JUDGED], None
+        others, begin = [c for c in constraints if c.kind not in FITTED_FIRST], None
         if len(others) < len(constraints):
             with suppress(FgOrientError):
                 free = made(others)

@@ -88,10 +88,7 @@ def run_bundle(
     entries = read_constraints(constraints) if constraints else ()
     stated = [Constraint(e.kind, e.members, e.value_m, e.sigma, e.observed, e.axis,
                          np.eye(3) if e.offset is None else np.array(e.offset)) for e in entries]  # fmt: skip
-    require_absolute(path, table, [
-        *_own_sigmas(control, sigma_control_m, known), *_stated(constraints, entries),
-        *((str(stations), f"photo {name}", float(s.sigma_m.max())) for name, s in seen.items()),
-    ])  # fmt: skip
+    require_absolute(path, table, _sigmas(control, sigma_control_m, known, constraints, entries, stations, seen))
     report_progress("start values", len(table.ids))
     with one_blas_thread():
         starts, doubts = _starts(photos, names, table, which, of, ids, places, seen)
@@ -117,23 +114,22 @@ def run_bundle(
     return finished(record, path, table, output, texts, beside)
 
 
-def _own_sigmas(
-    path: Path | None, sigma_m: float, known: Mapping[str, tuple[Array, Array]]
-) -> Iterator[tuple[str, str, float]]:
-    """Control points with a sigma: file, place, value."""
+def _sigmas(
+    control: Path | None, sigma_m: float, known: Mapping[str, tuple[Array, Array]], constraints: Path | None,
+    entries: Sequence[ConstraintEntry], stations: Path | None, seen: Mapping[str, Station],
+) -> Iterator[tuple[str, str, float]]:  # fmt: skip
+    """Sigmas in m or rad: file, place and value of control points, constraints with their observations, stations."""
     for name, (_, sigma) in known.items():
         if sigma.any():
-            own = (str(path), f"control {name}")
+            own = (str(control), f"control {name}")
             yield *(("", "<sigma_control>") if (sigma == sigma_m).all() else own), float(sigma.max())
-
-
-def _stated(path: Path | None, entries: Sequence[ConstraintEntry]) -> Iterator[tuple[str, str, float]]:
-    """Sigmas of constraints and of what they observe: file, place, value."""
     for k, entry in enumerate(entries, start=1):
-        if entry.sigma is not None:
-            yield str(path), f"constraints[{k}].sigma", entry.sigma
-        for name, (_, sigma) in entry.observed.items():
-            yield str(path), f"constraints[{k}].observed.{name}", sigma
+        stated = {"": entry.sigma} | {f"observed.{name}": value for name, (_, value) in entry.observed.items()}
+        for place, one in stated.items():
+            if one is not None:
+                yield str(constraints), f"constraints[{k}].{place or 'sigma'}", one
+    for name, station in seen.items():
+        yield str(stations), f"photo {name}", float(station.sigma_m.max())
 
 
 def _control(path: Path | None, sigma_m: float) -> dict[str, tuple[Array, Array]]:

@@ -186,7 +186,7 @@ def _reliability(quality: Quality) -> Record:
 
 
 def _correlations(quality: Quality) -> Record:
-    """High correlations of the orientation, largest first, and those of each photo and camera as triangles."""
+    """High correlations of the orientation, largest first; all correlations of each photo and camera as triangles."""
     rho = quality.correlations()
     first, second = np.nonzero(np.tril(np.abs(np.nan_to_num(rho)) > HIGH, -1))
     order = np.argsort(-np.abs(rho[first, second]), kind="stable")[:LISTED]

@@ -28,8 +28,8 @@ OF_PHOTOS: Final = ("base", "equal attitude")
 #: Kinds that need a value, m, and those with a fixed number of members.
 MEASURED: Final = ("distance", "base")
 EXACT: Final = ("distance", "parallel", *OF_PHOTOS)
-#: Figures that are refused before the adjustment if their points do not determine them.
-JUDGED: Final = ("sphere", "spheroid")
+#: Figures that are fitted to their points before the adjustment, and refused if the points do not determine them.
+FITTED_FIRST: Final = ("sphere", "spheroid")
 AXES: Final = ("x", "y", "z")
 _NONE: Final = np.zeros((2, 0))
 

@@ -35,7 +35,7 @@ SETS: Final[dict[str, tuple[str, ...]]] = {
     "film-turned": ("film_xx", "affinity_a", "affinity_b"),  # no fiducial marks: the turn is kappa's, eq. 51
     "film": ("affinity_a", "affinity_b"),  # one scale is the principal distance's, eqs. 53, 54
     "film-scales": ("film_xx", "affinity_b"),  # two scales, eq. 55
-    "brown": brown.NAMES[:15],  # without what repeats k1 to k3 and the interior orientation, eq. 2
+    "brown": brown.NAMES[:15],  # without those equivalent to k1 to k3 and the interior orientation, eq. 2
     "brown-21": brown.NAMES,
 }
 

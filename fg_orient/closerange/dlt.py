@@ -196,15 +196,15 @@ def fit_dlt(
     if not (below > 0.0).all():
         raise NoSolutionError.of("closerange.behind", place=f"point {int(np.argmin(below)) + 1}")
     white, design = rows(state, True)
-    judged = _require_spatial(ground, design)
-    scaled = statistics(white, judged, iterations, np.eye(len(state)))
+    assessed = _require_spatial(ground, design)
+    scaled = statistics(white, assessed, iterations, np.eye(len(state)))
     doubt = require_depth(ground, state[:11], scaled["cofactors"], scaled["m0"], scaled["redundancy"],
                           known=sigma is not None)  # fmt: skip
     # physical parameters are linear in the normalised ones because the last element of the matrix is 1
     to_physical = _denormalisation(source, target, distortion)
     values, residuals = to_physical @ state, white.reshape(-1, 2) * size
     values[[3, 7]] += target.offset  # times the 1 of the last element
-    facts = statistics((residuals / size).ravel(), judged, iterations, to_physical)
+    facts = statistics((residuals / size).ravel(), assessed, iterations, to_physical)
     recovered = _scaled(recover(values[:11], source.offset, facts["cofactors"][:11, :11]), facts["m0"], ground, size)
     origin = target.physical(records[0, RECORD.centre]) if distortion else recovered.principal
     photo = Photo(name, np.append(values[:11], 1.0).reshape(3, 4), source.offset, origin,
@@ -244,14 +244,14 @@ def _open(ground: Array, value: str) -> InputError:
 
 def _require_spatial(ground: Array, design: Array) -> Determination:
     """Refuse points in a plane or another configuration that does not determine L."""
-    judged = determination(design)
-    if judged.cofactors is None or judged.condition >= 1.0 / max(PLANE_LIMIT, RANK_LIMIT):
-        raise _open(ground, f"condition {judged.condition:.2g}")
-    return judged
+    assessed = determination(design)
+    if assessed.cofactors is None or assessed.condition >= 1.0 / max(PLANE_LIMIT, RANK_LIMIT):
+        raise _open(ground, f"condition {assessed.condition:.2g}")
+    return assessed
 
 
 def limits(redundancy: int, *, known: bool) -> tuple[float, float]:
-    """Numbers of standard deviations by which a determinant differs from 0, and its inverse has an honest sigma.
+    """Numbers of standard deviations by which a determinant differs from 0, and by which its inverse has a valid sigma.
 
     ``redundancy``: 1 or more if sigmas are not known; ``known``: sigmas were given.
     """

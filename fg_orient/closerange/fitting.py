@@ -84,12 +84,12 @@ class Fit:
         return None if self.m0 is None else np.asarray(self.m0 * np.sqrt(np.diag(self.cofactors)))
 
 
-def statistics(whitened: Array, judged: Determination, iterations: int, away: Array) -> dict[str, Any]:
+def statistics(whitened: Array, assessed: Determination, iterations: int, away: Array) -> dict[str, Any]:
     """Keyword arguments of a :class:`Fit` from whitened residuals; ``away`` (p, u): user's parameters by unknowns."""
-    assert judged.cofactors is not None
-    redundancy = whitened.size - len(judged.cofactors)
-    return {"cofactors": away @ judged.cofactors @ away.T, "m0": unit_weight(float(whitened @ whitened), redundancy),
-            "redundancy": redundancy, "condition": judged.condition, "iterations": iterations}  # fmt: skip
+    assert assessed.cofactors is not None
+    redundancy = whitened.size - len(assessed.cofactors)
+    return {"cofactors": away @ assessed.cofactors @ away.T, "m0": unit_weight(float(whitened @ whitened), redundancy),
+            "redundancy": redundancy, "condition": assessed.condition, "iterations": iterations}  # fmt: skip
 
 
 def finite_rows(rows: Rows, what: str = "") -> Rows:
@@ -169,10 +169,10 @@ def determined(design: Array, sigma: Array, code: str, place: str) -> Determinat
     InputError
         With this code: the rows do not determine all unknowns.
     """
-    judged = determination(design, sigma)
-    if judged.cofactors is None:
-        raise InputError.of(code, place=place, value=f"condition {judged.condition:.2g}")
-    return judged
+    assessed = determination(design, sigma)
+    if assessed.cofactors is None:
+        raise InputError.of(code, place=place, value=f"condition {assessed.condition:.2g}")
+    return assessed
 
 
 def plain_rms(values: Array) -> list[float | None]:

@@ -189,7 +189,8 @@ def _iterated(
 def _require_angle(matrices: Array, ideal: Array, size: Array, name: str) -> None:
     """Refuse a point whose rays are parallel within their noise, for example rays from one place.
 
-    With an angle a the sigma of the distance is 1/a times that of a point, which may be ``UNDETERMINED``.
+    With an angle a between the rays, the sigma of the distance is 1/a times the sigma of a point; the limit of this
+    factor is ``UNDETERMINED``.
     """
     rays = np.linalg.solve(matrices[:, :, :3], np.column_stack([ideal, np.ones(len(ideal))])[:, :, None])[:, :, 0]
     centres = -np.linalg.solve(matrices[:, :, :3], matrices[:, :, 3:])[:, :, 0]

@@ -1,4 +1,4 @@
-"""Renders the report of close range: one HTML file that needs nothing else."""
+"""HTML report of close range: one file that needs no other files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fg_orient.report.page import environment
 from fg_orient.report.plots import heat_map, iteration_charts, redundancy_chart
 
 PACKAGE: Final = "fg_orient.closerange"
-#: Rows of a table that the page shows; closerange.json and points.csv hold all.
+#: Rows of a table that the page shows; closerange.json and points.csv contain all.
 MANY: Final = 200
 #: Largest residuals that are listed, and photos whose correlations are drawn.
 WORST: Final = 20

@@ -103,7 +103,7 @@ def distortions(record: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def band_factor(radial: Array, sigma: Array) -> float:
-    """How many times a band is drawn wider than it is, so that it is seen beside the curve; 1 where it is anyway."""
+    """Factor by which a band is enlarged to be visible along the curve; 1 if it is visible without."""
     reach, widest = float(np.abs(radial).max()), float(sigma.max())
     return round_down(0.08 * reach / widest) if 0.0 < widest < 0.04 * reach else 1.0
 
@@ -169,8 +169,10 @@ def _drawn(record: dict[str, Any], draw: Callable[[dict[str, Any]], Charts], cap
     return draw(record), caption
 
 
-def _views(record: dict[str, Any]) -> Charts:
-    return [] if record["kind"] == "surface" else [chart for _, chart in views_of(scene_of(record))][:2]
+def _views(record: dict[str, Any], *, of_surface: bool) -> Charts:
+    if (record["kind"] == "surface") != of_surface:
+        return []
+    return [chart for _, chart in (deviation_views(record) if of_surface else views_of(scene_of(record)))][:2]
 
 
 def _photos(record: dict[str, Any]) -> Charts:
@@ -178,15 +180,12 @@ def _photos(record: dict[str, Any]) -> Charts:
     return [photo_vectors(name, rows, y_down(record).get(name, False)) for name, rows in photos]
 
 
-def _surface(record: dict[str, Any]) -> Charts:
-    return [chart for _, chart in deviation_views(record)][:2] if record["kind"] == "surface" else []
-
-
 PLOTS: Final[dict[str, tuple[Callable[[dict[str, Any]], Charts], str]]] = {
-    "map": (_views, "points (triangles: control, circles: check, dots: new) with ellipses of one standard deviation, "
-                    "and camera stations (squares); the bars are the scales of the object and of the errors."),
+    "map": (partial(_views, of_surface=False),
+            "points (triangles: control, circles: check, dots: new) with ellipses of one standard deviation, and "
+            "camera stations (squares); the bars are the scales of the object and of the errors."),
     "residuals": (_photos, "image residuals, computed minus measured; the bar above each photo is their scale."),
     "distortion": (lambda record: [one["drawing"] for one in distortions(record)[:FEW_PHOTOS]],
                    "corrections along the radius with the band of their standard deviations, and the largest across."),
-    "deviations": (_surface, "normal distances of the points from the surface."),
+    "deviations": (partial(_views, of_surface=True), "normal distances of the points from the surface."),
 }  # fmt: skip

@@ -16,7 +16,7 @@ Residual = tuple[float, float, int, str]
 
 #: Level of the test of m0, and of the search for the worst residual among all.
 LEVEL: Final = 0.001
-#: Smaller residuals are rounding, with which a point of exact data would stand out, in metres or image units.
+#: Smaller residuals are rounding errors of exact data, in metres or image units; they are not tested.
 ROUNDING: Final = 1e-9
 #: Suspicious observations that the first page names.
 SUSPECTS: Final = 3

@@ -111,7 +111,7 @@ def resect(
     Notes
     -----
     Start: triples of points (Grunert 1841 in the form of Haralick et al. 1994), and the DLT with six points or more.
-    The adjustment is that of ``factors.cameras.frame`` with observations corrected for the distortion. The result is
+    The adjustment uses ``factors.cameras.frame`` with observations corrected for the distortion. The result is
     the minimum with the smallest weighted squares. The mirrored pose of a plane (Schweighofer & Pinz 2006) is always
     tried, and reported if it fits as well.
     """
@@ -201,14 +201,14 @@ def _adjusted(
     depth = (ground - centre - turned[CAMERA.centre]) @ rotation[2]
     if not (depth > 0.0).all():
         raise NoSolutionError.of("closerange.behind", place=f"point {int(np.argmin(depth)) + 1}")
-    judged = determined(minimum.design, sigma, *REFUSED)
+    assessed = determined(minimum.design, sigma, *REFUSED)
     # the unknowns are rotations about the start's axes; J transforms them to the axes of the adjusted camera
     away = np.diag(setup[1])
     away[:3, :3] = turned[CAMERA.jacobian].reshape(3, 3)
     moved = centre + turned[CAMERA.centre]
     photo = Photo.of(name, interior, rotation, moved)
     residuals = minimum.residual.reshape(-1, 2)[:, ::-1] * sigma * interior.focal * [1.0, interior.sign]
-    facts = statistics(minimum.residual, judged, len(minimum.log), away)
+    facts = statistics(minimum.residual, assessed, len(minimum.log), away)
     return Resection(
         photo, rotation, moved, residuals, minimum.squares, bend(rows, minimum.state, facts["m0"]), **facts
     )

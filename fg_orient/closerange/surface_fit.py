@@ -251,12 +251,12 @@ def _require_determined(task: _Task, x: Array) -> Determination:
     """
     _, design = finite_rows(task.geometric, task.model.kind)(x, True)
     tangent = _tangent(task.model, x)
-    judged = determination(design @ tangent)
-    if judged.cofactors is not None:
-        sd = np.sqrt(np.einsum("ij,jk,ik->i", tangent, judged.cofactors, tangent))
+    assessed = determination(design @ tangent)
+    if assessed.cofactors is not None:
+        sd = np.sqrt(np.einsum("ij,jk,ik->i", tangent, assessed.cofactors, tangent))
         if not ((sd > UNDETERMINED * task.typical_sigma) & ~np.isin(task.model.names, list(task.priors))).any():
-            return judged
-    raise task.refusal(tangent @ judged.weakest, judged.condition)
+            return assessed
+    raise task.refusal(tangent @ assessed.weakest, assessed.condition)
 
 
 def _require_steep(task: _Task, base: tuple[Array, float] | None, k: int) -> None:
@@ -292,8 +292,8 @@ def _require_steep(task: _Task, base: tuple[Array, float] | None, k: int) -> Non
         if other is None:
             raise task.unverified(k, value)
         if other[1] - squares < growth:
-            judged = determination(task.geometric(other[0], True)[1])
-            raise task.refusal(judged.weakest, judged.condition)
+            assessed = determination(task.geometric(other[0], True)[1])
+            raise task.refusal(assessed.weakest, assessed.condition)
 
 
 def _tangent(model: SurfaceModel, x: Array) -> Array:
@@ -306,31 +306,31 @@ def _tangent(model: SurfaceModel, x: Array) -> Array:
 def _words(names: tuple[str, ...], direction: Array) -> dict[str, str]:
     """Parameters of a direction, largest first, and the direction relative to the first one."""
     order = np.argsort(-np.abs(direction), kind="stable")
-    order = order[np.abs(direction[order]) >= NAMED * np.abs(direction[order[0]])]
-    first = names[order[0]]
-    ratios = [f"d{names[k]} = {direction[k] / direction[order[0]]:+.2f} d{first}" for k in order[1:]]
-    parts = [names[k] for k in order]
-    which = f"{', '.join(parts[:-1])} and {parts[-1]} are inseparable" if len(parts) > 1 else f"{first} is open"
-    return {"names": which, "direction": ", ".join(ratios) or f"d{first} alone"}
+    first, *others = order[np.abs(direction[order]) >= NAMED * np.abs(direction[order[0]])].tolist()
+    if not others:
+        return {"names": f"{names[first]} is open", "direction": f"d{names[first]} alone"}
+    ratios = [f"d{names[k]} = {direction[k] / direction[first]:+.2f} d{names[first]}" for k in others]
+    *parts, last = (names[k] for k in (first, *others))
+    return {"names": f"{', '.join(parts)} and {last} are inseparable", "direction": ", ".join(ratios)}
 
 
 def _result(task: _Task, minimum: Minimum, method: str) -> SurfaceFit:
     model, state = task.model.settled(minimum.state)
     task = replace(task, model=model)
-    judged, tangent = _require_determined(task, state), _tangent(model, state)
+    assessed, tangent = _require_determined(task, state), _tangent(model, state)
     least = None
     with suppress(NoSolutionError):
         geometric = adjust(task.geometric, state, model.kind)
         least = geometric.state, geometric.squares
     for k in task.semi_axes:
         _require_steep(task, least, k)
-    cofactors = judged.cofactors
+    cofactors = assessed.cofactors
     if method == "algebraic":
         cofactors = determination(model.derivatives(state, task.points)[1] @ tangent).cofactors
     if cofactors is None:  # the normal distances determine the same unknowns
         raise NoSolutionError.of("closerange.not_converged", place=model.kind, reason="the conditions are singular")
     residual = minimum.residual[: len(minimum.residual) - (model.kind == "quadric")]
-    own = replace(judged, cofactors=cofactors)
+    own = replace(assessed, cofactors=cofactors)
     unit = model.surface(state)
     surface = replace(unit, centre=unit.centre * task.size + task.offset, semi_axes=unit.semi_axes * task.size)
     points = task.points * task.size + task.offset
