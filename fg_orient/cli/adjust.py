@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from fg_orient.cli.command import command
-from fg_orient.cli.common import Overwrite, VerticalCrs, command_line, read_dem, require_project
+from fg_orient.cli.command import command, option
+from fg_orient.cli.common import Overwrite, Project, Scheduler, VerticalCrs, command_line, read_dem, require_project
 from fg_orient.cli.log import session
 from fg_orient.cli.output import answer, folded, note, number, say, table, tell, tell_findings
 from fg_orient.cli.progress import progress, progress_bar
@@ -32,35 +32,25 @@ OF_BACKEND = {
 
 @command(Options, Reading, named={"cluster": "--scheduler"})
 def adjust(
-    project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
+    project: Project,
     options: Mapping[str, Any],
-    parts: Annotated[int | None, typer.Option(metavar="N", help="Adjust in so many parts; default: by size.")] = None,
+    parts: Annotated[int | None, option("Adjust in so many parts; default: by size.", "N")] = None,
     workers: Annotated[
-        int | None, typer.Option(metavar="N", help="Processes that work on the parts; the result is the same for any.")
+        int | None, option("Processes that work on the parts; the result is the same for any.", "N")
     ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Scheduler of a running dask cluster, instead of processes.")
-    ] = None,
-    work_dir: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for the parts, seen by all workers of the cluster.")
-    ] = None,
+    scheduler: Scheduler = None,
+    work_dir: Annotated[Path | None, option("Folder for the parts, seen by all workers of the cluster.", "DIR")] = None,
     dem_control: Annotated[
-        Path | None, typer.Option(metavar="DEM", help="Observe heights of the tie points from this elevation model.")
+        Path | None, option("Observe heights of the tie points from this elevation model.", "DEM")
     ] = None,
-    dem_sigma: Annotated[
-        float | None, typer.Option(metavar="METRES", help="Standard deviation of a height from --dem-control.")
-    ] = None,
+    dem_sigma: Annotated[float | None, option("Standard deviation of a height from --dem-control.", "METRES")] = None,
     dem_vertical_crs: VerticalCrs = "",
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Result folder; default: result, beside the project file.")
-    ] = None,
+    out: Annotated[Path | None, option("Result folder; default: result, beside the project file.")] = None,
     overwrite: Overwrite = False,
     checkpoint_every: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Time between two checkpoints; 0: after each iteration.")
+        float, option("Time between two checkpoints; 0: after each iteration.", "SECONDS")
     ] = 60.0,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from the checkpoint of a run that was stopped.")
-    ] = False,
+    resume: Annotated[bool, option("Go on from the checkpoint of a run that was stopped.", flag="--resume")] = False,
 ) -> None:
     """Adjust a block: orientation, ground points, statistics, result folder and HTML report.
 
@@ -163,15 +153,14 @@ def show(record: dict[str, Any]) -> None:
     Options, only=("eop_set", "look_polynomial", "priors", "rpc_compensation"), named={"folds": "--cross-validation"}
 )
 def reduce(
-    project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
+    project: Project,
     options: Mapping[str, Any],
     direction: Annotated[
-        Literal["backward", "forward"], typer.Option(help="Drop from the whole set, or add to the best coefficient.")
+        Literal["backward", "forward"], option("Drop from the whole set, or add to the best coefficient.")
     ] = "backward",
-    level: Annotated[float, typer.Option(metavar="P", help="Probability of a false choice in one step.")] = 0.05,
+    level: Annotated[float, option("Probability of a false choice in one step.", "P")] = 0.05,
     cross_validation: Annotated[
-        str | None,
-        typer.Option(metavar="loo|K", help="Predict control points left out: one at a time, or in K parts."),
+        str | None, option("Predict control points left out: one at a time, or in K parts.", "loo|K")
     ] = None,
 ) -> None:
     """Reduce the unknowns of the images one at a time by F tests; with AIC, AICc, BIC and prediction errors."""

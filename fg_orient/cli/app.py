@@ -8,7 +8,7 @@ import inspect
 import os
 import signal
 import sys
-from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import FrameType
@@ -18,7 +18,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 import fg_orient
-from fg_orient.cli.command import INTERRUPTED, outcome
+from fg_orient.cli.command import INTERRUPTED, argument, option, outcome
 from fg_orient.cli.output import emit_errors, note
 from fg_orient.model.errors import InputError
 
@@ -67,32 +67,16 @@ def help_of(name: str) -> str | None:
     return text
 
 
-class _Commands(Mapping[str, Any]):
-    """Commands by name, each built when it is asked for: typer takes 0.1 s to build all."""
-
-    def __init__(self) -> None:
-        self._built: dict[str, Any] = {}
-
-    def __getitem__(self, name: str) -> Any:
-        if name not in self._built:
-            one, alone = declared(name), typer.Typer(add_completion=False)
-            if isinstance(one, typer.Typer):
-                alone.add_typer(one, name=name)
-                group: Any = typer.main.get_command(alone)
-                self._built[name] = group.commands[name]
-            else:
-                alone.command(name)(one)
-                self._built[name] = typer.main.get_command(alone)
-        return self._built[name]
-
-    def __contains__(self, name: object) -> bool:
-        return name in COMMANDS
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(COMMANDS)
-
-    def __len__(self) -> int:
-        return len(COMMANDS)
+@cache
+def built(name: str) -> Any:
+    """Build a command when it is needed: typer takes 0.1 s to build all."""
+    one, alone = declared(name), typer.Typer(add_completion=False)
+    if not isinstance(one, typer.Typer):
+        alone.command(name)(one)
+        return typer.main.get_command(alone)
+    alone.add_typer(one, name=name)
+    group: Any = typer.main.get_command(alone)
+    return group.commands[name]
 
 
 class _Root(TyperGroup):
@@ -100,11 +84,11 @@ class _Root(TyperGroup):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.commands: Any = _Commands()
+        self.commands: Any = dict.fromkeys(COMMANDS)
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        """Names in the order of the help."""
-        return list(COMMANDS)
+    def get_command(self, ctx: Any, name: str) -> Any:
+        """Command of this name; None if there is none."""
+        return (self.commands[name] or built(name)) if name in COMMANDS else None
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the help with commands that have no options."""
@@ -133,16 +117,11 @@ def _show_version(wanted: bool) -> None:
 def root(
     context: typer.Context,
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and end.")
+        bool, option("Print the version and end.", flag="--version", callback=_show_version, is_eager=True)
     ] = False,
     plugin: Annotated[
         list[Path] | None,
-        typer.Option(
-            "--plugin",
-            metavar="FILE.py",
-            envvar="FG_ORIENT_PLUGIN",
-            help="Load your own sensor, equation, solver or loss.",
-        ),
+        option("Load your own sensor, equation, solver or loss.", "FILE.py", envvar="FG_ORIENT_PLUGIN"),
     ] = None,
 ) -> None:
     """Orient optical images, from satellites to close range, by bundle adjustment on a factor graph."""
@@ -157,7 +136,7 @@ def root(
 
 
 def completion(
-    shell: Annotated[str, typer.Argument(metavar="bash|zsh|fish", help="Shell to complete in.", show_default=False)],
+    shell: Annotated[str, argument("bash|zsh|fish", "Shell to complete in.")],
 ) -> None:
     """Print the script that lets a shell complete commands and options.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.command import command
+from fg_orient.cli.command import argument, command, option
 from fg_orient.cli.log import session
 from fg_orient.cli.output import answer, emit, fault, flag, note, say, table, tell, tell_findings
 from fg_orient.model.errors import FgOrientError, Finding, InputError
@@ -22,17 +22,12 @@ if TYPE_CHECKING:
 @command()
 def validate(
     sources: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="PROJECT.toml",
-            help="Project file; or, with --format, one file of points or more.",
-            show_default=False,
-        ),
+        list[Path], argument("PROJECT.toml", "Project file; or, with --format, one file of points or more.")
     ],
     format_name: Annotated[
-        str, typer.Option("--format", metavar="FORMAT", help="Check files of points of another program instead.")
+        str, option("Check files of points of another program instead.", "FORMAT", flag="--format")
     ] = "",
-    crs: Annotated[str, typer.Option(metavar="EPSG:N", help="Its CRS, where the file does not say it.")] = "",
+    crs: Annotated[str, option("Its CRS, where the file does not say it.", "EPSG:N")] = "",
 ) -> None:
     """Check a project and all its files: errors (exit code 2) and remarks."""
     if format_name:

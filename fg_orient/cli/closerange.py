@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from fg_orient.cli.command import command
+from fg_orient.cli.command import argument, command, option
 from fg_orient.cli.common import Overwrite, command_line
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings
 from fg_orient.cli.progress import progress
@@ -20,23 +20,12 @@ from fg_orient.model.errors import InputError, finding
 app = typer.Typer(help="Close range: DLT, resection, intersection, bundle, surfaces of the second degree.")
 
 Control = Annotated[
-    Path,
-    typer.Argument(
-        metavar="POINTS", show_default=False,
-        help="CSV: id,x,y,x_m,y_m,z_m; photo, role (control, check), sigma_x and sigma_y if wanted.",
-    ),
-]  # fmt: skip
-Measured = Annotated[
-    Path,
-    typer.Argument(metavar="POINTS", show_default=False, help="CSV: id,photo,x,y; sigma_x and sigma_y if wanted."),
+    Path, argument("POINTS", "CSV: id,x,y,x_m,y_m,z_m; photo, role (control, check), sigma_x and sigma_y if wanted.")
 ]
-Photos = Annotated[Path, typer.Argument(metavar="PHOTOS", show_default=False, help='TOML: a table "photos" for each.')]
-Out = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder of the results, report.html among them.")
-]
-Report = Annotated[
-    Path | None, typer.Option("--report", metavar="FILE.html", help="The report alone, as one self-contained page.")
-]
+Measured = Annotated[Path, argument("POINTS", "CSV: id,photo,x,y; sigma_x and sigma_y if wanted.")]
+Photos = Annotated[Path, argument("PHOTOS", 'TOML: a table "photos" for each.')]
+Out = Annotated[Path | None, option("Folder of the results, report.html among them.", "DIR")]
+Report = Annotated[Path | None, option("The report alone, as one self-contained page.", "FILE.html")]
 #: Options of the outputs of a command.
 OUTPUTS = {"out": (Out, None), "report": (Report, None), "overwrite": (Overwrite, False)}
 
@@ -100,27 +89,20 @@ def bundle(
     photos: Photos,
     options: Mapping[str, Any],
     output: Any,
-    control: Annotated[
-        Path | None,
-        typer.Option(metavar="CSV", help="id,x_m,y_m,z_m; sigma_x_m,sigma_y_m,sigma_z_m if wanted."),
-    ] = None,
+    control: Annotated[Path | None, option("id,x_m,y_m,z_m; sigma_x_m,sigma_y_m,sigma_z_m if wanted.", "CSV")] = None,
     check: Annotated[
-        Path | None,
-        typer.Option(metavar="CSV", help="id,x_m,y_m,z_m of check points, which are not used in the adjustment."),
+        Path | None, option("id,x_m,y_m,z_m of check points, which are not used in the adjustment.", "CSV")
     ] = None,
     start: Annotated[
-        Path | None,
-        typer.Option(metavar="CSV", help="id,x_m,y_m,z_m: approximate values of new points; others are intersected."),
+        Path | None, option("id,x_m,y_m,z_m: approximate values of new points; others are intersected.", "CSV")
     ] = None,
-    constraints: Annotated[
-        Path | None, typer.Option(metavar="TOML", help='TOML: a table "constraints" for each, between points.')
-    ] = None,
+    constraints: Annotated[Path | None, option('TOML: a table "constraints" for each, between points.', "TOML")] = None,
     stations: Annotated[
         Path | None,
-        typer.Option(
-            metavar="CSV",
-            help="Observed projection centres: photo,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m; attitudes if wanted "
+        option(
+            "Observed projection centres: photo,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m; attitudes if wanted "
             "(docs/closerange.md).",
+            "CSV",
         ),
     ] = None,
 ) -> None:
@@ -138,22 +120,12 @@ def bundle(
 @app.command("import")
 @command()
 def import_(
-    export: Annotated[
-        Path, typer.Argument(metavar="EXPORT", show_default=False, help="File or folder of the project.")
-    ],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the tables.")],
-    source: Annotated[
-        str, typer.Option("--from", metavar="FORMAT", help="A format that holds cameras and poses.")
-    ] = "photomodeler",
-    control: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Control points: id, name, X, Y, Z and sigmas if wanted.")
-    ] = None,
-    stations: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Observed projection centres: photo, X, Y, Z, sigma.")
-    ] = None,
-    sigma_image: Annotated[
-        float | None, typer.Option(metavar="PX", show_default=False, help="Sigma of image coordinates, pixels.")
-    ] = None,
+    export: Annotated[Path, argument("EXPORT", "File or folder of the project.")],
+    out: Annotated[Path, option("Folder of the tables.", "DIR")],
+    source: Annotated[str, option("A format that holds cameras and poses.", "FORMAT", flag="--from")] = "photomodeler",
+    control: Annotated[Path | None, option("Control points: id, name, X, Y, Z and sigmas if wanted.", "FILE")] = None,
+    stations: Annotated[Path | None, option("Observed projection centres: photo, X, Y, Z, sigma.", "FILE")] = None,
+    sigma_image: Annotated[float | None, option("Sigma of image coordinates, pixels.", "PX")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write the tables of the bundle from a project of another program (PhotoModeler)."""
@@ -180,18 +152,11 @@ def _show_imported(record: dict[str, Any]) -> None:
 @command(SurfaceOptions)
 @outputs
 def surface(
-    points: Annotated[
-        Path,
-        typer.Argument(
-            metavar="POINTS", show_default=False, help="CSV: id,x_m,y_m,z_m; sigma_x_m,sigma_y_m,sigma_z_m if wanted."
-        ),
-    ],
-    kind: Annotated[Literal["sphere", "spheroid", "ellipsoid", "quadric"], typer.Option(help="Kind of surface.")],
+    points: Annotated[Path, argument("POINTS", "CSV: id,x_m,y_m,z_m; sigma_x_m,sigma_y_m,sigma_z_m if wanted.")],
+    kind: Annotated[Literal["sphere", "spheroid", "ellipsoid", "quadric"], option("Kind of surface.")],
     options: Mapping[str, Any],
     output: Any,
-    prior: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=VALUE:SIGMA", help="Observed parameter, m; repeatable.")
-    ] = None,
+    prior: Annotated[list[str] | None, option("Observed parameter, m; repeatable.", "NAME=VALUE:SIGMA")] = None,
 ) -> None:
     """Fit a sphere, spheroid, ellipsoid or quadric to points."""
     from fg_orient.closerange.job import run_surface

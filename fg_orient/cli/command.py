@@ -29,12 +29,21 @@ PLUGINS: Final = ("plugin.failed", "sensor.own_reader")
 NOTED_S: Final = 0.5
 _NAMED: Final = re.compile("`([a-z_]+)`")
 
+
+def option(help: str, metavar: str | None = None, *, flag: str = "", **more: Any) -> Any:
+    """Option of a command that no record declares; ``flag``: if the name of the parameter does not give it."""
+    return typer.Option(*filter(None, (flag,)), metavar=metavar, help=help, **more)
+
+
+def argument(metavar: str, help: str) -> Any:
+    """Argument of a command."""
+    return typer.Argument(metavar=metavar, help=help, show_default=False)
+
+
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no tables: errors and doubts only.")]
-Log = Annotated[
-    Path | None, typer.Option("--log", metavar="FILE", help="Add each event to this file, one JSON object a line.")
-]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error of the program itself.")]
+Log = Annotated[Path | None, option("Add each event to this file, one JSON object a line.", "FILE")]
+Json = Annotated[bool, option("Print one JSON object on standard output and nothing else.", flag="--json")]
+Debug = Annotated[bool, option("Show the traceback of an error of the program itself.", flag="--debug")]
 #: Options of every command.
 SHARED: Final = {"quiet": (Quiet, False), "log": (Log, None), "as_json": (Json, False), "debug": (Debug, False)}
 

@@ -6,8 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
+from fg_orient.cli.command import argument, option
 from fg_orient.model.declaration import declared
 from fg_orient.model.errors import InputError
 from fg_orient.model.options import MAX_EXTRAPOLATION_S, Reading
@@ -18,28 +17,17 @@ if TYPE_CHECKING:
 
 EXTRAPOLATE = declared(Reading)["extrapolate_attitude_s"]
 
-ModelOf = Annotated[
-    str, typer.Option("--model", metavar="auto|rigorous|rpc", help="Model to use if the file contains both.")
-]
-Result = Annotated[
-    Path | None, typer.Option("--result", metavar="DIR", help="Result folder of adjust: its orientation of the image.")
-]
-Dem = Annotated[
-    Path | None, typer.Option("--dem", help="DEM, any raster GDAL reads; ellipsoidal unless it says otherwise.")
-]
-VerticalCrs = Annotated[
-    str,
-    typer.Option("--dem-vertical-crs", metavar="EPSG:N", help="Vertical CRS of a DEM without one; EPSG:5773: EGM96."),
-]
+ModelOf = Annotated[str, option("Model to use if the file contains both.", "auto|rigorous|rpc")]
+Result = Annotated[Path | None, option("Result folder of adjust: its orientation of the image.", "DIR")]
+Dem = Annotated[Path | None, option("DEM, any raster GDAL reads; ellipsoidal unless it says otherwise.")]
+VerticalCrs = Annotated[str, option("Vertical CRS of a DEM without one; EPSG:5773: EGM96.", "EPSG:N")]
 Extrapolate = Annotated[
     float,
-    typer.Option(
-        EXTRAPOLATE.flag, metavar=EXTRAPOLATE.metavar, min=0.0, max=MAX_EXTRAPOLATION_S, help=EXTRAPOLATE.short_help
-    ),
+    option(EXTRAPOLATE.short_help, EXTRAPOLATE.metavar, flag=EXTRAPOLATE.flag, min=0.0, max=MAX_EXTRAPOLATION_S),
 ]
-Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Replace an existing output once the new one is complete.")
-]
+Project = Annotated[Path, argument("PROJECT.toml", "Project file.")]
+Scheduler = Annotated[str | None, option("Scheduler of a running dask cluster, instead of processes.", "ADDRESS")]
+Overwrite = Annotated[bool, option("Replace an existing output once the new one is complete.", flag="--overwrite")]
 
 
 def command_line() -> list[str]:

@@ -4,67 +4,49 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.command import command
+from fg_orient.cli.command import argument, command, option
 from fg_orient.cli.common import Overwrite
 from fg_orient.cli.output import answer, flag, say, table, tell
 from fg_orient.model.errors import Finding, InputError
 
-if TYPE_CHECKING:
-    pass
-
 
 @command()
 def convert(
-    files: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="IN [IN2]", help="File to read, or both of a format that has two.", show_default=False),
-    ] = None,
-    source: Annotated[
-        str, typer.Option("--from", metavar="FORMAT", help="Format of IN; default: by the end of its name.")
-    ] = "",
+    files: Annotated[list[Path] | None, argument("IN [IN2]", "File to read, or both of a format that has two.")] = None,
+    source: Annotated[str, option("Format of IN; default: by the end of its name.", "FORMAT", flag="--from")] = "",
     target: Annotated[
-        str, typer.Option("--to", metavar="FORMAT", help="Format of the output; default: by the end of its name.")
+        str, option("Format of the output; default: by the end of its name.", "FORMAT", flag="--to")
     ] = "",
     out: Annotated[
-        list[Path] | None,
-        typer.Option("--out", help="File to write; the second of two is named after it, or given by a second --out."),
+        list[Path] | None, option("File to write; the second of two is named after it, or given by a second --out.")
     ] = None,
-    crs: Annotated[str, typer.Option(metavar="EPSG:N", help="CRS of IN, where the file does not say it.")] = "",
-    to_crs: Annotated[str, typer.Option(metavar="EPSG:N", help="Transform the points to this CRS.")] = "",
+    crs: Annotated[str, option("CRS of IN, where the file does not say it.", "EPSG:N")] = "",
+    to_crs: Annotated[str, option("Transform the points to this CRS.", "EPSG:N")] = "",
     sigma_ground: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(metavar="EAST NORTH UP", help="Standard deviations of ground points without any, m."),
+        option("Standard deviations of ground points without any, m.", "EAST NORTH UP"),
     ] = None,
     sigma_image: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="LINE SAMPLE", help="Standard deviations of image points without any, pixels."),
+        tuple[float, float] | None, option("Standard deviations of image points without any, pixels.", "LINE SAMPLE")
     ] = None,
-    height: Annotated[float | None, typer.Option(help="Height of points without one, m.")] = None,
-    check: Annotated[
-        list[str] | None, typer.Option("--check", metavar="ID", help="Make this a check point; may be repeated.")
-    ] = None,
-    image: Annotated[
-        str, typer.Option(metavar="NAME", help="The image, of formats that hold one image without its name.")
-    ] = "",
-    sigma_axes: Annotated[
-        str, typer.Option(metavar="ecef|enu", help="Axes of the standard deviations in ASP's .gcp.")
-    ] = "ecef",
+    height: Annotated[float | None, option("Height of points without one, m.")] = None,
+    check: Annotated[list[str] | None, option("Make this a check point; may be repeated.", "ID")] = None,
+    image: Annotated[str, option("The image, of formats that hold one image without its name.", "NAME")] = "",
+    sigma_axes: Annotated[str, option("Axes of the standard deviations in ASP's .gcp.", "ecef|enu")] = "ecef",
     image_size: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=LINES,SAMPLES", help="Size of an image, for formats that need it; may be repeated."),
+        list[str] | None, option("Size of an image, for formats that need it; may be repeated.", "NAME=LINES,SAMPLES")
     ] = None,
     metadata: Annotated[
-        list[Path] | None,
-        typer.Option("--metadata", help="Metadata of an image: points far from all of them are refused."),
+        list[Path] | None, option("Metadata of an image: points far from all of them are refused.")
     ] = None,
     accept_unverified: Annotated[
-        bool, typer.Option("--accept-unverified", help="Read a format that was never tried on a file of its program.")
+        bool, option("Read a format that was never tried on a file of its program.", flag="--accept-unverified")
     ] = False,
-    formats: Annotated[bool, typer.Option("--formats", help="List the formats and end.")] = False,
+    formats: Annotated[bool, option("List the formats and end.", flag="--formats")] = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Bring ground and image points from one format into another.
@@ -193,11 +175,9 @@ def camera_group() -> None:
 @camera.command("convert")
 @command()
 def convert_camera(
-    file: Annotated[Path, typer.Argument(metavar="CAMERA.toml", help="Camera file.", show_default=False)],
-    model: Annotated[
-        str, typer.Option("--to", metavar="MODEL", help="brown_ideal_to_measured or brown_measured_to_ideal.")
-    ],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.toml", help="Camera file to write.")],
+    file: Annotated[Path, argument("CAMERA.toml", "Camera file.")],
+    model: Annotated[str, option("brown_ideal_to_measured or brown_measured_to_ideal.", "MODEL", flag="--to")],
+    out: Annotated[Path, option("Camera file to write.", "FILE.toml")],
     overwrite: Overwrite = False,
 ) -> None:
     """Fit the distortion polynomial of the other direction over the whole image, and say what is left.

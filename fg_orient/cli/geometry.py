@@ -6,9 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from fg_orient.cli.command import command
+from fg_orient.cli.command import argument, command, option
 from fg_orient.cli.common import (
     Dem,
     Extrapolate,
@@ -43,26 +41,22 @@ SHOWN_FRAME = ("id", "height_m", "misfit_m", "misfit_east_m", "misfit_north_m")
 SIGMAS = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
 PIXEL = ("id", "line", "sample", "inside")
 
-ImageFile = Annotated[
-    Path, typer.Argument(metavar="IMAGE", help="Metadata file of the image (DIMAP, RPC).", show_default=False)
-]
-Height = Annotated[float | None, typer.Option("--height", help="Height, m above the ellipsoid.")]
-Out = Annotated[Path | None, typer.Option("--out", help="Write the points into this CSV file, too.")]
-Sources = Annotated[
-    list[Path], typer.Argument(metavar="IMAGE ... | PROJECT.toml", help="Metadata files, or one project file.")
-]
-Points = Annotated[Path | None, typer.Option("--points", help="CSV file of points; columns see below.")]
+ImageFile = Annotated[Path, argument("IMAGE", "Metadata file of the image (DIMAP, RPC).")]
+Height = Annotated[float | None, option("Height, m above the ellipsoid.")]
+Out = Annotated[Path | None, option("Write the points into this CSV file, too.")]
+Sources = Annotated[list[Path], argument("IMAGE ... | PROJECT.toml", "Metadata files, or one project file.")]
+Points = Annotated[Path | None, option("CSV file of points; columns see below.")]
 
 
 @command()
 def locate(
     image: ImageFile,
-    line: Annotated[float | None, typer.Option("--line", help="Line, pixels; 0 = centre of the first.")] = None,
-    sample: Annotated[float | None, typer.Option("--sample", help="Sample, pixels; 0 = centre of the first.")] = None,
+    line: Annotated[float | None, option("Line, pixels; 0 = centre of the first.")] = None,
+    sample: Annotated[float | None, option("Sample, pixels; 0 = centre of the first.")] = None,
     height: Height = None,
     dem: Dem = None,
     dem_vertical_crs: VerticalCrs = "",
-    frame: Annotated[bool, typer.Option("--frame", help="Locate the file's own frame points and compare.")] = False,
+    frame: Annotated[bool, option("Locate the file's own frame points and compare.", flag="--frame")] = False,
     points: Points = None,
     model: ModelOf = "auto",
     extrapolate_attitude: Extrapolate = 0.0,
@@ -131,8 +125,8 @@ def _located(
 @command()
 def project(
     image: ImageFile,
-    lon: Annotated[float | None, typer.Option("--lon", help="Longitude, degrees East (WGS84).")] = None,
-    lat: Annotated[float | None, typer.Option("--lat", help="Latitude, degrees North (WGS84).")] = None,
+    lon: Annotated[float | None, option("Longitude, degrees East (WGS84).")] = None,
+    lat: Annotated[float | None, option("Latitude, degrees North (WGS84).")] = None,
     height: Height = None,
     points: Points = None,
     model: ModelOf = "auto",
@@ -164,9 +158,7 @@ def project(
 @command()
 def intersect(
     sources: Sources,
-    pixel: Annotated[
-        list[str] | None, typer.Option("--pixel", metavar="LINE,SAMPLE", help="Pixel, one per image, in their order.")
-    ] = None,
+    pixel: Annotated[list[str] | None, option("Pixel, one per image, in their order.", "LINE,SAMPLE")] = None,
     model: ModelOf = "auto",
     extrapolate_attitude: Extrapolate = 0.0,
     result: Result = None,
@@ -307,7 +299,7 @@ def footprint(
     result: Result = None,
     model: ModelOf = "auto",
     extrapolate_attitude: Extrapolate = 0.0,
-    out: Annotated[Path | None, typer.Option("--out", help="Write the footprints into this GeoJSON file.")] = None,
+    out: Annotated[Path | None, option("Write the footprints into this GeoJSON file.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Footprints, ground sampling distance, incidence; convergence and base to height of pairs.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from fg_orient.cli.command import command
+from fg_orient.cli.command import argument, command, option
 from fg_orient.cli.common import Extrapolate, Overwrite, Result, command_line
 from fg_orient.cli.log import session
 from fg_orient.cli.output import answer, note, number, say, table, tell, tell_findings
@@ -23,13 +23,8 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Rectify images: by points or on a DEM; plan the points, check the accuracy of a map.")
 
-Points = Annotated[
-    Path,
-    typer.Argument(
-        metavar="POINTS", show_default=False,
-        help="CSV: id,line,sample,easting_m,northing_m (or lon_deg,lat_deg); height_m, role, sigmas if wanted.",
-    ),
-]  # fmt: skip
+POINTS: Final = "CSV: id,line,sample,easting_m,northing_m (or lon_deg,lat_deg); height_m, role, sigmas if wanted."
+Points = Annotated[Path, argument("POINTS", POINTS)]
 #: Exit code of a map that fails a standard.
 FAILED: Final = 4
 
@@ -39,7 +34,7 @@ FAILED: Final = 4
 def fit(
     points: Points,
     options: Mapping[str, Any],
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder of the results.")] = None,
+    out: Annotated[Path | None, option("Folder of the results.", "DIR")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Fit a transformation between image and map to points, with check points and outlier tests."""
@@ -75,9 +70,9 @@ def _show_fit(record: dict[str, Any]) -> None:
 @command(StudyOptions)
 def study(
     points: Points,
-    counts: Annotated[str, typer.Option(metavar="N,N", help="Numbers of control points.", show_default=False)],
+    counts: Annotated[str, option("Numbers of control points.", "N,N", show_default=False)],
     options: Mapping[str, Any],
-    degrees: Annotated[str, typer.Option(metavar="Q,Q", help="Degrees of the polynomial.")] = "1,2,3",
+    degrees: Annotated[str, option("Degrees of the polynomial.", "Q,Q")] = "1,2,3",
 ) -> None:
     """Plan a rectification: RMSE at the check points by number of control points and degree."""
     from fg_orient.rectification.job import study_points
@@ -108,10 +103,9 @@ def _numbers(option: str, text: str) -> list[int]:
 def check(
     points: Annotated[
         Path,
-        typer.Argument(
-            metavar="POINTS",
-            show_default=False,
-            help="CSV: id,easting_m,northing_m,true_easting_m,true_northing_m or id,residual_easting_m,"
+        argument(
+            "POINTS",
+            "CSV: id,easting_m,northing_m,true_easting_m,true_northing_m or id,residual_easting_m,"
             "residual_northing_m; or a result folder of rectify fit.",
         ),
     ],
@@ -156,28 +150,17 @@ def _show_check(record: dict[str, Any]) -> None:
 @app.command("ortho")
 @command(OrthoOptions, only=("resampling", "allow_holes", "cog"))
 def ortho(
-    image: Annotated[Path, typer.Argument(metavar="IMAGE", show_default=False, help="Raster in sensor geometry.")],
-    model: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MODEL",
-            show_default=False,
-            help="Metadata file (DIMAP, RPC), or a result folder of rectify fit.",
-        ),
-    ],
-    out: Annotated[Path, typer.Option("--out", metavar="TIF", help="GeoTIFF to write.", show_default=False)],
+    image: Annotated[Path, argument("IMAGE", "Raster in sensor geometry.")],
+    model: Annotated[Path, argument("MODEL", "Metadata file (DIMAP, RPC), or a result folder of rectify fit.")],
+    out: Annotated[Path, option("GeoTIFF to write.", "TIF", show_default=False)],
     options: Mapping[str, Any],
-    dem: Annotated[Path | None, typer.Option("--dem", help="DEM of ellipsoidal heights, m.")] = None,
-    height: Annotated[float | None, typer.Option(metavar="M", help="One height instead of a DEM.")] = None,
+    dem: Annotated[Path | None, option("DEM of ellipsoidal heights, m.")] = None,
+    height: Annotated[float | None, option("One height instead of a DEM.", "M")] = None,
     result: Result = None,
-    image_id: Annotated[str, typer.Option("--image-id", metavar="ID", help="Image in it; usual: by file name.")] = "",
-    crs: Annotated[str, typer.Option("--crs", metavar="EPSG", help="CRS of the map; default: from DEM or fit.")] = "",
-    resolution: Annotated[
-        float | None, typer.Option(metavar="SIZE", help="Size of a map pixel; default: about an image pixel.")
-    ] = None,
-    bounds: Annotated[
-        str, typer.Option(metavar="L,B,R,T", help="Left,bottom,right,top; default: the whole common area.")
-    ] = "",
+    image_id: Annotated[str, option("Image in it; usual: by file name.", "ID")] = "",
+    crs: Annotated[str, option("CRS of the map; default: from DEM or fit.", "EPSG")] = "",
+    resolution: Annotated[float | None, option("Size of a map pixel; default: about an image pixel.", "SIZE")] = None,
+    bounds: Annotated[str, option("Left,bottom,right,top; default: the whole common area.", "L,B,R,T")] = "",
     extrapolate_attitude: Extrapolate = 0.0,
     overwrite: Overwrite = False,
 ) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from fg_orient.cli.command import command
+from fg_orient.cli.command import argument, command, option
 from fg_orient.cli.common import Overwrite
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress, progress_bar
@@ -21,28 +21,21 @@ if TYPE_CHECKING:
 #: Differences shown to people; ``--json`` holds all.
 SHOWN: Final = 20
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Result folder of adjust.", show_default=False)]
+Folder = Annotated[Path, argument("DIR", "Result folder of adjust.")]
 
 
 @command()
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of adjust or closerange.", show_default=False)],
-    truth: Annotated[
-        Path | None, typer.Option("--truth", metavar="TRUTHDIR", help="Folder truth of a simulation, to compare with.")
-    ] = None,
+    folder: Annotated[Path, argument("DIR", "Folder of adjust or closerange.")],
+    truth: Annotated[Path | None, option("Folder truth of a simulation, to compare with.", "TRUTHDIR")] = None,
     figures: Annotated[
-        bool, typer.Option("--figures", help="Also draw every plot as SVG and PDF, into the folder DIR/figures.")
+        bool, option("Also draw every plot as SVG and PDF, into the folder DIR/figures.", flag="--figures")
     ] = False,
-    figures_out: Annotated[
-        Path | None, typer.Option("--figures-out", metavar="FOLDER", help="Draw them into this folder instead.")
-    ] = None,
+    figures_out: Annotated[Path | None, option("Draw them into this folder instead.", "FOLDER")] = None,
     export: Annotated[
-        Path | None,
-        typer.Option("--export", metavar="FILE", help="Write points, error vectors, footprints: .gpkg or .geojson."),
+        Path | None, option("Write points, error vectors, footprints: .gpkg or .geojson.", "FILE")
     ] = None,
-    vector_scale: Annotated[
-        float | None, typer.Option("--vector-scale", metavar="N", help="Enlarge the error vectors of --export N times.")
-    ] = None,
+    vector_scale: Annotated[float | None, option("Enlarge the error vectors of --export N times.", "N")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write report.html of a result folder again; with --truth, compare with the simulated truth."""
@@ -93,15 +86,12 @@ def _show_report(record: dict[str, Any]) -> None:
 @command()
 def replay(
     folder: Folder,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Result folder of the repeated run; default: DIR-replay, beside DIR.")
-    ] = None,
+    out: Annotated[Path | None, option("Result folder of the repeated run; default: DIR-replay, beside DIR.")] = None,
     project: Annotated[
-        Path | None,
-        typer.Option("--project", metavar="PROJECT.toml", help="The project file, if it is not in the folder above."),
+        Path | None, option("The project file, if it is not in the folder above.", "PROJECT.toml")
     ] = None,
     allow_changed: Annotated[
-        bool, typer.Option("--allow-changed", help="Go on although inputs have changed since, and name them.")
+        bool, option("Go on although inputs have changed since, and name them.", flag="--allow-changed")
     ] = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -150,11 +140,8 @@ def show_replay(repeated: Replay) -> None:
 @command()
 def accuracy(
     folder: Folder,
-    dem: Annotated[
-        Path,
-        typer.Option("--dem", help="Reference DEM of ellipsoidal heights, any raster GDAL reads.", show_default=False),
-    ],
-    role: Annotated[str | None, typer.Option("--role", help="Only points of this role: control, check or tie.")] = None,
+    dem: Annotated[Path, option("Reference DEM of ellipsoidal heights, any raster GDAL reads.", show_default=False)],
+    role: Annotated[str | None, option("Only points of this role: control, check or tie.")] = None,
 ) -> None:
     """Compare the heights of adjusted points with a DEM: bias, scatter, and the shift that explains them."""
     from fg_orient.quality.dem_accuracy import compare_dem, rows_of_role

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.command import command
+from fg_orient.cli.command import argument, command, option
 from fg_orient.cli.common import Extrapolate, Overwrite, Result, read_image
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress_bar
@@ -24,14 +24,12 @@ app = typer.Typer(
     help="Check, convert, refine and fit rational function models (RPC). Pixels: (0, 0) = centre of the first one."
 )
 
-File = Annotated[Path, typer.Argument(metavar="FILE", help="RPC file of any known format.", show_default=False)]
+File = Annotated[Path, argument("FILE", "RPC file of any known format.")]
 Heights = Annotated[
-    tuple[float, float] | None,
-    typer.Option("--heights", metavar="LOW HIGH", help="Range of heights, m above the ellipsoid."),
+    tuple[float, float] | None, option("Range of heights, m above the ellipsoid.", "LOW HIGH", flag="--heights")
 ]
 To = Annotated[
-    str | None,
-    typer.Option("--to", metavar="FORMAT", help="rpc-txt, rpb, dimap or geotiff-tags; default: by the name of --out."),
+    str | None, option("rpc-txt, rpb, dimap or geotiff-tags; default: by the name of --out.", "FORMAT", flag="--to")
 ]
 FIGURES = ("mean", "rms", "max")
 
@@ -49,16 +47,11 @@ def check(
     file: File,
     options: Mapping[str, Any],
     heights: Heights = None,
-    dem: Annotated[
-        Path | None, typer.Option("--dem", help="Take the heights of this DEM (ellipsoidal, any raster GDAL reads).")
-    ] = None,
+    dem: Annotated[Path | None, option("Take the heights of this DEM (ellipsoidal, any raster GDAL reads).")] = None,
     points: Annotated[
-        Path | None,
-        typer.Option("--points", help="CSV of points: id,line,sample,lon_deg,lat_deg,height_m (pixels, degrees, m)."),
+        Path | None, option("CSV of points: id,line,sample,lon_deg,lat_deg,height_m (pixels, degrees, m).")
     ] = None,
-    against: Annotated[
-        Path | None, typer.Option("--against", metavar="OTHER", help="Another RPC file, or metadata (DIMAP).")
-    ] = None,
+    against: Annotated[Path | None, option("Another RPC file, or metadata (DIMAP).", "OTHER")] = None,
 ) -> None:
     """Check an RPC: the file, denominators, its two directions, points, another model.
 
@@ -81,9 +74,7 @@ def check(
 @command(FileOptions)
 def convert(
     file: File,
-    out: Annotated[
-        Path, typer.Option("--out", help="File to write; with geotiff-tags an existing image.", show_default=False)
-    ],
+    out: Annotated[Path, option("File to write; with geotiff-tags an existing image.", show_default=False)],
     options: Mapping[str, Any],
     to: To = None,
     overwrite: Overwrite = False,
@@ -105,15 +96,14 @@ def refine(
     file: File,
     points: Annotated[
         Path,
-        typer.Option(
-            "--points",
-            show_default=False,
-            help="CSV: id,line,sample,lon_deg,lat_deg,height_m and, if wanted, role (control, check), "
+        option(
+            "CSV: id,line,sample,lon_deg,lat_deg,height_m and, if wanted, role (control, check), "
             "sigma_line_px,sigma_sample_px.",
+            show_default=False,
         ),
     ],
     options: Mapping[str, Any],
-    out: Annotated[Path | None, typer.Option("--out", help="Write the corrected RPC.")] = None,
+    out: Annotated[Path | None, option("Write the corrected RPC.")] = None,
     to: To = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -145,21 +135,19 @@ def refine(
 def fit(
     source: Annotated[
         Path,
-        typer.Argument(
-            metavar="POINTS.csv|IMAGE",
-            show_default=False,
-            help="CSV of control points (columns as in rpc refine), or metadata of a rigorous model (DIMAP).",
+        argument(
+            "POINTS.csv|IMAGE",
+            "CSV of control points (columns as in rpc refine), or metadata of a rigorous model (DIMAP).",
         ),
     ],
     options: Mapping[str, Any],
     heights: Heights = None,
     grid: Annotated[
-        tuple[int, int, int] | None,
-        typer.Option("--grid", metavar="L S H", help="IMAGE: lines, samples, heights of the grid; default 20 20 5."),
+        tuple[int, int, int] | None, option("IMAGE: lines, samples, heights of the grid; default 20 20 5.", "L S H")
     ] = None,
     extrapolate_attitude: Extrapolate = 0.0,
     result: Result = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Write the RPC.")] = None,
+    out: Annotated[Path | None, option("Write the RPC.")] = None,
     to: To = None,
     overwrite: Overwrite = False,
 ) -> None:

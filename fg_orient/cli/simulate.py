@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.command import command
+from fg_orient.cli.command import command, option
 from fg_orient.cli.common import Overwrite
 from fg_orient.cli.output import answer, say
 from fg_orient.cli.progress import progress_bar
@@ -21,15 +21,15 @@ app = typer.Typer(help="Write synthetic projects in the real file formats, with 
 @command(ZonguldakOptions)
 def zonguldak(
     options: Mapping[str, Any],
-    dem: Annotated[bool, typer.Option("--dem", help="Write dem.tif, a terrain through the points.")] = False,
+    dem: Annotated[bool, option("Write dem.tif, a terrain through the points.", flag="--dem")] = False,
     raster: Annotated[
-        bool, typer.Option("--raster", help="Render the images on this terrain (12000 x 12000, minutes); writes both.")
+        bool, option("Render the images on this terrain (12000 x 12000, minutes); writes both.", flag="--raster")
     ] = False,
-    dem_step: Annotated[float, typer.Option(metavar="M", help="Edge of the DEM's cells, m.")] = 30.0,
+    dem_step: Annotated[float, option("Edge of the DEM's cells, m.", "M")] = 30.0,
     raster_window: Annotated[
-        int, typer.Option(metavar="PX", help="Render only squares of this size about the points; 0: all pixels.")
+        int, option("Render only squares of this size about the points; 0: all pixels.", "PX")
     ] = 0,
-    out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("zonguldak"),
+    out: Annotated[Path, option("Folder to write.")] = Path("zonguldak"),
     overwrite: Overwrite = False,
 ) -> None:
     """Write the Zonguldak twin: a SPOT-5 stereo pair with 47 points, and its truth."""
@@ -48,7 +48,7 @@ def zonguldak(
 @command(BlockOptions)
 def block(
     options: Mapping[str, Any],
-    out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("block"),
+    out: Annotated[Path, option("Folder to write.")] = Path("block"),
     overwrite: Overwrite = False,
 ) -> None:
     """Write a block of overlapping SPOT-5-like scenes of any size, and its truth."""
@@ -64,7 +64,7 @@ def block(
 @command(MixedOptions)
 def mixed(
     options: Mapping[str, Any],
-    out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("mixed"),
+    out: Annotated[Path, option("Folder to write.")] = Path("mixed"),
     overwrite: Overwrite = False,
 ) -> None:
     """Write a mixed block, two SPOT-5, two RPC and four frame images over one window, and its truth."""

@@ -7,10 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from fg_orient.cli.command import command
-from fg_orient.cli.common import Overwrite, command_line, require_project
+from fg_orient.cli.command import argument, command, option
+from fg_orient.cli.common import Overwrite, Project, Scheduler, command_line, require_project
 from fg_orient.cli.output import answer, say, table, tell_findings
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.names import ALL_SETS
@@ -22,33 +20,21 @@ if TYPE_CHECKING:
 
 @command(Options, only=("look_polynomial",), named={"eop_set": "--eop-sets", "cluster": "--scheduler"})
 def compare(
-    project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
+    project: Project,
     options: Mapping[str, Any],
     eop_sets: Annotated[
-        str, typer.Option(metavar="SETS", help=f"EOP sets: {ALL_SETS}, or numbers and names such as 5,13,PUA.")
+        str, option(f"EOP sets: {ALL_SETS}, or numbers and names such as 5,13,PUA.", "SETS")
     ] = ALL_SETS,
-    solvers: Annotated[
-        str, typer.Option(metavar="NAMES", help="all, published, or names of solvers: qr,cholesky_inverse.")
-    ] = "published",
-    backends: Annotated[
-        str, typer.Option(metavar="NAMES", help="Any of faithful (as published), dense, graph.")
-    ] = "faithful,dense,graph",
+    solvers: Annotated[str, option("all, published, or names of solvers: qr,cholesky_inverse.", "NAMES")] = "published",
+    backends: Annotated[str, option("Any of faithful (as published), dense, graph.", "NAMES")] = "faithful,dense,graph",
     types: Annotated[
-        str, typer.Option(metavar="1,2", help="Pre-adjustments as published: 1 look angles, 2 look angles and EOPs.")
+        str, option("Pre-adjustments as published: 1 look angles, 2 look angles and EOPs.", "1,2")
     ] = "1,2",
-    as_run: Annotated[
-        bool, typer.Option("--as-run", help="The published procedure as the authors' program works.")
-    ] = False,
-    target: Annotated[
-        float | None, typer.Option(metavar="M", help="RMSE to reach, m; default: the distance of the pixels.")
-    ] = None,
-    workers: Annotated[int, typer.Option(metavar="N", help="Processes that share the EOP sets.")] = 0,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Scheduler of a running dask cluster, instead of processes.")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder of the results; default: comparison, beside the project file.")
-    ] = None,
+    as_run: Annotated[bool, option("The published procedure as the authors' program works.", flag="--as-run")] = False,
+    target: Annotated[float | None, option("RMSE to reach, m; default: the distance of the pixels.", "M")] = None,
+    workers: Annotated[int, option("Processes that share the EOP sets.", "N")] = 0,
+    scheduler: Scheduler = None,
+    out: Annotated[Path | None, option("Folder of the results; default: comparison, beside the project file.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Compare EOP sets, solvers and backends on a block: tables, figures and an HTML report.
@@ -98,32 +84,17 @@ def _metres(value: float | None) -> str:
 
 @command()
 def reproduce(
-    source: Annotated[
-        str,
-        typer.Argument(
-            metavar="SOURCE", help="terlemezoglu2019, topan2010, ipbuker1994, ayhan1996.", show_default=False
-        ),
-    ],
-    tables: Annotated[
-        str, typer.Option(metavar="TABLES", help="Tables and ranges: 4.3-4.9,4.28; all if not given.")
-    ] = "",
-    seeds: Annotated[int, typer.Option(metavar="N", help="Twins, with the seeds 1 to N.")] = 10,
+    source: Annotated[str, argument("SOURCE", "terlemezoglu2019, topan2010, ipbuker1994, ayhan1996.")],
+    tables: Annotated[str, option("Tables and ranges: 4.3-4.9,4.28; all if not given.", "TABLES")] = "",
+    seeds: Annotated[int, option("Twins, with the seeds 1 to N.", "N")] = 10,
     as_run: Annotated[
-        bool,
-        typer.Option("--as-run", help="As the authors' program works, on a twin with radial velocity and attitude."),
+        bool, option("As the authors' program works, on a twin with radial velocity and attitude.", flag="--as-run")
     ] = False,
-    claims: Annotated[bool, typer.Option(help="Judge the claims about the publication, too.")] = True,
-    published: Annotated[
-        Path | None, typer.Option("--published", metavar="DIR", help="Other folder of published tables (CSV).")
-    ] = None,
-    data: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE_OR_FOLDER", help="Control points of SPOT-6 (tables 4.35-4.55)."),
-    ] = None,
-    permutations: Annotated[int, typer.Option(metavar="N", help="Orders of these points, with the seeds 1 to N.")] = 50,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder of the results; default: reproduced-SOURCE.")
-    ] = None,
+    claims: Annotated[bool, option("Judge the claims about the publication, too.")] = True,
+    published: Annotated[Path | None, option("Other folder of published tables (CSV).", "DIR")] = None,
+    data: Annotated[Path | None, option("Control points of SPOT-6 (tables 4.35-4.55).", "FILE_OR_FOLDER")] = None,
+    permutations: Annotated[int, option("Orders of these points, with the seeds 1 to N.", "N")] = 50,
+    out: Annotated[Path | None, option("Folder of the results; default: reproduced-SOURCE.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Run a published study again on the synthetic twin and compare, table by table."""

@@ -7,107 +7,50 @@ come first.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
-from scipy.special import (
-    bdtr,
-    betainc,
-    betainccinv,
-    betaincinv,
-    chdtr,
-    chdtrc,
-    chdtri,
-    chndtrinc,
-    erf,
-    fdtrc,
-    fdtri,
-    gammaincinv,
-    ndtr,
-    ndtri,
-    stdtr,
-    stdtrit,
-)
+from scipy import special
 
 Array = npt.NDArray[np.float64]
 
 
-def _real(values: npt.ArrayLike) -> Array:
-    return np.asarray(values, np.float64)
+def _of_arrays(function: Callable[..., Any]) -> Callable[..., Array]:
+    """Function of values and arrays that become float64, in the order of the arguments; its result likewise."""
+    return lambda *given: np.asarray(function(*(np.asarray(one, np.float64) for one in given)), np.float64)
 
 
-def normal_probability(x: npt.ArrayLike) -> Array:
-    """Probability of a standard normal value up to x."""
-    return _real(ndtr(_real(x)))
-
-
-def normal_quantile(probability: npt.ArrayLike) -> Array:
-    """Value that a standard normal one does not exceed with this probability."""
-    return _real(ndtri(_real(probability)))
+#: Standard normal: arguments x; probability.
+normal_probability = _of_arrays(special.ndtr)
+normal_quantile = _of_arrays(special.ndtri)
+#: Student's t: arguments degrees of freedom, probability.
+t_quantile = _of_arrays(special.stdtrit)
+#: Fisher's F: arguments degrees of freedom above and below, probability; F.
+f_quantile = _of_arrays(special.fdtri)
+f_tail = _of_arrays(special.fdtrc)
+#: Beta distribution: arguments a, b, x; probability. The limit is accurate for small probabilities.
+beta_probability = _of_arrays(special.betainc)
+beta_quantile = _of_arrays(special.betaincinv)
+beta_limit = _of_arrays(special.betainccinv)
+#: Chi-square: arguments degrees of freedom, x; probability. Quantile and limit are accurate for small probabilities.
+chi_square_probability = _of_arrays(special.chdtr)
+chi_square_tail = _of_arrays(special.chdtrc)
+chi_square_quantile = _of_arrays(lambda freedom, probability: 2.0 * special.gammaincinv(0.5 * freedom, probability))
+chi_square_limit = _of_arrays(special.chdtri)
+#: Probability of an amount of Student's t beyond that of t: arguments degrees of freedom, t > 0.
+t_two_sided = _of_arrays(lambda freedom, t: 2.0 * special.stdtr(freedom, -t))
 
 
 def normal_within(x: npt.ArrayLike, sigma: float) -> Array:
     """Probability of a normal value of mean 0 and this sigma between -x and x."""
-    return _real(erf(_real(x) / (np.sqrt(2.0) * sigma)))
-
-
-def t_quantile(freedom: npt.ArrayLike, probability: npt.ArrayLike) -> Array:
-    """Value that Student's t does not exceed with this probability."""
-    return _real(stdtrit(_real(freedom), _real(probability)))
-
-
-def t_two_sided(freedom: npt.ArrayLike, t: npt.ArrayLike) -> Array:
-    """Probability of an amount of Student's t beyond that of ``t``, which is positive."""
-    return _real(2.0 * stdtr(_real(freedom), -_real(t)))
-
-
-def f_quantile(freedom: npt.ArrayLike, freedom_below: npt.ArrayLike, probability: npt.ArrayLike) -> Array:
-    """Value that Fisher's F does not exceed with this probability."""
-    return _real(fdtri(_real(freedom), _real(freedom_below), _real(probability)))
-
-
-def f_tail(freedom: npt.ArrayLike, freedom_below: npt.ArrayLike, f: npt.ArrayLike) -> Array:
-    """Probability of Fisher's F beyond ``f``."""
-    return _real(fdtrc(_real(freedom), _real(freedom_below), _real(f)))
-
-
-def beta_probability(a: npt.ArrayLike, b: npt.ArrayLike, x: npt.ArrayLike) -> Array:
-    """Probability of a value of the beta distribution up to x."""
-    return _real(betainc(_real(a), _real(b), _real(x)))
-
-
-def beta_quantile(a: npt.ArrayLike, b: npt.ArrayLike, probability: npt.ArrayLike) -> Array:
-    """Value that the beta distribution does not exceed with this probability."""
-    return _real(betaincinv(_real(a), _real(b), _real(probability)))
-
-
-def beta_limit(a: npt.ArrayLike, b: npt.ArrayLike, level: npt.ArrayLike) -> Array:
-    """Value that the beta distribution exceeds with this probability, accurate for small ones."""
-    return _real(betainccinv(_real(a), _real(b), _real(level)))
-
-
-def chi_square_probability(freedom: npt.ArrayLike, x: npt.ArrayLike) -> Array:
-    """Probability of chi-square up to x."""
-    return _real(chdtr(_real(freedom), _real(x)))
-
-
-def chi_square_tail(freedom: npt.ArrayLike, x: npt.ArrayLike) -> Array:
-    """Probability of chi-square beyond x."""
-    return _real(chdtrc(_real(freedom), _real(x)))
+    return np.asarray(special.erf(np.asarray(x, np.float64) / (np.sqrt(2.0) * sigma)), np.float64)
 
 
 def chi_square_noncentrality(freedom: float, limit: npt.ArrayLike, power: float) -> float:
     """Noncentrality with which chi-square exceeds a limit with the probability ``power``."""
-    return float(chndtrinc(_real(limit), freedom, 1.0 - power))
-
-
-def chi_square_quantile(freedom: npt.ArrayLike, probability: npt.ArrayLike) -> Array:
-    """Value that chi-square does not exceed with this probability, accurate for small ones."""
-    return _real(2.0 * gammaincinv(0.5 * _real(freedom), _real(probability)))
-
-
-def chi_square_limit(freedom: npt.ArrayLike, level: npt.ArrayLike) -> Array:
-    """Value that chi-square exceeds with this probability, accurate for small ones."""
-    return _real(chdtri(_real(freedom), _real(level)))
+    return float(special.chndtrinc(np.asarray(limit, np.float64), freedom, 1.0 - power))
 
 
 def chi_square_interval(freedom: float, level: float) -> tuple[float, float]:
@@ -125,7 +68,7 @@ def binomial_limit(n: int, probability: float, level: float) -> int:
     spread = np.sqrt(n * probability * (1.0 - probability))
     reach = min(n, int(np.ceil(n * probability + (spread + 1.0) / np.sqrt(level))))  # Cantelli's inequality, and more
     counts = np.arange(reach + 1)
-    return int(counts[bdtr(counts, n, probability) >= 1.0 - level][0])
+    return int(counts[special.bdtr(counts, n, probability) >= 1.0 - level][0])
 
 
 def sidak(level: float, n: int) -> float:

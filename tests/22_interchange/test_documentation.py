@@ -31,7 +31,7 @@ def test_every_format_has_a_page_that_says_whether_it_was_tried(repository: Path
 
 
 def test_options_of_the_pages_exist(repository: Path) -> None:
-    command = typer.main.get_command(app).commands["convert"]  # type: ignore[attr-defined]
+    command = typer.main.get_command(app).get_command(None, "convert")  # type: ignore[attr-defined]
     known = {option for parameter in command.params for option in parameter.opts}
     text = "\n".join(page.read_text("utf-8") for page in (repository / "docs" / "formats").glob("*.md"))
     shown = {word for line in re.findall(r"^fg-orient convert (.*)$", text, re.MULTILINE) for word in line.split()}

@@ -148,8 +148,8 @@ def _leaf(command: Command) -> tuple[Any, list[str]]:
     while words[:1] == ["--plugin"]:  # stands before the command
         del words[:2]
     while hasattr(leaf, "commands"):
-        assert words and words[0] in leaf.commands, f"{command.page}: no such command: {command.text}"
-        leaf = leaf.commands[words.pop(0)]
+        assert words and leaf.get_command(None, words[0]), f"{command.page}: no such command: {command.text}"
+        leaf = leaf.get_command(None, words.pop(0))
     return leaf, words
 
 

@@ -23,16 +23,17 @@ closerange.not_converged: the adjustment does not converge: {reason}
 closerange.surface: these parameters make no surface
     -> give finite numbers {shape}, semi-axes above 0
 closerange.kind: not possible with this kind of surface
+closerange.method: no such method
+closerange.prior: no such observed parameter, or a value or sigma that is not possible (lengths are above 0); the
+    algebraic method and quadrics take none
+closerange.member: the constraint names a point or photo that is not there
+closerange.backend: not a backend of close range; other backends do not support hard constraints
+closerange.parameter: this is no name of a camera parameter, nor of a set of them
     -> choose one of {known}
 closerange.axis: no such axis of revolution
     -> choose one of x, y, z, free
-closerange.method: no such method
-    -> choose one of {known}
 closerange.few: too few points
     -> give {least} or more
-closerange.prior: no such observed parameter, or a value or sigma that is not possible (lengths are above 0); the
-    algebraic method and quadrics take none
-    -> choose one of {known}
 closerange.undetermined: not determined by these points: {names} ({direction}); a standard deviation exceeds
     {limit:g} times that of a point
     -> measure points elsewhere (other levels of the surface, other depths), or observe a parameter; give the sigma
@@ -41,6 +42,8 @@ closerange.unverified: whether the points determine {name} could not be verified
     converges
     -> measure points elsewhere (other levels of the surface), observe {name}, or give the sigma of the points
 closerange.camera: this value of the camera is not possible
+closerange.constraint: this constraint is not possible
+closerange.bundle: this part of the bundle is not possible
     -> give {expected}
 closerange.fold: the distortion of the camera cannot be inverted here
     -> check k1, k2, k3, p1, p2: the polynomial folds inside the image
@@ -108,8 +111,6 @@ closerange.check_and_control: a point cannot judge the result and take part in i
     -> leave it out of <control>, or of <check>
 closerange.no_layers: results of close range have no truth and no geographic coordinates
     -> leave the option out; points.csv holds the coordinates
-closerange.constraint: this constraint is not possible
-    -> give {expected}
 closerange.dependent: this hard constraint follows from the others, or contradicts them
     -> leave it out, or give it a sigma
 closerange.saddle: this hard constraint is not met, and no small change of the start brings it nearer (as lines at
@@ -119,14 +120,6 @@ closerange.contradiction: these hard constraints cannot hold together: {names}
     -> look for a wrong value or member; give them sigmas, or leave one out
 closerange.merged: these hard constraints hold together only with the points {points} at one place: {names}
     -> look for a point that is not on a figure; give the constraints sigmas, or leave one out
-closerange.member: the constraint names a point or photo that is not there
-    -> choose one of {known}
-closerange.backend: not a backend of close range; other backends do not support hard constraints
-    -> choose one of {known}
-closerange.parameter: this is no name of a camera parameter, nor of a set of them
-    -> choose one of {known}
-closerange.bundle: this part of the bundle is not possible
-    -> give {expected}
 closerange.no_place: the point is seen in one photo only and has no coordinates
     -> measure it in a second photo, give its coordinates, or leave it out
 closerange.prior_text: not an observed parameter

@@ -22,7 +22,8 @@ def words(table: str) -> dict[str, Entry]:
     """Read a table of the catalogue.
 
     An entry begins with ``code: message`` or ``code (severity): message`` and goes on in indented lines: further parts
-    of the message begin with ``+``, the remedy with ``->``. Without a severity it is a failure.
+    of the message begin with ``+``, the remedy with ``->``. Without a severity it is a failure; failures that follow
+    each other share the remedy of the last one.
     """
     found: list[list[str]] = []
     for line in table.split("\n"):
@@ -33,11 +34,13 @@ def words(table: str) -> dict[str, Entry]:
             found[-1].append(text)
         elif text:
             found[-1][-1] += f" {text}"
-    entries = {}
-    for head, *rest in found:
+    entries: dict[str, Entry] = {}
+    remedy = ""
+    for head, *rest in reversed(found):
         name, _, message = head.partition(": ")
         code, _, severity = name.partition(" ")
         parts = [text[2:] for text in rest if text.startswith("+ ")]
-        remedy = "".join(text[3:] for text in rest if text.startswith("-> "))
+        own = "".join(text[3:] for text in rest if text.startswith("-> "))
+        remedy = own if own or severity else remedy
         entries[code] = Entry((message, *parts), remedy, cast(Severity, severity.strip("()") or "failure"))
     return entries

@@ -53,6 +53,7 @@ interchange.rows_positive: rows are counted downwards, as negative numbers, in t
 interchange.two_places: the same name has other coordinates on line {first}
     -> give every point its own name
 interchange.json: the file is no JSON
+interchange.gpkg: the file cannot be read as a GeoPackage
     -> export it again
 interchange.geojson: not a GeoJSON FeatureCollection of points: {what}
     -> export a layer of points
@@ -60,8 +61,6 @@ interchange.layer: the file has no layer {layer} of points
     -> name the layer {layer}, or export it again
 interchange.no_pyogrio: GeoPackage needs pyogrio and shapely
     -> install the extra: pip install 'fg-orient[geo]'
-interchange.gpkg: the file cannot be read as a GeoPackage
-    -> export it again
 interchange.xml_name: XML cannot hold this name: it has control characters
     -> rename it
 interchange.unknown_camera: no camera or marker has this id
@@ -83,10 +82,11 @@ interchange.image_size: this is no size of an image
 interchange.no_image: the file has no such image
     -> choose one of {known}
 lost.ground: {format} holds image points only: coordinates are lost
-    -> keep a file that holds them
 lost.image: {format} holds no image points: they are lost
-    -> keep a file that holds them
 lost.ids: {format} has no ids of points: they are numbered in their order
+lost.ties: {format} holds no points without coordinates: tie points are lost
+lost.heights: {format} has no heights: they are lost
+lost.single: {format} holds single precision: pixels are rounded
     -> keep a file that holds them
 lost.images: {format} holds one image: image points of the others are lost
     -> write one file for each image
@@ -98,19 +98,12 @@ lost.vertical_crs: {format} does not say what heights refer to: the vertical CRS
     -> tell it to the program that reads the file, or transform with <to_crs>
 lost.sigma_axes: standard deviations are turned to geocentric axes: their correlations are lost
     -> write <sigma_axes> enu, and give bundle_adjust the option for sigmas of longitude, latitude, height
-lost.ties: {format} holds no points without coordinates: tie points are lost
-    -> keep a file that holds them
 lost.roles: {format} has no roles: check points become control
     -> keep a list of them, or convert them apart, so that they stay check points
-lost.heights: {format} has no heights: they are lost
-    -> keep a file that holds them
 lost.sigma_ground: {format} has no standard deviations of ground points: they are lost
-    -> set them in the program that reads the file
 lost.sigma_east_north: {format} has one horizontal standard deviation: the root mean square of East and North is
     written
-    -> set them in the program that reads the file
 lost.sigma_up: {format} has one standard deviation for all axes: the root mean square is written
-    -> set them in the program that reads the file
 lost.sigma_image: {format} has no standard deviations of image points: they are lost
     -> set them in the program that reads the file
 lost.fixed: {format} has no points without uncertainty: they get their standard deviation
@@ -123,8 +116,6 @@ remark.outside_area (note): {count} of {total} points lie outside the area for w
     -> check the CRS and the order of the columns
 lost.model: {format} cannot hold all of the model
     -> keep a file that holds it
-lost.single: {format} holds single precision: pixels are rounded
-    -> keep a file that holds them
 ties.unreadable: the file cannot be read
     -> check the path and its permissions
 ties.missing: the file does not exist
@@ -150,7 +141,6 @@ bundle.list: the list has fewer images than the bundle ({last} at least)
 bundle.camera: the camera has coefficients that the files of Bundler and BAL do not have
     -> needed: k1 and k2 alone; write a text model of COLMAP
 photomodeler.mark: a mark of a photo or point that the export does not hold
-    -> export the whole project
 photomodeler.part: this part of the export is missing
     -> export the whole project
 dbat.order: no comment tells the order of the cells
@@ -164,7 +154,6 @@ colmap.model: this camera model has no counterpart here
 colmap.camera: the camera has a parameter that Brown's polynomial with one focal length does not have
     -> needed: fx = fy, k4 = k5 = k6 = 0; undistort the images or calibrate with another model
 colmap.reference: the {kind} is not in {other}
-    -> take the files of one and the same model
 colmap.track: the tracks hold {n_tracks} image points, images.txt refers to {n_images}
     -> take the files of one and the same model
 """)

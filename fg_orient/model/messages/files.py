@@ -26,28 +26,30 @@ xml.malformed: the XML is damaged
 xml.doctype: the file holds a DOCTYPE, which no DIMAP product has and which can hide an attack
     -> remove it if you trust the file
 xml.missing_element: element {element} is missing
-    -> use the complete metadata file of the product
 xml.too_few: the file needs at least {at_least} {element}
+dimap.detectors_cover: look angles must cover detectors {first} to {last} (NCOLS)
     -> use the complete metadata file of the product
 xml.doubled: the element may occur only once here
     -> remove the wrong one
 xml.empty: the element is empty
     -> fill it or use the original file
 xml.not_plain: the element must hold a plain value, no markup
+xml.not_finite: this is not a finite number of possible size
+xml.not_whole: this is not a whole number
+xml.wrong_count: the element needs {expected} numbers separated by blanks
+dimap.pixel_origin: pixels must be counted from 1 in this format
+dimap.quaternion_norm: a quaternion must have norm 1 within {tolerance:g} over the whole image
+sensor.no_field: first and last sample look in the same direction (less than {least:g} rad apart)
     -> use the original file
 xml.not_a_number: this is not a number
     -> write it as 123.456 or 1.23e4
 xml.decimal_comma: the number has a decimal comma
+table.decimal_comma: the number has a decimal comma
     -> write a decimal point
-xml.not_finite: this is not a finite number of possible size
-    -> use the original file
-xml.not_whole: this is not a whole number
-    -> use the original file
 xml.out_of_range: the value lies outside the possible range {low:g} .. {high:g}{unit}
     -> check the value and its unit
-xml.wrong_count: the element needs {expected} numbers separated by blanks
-    -> use the original file
 xml.unit: this is no known unit for a {quantity}
+sensor.model: no such kind of model
     -> choose one of {known}
 xml.not_a_time: this is not a UTC time
     -> write it as 2005-03-13T05:21:07.332158Z
@@ -63,26 +65,19 @@ dimap.other_level: the image is resampled: its viewing model is no longer in the
        level SENSOR)
 dimap.rpc_file: the file holds RPC, not the rigorous model
     -> give the DIM_*.XML of the same folder, or use the RPC commands
-dimap.pixel_origin: pixels must be counted from 1 in this format
-    -> use the original file
 dimap.time_order: times must increase
+dimap.detector_order: detector numbers must increase
     -> sort the list or remove the repeated entry
 dimap.radius: the distance from the Earth's centre must be {low:g} .. {high:g} m
     -> check unit and frame (Earth-fixed, m)
 dimap.speed: the speed must be {low:g} .. {high:g} m/s
     -> check unit and frame (Earth-fixed, m/s)
-dimap.quaternion_norm: a quaternion must have norm 1 within {tolerance:g} over the whole image
-    -> use the original file
 dimap.quaternion_span: OFFSET and SCALE do not belong to the time of the image (scaled time beyond +-{limit:g})
     -> check day and unit of OFFSET and SCALE (s of the day)
 dimap.duration: {n_lines} lines at this period do not fill START .. END ({duration:.6g} s)
     -> check LINE_PERIOD and its unit attribute, NROWS, START and END
 dimap.look_angle: a viewing direction lies more than 45 degrees off
     -> check the look angle polynomial
-dimap.detector_order: detector numbers must increase
-    -> sort the list or remove the repeated entry
-dimap.detectors_cover: look angles must cover detectors {first} to {last} (NCOLS)
-    -> use the complete metadata file of the product
 dimap.speed_span: angular speeds cover {first:.3f} .. {last:.3f} s of the day, too little for the image; at most
     {hold} s are held
     -> use a metadata file whose angular speeds cover the image
@@ -102,15 +97,12 @@ sensor.attitude_span: the attitudes cover {first:.6f} .. {last:.6f} s of the day
 sensor.extrapolation: attitudes are extrapolated for 0 to {most:g} s only
     -> give the seconds that are missing, such as 0.2
 sensor.missing: the file does not exist
+dem.missing: the DEM file does not exist
     -> check the path
 sensor.own_reader: the plugin that reads it, {where}, raised an exception
     -> correct it there; report file errors with InputError; <debug> shows the traceback
-sensor.model: no such kind of model
-    -> choose one of {known}
 sensor.only_rpc: the file holds an RPC, no rigorous model
     -> use its RPC (<model> rpc), or give the DIM_*.XML or METADATA.DIM of the image
-sensor.no_field: first and last sample look in the same direction (less than {least:g} rad apart)
-    -> use the original file
 sensor.pixel_outside: pixel outside the image
     -> lines run from {first_line:g} to {last_line:g}, samples from {first_sample:g} to {last_sample:g}; whole
        numbers are centres of pixels
@@ -118,8 +110,6 @@ sensor.ray_misses: the viewing ray does not meet the Earth at this height
     -> check the height (m, ellipsoidal)
 dem.no_rasterio: reading a DEM needs rasterio
     -> install the extra: pip install 'fg-orient[geo]'
-dem.missing: the DEM file does not exist
-    -> check the path
 dem.no_crs: the DEM has no coordinate reference system
     -> assign one, for instance with gdal_edit -a_srs
 dem.vertical_crs: the DEM states another vertical CRS than the one given
@@ -164,6 +154,7 @@ table.utf16: the file is UTF-16
 table.nul: the file holds NUL bytes and is no text
     -> save the table as UTF-8 text with commas
 table.not_utf8: the file is not UTF-8, perhaps Latin-1
+project.encoding: the project file is not UTF-8
     -> save it as UTF-8 text
 table.empty: the file holds no header line
     -> begin with a line that names the columns: {columns}
@@ -187,8 +178,6 @@ table.cell_count: the line does not have one cell for each of the {count} column
     -> write an empty cell for a missing value and decimal points, not commas
 table.cell_empty: the cell is empty
     -> write a number
-table.decimal_comma: the number has a decimal comma
-    -> write a decimal point
 table.not_a_number: this is not a finite number
     -> write a number such as -12.5 or 1e-6
 table.number_too_large: the number is too large for double precision
@@ -229,8 +218,8 @@ points.far: the point lies {distance_km:.0f} km from the centre of the nearest i
 points.changed: the file has changed since it was read
     -> run the adjustment again
 observations.image_unknown: the project has no such image
-    -> {hint}
 observations.point_unknown: the point file has no such id
+project.unknown_key: unknown entry
     -> {hint}
 observations.twice: the point is measured twice in this image, first on line {first}
     -> keep one measurement
@@ -248,8 +237,6 @@ project.folder: this is a folder, not a project file
     -> give the project file in it, such as {inside}
 project.unreadable: the file cannot be read
     -> give a readable text file
-project.encoding: the project file is not UTF-8
-    -> save it as UTF-8 text
 project.syntax: the project file is not valid TOML
     -> correct the line; strings stand in double quotes
 project.schema: unknown schema of the project file
@@ -264,8 +251,6 @@ project.images_alike: two images of the file are one of the project
     -> name the id of each in the table images
 project.missing: a required entry is missing
     -> add it: {expected}
-project.unknown_key: unknown entry
-    -> {hint}
 project.constraints: a project takes no constraints: they have no form in the backends of satellite images
     -> adjust photos with them by fg-orient closerange bundle <constraints> FILE; in Python one with a sigma is an
        observation of Block.extra

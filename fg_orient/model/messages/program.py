@@ -12,11 +12,10 @@ installation.overwritten: this file of fg_orient was overwritten by the distribu
     -> pip uninstall {name}, and then pip install --force-reinstall --no-deps {source}, in this order; an
        environment has room for one of the two
 installation.damaged: this file of fg_orient is missing or changed, as after an uninstalled package 'factors'
+installation.other_version: this package 'factors' is of fg_orient {other}, the rest is of {version}
     -> pip install --force-reinstall --no-deps {source}
 installation.damaged_tree: this file of fg_orient's source tree is missing or changed
     -> restore it from the repository (git checkout factors), or install again from it
-installation.other_version: this package 'factors' is of fg_orient {other}, the rest is of {version}
-    -> pip install --force-reinstall --no-deps {source}
 installation.other_distribution: the package 'factors' of the distribution {owner} hides the one of fg_orient in
     {ours}
     -> pip uninstall {name}, or install fg-orient into an environment of its own
@@ -29,6 +28,7 @@ installation.user_folder: this folder hides the package 'factors' of fg_orient i
 output.exists: the output exists already
     -> give another {option} or add <overwrite>
 output.not_a_folder: this is not a folder, or it is a link to one
+replay.same_folder: the repeated run would replace the result that it repeats
     -> give another <out>
 output.foreign: the folder holds other files, so it is not replaced
     -> give another <out>, or move them; <overwrite> replaces only a folder with {mark} and nothing of others
@@ -46,8 +46,6 @@ replay.missing: the run read this file, and now it is missing or no longer named
     -> bring it back, or add <allow_changed> to go on without it
 replay.new: the run did not read this file
     -> bring back the project of the run, or add <allow_changed> to go on with it
-replay.same_folder: the repeated run would replace the result that it repeats
-    -> give another <out>
 internal: error of the program: {kind}: {text}
     -> please report it{hint}
 plugin.file: there is no such Python file

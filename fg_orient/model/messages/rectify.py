@@ -11,6 +11,7 @@ rectify.points: points need finite source coordinates (n, 2) or (n, 3), target c
     above 0
     -> give one row per point, ids as many as rows
 rectify.model: no such transformation
+rectify.standard: no such accuracy standard
     -> choose one of {known}
 rectify.degree: the degree of a polynomial is 1 to {most}, and no other transformation has one
     -> give <degree> to a polynomial, or leave it out
@@ -21,6 +22,8 @@ rectify.few_points: {points} control points give {equations} equations for {unkn
     -> at least {least} points are needed; take a transformation with fewer unknowns
 rectify.collinear: the control points lie on a straight line (or at one place) and do not determine the
     transformation
+rectify.narrow: within their noise the control points lie on a straight line: along {direction} they spread over
+    only {times:.1f} times their noise
     -> measure points off this line
 rectify.degenerate: the control points do not determine {model}: they lie {figure}
     -> measure points elsewhere, or take a transformation with fewer unknowns
@@ -31,6 +34,7 @@ rectify.not_converged: the adjustment does not converge: {reason}
 rectify.heights: this transformation needs heights: it relates ground coordinates with heights to the image
     -> add a column height_m, or take a plane transformation
 rectify.no_crs: longitude and latitude need a map projection to be fitted in, and none is given
+ortho.no_crs: no coordinate system of the map is known
     -> add <crs> with a projected coordinate system, for instance EPSG:32636
 rectify.crs_not_projected: this coordinate system is not a map projection in metres
     -> give the code of a projected one, for instance EPSG:32636
@@ -54,11 +58,6 @@ rectify.numbers: finite numbers are needed, at least one, and as many of each ki
 rectify.sigma_absurd: the sigma is too small: coordinates of this size are stored to {least:.1g}, and the largest
     sigma, {largest:.1g}, may be {span:.0e} times the smallest at most
     -> give sigmas of the size of the coordinates' errors, or none
-rectify.narrow: within their noise the control points lie on a straight line: along {direction} they spread over
-    only {times:.1f} times their noise
-    -> measure points off this line
-rectify.standard: no such accuracy standard
-    -> choose one of {known}
 rectify.differences: differences must be finite numbers (n, 2)
     -> give one row per tested point: measured minus true, east and north
 rectify.outline: an outline needs three or more vertices (n, 2), finite, not on one line
@@ -84,8 +83,6 @@ ortho.kind: values of this type cannot be resampled
     -> give an image of real numbers, whole or not
 ortho.size: the image does not have the {lines} x {samples} pixels of its metadata
     -> give image and metadata that belong together, the whole image
-ortho.no_crs: no coordinate system of the map is known
-    -> add <crs> with a projected coordinate system, for instance EPSG:32636
 ortho.other_crs: the transformation was fitted in {fitted}
     -> leave out <crs>, or fit in this system
 ortho.over_input: the map would replace a file that it is made of

@@ -19,7 +19,6 @@ earth.unreadable: the Earth orientation file cannot be read
 earth.no_records: no records of an IERS C04 series
     -> give a C04 file with at least two days: year, month, day, MJD, x, y, UT1-UTC, ...
 earth.record: this record is not one of an IERS C04 series
-    -> use the file as the IERS gives it out
 earth.gap: days of the series do not follow each other
     -> use the file as the IERS gives it out
 earth.value: a pole coordinate beyond 1 arc second or UT1 - UTC beyond 1 s cannot be right
@@ -49,6 +48,12 @@ earth.seconds: times must be seconds since 0 h UTC of the day of the image
 frame.camera: this value of the camera is not possible
     -> give {expected}
 frame.unknown: the camera has no such unknown, or its prior sigma is not above zero
+rpc.unknown_order: no such order of coefficients
+rpc.unknown_format: this is no RPC file that can be read
+rpc.target_name: no such format to write
+rpc.compensation_kind: no such compensation
+rfm.denominators: no such denominators
+rfm.selector: no such selection of coefficients
     -> choose one of {known}
 frame.nothing_unknown: the camera has no unknown, so its image cannot be adjusted
     -> name some with their prior sigmas, small ones to hold it
@@ -89,6 +94,7 @@ frame.mixed: images in a local coordinate system and Earth-fixed ones cannot sta
 rpc.shape: the array must have the shape {shape}
     -> give 5 offsets, 5 scales and 4 x 20 coefficients
 rpc.not_finite: a value is not finite
+rpc.coefficient_count: needs 20 coefficients, {count} given
     -> use the original file
 rpc.zero_scale: a scale of zero
     -> use the original file; a scale is half the range of its coordinate
@@ -104,8 +110,6 @@ rpc.no_ground: the pixel has no ground point at this height
     -> the model is valid for heights of {height} m (ellipsoidal)
 rpc.compensation: compensation needs {count} finite numbers
     -> give pixels: shift, drift with the line, drift with the sample, each of line and sample
-rpc.coefficient_count: needs 20 coefficients, {count} given
-    -> use the original file
 rpc.list_count: a list of RPC holds 90 numbers
     -> give 5 offsets, 5 scales (line, sample, latitude, longitude, height) and 4 x 20 coefficients
 rpc.missing: {field} is missing
@@ -118,12 +122,8 @@ rpc.syntax: the line cannot be understood
     -> write {expected}
 rpc.order: the coefficients are in the order {found}, not {asked}
     -> if the file is right, say so: <order> {found}, or read_rpc(path, order='{found}')
-rpc.unknown_order: no such order of coefficients
-    -> choose one of {known}
 rpc.origin: a plain list of numbers does not say which pixel coordinate the first pixel has
     -> say it: <first_pixel> 0, or 1 for Pléiades; in Python read_rpc(path, first_pixel=0)
-rpc.unknown_format: this is no RPC file that can be read
-    -> choose one of {known}
 rpc.no_tags: the image holds no RPC
     -> give the RPC file of the image
 rpc.no_rasterio: RPC in images need rasterio
@@ -132,16 +132,12 @@ rpc.unreadable: the file cannot be read
     -> give a readable file
 rpc.tags_target: RPC tags are written into an existing GeoTIFF
     -> give the image itself, or a name that ends with _RPC.TXT, .RPB or .XML
-rpc.target_name: no such format to write
-    -> choose one of {known}
 rpc.sidecar: an RPC file next to the image would hide its tags: GDAL prefers the file
     -> move it away, or write it instead of the tags
 rpc.heights: this is no range of heights
     -> give the lower and the higher one, m above the ellipsoid
 rpc.no_overlap: the two models see no common part of the image
     -> lines and samples of the checked one run from {mine}; compare models of one image
-rpc.compensation_kind: no such compensation
-    -> choose one of {known}
 rpc.few_control: too few control points for this compensation
     -> it needs {least}; measure more, or take a simpler one
 rpc.control_spread: the control points do not determine this compensation
@@ -190,8 +186,6 @@ rfm.flat: all points have the same value of this coordinate: it cannot be normal
     -> measure points that differ in it, or take a lower degree without it
 rfm.degree: the degree of a rational function model is 1, 2 or 3
     -> give one of them
-rfm.denominators: no such denominators
-    -> choose one of {known}
 rfm.kept: the coefficients kept must be ascending numbers of unknowns of the form
     -> see RfmForm.names
 rfm.penalty: the penalty holds beyond_affine or identity
@@ -205,8 +199,6 @@ rfm.no_end: the iteration does not end
     -> take a lower degree, fewer coefficients or a penalty (kappa > 0)
 rfm.folds: the number of folds must lie between 2 and the number of points
     -> there are {points} points
-rfm.selector: no such selection of coefficients
-    -> choose one of {known}
 rfm.grid: the virtual grid needs at least {least} values per axis
     -> take more lines, samples or layers
 rfm.heights: the lowest height has to lie below the highest

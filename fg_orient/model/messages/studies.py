@@ -8,13 +8,18 @@ from fg_orient.model.messages.entry import words
 
 WORDS: Final = words("""
 statistics.groups: there is no such grouping of observations
+statistics.method: there is no such method of variance components
+curve.optimizer: there is no such optimiser of curves
+accuracy.role: there are no points of this role
+linear.solver: no solver of this name
+linear.kappa_rule: no kappa rule of this name
+published.source: no such publication
+published.table: no such table in this file
     -> choose one of {known}
 statistics.groups_overlap: these groupings overlap: an observation has one variance component
     -> keep one grouping of image points, and either control or position and height
 statistics.power: these are not the size and the power of a test
     -> give two probabilities with 0 < alpha < power < 1, such as 0.001 and 0.8
-statistics.method: there is no such method of variance components
-    -> choose one of {known}
 statistics.components_loss: variance components under a robust loss: its weights take from the large residuals, so
     all would be too small
     -> leave the loss out; the method "median" withstands gross errors, or search them first
@@ -60,7 +65,6 @@ statistics.not_located: the intersection of these rays does not settle in {value
     or do not meet
     -> check the pixels, or locate one of them at a height
 statistics.too_few: too few observations
-    -> {remedy}
 statistics.motions: nothing fixes these images in the world
     -> {remedy}
 statistics.datum: these unknowns do not fix the {count} motions of the free network
@@ -77,8 +81,6 @@ curve.model: the model must give one finite number per observation at the start 
     -> model(x, *parameters) gives a ({count},) array; look at the start values
 curve.derivatives: the derivatives differ from what the model does
     -> use numpy functions that take complex numbers (no abs, no conversion to real), or correct jacobian
-curve.optimizer: there is no such optimiser of curves
-    -> choose one of {known}
 curve.lost: the iteration has come to where the model is not finite or does not depend on every parameter
     -> start nearer, or with levenberg-marquardt
 accuracy.no_check: there are no check points to hold the predicted accuracy against
@@ -90,8 +92,6 @@ accuracy.dem_outside: no point lies over the elevation model
     -> check its extent and coordinate system
 accuracy.local: points of a local coordinate system do not lie over an elevation model
     -> use control points in a coordinate system of the Earth
-accuracy.role: there are no points of this role
-    -> choose one of {known}
 linear.not_square: the normal matrix must be square and not empty
     -> give N as a (u, u) array
 linear.not_symmetric: the normal matrix is not symmetric
@@ -108,8 +108,6 @@ linear.design: the design matrix must be finite with {unknowns} columns and one 
     -> give A as an (r, u) and l as an (r,) array
 linear.no_design: this needs the design matrix, and only the normal equations are known
     -> give A and l
-linear.solver: no solver of this name
-    -> choose one of {known}
 linear.zero_pivot: the pivot is zero or not finite
     -> the matrix is singular for this method; take one with pivoting, or a pseudo-inverse
 linear.zero_determinant: the determinant is zero
@@ -120,8 +118,6 @@ linear.dependent_column: the column of A depends on those before it within round
     -> the unknown is not determined; take SVD, a prior or fewer unknowns
 linear.redundancy: there must be more observations than unknowns
     -> without redundancy residuals say nothing; add observations or take fewer unknowns
-linear.kappa_rule: no kappa rule of this name
-    -> choose one of {known}
 linear.kappa_needs: this rule needs {needed}
     -> give it in Given({needed}=...)
 linear.truth: the true solution must hold {unknowns} finite numbers
@@ -146,26 +142,19 @@ classical.bundle: no such bundle adjustment
     -> give kind 1 or 2, and one iteration or more
 classical.few_control: the look-angle polynomial needs control points in at least {least} different columns
     -> measure more control points in this image, or use fg-orient adjust
-published.source: no such publication
-    -> choose one of {known}
 published.folder: this is no folder
     -> give a copy of the folder of the published tables
 published.unreadable: the table of published values cannot be read
-    -> copy the original file again
 published.column: columns of the published table are missing
-    -> copy the original file again
 published.row: the record must have {count} cells
+published.count: the table must hold {count} cells
     -> copy the original file again
 published.not_a_number: this is not a number
     -> write it as 123.4, 1.2e-3 or nan; nothing where nothing is printed
-published.table: no such table in this file
-    -> choose one of {known}
 published.twice: the cell stands twice; first in {first}
     -> remove the wrong one
 published.unknown_cell: the publication has no such cell
     -> alter values only; copy the original file again
-published.count: the table must hold {count} cells
-    -> copy the original file again
 reproduce.table: no such table, or a range that runs backwards
     -> known, in order: {known}
 compare.no_figures (warning): no figures: matplotlib is missing
