@@ -1,10 +1,8 @@
-"""Observed unknowns: ground control points and prior observations of parameters.
+"""Observed ground points: control points and heights.
 
 ``control_point``: residual ``W (G - G_0)`` of a ground point observed with covariance
 ``C = (W^T W)^-1``, W upper triangular; sigmas in East, North, Up are rotated to the axes of
-the unknown by :func:`whitening`. ``observed_parameters``: residual ``(x - x_0) / sigma``;
-with unknowns in prior sigmas this is the prior x = 0 with sigma 1 (docs/equations.md 7,
-stochastic weights: a ridge with physical units).
+the unknown by :func:`whitening` (docs/equations.md 7, stochastic weights).
 
 ``height_control``: height of a ground point observed in an elevation model, as a plane near the point::
 
@@ -68,17 +66,6 @@ def jacobian_point(record: Array, setup: Array, value: Array, ground: Array) -> 
 
 
 @compiled
-def residual_parameters(record: Any, setup: Any, x: Any) -> Any:
-    """``(x - x_0) / sigma``: record (0, unused), setup rows x_0 and sigma; (k,)."""
-    return (x - setup[0]) / setup[1]
-
-
-def jacobian_parameters(record: Array, setup: Array, value: Array, x: Array) -> Array:
-    """Jacobian (k, k) of observed parameters."""
-    return np.asarray(np.diag(1.0 / setup[1]))
-
-
-@compiled
 def residual_height(record: Any, setup: Any, ground: Any) -> Any:
     """``n . (G - G_0) / sigma``: (1,)."""
     d0, d1, d2 = ground[0] - record[HEIGHT.x], ground[1] - record[HEIGHT.y], ground[2] - record[HEIGHT.z]
@@ -96,18 +83,9 @@ def _example_point(rng: np.random.Generator) -> Example:
     return Example(POINT.pack(whitening=w.ravel(), place=rng.normal(size=3)), np.zeros((2, 0)), (rng.normal(size=3),))
 
 
-def _example_parameters(rng: np.random.Generator) -> Example:
-    setup = np.stack([rng.normal(size=5), rng.uniform(0.1, 2.0, 5)])
-    return Example(np.zeros(0), setup, (rng.normal(size=5),))
-
-
 _GROUND: Final = Argument("ground", "m", is_point=True)
 _SOURCE: Final = "docs/equations.md 7, stochastic weights"
 CONTROL_POINT = register_condition("control_point", residual_point, jacobian_point, (_GROUND,), _example_point, _SOURCE)
-OBSERVED_PARAMETERS = register_condition(
-    "observed_parameters", residual_parameters, jacobian_parameters, (Argument("x", "prior sigma"),),
-    _example_parameters, _SOURCE,
-)  # fmt: skip
 HEIGHT_CONTROL = register_condition(
     "height_control", residual_height, jacobian_height, (_GROUND,),
     lambda rng: Example(rng.normal(size=HEIGHT.size), np.zeros((2, 0)), (rng.normal(size=3),)), _SOURCE,

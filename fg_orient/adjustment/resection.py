@@ -63,16 +63,14 @@ MOST_PAIRS: Final = 28
 class Resection(NamedTuple):
     """Orientation of one image from its control points, or from points located by other images.
 
-    Its fields are the unknowns (u,) in prior sigmas, the image points used (n,) and a mask of those that fit, the scale
-    s in sigmas, the number of image points of a subset, and the number of subsets.
+    Its fields are the unknowns (u,) in prior sigmas, the image points used (n,) and a mask of those that fit, and the
+    scale s in sigmas.
     """
 
     unknowns: Array
     rows: Index
     kept: npt.NDArray[np.bool_]
     scale: float
-    size: int
-    subsets: int
 
 
 def subset_count(size: int, share: float = SHARE, certainty: float = CERTAINTY) -> int:
@@ -183,7 +181,7 @@ def _resect(
     scale = (1.0 + 5.0 / max(n - determined, 1)) * math.sqrt(median / float(chi_square_median(IMAGE)))
     kept = squares <= (inlier_limit(KEPT, IMAGE) * max(scale, 1.0)) ** 2
     final = _fit(v[None, kept], b[None, kept], x, prior)[0]
-    return Resection(x + final, rows, kept, scale, size, len(subsets))
+    return Resection(x + final, rows, kept, scale)
 
 
 def _whitened(compiled: Problem, state: State, cofactors: Array, k: int, rows: Index) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from fg_orient.adjustment.linear.threads import one_blas_thread
-from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.rows import image_rows, rows_by_image
 from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError, Finding, InputError, RankDeficientError, finding
@@ -79,12 +79,12 @@ def _motions_without_control(block: Block) -> list[Finding]:
     return _motion_faults(view)
 
 
-def judge_observability(compiled: Problem, state: State | None = None) -> tuple[ImageObservability, ...]:
-    """Singular values of each image's whitened Jacobian at a state (default: the start)."""
+def judge_observability(compiled: Problem) -> tuple[ImageObservability, ...]:
+    """Singular values of each image's whitened Jacobian at the start."""
     out = []
     with one_blas_thread():
         for k, rows in enumerate(rows_by_image(compiled)):
-            _, jacobian, _ = image_rows(compiled, state or compiled.start, k, rows, jacobian=True)
+            _, jacobian, _ = image_rows(compiled, compiled.start, k, rows, jacobian=True)
             model = compiled.models[k]
             flat = jacobian.reshape(2 * len(rows), len(model.parameters))
             out.append(analyse(compiled.block.images[k].id, flat, model))

@@ -170,11 +170,6 @@ def register_selection(name: str, label: str, *, source: str) -> Callable[[Funct
     return add
 
 
-def selections() -> dict[str, Method]:
-    """All selections by name."""
-    return dict(_REGISTRY)
-
-
 def fit_selected(points: ControlPoints, form: RfmForm, name: str, *, allow_pole: bool = False) -> RfmFit:
     """Choose from these points and fit the true equations.
 
@@ -183,7 +178,7 @@ def fit_selected(points: ControlPoints, form: RfmForm, name: str, *, allow_pole:
     points : ControlPoints
     form : RfmForm
     name : str
-        Of :func:`selections`.
+        Name of a registered selection.
     allow_pole : bool
         Give a model even if a denominator changes sign among the points.
 

@@ -80,9 +80,7 @@ def nearest_points(
     return out, spread
 
 
-def intersection_covariances(
-    images: tuple[Image, ...], observations: ImagePoints, ground_m: Array, corrections: Sequence[Any] | None = None
-) -> Array:
+def intersection_covariances(images: tuple[Image, ...], observations: ImagePoints, ground_m: Array) -> Array:
     """Covariances (n_points, 3, 3) ECEF m^2 of :func:`nearest_points` from the sigmas of the image points.
 
     With P = I - u u^T and D the shift of a ray at the ground by a pixel (over half a pixel to either side)::
@@ -93,11 +91,11 @@ def intersection_covariances(
     """
     shift = np.zeros((len(observations), 3, 2))
     normal = np.zeros((len(observations), 3, 3))
-    for sensor, rows, correction in _by_image(images, observations, corrections):
+    for sensor, rows, _ in _by_image(images, observations, None):
         line, sample, ground = observations.line[rows], observations.sample[rows], ground_m[observations.point[rows]]
-        direction = sensor.rays(line, sample, correction)[1]
+        direction = sensor.rays(line, sample)[1]
         normal[rows] = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-        shift[rows] = _pixel_shifts(sensor, (line, sample), ground, correction)
+        shift[rows] = _pixel_shifts(sensor, (line, sample), ground)
     noise = shift * np.stack([observations.sigma_line_px, observations.sigma_sample_px], axis=1)[:, None]
     spread = normal @ noise
     n, middle = (np.zeros((len(ground_m), 3, 3)) for _ in range(2))
@@ -110,7 +108,7 @@ def intersection_covariances(
     return out
 
 
-def _pixel_shifts(sensor: Any, pixel: tuple[Array, Array], ground_m: Array, correction: Any) -> Array:
+def _pixel_shifts(sensor: Any, pixel: tuple[Array, Array], ground_m: Array) -> Array:
     """Shift (n, 3, 2) m of rays at ground points by a line and by a sample; differences stay inside the image."""
     limits = ((sensor.first_line, sensor.last_line), (sensor.first_sample, sensor.last_sample))
     out = np.zeros((len(ground_m), 3, 2))
@@ -119,7 +117,7 @@ def _pixel_shifts(sensor: Any, pixel: tuple[Array, Array], ground_m: Array, corr
         ends = []
         for values in (low, high):
             at = (values, pixel[1]) if k == 0 else (pixel[0], values)
-            centre, direction = sensor.rays(*at, correction)
+            centre, direction = sensor.rays(*at)
             ends.append(foot_points(centre, direction, ground_m))
         out[:, :, k] = (ends[1] - ends[0]) / (high - low)[:, None]
     return out

@@ -87,9 +87,9 @@ class Study:
     def _pre_adjust(self, image: int, eop_set: int, solver: str) -> PreAdjustment:
         return self.two_stage.pre_adjust(image, eop_set, solver)
 
-    def control_jacobian(self, image: int, eop_set: int) -> Array:
-        """Jacobian A (r, u) of step 2 of one image, raw units."""
-        design, _ = self.pre_adjust(image, eop_set, EXACT[-2]).system.require_design("A")
+    def control_jacobian(self, eop_set: int) -> Array:
+        """Jacobian A (r, u) of step 2 of the first image, raw units."""
+        design, _ = self.pre_adjust(0, eop_set, EXACT[-2]).system.require_design("A")
         return design
 
     @cached_property
@@ -196,8 +196,6 @@ def run_claims(
     seeds: Sequence[int],
     callback: Callable[[int, int], None] | None = None,
     claims: Sequence[Claim] | None = None,
-    workers: int = 0,
-    cluster: Any = None,
     switches: Switches = TEXT,
 ) -> list[ClaimResult]:
     """Assess claims over seeds.
@@ -209,15 +207,13 @@ def run_claims(
         Called with (seeds done, number of seeds) after each seed.
     claims : sequence of Claim, optional
         Default: all of them.
-    workers, cluster : optional
-        Processes, or a cluster, that share the seeds; see ``fg_orient.adjustment.parts.study``.
     switches : Switches
         Differences of the authors' program. The claims are about the equations of the text; some fail with switches.
     """
     chosen = all_claims() if claims is None else tuple(claims)
     report = (lambda done, of, _: callback(done, of)) if callback else None
     task = partial(_assessed, chosen, switches)
-    results = study(task, list(seeds), workers=workers, cluster=cluster, callback=report)
+    results = study(task, list(seeds), callback=report)
     outcomes = [[Outcome(o["holds"], tuple(o["failed"]), o["figures"]) for o in of_seed] for of_seed in results]
     return [_summary(claim, [row[k] for row in outcomes]) for k, claim in enumerate(chosen)]
 

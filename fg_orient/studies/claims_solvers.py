@@ -109,7 +109,7 @@ def _c9(study: Study) -> Outcome:
     checks: dict[str, bool] = {}
     figures: dict[str, float] = {}
     for eop_set in (1, *ILL_CONDITIONED):
-        jacobian = study.control_jacobian(0, eop_set)
+        jacobian = study.control_jacobian(eop_set)
         normal = jacobian.T @ jacobian
         rank = int(np.linalg.matrix_rank(normal, hermitian=True))
         checks[f"rank of set {eop_set} below u"] = rank < len(normal)
@@ -117,7 +117,7 @@ def _c9(study: Study) -> Outcome:
     bounds = {1: (0.0, 1e5), 9: (0.0, 1e5), 15: (0.0, 1e7), 5: (1e14, np.inf), 13: (1e14, np.inf), 17: (1e14, np.inf),
               20: (1e14, np.inf), 19: (1e10, np.inf)}  # fmt: skip
     for eop_set, (low, high) in bounds.items():
-        values = singular_values(unit_columns(study.control_jacobian(0, eop_set)))
+        values = singular_values(unit_columns(study.control_jacobian(eop_set)))
         cond = float(values[0] / values[-1]) if values[-1] > 0.0 else np.inf
         checks[f"scaled cond of set {eop_set}"] = low < cond < high or (cond == np.inf and high == np.inf)
         figures[f"cond_{eop_set}"] = cond
@@ -129,7 +129,7 @@ def _c10(study: Study) -> Outcome:
     checks: dict[str, bool] = {}
     figures: dict[str, float] = {}
     for eop_set, expected in LIVING.items():
-        values = singular_values(unit_columns(study.control_jacobian(0, eop_set)))
+        values = singular_values(unit_columns(study.control_jacobian(eop_set)))
         count = int((values > DEAD).sum())
         checks[f"set {eop_set}"] = abs(count - expected) <= 1
         figures[f"living_{eop_set}"] = float(count)

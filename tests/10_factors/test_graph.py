@@ -8,8 +8,9 @@ import pytest
 
 from factors._contract import Argument, Equation, check_blocks, evaluate
 from factors.cameras import pushbroom
-from factors.conditions.control import CONTROL_POINT, OBSERVED_PARAMETERS, POINT, whitening
+from factors.conditions.control import CONTROL_POINT, POINT, whitening
 from factors.graph import factor
+from tests.support.observed_parameters import OBSERVED_PARAMETERS
 
 E0, P0 = gtsam.symbol("e", 0), gtsam.symbol("p", 0)
 LABEL = "image left, point 12"

@@ -230,11 +230,10 @@ def test_four_penrose_conditions(rank: int) -> None:
 
 @pytest.mark.truth
 def test_tolerance_of_the_pseudo_inverse() -> None:
-    """u eps(d_1) by default: three spacings of the largest value at u = 3."""
+    """u eps(d_1): three spacings of the largest value at u = 3."""
     limit = 3 * np.spacing(1.0)
     assert pseudo_inverse(np.diag([1.0, 0.5, 0.9 * limit]))[1] == 2
     assert pseudo_inverse(np.diag([1.0, 0.5, 1.1 * limit]))[1] == 3
-    assert pseudo_inverse(np.diag([1.0, 0.5, 0.1]), tolerance=0.2)[1] == 2
 
 
 @pytest.mark.truth

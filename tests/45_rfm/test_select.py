@@ -13,7 +13,7 @@ from fg_orient.rpc import select
 from fg_orient.rpc.estimate import fit_linear, linear_system
 from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.rfm_points import ControlPoints, Scaling
-from fg_orient.rpc.select import Reduced, Selection, fit_selected, lasso_solution, press_of, selections
+from fg_orient.rpc.select import _REGISTRY, Reduced, Selection, fit_selected, lasso_solution, press_of
 
 Make = Callable[..., ControlPoints]
 TERMS = {"b100", "b001", "a110", "a002", "c200", "d010"}
@@ -43,7 +43,7 @@ def test_reduced_system_gives_the_solution_of_the_whole(make: Make, reduced: Red
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("name", sorted(selections()))
+@pytest.mark.parametrize("name", sorted(_REGISTRY))
 def test_every_selection_predicts_better_than_the_affine_model(make: Make, name: str) -> None:
     points, form = make(60, noise_px=0.5), RfmForm(2)
     found, fresh = fit_selected(points, form, name), make(60, seed=5)
@@ -68,7 +68,7 @@ def test_nested_and_scatter_find_the_terms_of_a_regression(rng: np.random.Genera
     observed = design @ truth + 0.1 * rng.standard_normal(80)
     made = Reduced(design, observed, np.arange(12), np.zeros(0, dtype=np.intp), np.zeros((80, 0)))
     for name in ("nested", "uss", "lasso", "scatter"):
-        chosen = set(selections()[name].function(made).chosen.tolist())
+        chosen = set(_REGISTRY[name].function(made).chosen.tolist())
         assert {1, 4, 7} <= chosen, name
         assert len(chosen) <= 6, name
 
@@ -112,7 +112,7 @@ def test_ridge_rules_are_those_of_the_registry(make: Make) -> None:
 
     reduced = Reduced.of(make(60, noise_px=0.5), RfmForm(2))
     for name, rule in (("ridge_gcv", "gcv"), ("ridge_l_curve", "l_curve")):
-        assert selections()[name].function(reduced).kappa == choose_kappa(rule, reduced.system).kappa
+        assert _REGISTRY[name].function(reduced).kappa == choose_kappa(rule, reduced.system).kappa
 
 
 @pytest.mark.behaviour

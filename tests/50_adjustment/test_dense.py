@@ -12,7 +12,7 @@ import pytest
 
 import fg_orient as fg
 from factors.cameras.pushbroom import RECORD
-from factors.conditions.control import CONTROL_POINT, OBSERVED_PARAMETERS
+from factors.conditions.control import CONTROL_POINT
 from fg_orient.adjustment.dense import DenseBackend, assemble
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.linear.registry import solve as solve_linear
@@ -24,6 +24,7 @@ from fg_orient.model.names import Role
 from fg_orient.quality.covariance import DenseCofactors, Indeterminate
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.full_statistics import damped_of_numpy, dogleg_of_numpy, step_of_numpy
+from tests.support.observed_parameters import OBSERVED_PARAMETERS
 
 #: Both loops go on to this scaled step, or until it stops shrinking.
 TOLERANCE = 1e-9

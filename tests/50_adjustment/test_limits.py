@@ -9,7 +9,7 @@ import pytest
 
 import fg_orient as fg
 from factors._contract import Equation
-from factors.conditions.control import CONTROL_POINT, OBSERVED_PARAMETERS
+from factors.conditions.control import CONTROL_POINT
 from fg_orient.adjustment.loop import levenberg_marquardt
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.model.block import Block, ExtraObservation
@@ -17,6 +17,7 @@ from fg_orient.model.names import Role
 from fg_orient.quality.observability import analyse_block
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.full_statistics import Full
+from tests.support.observed_parameters import OBSERVED_PARAMETERS
 
 
 def with_control(block: Block, count: int) -> Block:

@@ -117,15 +117,15 @@ def invert_gauss(matrix: Array) -> Array:
     return _finite(inverse, "gauss_inverse")
 
 
-def pseudo_inverse(matrix: Array, tolerance: float | None = None) -> tuple[Array, int]:
+def pseudo_inverse(matrix: Array) -> tuple[Array, int]:
     """Moore-Penrose inverse N^+ = V D^-1 U^T of the singular values kept, and their number; T(3.30)-(3.33).
+
+    Singular values above max(u, v) times the spacing of doubles at the largest one are kept (the rule of MATLAB's pinv
+    and rank).
 
     Parameters
     ----------
     matrix : (u, v) array
-    tolerance : float, optional
-        Singular values above it are kept; default max(u, v) times the spacing of doubles at the largest one
-        (the rule of MATLAB's pinv and rank).
 
     Returns
     -------
@@ -133,7 +133,7 @@ def pseudo_inverse(matrix: Array, tolerance: float | None = None) -> tuple[Array
     rank : int
     """
     left, values, right = np.linalg.svd(matrix, full_matrices=False)
-    limit = max(matrix.shape) * np.spacing(values[0]) if tolerance is None else tolerance
+    limit = max(matrix.shape) * np.spacing(values[0])
     rank = int(np.count_nonzero(values > limit))
     with np.errstate(all="ignore"):
         inverse = (right[:rank].T / values[:rank]) @ left[:, :rank].T
@@ -142,7 +142,7 @@ def pseudo_inverse(matrix: Array, tolerance: float | None = None) -> tuple[Array
 
 @_published("moore_penrose_inverse", "Moore-Penrose", "T(3.30)-(3.33)")
 def moore_penrose_inverse(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """Pseudo-inverse of N with the default tolerance."""
+    """Pseudo-inverse of N."""
     inverse, rank = pseudo_inverse(system.normal)
     notes = (f"{len(system) - rank} of {len(system)} singular values set to zero",) if rank < len(system) else ()
     return LinearSolution(inverse @ system.rhs, inverse=inverse, rank=rank, notes=notes)

@@ -38,17 +38,17 @@ def lost_digits(pivots: Numbers, elements: Numbers) -> tuple[str, ...]:
     return (f"pivot {worst + 1} of {len(share)} kept {share[worst]:.1e} of its element: the matrix is near singular",)
 
 
-def lu_factors(matrix: Array, method: str = "gauss_inverse") -> tuple[Array, Array]:
+def lu_factors(matrix: Array) -> tuple[Array, Array]:
     """Factor N = C B without pivoting (Doolittle): C unit lower, B upper; T(3.22)-(3.26), ranges corrected.
 
-    Breakdown for a zero pivot; ``method`` names the solver in its message.
+    Breakdown for a zero pivot.
     """
     u = len(matrix)
     lower, upper = np.eye(u), np.zeros((u, u))
     with np.errstate(all="ignore"):  # overflow shows as a pivot or a result that is not finite
         for i in range(u):
             upper[i, i:] = matrix[i, i:] - lower[i, :i] @ upper[:i, i:]
-            check_pivot(upper[i, i], method, i, u)
+            check_pivot(upper[i, i], "gauss_inverse", i, u)
             lower[i + 1 :, i] = (matrix[i + 1 :, i] - lower[i + 1 :, :i] @ upper[:i, i]) / upper[i, i]
     return lower, upper
 

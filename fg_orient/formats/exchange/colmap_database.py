@@ -18,18 +18,19 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.atomic import staged_file
-from fg_orient.formats.exchange.colmap_text import FIRST_PIXEL, MODEL_IDS, parameters_of
+from fg_orient.formats.exchange.colmap_text import FIRST_PIXEL
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.ties import matched_survey, pairs_of
 from fg_orient.formats.registry import TIES_ONLY, Format, Settings
 from fg_orient.model.errors import Finding, InputError, finding
-from fg_orient.sensors.interior import Interior
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 #: A pair's number is this times its smaller image id plus its larger one.
 PAIR: Final = 2147483647
+#: COLMAP's number of the camera model with f, cx, cy.
+SIMPLE_PINHOLE: Final = 0
 #: Focal length of an unknown camera in longer sides of the image, as COLMAP guesses it.
 FOCAL_GUESS: Final = 1.2
 _SCHEMA: Final = """
@@ -110,15 +111,12 @@ def _blob(file: str, place: str, data: Any, rows: int, columns: int, kind: str) 
     return np.frombuffer(raw, kind).reshape(rows, columns)
 
 
-def write_colmap_database(
-    path: str | Path, survey: Survey, sizes: Mapping[str, tuple[int, int]],
-    cameras: Mapping[str, Interior] | None = None, *, overwrite: bool = False,
-) -> float:  # fmt: skip
+def write_colmap_database(path: Path, survey: Survey, sizes: Mapping[str, tuple[int, int]]) -> float:
     """Write the image points of a survey as keypoints and matches of all pairs.
 
-    Nothing is written to ``two_view_geometries``: COLMAP tests whether matches fit a geometry. ``sizes`` are the sizes
-    of the images; an image without a camera in ``cameras`` gets a pinhole camera whose focal length is marked as a
-    guess.
+    Nothing is written to ``two_view_geometries``: COLMAP tests whether matches fit a geometry. ``sizes`` are lines and
+    samples of the images. Each image gets a pinhole camera whose focal length is marked as a guess. An existing file is
+    replaced.
 
     Returns
     -------
@@ -128,12 +126,15 @@ def write_colmap_database(
     Raises
     ------
     InputError
-        The size of an image is unknown, the file exists or cannot be written.
+        The size of an image is unknown, or the file cannot be written.
     """
-    path, cameras = Path(path), cameras or {}
-    if path.exists() and not overwrite:
-        raise InputError.of("output.exists", file=path)
-    records = [_camera_record(name, sizes, cameras, path.name) for name in survey.images]
+    cameras = []
+    for name in survey.images:
+        if name not in sizes:
+            raise InputError.of("ties.size", file=path.name, place=name)
+        height, width = sizes[name]
+        parameters = np.array([FOCAL_GUESS * max(width, height), width / 2, height / 2], "<f8")
+        cameras.append((SIMPLE_PINHOLE, width, height, parameters.tobytes(), 0))
     o = survey.observed
     order = np.lexsort((o.point, o.image))
     image, point = o.image[order], o.point[order]
@@ -142,9 +143,9 @@ def write_colmap_database(
     first = np.searchsorted(image, np.arange(len(survey.images) + 1))
     with staged_file(path) as temporary, closing(sqlite3.connect(temporary)) as opened:
         opened.executescript(_SCHEMA)
-        for k, (name, record) in enumerate(zip(survey.images, records, strict=True)):
+        for k, (name, camera) in enumerate(zip(survey.images, cameras, strict=True)):
             own = single[first[k] : first[k + 1]]
-            opened.execute("INSERT INTO cameras VALUES (?, ?, ?, ?, ?, ?)", (k + 1, *record))
+            opened.execute("INSERT INTO cameras VALUES (?, ?, ?, ?, ?, ?)", (k + 1, *camera))
             opened.execute("INSERT INTO images VALUES (?, ?, ?)", (k + 1, name, k + 1))
             opened.execute("INSERT INTO keypoints VALUES (?, ?, 2, ?)", (k + 1, len(own), own.tobytes()))
         for (a, b), rows in pairs_of(image, point).items():
@@ -154,23 +155,6 @@ def write_colmap_database(
     return float(np.abs(single - xy).max(initial=0.0))
 
 
-def _camera_record(
-    name: str, sizes: Mapping[str, tuple[int, int]], cameras: Mapping[str, Interior], file: str
-) -> tuple[int, int, int, bytes, int]:
-    """Number of the model, width, height, parameters, and whether the focal length is known."""
-    if name in cameras:
-        own = cameras[name]
-        model, values, _ = parameters_of(own)
-        width, height, known = own.n_samples, own.n_lines, 1
-    elif name in sizes:
-        height, width = sizes[name]
-        model, values, known = "SIMPLE_PINHOLE", (FOCAL_GUESS * max(width, height), width / 2, height / 2), 0
-    else:
-        raise InputError.of("ties.size", file=file, place=name)
-    number = next(k for k, known_name in MODEL_IDS.items() if known_name == model)
-    return number, width, height, np.array(values, "<f8").tobytes(), known
-
-
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     """Read the tie points of a database."""
     return read_colmap_database(paths[0])
@@ -178,7 +162,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
 
 def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
     """Write a database; the finding states the rounding to single precision."""
-    rounding = write_colmap_database(paths[0], survey, settings.image_sizes, overwrite=True)
+    rounding = write_colmap_database(paths[0], survey, settings.image_sizes)
     if rounding == 0.0:
         return ()
     return (finding("lost.single", file=paths[0], value=f"up to {rounding:.1g} px", format=FORMAT.name),)

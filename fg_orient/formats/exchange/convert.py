@@ -212,9 +212,10 @@ def _weighted(survey: Survey) -> npt.NDArray[np.bool_]:
     return np.asarray(np.isfinite(survey.sigma_enu_m).all(axis=1))
 
 
-def _unequal(survey: Survey, first: int, second: int) -> int:
+def _unequal(survey: Survey, axis: int) -> int:
+    """Number of points whose sigma of this axis differs from the sigma East."""
     rows = survey.sigma_enu_m[_weighted(survey)]
-    return int((rows[:, first] != rows[:, second]).sum())
+    return int((rows[:, 0] != rows[:, axis]).sum())
 
 
 #: Message of each kind of information, kind that implies it (then only the latter is reported as lost), and count.
@@ -228,8 +229,8 @@ _COUNTED: Final[dict[Holds, tuple[str, Holds | None, Callable[[Survey], int]]]] 
     Holds.ROLES: ("lost.roles", Holds.GROUND, lambda s: sum(r is Role.CHECK for r in compress(s.roles, s.located))),
     Holds.HEIGHTS: ("lost.heights", Holds.GROUND, lambda s: int((s.located & np.isfinite(s.coordinates[:, 2])).sum())),
     Holds.SIGMA_GROUND: ("lost.sigma_ground", Holds.GROUND, lambda s: int(_weighted(s).sum())),
-    Holds.SIGMA_EAST_NORTH: ("lost.sigma_east_north", Holds.SIGMA_GROUND, lambda s: _unequal(s, 0, 1)),
-    Holds.SIGMA_UP: ("lost.sigma_up", Holds.SIGMA_GROUND, lambda s: _unequal(s, 0, 2)),
+    Holds.SIGMA_EAST_NORTH: ("lost.sigma_east_north", Holds.SIGMA_GROUND, lambda s: _unequal(s, 1)),
+    Holds.SIGMA_UP: ("lost.sigma_up", Holds.SIGMA_GROUND, lambda s: _unequal(s, 2)),
     Holds.SIGMA_IMAGE: ("lost.sigma_image", Holds.IMAGE, lambda s: int(np.isfinite(s.observed.sigma_line_px).sum())),
     Holds.FIXED: ("lost.fixed", Holds.GROUND, lambda s: int(s.fixed.sum())),
 }

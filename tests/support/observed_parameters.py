@@ -1,0 +1,31 @@
+"""Observation equation of parameters, for tests of extra observations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from factors._contract import Argument, Array, Example, compiled, register_condition
+
+
+@compiled
+def residual(record: Any, setup: Any, x: Any) -> Any:
+    """``(x - x_0) / sigma``: record (0, unused), setup rows x_0 and sigma; (k,)."""
+    return (x - setup[0]) / setup[1]
+
+
+def jacobian(record: Array, setup: Array, value: Array, x: Array) -> Array:
+    """Jacobian (k, k) of observed parameters."""
+    return np.asarray(np.diag(1.0 / setup[1]))
+
+
+def example(rng: np.random.Generator) -> Example:
+    """Five parameters."""
+    setup = np.stack([rng.normal(size=5), rng.uniform(0.1, 2.0, 5)])
+    return Example(np.zeros(0), setup, (rng.normal(size=5),))
+
+
+OBSERVED_PARAMETERS = register_condition(
+    "test_observed_parameters", residual, jacobian, (Argument("x", "prior sigma"),), example, "test"
+)
