@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -158,15 +158,14 @@ def write_figures(
     """Write the figures of a close-range folder; see :func:`fg_orient.report.figures.write_figures`."""
     figures.require_matplotlib()
     record = read_record(Path(folder))
-    target = figures.target_of(folder, out, overwrite)
-    drawn = {name: partial(_drawn, record, *plot) for name, plot in PLOTS.items()}
-    files, words = figures.draw_figures(drawn, figures.FORMATS, progress)
-    captions = "\n".join(["# Figures", "", *(f"- `{name}`: {text}" for name, text in words.items())])
-    return target, figures.write_files(target, files, captions + "\n", overwrite=overwrite)
 
+    def captions(drawn: Collection[str]) -> str:
+        return "\n".join(["# Figures", "", *(f"- `{name}`: {PLOTS[name][1]}" for name in drawn), ""])
 
-def _drawn(record: dict[str, Any], draw: Callable[[dict[str, Any]], Charts], caption: str) -> tuple[Charts, str]:
-    return draw(record), caption
+    charts = {name: partial(draw, record) for name, (draw, _) in PLOTS.items()}
+    return figures.draw_figures(
+        charts, captions, out or Path(folder) / figures.FOLDER, overwrite=overwrite, progress=progress
+    )
 
 
 def _views(record: dict[str, Any], *, of_surface: bool) -> Charts:

@@ -53,14 +53,7 @@ def write_report(folder: str | Path, truth: str | Path | None = None) -> tuple[P
 def write_page(folder: Path, result: Result, comparison: dict[str, Any] | None = None) -> Path:
     """Write the page of a result into a folder, whole or not at all."""
     from fg_orient.formats.atomic import write_text
+    from fg_orient.report.html import render
 
-    if result.adjusted:
-        from fg_orient.report.html import render
-
-        text = render(result, comparison)
-    else:
-        from fg_orient.report.html import render_deficient
-
-        text = render_deficient(result)
-    write_text(folder / REPORT_FILE, text)
+    write_text(folder / REPORT_FILE, render(result, comparison))
     return folder / REPORT_FILE

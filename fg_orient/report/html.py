@@ -52,7 +52,7 @@ class Section:
     template: str = ""
 
 
-#: Sections of the report of an adjustment; the page of a refused block has its own (:func:`render_deficient`).
+#: Sections of the report of an adjustment; the page of a refused block has its own (:func:`_render_deficient`).
 SECTIONS: Final[list[Section]] = []
 
 
@@ -78,7 +78,9 @@ def section(id: str, title: str, template: str = "", before: str = "") -> Callab
 
 
 def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
-    """Give the HTML text of a result, with the comparison with a truth if there is one."""
+    """HTML text of a result, with the comparison with a truth if there is one."""
+    if not result.adjusted:
+        return _render_deficient(result)
     record = result.record
     ended = verdict(record)
     truth = Section("truth", "Comparison with the simulated truth", lambda _: {"truth": comparison})
@@ -215,8 +217,8 @@ _PROVENANCE: Final = Section("provenance", "Provenance", lambda _: {})
 FEW: Final = 6
 
 
-def render_deficient(result: Result) -> str:
-    """Give the HTML text of a result with the status ``rank_deficient``."""
+def _render_deficient(result: Result) -> str:
+    """HTML text of a result with the status ``rank_deficient``."""
     record, points = result.record, result.points
     groups: dict[tuple[str, str], list[str]] = {}
     for e in record["errors"]:

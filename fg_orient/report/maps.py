@@ -33,6 +33,11 @@ LEAST_KM: Final = 0.1
 KM_PER_DEGREE: Final = 111.2
 
 
+def shrink_at(lat_deg: float) -> float:
+    """Length of a degree of longitude as a share of one of latitude."""
+    return max(math.cos(math.radians(lat_deg)), 0.01)
+
+
 def first_view(points_deg: Array, footprints_deg: Sequence[Array]) -> Array | None:
     """Corners of the first view where it is not that of everything.
 
@@ -54,7 +59,7 @@ def first_view(points_deg: Array, footprints_deg: Sequence[Array]) -> Array | No
         return None
     everything = np.vstack([located, *footprints_deg])
     middle = 0.5 * (located.min(axis=0) + located.max(axis=0))
-    km = KM_PER_DEGREE * np.array([max(math.cos(math.radians(float(middle[1]))), 0.01), 1.0])
+    km = KM_PER_DEGREE * np.array([shrink_at(float(middle[1])), 1.0])
     size, whole = (float((np.ptp(part, axis=0) * km).max()) for part in (located, everything))
     if size >= FILLED * whole:
         return None
@@ -95,7 +100,7 @@ def point_map(result: Result, *, up: bool = False, most: int | None = None) -> C
     vectors = np.stack([np.zeros(len(enu)), enu[:, 2]], axis=1) if up else enu[:, :2]
     view = view_of(result.record, place)
     everything = np.vstack([place[rows], *footprints(result.record)]) if view is None else view
-    shrink = max(math.cos(math.radians(float(everything[:, 1].min() + everything[:, 1].max()) / 2.0)), 0.01)
+    shrink = shrink_at(float(everything[:, 1].min() + everything[:, 1].max()) / 2.0)
     words = "Up errors at control and check points" if up else "Points and horizontal errors"
     chart = mapped(words, everything, shrink, per_width=large(vectors[rows]) / SHARE)
     chart.x = replace(chart.x, words="longitude, WGS 84", write=lambda value: _degrees(value, "EW"))

@@ -65,35 +65,37 @@ def file_of(figure: Figure, kind: str) -> bytes:
 def figure_of(charts: Sequence[Chart], columns: int = 2) -> Figure:
     """Draw charts side by side in one figure, of one or two columns of a journal."""
     columns = min(columns, len(charts))
-    lines = -(-len(charts) // columns)
     width = ONE_COLUMN if columns == 1 else TWO_COLUMNS
     wide = width / columns - 0.6
     tall = max(wide * _shape(chart) for chart in charts)
-    figure = new_figure(width, lines * (tall + 0.75))
+    return _grid(charts, columns, width, tall + 0.75)[0]
+
+
+def _grid(
+    charts: Sequence[Chart], columns: int, width: float, height: float, more: float = 0.0
+) -> tuple[Figure, list[Axes]]:
+    """Draw charts in rows of a height each, inches, with some ``more`` for all; the figure and the axes in use."""
+    lines = -(-len(charts) // columns)
+    figure = new_figure(width, height * lines + more)
     panels = list(figure.subplots(lines, columns, squeeze=False).ravel())
     for axes, chart in zip(panels, charts, strict=False):
         draw(axes, chart)
     for axes in panels[len(charts) :]:
         axes.set_axis_off()
-    return figure
+    return figure, panels[: len(charts)]
 
 
 def panels_of(charts: Sequence[Chart], width: float, height: float, columns: int = 5) -> Figure:
     """Draw charts as panels of a size in inches with one legend above all; several stand in rows of so many."""
     columns = min(columns, len(charts))
-    lines = -(-len(charts) // columns)
-    figure = new_figure(max(width * columns, 5.0), height * lines + (0.9 if len(charts) > 1 else 0.0))
-    panels = list(figure.subplots(lines, columns, squeeze=False).ravel())
-    for k, (axes, chart) in enumerate(zip(panels, charts, strict=False)):
-        draw(axes, chart)
+    figure, panels = _grid(charts, columns, max(width * columns, 5.0), height, 0.9 if len(charts) > 1 else 0.0)
+    for k, axes in enumerate(panels):
         if k % columns:
             axes.set_ylabel("")
         if k + columns < len(charts):
             axes.set_xlabel("")
         if legend := axes.get_legend():
             legend.remove()
-    for axes in panels[len(charts) :]:
-        axes.set_axis_off()
     handles = {label: h for p in panels for h, label in zip(*p.get_legend_handles_labels(), strict=True)}
     if handles:
         figure.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=2, frameon=False)

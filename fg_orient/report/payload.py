@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import json
-import math
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -16,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
-from fg_orient.report.maps import KM_PER_DEGREE, view_of
+from fg_orient.report.maps import KM_PER_DEGREE, footprints, shrink_at, view_of
 from fg_orient.result.record import Result
 
 Array = npt.NDArray[np.float64]
@@ -78,22 +77,30 @@ def payload(result: Result) -> Payload | None:
     rays, words = chosen_rays(result)
     place = {name: k for k, name in enumerate(result.points.words["id"])}
     of_ray = np.fromiter((place[result.residuals.words["id"][k]] for k in rays.tolist()), np.intp, len(rays))
-    points = _points(result, located, of_ray, whole=not words)
+    role = np.array([ROLES.index(word) if word in ROLES else 2 for word in result.points.words["role"]])
+    if words:  # tie points without an image point in the page are left out
+        seen = np.zeros(len(located), bool)
+        seen[of_ray] = True
+        located &= seen | (role < 2)
+    points = np.flatnonzero(located)
+    points = points[np.argsort(role[points], kind="stable")]
     number = np.full(len(located), -1, np.intp)
     number[points] = np.arange(len(points))
     drawn = number[of_ray] >= 0
-    centre = 0.5 * (np.nanmin(_lon_lat(result), axis=0) + np.nanmax(_lon_lat(result), axis=0))
-    view = view_of(result.record, result.points.numbers("lon_deg", "lat_deg"))
+    places = result.points.numbers("lon_deg", "lat_deg")
+    everything, view = np.vstack([places, *footprints(result.record)]), view_of(result.record, places)
+    centre = 0.5 * (np.nanmin(everything, axis=0) + np.nanmax(everything, axis=0))
     data = {
         "view": None if view is None else np.round(_kilometres(view, centre), 4).tolist(),
-        "points": _point_columns(result, points, centre),
+        "points": _point_columns(result, points, role[points], centre),
         "rays": _ray_columns(result, rays[drawn], number[of_ray[drawn]]),
         "images": [
             {"id": image["id"], "lines": image["n_lines"], "samples": image["n_samples"],
              "foot": np.round(_kilometres(np.array(image["footprint_lon_lat_deg"], float), centre), 4).tolist()}
             for image in result.record["images"]
         ],
-        "centre": centre.tolist(), "kmPerDegree": [KM_PER_DEGREE * _shrink(centre), KM_PER_DEGREE], "roles": ROLES,
+        "centre": centre.tolist(), "kmPerDegree": [KM_PER_DEGREE * shrink_at(float(centre[1])), KM_PER_DEGREE],
+        "roles": ROLES,
     }  # fmt: skip
     return Payload(data, words)
 
@@ -116,39 +123,16 @@ def chosen_rays(result: Result) -> tuple[Index, str]:
     return rows, words
 
 
-def _points(result: Result, located: npt.NDArray[np.bool_], of_ray: Index, *, whole: bool) -> Index:
-    """Rows of the points in the page: control, check, tie."""
-    role = np.array([ROLES.index(word) if word in ROLES else 2 for word in result.points.words["role"]])
-    keep = located.copy()
-    if not whole:
-        seen = np.zeros(len(located), bool)
-        seen[of_ray] = True
-        keep &= seen | (role < 2)
-    rows = np.flatnonzero(keep)
-    return np.asarray(rows[np.argsort(role[rows], kind="stable")], np.intp)
-
-
-def _lon_lat(result: Result) -> Array:
-    feet = [np.array(image["footprint_lon_lat_deg"], float) for image in result.record["images"]]
-    return np.vstack([result.points.numbers("lon_deg", "lat_deg"), *feet])
-
-
-def _shrink(centre: Array) -> float:
-    """Length of a degree of longitude as a share of one of latitude."""
-    return max(math.cos(math.radians(float(centre[1]))), 0.01)
-
-
 def _kilometres(lon_lat_deg: Array, centre: Array) -> Array:
     """Kilometres East and North of the centre, equirectangular."""
-    return np.asarray((lon_lat_deg - centre) * KM_PER_DEGREE * np.array([_shrink(centre), 1.0]))
+    return np.asarray((lon_lat_deg - centre) * KM_PER_DEGREE * np.array([shrink_at(float(centre[1])), 1.0]))
 
 
-def _point_columns(result: Result, rows: Index, centre: Array) -> dict[str, Any]:
+def _point_columns(result: Result, rows: Index, role: Index, centre: Array) -> dict[str, Any]:
     """Columns of the points; differences only of the first ones, that have them."""
     table = result.points
     km = _kilometres(table.numbers("lon_deg", "lat_deg")[rows], centre)
-    role = [ROLES.index(table.words["role"][k]) if table.words["role"][k] in ROLES else 2 for k in rows.tolist()]
-    known = int(np.searchsorted(np.array(role), 2))
+    known = int(np.searchsorted(role, 2))
     out: dict[str, Any] = {"id": [table.words["id"][k] for k in rows.tolist()], "role": pack(role, "u1"),
                            "x": pack(km[:, 0]), "y": pack(km[:, 1])}  # fmt: skip
     for axis in ("east", "north", "up"):

@@ -44,7 +44,8 @@ def compare(result: Result, truth: Path) -> dict[str, Any]:
     for name in ("eop.csv", "points.csv"):
         if not (truth / name).is_file():
             raise InputError.of("report.no_truth", file=truth, option="truth", value=f"no {name}")
-    eop = _compare_eop(result, _read(truth / "eop.csv"), str(truth / "eop.csv"))
+    table = _read(truth / "eop.csv", "image", "parameter", "value_per_tau")
+    eop = _compare_eop(result, table, str(truth / "eop.csv"))
     points, normalised = _compare_points(result, _read(truth / "points.csv"), str(truth / "points.csv"))
     groups = [_group(f"orientation of image {image}", np.array([r["normalised"] for r in eop if r["image"] == image]))
               for image in dict.fromkeys(r["image"] for r in eop)]  # fmt: skip
@@ -55,15 +56,13 @@ def compare(result: Result, truth: Path) -> dict[str, Any]:
 
 def _group(name: str, ratio: Array) -> dict[str, Any]:
     ratio = ratio[np.isfinite(ratio)]
-    if not len(ratio):
-        return {"name": name, "n": 0, "rms_normalised": None, "max_normalised": None}
-    rms, largest = float(np.sqrt(np.mean(ratio**2))), float(np.abs(ratio).max())
+    rms, largest = (float(np.sqrt(np.mean(ratio**2))), float(np.abs(ratio).max())) if len(ratio) else (None, None)
     return {"name": name, "n": len(ratio), "rms_normalised": rms, "max_normalised": largest}
 
 
-def _read(path: Path) -> Table:
+def _read(path: Path, *columns: str) -> Table:
     try:
-        return read_table(path)
+        return read_table(path, *columns)
     except ValueError as error:
         raise InputError.of("report.no_truth", file=path, value=error) from None
 
@@ -76,11 +75,8 @@ def _prior_scale(result: Result, table: Table) -> Array:
 
 def _compare_eop(result: Result, truth: Table, file: str) -> list[dict[str, Any]]:
     words = result.eop.words
-    try:
-        names = zip(truth.words["image"], truth.words["parameter"], strict=True)
-        true = dict(zip(names, truth.figures["value_per_tau"].tolist(), strict=True))
-    except KeyError as error:
-        raise InputError.of("report.no_truth", file=file, value=error) from None
+    names = zip(truth.words["image"], truth.words["parameter"], strict=True)
+    true = dict(zip(names, truth.figures["value_per_tau"].tolist(), strict=True))
     scale = _prior_scale(result, result.eop)
     estimated, sigma = result.eop.numbers("value_per_tau", "sigma").T
     out = []

@@ -110,6 +110,11 @@ def table_of_rows(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
     return Table(dict(zip(names, list(zip(*rows, strict=True)) or [()] * len(names), strict=True)))
 
 
+def of_axes(name: str, axes: Iterable[str], values: Array) -> dict[str, Array]:
+    """Columns of an array (n, k) by names that contain the axis in place of ``{}``."""
+    return {name.format(axis): column for axis, column in zip(axes, values.T, strict=True)}
+
+
 def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write rows as a CSV file."""
     table_of_rows(names, rows).write(path)

@@ -11,14 +11,14 @@ import numpy.typing as npt
 from fg_orient.adjustment.cofactors import AUTO_LIMIT, full_statistics
 from fg_orient.model.errors import Finding, finding
 from fg_orient.quality.reliability import CHECKABLE, noncentrality
+from fg_orient.result.plain import Column, Table, of_axes, table_of_rows
 
 if TYPE_CHECKING:
     from fg_orient.orientation.solution import Solution
     from fg_orient.quality.covariance import NamedMatrix
     from fg_orient.quality.outliers import GroupTest, OutlierTests
-    from fg_orient.quality.rejection import ExcludedObservation, Search
+    from fg_orient.quality.rejection import Search
     from fg_orient.quality.reliability import BlockReliability, Reliability
-    from fg_orient.result.plain import Column
 
 Array = npt.NDArray[np.float64]
 
@@ -34,6 +34,7 @@ OUTLIER_COLUMNS: Final = (
     "error_line_px", "error_sample_px", "error_east_m", "error_north_m", "error_up_m", "inseparable",
     "left_out_with_it", "readmitted", "statistic_without", "probability_without",
 )  # fmt: skip
+_PIXEL: Final = ("line", "sample")
 #: Where the error of each part stands among the five.
 _ERRORS: Final = {"image": (0, 1), "position": (2, 3), "height": (4,), "point": ()}
 
@@ -56,7 +57,7 @@ def reliability_of(solution: Solution) -> BlockReliability | None:
 
 
 def missing(solution: Solution) -> list[Finding]:
-    """Tell why figures of this module are null."""
+    """Reasons why figures of reliability and correlations are null."""
     if solution.cofactors is None:
         return [finding("absent.covariance", figures=["reliability", "correlations"])]
     why = unavailable(solution, "reliability")
@@ -93,7 +94,7 @@ def reliability_record(solution: Solution) -> dict[str, Any] | None:
 def _least(solution: Solution, found: BlockReliability) -> dict[str, Any]:
     """The single coordinate that is checked least."""
     best: dict[str, Any] = {"redundancy": None, "name": None}
-    axes = (("line", "sample"), solution.problem.axis_names)
+    axes = (_PIXEL, solution.problem.axis_names)
     for part, names in zip((found.image, found.control), axes, strict=True):
         if not part.redundancy.size:
             continue
@@ -153,12 +154,14 @@ def _largest(solution: Solution, image: Reliability) -> list[dict[str, Any]]:
     rows = np.flatnonzero(~image.not_checkable)
     o, block = solution.problem.observations, solution.block
     worst = rows[np.argsort(image.least[rows], kind="stable")[:MAX_NAMED]]
+    columns = {
+        **of_axes("redundancy_{}", _PIXEL, image.redundancy),
+        **of_axes("mdb_{}_px", _PIXEL, image.minimal_detectable_bias), "mdb_largest_px": image.largest,
+        "external_m": image.ground_m.max(axis=1), "external_image": image.eop.max(axis=1),
+    }  # fmt: skip
     return [
         {"image": block.images[o.image[r]].id, "id": block.points.ids[o.point[r]],
-         "redundancy_line": float(image.redundancy[r, 0]), "redundancy_sample": float(image.redundancy[r, 1]),
-         "mdb_line_px": float(image.minimal_detectable_bias[r, 0]),
-         "mdb_sample_px": float(image.minimal_detectable_bias[r, 1]), "mdb_largest_px": float(image.largest[r]),
-         "external_m": float(image.ground_m[r].max()), "external_image": float(image.eop[r].max())}
+         **{name: float(values[r]) for name, values in columns.items()}}
         for r in worst.tolist()
     ]  # fmt: skip
 
@@ -192,16 +195,14 @@ def image_columns(solution: Solution) -> dict[str, Column]:
     if found is not None:
         image = found.image
         return {
-            "redundancy_line": image.redundancy[:, 0], "redundancy_sample": image.redundancy[:, 1],
-            "redundancy_least": image.least, "w_line": image.normalised[:, 0], "w_sample": image.normalised[:, 1],
-            "mdb_line_px": image.minimal_detectable_bias[:, 0], "mdb_sample_px": image.minimal_detectable_bias[:, 1],
+            **of_axes("redundancy_{}", _PIXEL, image.redundancy), "redundancy_least": image.least,
+            **of_axes("w_{}", _PIXEL, image.normalised), **of_axes("mdb_{}_px", _PIXEL, image.minimal_detectable_bias),
             "external_m": image.ground_m.max(axis=1), "external_point": image.ground.max(axis=1),
             "external_image": image.eop.max(axis=1),
         }  # fmt: skip
     if unavailable(solution):
         return {}
-    q = solution.residual_cofactors.image
-    return {"redundancy_line": q[:, 0, 0], "redundancy_sample": q[:, 1, 1]}
+    return dict(of_axes("redundancy_{}", _PIXEL, np.einsum("nii->ni", solution.residual_cofactors.image)))
 
 
 def point_columns(solution: Solution) -> dict[str, Column]:
@@ -213,15 +214,13 @@ def point_columns(solution: Solution) -> dict[str, Column]:
     if found is None:
         return {}
     n, rows = len(solution.problem.active), np.flatnonzero(solution.problem.observed)
-    axes = ("east", "north", "up")
     out: dict[str, Column] = {}
-    parts = (("redundancy_{}", found.control.redundancy), ("w_{}", found.control.normalised),
-             ("mdb_{}_m", found.control.minimal_detectable_bias))  # fmt: skip
-    for name, values in parts:
-        for k, axis in enumerate(axes):
-            column = np.full(n, np.nan)
-            column[rows] = values[:, k]
-            out[name.format(axis)] = column
+    parts = {"redundancy_{}": found.control.redundancy, "w_{}": found.control.normalised,
+             "mdb_{}_m": found.control.minimal_detectable_bias}  # fmt: skip
+    for name, values in parts.items():
+        column = np.full((n, 3), np.nan)
+        column[rows] = values
+        out |= of_axes(name, ("east", "north", "up"), column)
     external = np.full(n, -np.inf)
     np.maximum.at(external, solution.problem.observations.point, _unbounded(found.image.ground_m))
     np.maximum.at(external, rows, _unbounded(found.control.ground_m))
@@ -297,20 +296,16 @@ def _search_record(solution: Solution) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def outlier_rows(search: Search) -> list[tuple[object, ...]]:
-    """Rows of ``outliers.csv``: every observation that was ever excluded, in the order of its exclusion."""
-    return [_row(excluded) for excluded in search.found]
-
-
-def _row(found: ExcludedObservation) -> tuple[object, ...]:
-    """One row."""
-    test, fit = found.test, found.fit
-    error = np.full(5, np.nan)
-    error[list(_ERRORS[test.part])] = test.error
-    without = (None, None) if fit is None else (fit.statistic, fit.probability)
-    cells = (
-        found.round, test.part, test.image, test.point, test.symbol, test.dimension, test.statistic, test.critical,
-        test.probability, test.level, *error.tolist(), "; ".join(test.inseparable), "; ".join(found.with_it),
-        found.readmitted, *without,
-    )  # fmt: skip
-    return tuple(np.nan if cell is None else cell for cell in cells)
+def outlier_table(search: Search) -> Table:
+    """Table ``outliers``: every observation that was ever excluded, in the order of its exclusion."""
+    rows = []
+    for one in search.found:
+        test, error = one.test, np.full(5, np.nan)
+        error[list(_ERRORS[test.part])] = test.error
+        cells = (
+            one.round, test.part, test.image, test.point, test.symbol, test.dimension, test.statistic, test.critical,
+            test.probability, test.level, *error.tolist(), "; ".join(test.inseparable), "; ".join(one.with_it),
+            one.readmitted, *((None, None) if one.fit is None else (one.fit.statistic, one.fit.probability)),
+        )  # fmt: skip
+        rows.append([np.nan if cell is None else cell for cell in cells])
+    return table_of_rows(OUTLIER_COLUMNS, rows)

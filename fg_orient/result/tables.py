@@ -28,7 +28,7 @@ import numpy.typing as npt
 from factors.geometry import ellipsoid
 from fg_orient.quality.accuracy import PointDifferences
 from fg_orient.result import statistics
-from fg_orient.result.plain import Column, Table, table_of_rows
+from fg_orient.result.plain import Column, Table, of_axes, table_of_rows
 from fg_orient.result.record import START_POINTS, TABLES
 
 if TYPE_CHECKING:
@@ -41,15 +41,7 @@ EOP_COLUMNS: Final = (
     "image", "parameter", "component", "degree", "unit", "value_per_tau", "sigma", "prior_sigma", "sigma_scale",
     "per_line_value", "per_line_sigma", "per_line_unit", "shared",
 )  # fmt: skip
-_ENU = ("east_m", "north_m", "up_m")
-POINT_COLUMNS: Final = (
-    "id", "role", "n_rays", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m",
-    *(f"sigma_{axis}" for axis in _ENU), "sigma_scale",
-    *(f"difference_{axis}" for axis in (*_ENU, "x_m", "y_m", "z_m")), *(f"own_sigma_{axis}" for axis in _ENU),
-)  # fmt: skip
-RESIDUAL_COLUMNS: Final = (
-    "image", "id", "line", "sample", "v_line_px", "v_sample_px", "sigma_line_px", "sigma_sample_px",
-)  # fmt: skip
+_ENU = ("east", "north", "up")
 
 
 def tables_of(solution: Solution) -> dict[str, Table]:
@@ -62,8 +54,7 @@ def tables_of(solution: Solution) -> dict[str, Table]:
         "residuals": Table({**residual_columns(solution), **statistics.image_columns(solution), **of_rays}),
     }
     if solution.snooping is not None:
-        rows = statistics.outlier_rows(solution.snooping)
-        tables["outliers"] = table_of_rows(statistics.OUTLIER_COLUMNS, rows)
+        tables["outliers"] = statistics.outlier_table(solution.snooping)
     return tables
 
 
@@ -149,10 +140,13 @@ def point_columns(solution: Solution) -> dict[str, Column]:
         own[group.index] = group.own_sigma_enu_m
     complete = np.asarray(np.isfinite(sigma).all(axis=1))
     scales = [name if whole else "" for whole in complete.tolist()]
-    coordinates = np.hstack([_geodetic_deg(ground, solution.block.georeferenced), ground, sigma])
-    columns: list[Column] = [points.ids, [role.value for role in points.roles], _ray_counts(solution.problem),
-                             *coordinates.T, scales]  # fmt: skip
-    return dict(zip(POINT_COLUMNS, [*columns, *enu.T, *ecef.T, *own.T], strict=True))
+    lon, lat, height = _geodetic_deg(ground, solution.block.georeferenced).T
+    return {
+        "id": points.ids, "role": [role.value for role in points.roles], "n_rays": _ray_counts(solution.problem),
+        "lon_deg": lon, "lat_deg": lat, "height_m": height, **of_axes("{}_m", "xyz", ground),
+        **of_axes("sigma_{}_m", _ENU, sigma), "sigma_scale": scales, **of_axes("difference_{}_m", _ENU, enu),
+        **of_axes("difference_{}_m", "xyz", ecef), **of_axes("own_sigma_{}_m", _ENU, own),
+    }  # fmt: skip
 
 
 def point_sigmas(solution: Solution, known: npt.NDArray[np.bool_]) -> Array:
@@ -172,11 +166,12 @@ def point_sigmas(solution: Solution, known: npt.NDArray[np.bool_]) -> Array:
 def residual_columns(solution: Solution) -> dict[str, Column]:
     """Observed pixels with residuals v = adjusted minus observed, and their sigmas."""
     o, block = solution.problem.observations, solution.block
-    columns: tuple[Column, ...] = (
-        [block.images[k].id for k in o.image.tolist()], [block.points.ids[k] for k in o.point.tolist()],
-        o.line, o.sample, *solution.residuals_px.T, o.sigma_line_px, o.sigma_sample_px,
-    )  # fmt: skip
-    return dict(zip(RESIDUAL_COLUMNS, columns, strict=True))
+    return {
+        "image": [block.images[k].id for k in o.image.tolist()],
+        "id": [block.points.ids[k] for k in o.point.tolist()],
+        "line": o.line, "sample": o.sample, **of_axes("v_{}_px", ("line", "sample"), solution.residuals_px),
+        "sigma_line_px": o.sigma_line_px, "sigma_sample_px": o.sigma_sample_px,
+    }  # fmt: skip
 
 
 def arrays_of(solution: Solution) -> dict[str, npt.NDArray[Any]]:

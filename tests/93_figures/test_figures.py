@@ -20,7 +20,7 @@ from fg_orient.report.chart import Chart, Mark
 from fg_orient.result.plain import Table
 from fg_orient.result.record import Result, read_result
 
-NAMES = {plot.name for plot in figures.PLOTS}
+NAMES = set(figures.PLOTS)
 #: Of an adjustment without regularisation.
 DRAWN = NAMES - {"l_curve"}
 AXES = ("east", "north", "up")
@@ -41,8 +41,7 @@ def written(adjusted: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def charts_of(folder: Result, name: str, images: list[str]) -> list[Chart]:
     """Charts of one kind of figure."""
-    plot = next(plot for plot in figures.PLOTS if plot.name == name)
-    return [chart for chart in plot.draw(folder, images) if chart is not None]
+    return [chart for chart in figures.PLOTS[name][1](folder, images) if chart is not None]
 
 
 def marks_of(chart: Chart, shape: str) -> list[Mark]:
@@ -249,7 +248,7 @@ def test_hostile_names_are_words(adjusted: Path, result: Path, tmp_path: Path) -
         figure = paper.figure_of(charts_of(folder, "residuals", folder.images))
         (tmp_path / "x.svg").write_bytes(paper.file_of(figure, "svg"))
     assert f"{hostile} (47 points)" in svg_texts(tmp_path / "x.svg")
-    told = figures.captions(folder, {"residuals": (figures.PLOTS[2], [hostile])})
+    told = figures.captions(folder, [("residuals", "residuals", [hostile])])
     assert "\\<b\\>" in told and "<b>" not in told
 
 
@@ -272,26 +271,26 @@ def test_what_is_not_drawn_is_told(result: Path) -> None:
     kept["image_cofactors"][:] = np.nan
     np.savez(result / "arrays.npz", **kept)
     folder = read_result(result)
-    for plot in figures.PLOTS:
-        if plot.name in ("map", "map_up", "correlations", "redundancy", "iterations"):
-            assert charts_of(folder, plot.name, folder.images) == [], plot.name
+    for name in ("map", "map_up", "correlations", "redundancy", "iterations"):
+        assert charts_of(folder, name, folder.images) == [], name
     assert charts_of(folder, "histograms", ["left"])[0].x.words == "residual v/σ"
-    told = figures.captions(folder, {"residuals": (figures.PLOTS[2], folder.images)})
-    for plot in figures.PLOTS:
-        assert (f"- {plot.name}: {plot.absent}" in told) == (plot.name != "residuals")
+    told = figures.captions(folder, [("residuals", "residuals", folder.images)])
+    reasons = dict(line[2:].split(": ", 1) for line in told.splitlines() if line.startswith("- "))
+    assert set(reasons) == NAMES - {"residuals"} and all(reasons.values())
+    assert reasons["map"] == "the points have no geographic coordinates"
 
 
 @pytest.mark.behaviour
 def test_images_beyond_the_limit_are_told(folder: Result, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(figures, "MAX_IMAGES", 1)
-    names = {name: (plot, images) for name, plot, images in figures.planned(folder) if plot.name in DRAWN}
-    assert names["residuals"][1] == ["left"]
-    assert "1 more images have no figures of their own" in figures.captions(folder, names)
+    drawn = [one for one in figures.planned(folder) if one[1] in DRAWN]
+    assert ("residuals", "residuals", ["left"]) in drawn
+    assert "1 more images have no figures of their own" in figures.captions(folder, drawn)
 
 
 @pytest.mark.behaviour
 def test_command(run: Any, result: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(figures, "PLOTS", tuple(p for p in figures.PLOTS if p.name == "iterations"))
+    monkeypatch.setattr(figures, "PLOTS", {"iterations": figures.PLOTS["iterations"]})
     ended = run("report", result, "--figures", "--json", "--log", result.parent / "run.log")
     assert ended.code == 0, ended.stderr
     log = [json.loads(line) for line in (result.parent / "run.log").read_text("utf-8").splitlines()]

@@ -121,8 +121,7 @@ def test_figure_holds_the_curve_and_the_caption_the_kappas(folder: Result, secti
         shown = ", ".join(text.get_text() for text in axes.texts).split(", ")
         assert sorted(map(int, shown)) == [c["number"] for c in ranked(section) if not c["failure"]]
         assert paper.file_of(figure, "svg") == paper.file_of(figure, "svg")
-    plot = next(plot for plot in figures.PLOTS if plot.name == "l_curve")
-    told = figures.captions(folder, {"l_curve": (plot, [])})
+    told = figures.captions(folder, [("l_curve", "l_curve", [])])
     assert f"Generalised cross-validation: κ = {section['kappa']:.3g}" in told
 
 
