@@ -327,6 +327,13 @@ class Solution(AdjustmentResult):
         """Compare adjusted heights (of one role: "control", "check", "tie") with a DEM of ellipsoidal heights.
 
         InputError: the DEM cannot be read, it contains none of these points, or the block is not georeferenced.
+
+        Parameters
+        ----------
+        dem : RasterDem or path
+            Ellipsoidal heights, m.
+        role : str, optional
+            Default: all points.
         """
         from fg_orient.quality.dem_accuracy import compare_points
 

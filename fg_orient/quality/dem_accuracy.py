@@ -137,6 +137,16 @@ def compare_points(
 ) -> DemComparison:
     """Compare the points of a block, or those of one role, with an elevation model or the raster of this name.
 
+    Parameters
+    ----------
+    block : Block
+    ground_m : (N, 3) array
+        Points of the block, ECEF, m.
+    dem : RasterDem or path
+        Ellipsoidal heights, m.
+    role : str, optional
+        "control", "check" or "tie"; default: all points.
+
     Raises
     ------
     InputError

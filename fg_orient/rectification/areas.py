@@ -36,14 +36,26 @@ def outline(vertices: npt.ArrayLike) -> Array:
 
 
 def planar_area_m2(vertices: npt.ArrayLike) -> float:
-    """Area of a polygon in a plane, ``|sum (x_i y_i+1 - x_i+1 y_i)|/2`` about its centre."""
+    """Area of a polygon in a plane, ``|sum (x_i y_i+1 - x_i+1 y_i)|/2`` about its centre.
+
+    Parameters
+    ----------
+    vertices : (n, 2) array_like
+        Corners in order, m; the last one may repeat the first.
+    """
     given = outline(vertices)
     x, y = (given - given.mean(axis=0)).T
     return float(abs(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) / 2.0)
 
 
 def perimeter_m(vertices: npt.ArrayLike) -> float:
-    """Sum of the chords of a closed outline, m."""
+    """Sum of the chords of a closed outline, m.
+
+    Parameters
+    ----------
+    vertices : (n, 2) array_like
+        Corners in order, m; the last one may repeat the first.
+    """
     given = outline(vertices)
     return float(np.hypot(*(np.roll(given, -1, axis=0) - given).T).sum())
 

@@ -244,12 +244,24 @@ class TransformationFit:
         return np.asarray(np.einsum("nii->ni", self.residual_cofactors))
 
     def prediction_sigma(self, source: npt.ArrayLike) -> Array:
-        """Standard deviations (n, 2) of transformed points from those of the coefficients, in the target's unit."""
+        """Standard deviations (n, 2) of transformed points from those of the coefficients, in the target's unit.
+
+        Parameters
+        ----------
+        source : (n, 2) array_like
+            Coordinates in the source system.
+        """
         variance = np.einsum("nii->ni", self.prediction_cofactors(source))
         return np.asarray(self.m0 * np.sqrt(np.maximum(variance, 0.0)))
 
     def prediction_cofactors(self, source: npt.ArrayLike) -> Array:
-        """Cofactors (n, 2, 2) of transformed points from those of the coefficients; times m0 squared, target's unit."""
+        """Cofactors (n, 2, 2) of transformed points from those of the coefficients; times m0 squared, target's unit.
+
+        Parameters
+        ----------
+        source : (n, 2) array_like
+            Coordinates in the source system.
+        """
         rows = self._rows_at(np.atleast_2d(finite("source", source)))
         return np.asarray(rows @ self.cofactors @ rows.transpose(0, 2, 1))
 

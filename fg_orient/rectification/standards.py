@@ -78,7 +78,13 @@ class StandardCompliance:
 
 
 def nmas_limit_m(scale: float) -> float:
-    """Limit of NMAS on the ground at 1:scale, m; InputError if the scale is not above 0."""
+    """Limit of NMAS on the ground at 1:scale, m; InputError if the scale is not above 0.
+
+    Parameters
+    ----------
+    scale : float
+        Denominator of the map scale.
+    """
     positive("scale", scale, "denominator")
     return scale * (NMAS_SMALL_M if scale >= NMAS_LIMIT_SCALE else NMAS_LARGE_M)
 
@@ -94,7 +100,13 @@ def cmas_m(rmse_x_m: float, rmse_y_m: float) -> float:
 
 
 def nssda_m(rmse_x_m: float, rmse_y_m: float) -> float:
-    """Radius of 95 %: 2.4477 (RMSE_x + RMSE_y)/2, m; InputError if an RMSE is below 0 or not finite."""
+    """Radius of 95 %: 2.4477 (RMSE_x + RMSE_y)/2, m; InputError if an RMSE is below 0 or not finite.
+
+    Parameters
+    ----------
+    rmse_x_m, rmse_y_m : float
+        RMSE of each axis at the check points, m.
+    """
     return NSSDA_FACTOR * 0.5 * sum(number("RMSE", v, "m", least=0.0) for v in (rmse_x_m, rmse_y_m))
 
 

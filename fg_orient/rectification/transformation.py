@@ -214,7 +214,13 @@ class Transformation:
     crs: str = ""
 
     def apply(self, source: npt.ArrayLike) -> Array:
-        """Target coordinates (n, 2) of source coordinates (n, 2) or (n, 3), inside or outside the points."""
+        """Target coordinates (n, 2) of source coordinates (n, 2) or (n, 3), inside or outside the points.
+
+        Parameters
+        ----------
+        source : (n, 2) or (n, 3) array_like
+            Coordinates in the source system.
+        """
         given = np.atleast_2d(np.asarray(source, float))
         three = np.zeros((len(given), 3))
         three[:, : self.model.dimension] = self.source.normalised(given)

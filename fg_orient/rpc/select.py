@@ -154,6 +154,13 @@ _REGISTRY: dict[str, Method] = {}
 def register_selection(name: str, label: str, *, source: str) -> Callable[[Function], Function]:
     """Decorate a function to make it a selection.
 
+    Parameters
+    ----------
+    name, label : str
+        Name in options; label in tables.
+    source : str
+        Author and year.
+
     Raises
     ------
     ValueError

@@ -104,11 +104,27 @@ class Sensor(ABC):
 
     @abstractmethod
     def rays(self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: Any = None) -> tuple[Array, Array]:
-        """Points on the lines of sight (N, 3) m, above the ground, and unit directions (N, 3)."""
+        """Points on the lines of sight (N, 3) m, above the ground, and unit directions (N, 3).
+
+        Parameters
+        ----------
+        line, sample : (N,) array_like
+            Pixels, from 0 at the centre of the first pixel.
+        correction : object, optional
+            Correction of the orientation, from :meth:`correction_of`.
+        """
 
     @abstractmethod
     def project(self, ground_m: npt.ArrayLike, correction: Any = None) -> tuple[Array, Array]:
-        """Line and sample (N,) of ground points (N, 3) m; nan for invisible points."""
+        """Line and sample (N,) of ground points (N, 3) m; nan for invisible points.
+
+        Parameters
+        ----------
+        ground_m : (N, 3) array_like
+            ECEF, m.
+        correction : object, optional
+            Correction of the orientation, from :meth:`correction_of`.
+        """
 
     @abstractmethod
     def image_model(self, options: Options) -> ImageModel:
@@ -124,6 +140,17 @@ class Sensor(ABC):
         correction: Any = None,
     ) -> Array:
         """Ground points (N, 3) ECEF m of N pixels at ellipsoidal heights (default 0), or on a DEM.
+
+        Parameters
+        ----------
+        line, sample : (N,) array_like
+            Pixels, from 0 at the centre of the first pixel.
+        height_m : float or (N,) array_like, optional
+            Ellipsoidal heights, m.
+        dem : object, optional
+            Elevation model, instead of ``height_m``.
+        correction : object, optional
+            Correction of the orientation, from :meth:`correction_of`.
 
         Raises
         ------

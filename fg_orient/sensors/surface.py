@@ -138,7 +138,13 @@ class RasterDem:
         return float(np.nanmin(self._heights)), float(np.nanmax(self._heights))
 
     def cell(self, lon_deg: Array, lat_deg: Array) -> tuple[Array, Array]:
-        """Row and column of N points, whole at the centres of cells; nan outside the domain of the CRS."""
+        """Row and column of N points, whole at the centres of cells; nan outside the domain of the CRS.
+
+        Parameters
+        ----------
+        lon_deg, lat_deg : (N,) array_like
+            WGS84.
+        """
         from fg_orient.geodesy import from_geographic
 
         x, y = from_geographic(self._crs, lon_deg, lat_deg)
@@ -146,7 +152,13 @@ class RasterDem:
         return np.asarray(t.d * x + t.e * y + t.f - 0.5), np.asarray(t.a * x + t.b * y + t.c - 0.5)
 
     def height_m(self, lon_deg: Array, lat_deg: Array) -> Array:
-        """Heights of N points, bilinear; nan outside the raster or at nodata."""
+        """Heights of N points, bilinear; nan outside the raster or at nodata.
+
+        Parameters
+        ----------
+        lon_deg, lat_deg : (N,) array_like
+            WGS84.
+        """
         row, column = self.cell(lon_deg, lat_deg)
         rows, columns = self._heights.shape
         inside = (row >= 0) & (row <= rows - 1) & (column >= 0) & (column <= columns - 1)

@@ -96,6 +96,17 @@ def register_kappa_rule(
 ) -> Callable[[RuleFunction], RuleFunction]:
     """Decorate a function to make it a kappa rule.
 
+    Parameters
+    ----------
+    name, label : str
+        Name for :func:`choose_kappa`; label in tables.
+    source : str
+        Author, year and equation.
+    published : bool
+        The rule is one of Terlemezoğlu 2019.
+    needs : tuple of str
+        Fields of :class:`Given` that must be set.
+
     Raises
     ------
     ValueError

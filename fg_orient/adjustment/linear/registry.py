@@ -51,6 +51,19 @@ def register_solver(
 ) -> Callable[[Function], Function]:
     """Decorate a function to make it a solver.
 
+    Parameters
+    ----------
+    name, label : str
+        Name in options; label in tables.
+    family : str
+        Group of solvers in tables and figures.
+    source : str
+        Author, year and equation.
+    published : bool
+        The solver is one of Terlemezoğlu 2019.
+    needs_design : bool
+        The solver uses A and l, not only N and b.
+
     Raises
     ------
     ValueError
