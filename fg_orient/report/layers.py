@@ -90,13 +90,8 @@ def _point(lon_lat: list[float]) -> dict[str, Any]:
 
 def _columns(table: Table, rows: npt.NDArray[np.intp]) -> dict[str, Column]:
     """The fields of the points that the table holds, of some rows."""
-    out: dict[str, Column] = {}
-    for name in POINT_FIELDS:
-        if name in table.words:
-            out[name] = [table.words[name][k] for k in rows.tolist()]
-        elif name in table.figures:
-            out[name] = table.figures[name][rows]
-    return out
+    given = {name: table.values[name] for name in POINT_FIELDS if name in table.values}
+    return {n: [v[k] for k in rows.tolist()] if isinstance(v, list) else v[rows] for n, v in given.items()}
 
 
 def _with_errors(table: Table) -> npt.NDArray[np.intp]:

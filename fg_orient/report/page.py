@@ -1,6 +1,6 @@
 """The shell of every HTML report: environment of the templates, the one script and its hash.
 
-A page is one file that asks nothing of any other: the content security policy of
+A page is one file that needs no other file: the content security policy of
 ``templates/base.html.j2`` forbids every source but inline styles, pictures inside the page, and the script whose hash
 it names. A report is readable without that script.
 """
@@ -28,12 +28,12 @@ SHELL: Final = "fg_orient.report"
 
 @cache
 def script() -> str:
-    """Give the text of the script, as it stands between its tags.
+    """Text of the script between its tags.
 
     Raises
     ------
     ValueError
-        It holds what would end the script element.
+        The text would end the script element.
     """
     text = resources.files(SHELL).joinpath("templates/report.js").read_text("utf-8")
     if "</script" in text.lower() or "<!--" in text:
@@ -43,12 +43,12 @@ def script() -> str:
 
 @cache
 def script_hash() -> str:
-    """Give the source expression of the script for a content security policy: ``'sha256-...'``."""
+    """Source expression of the script for a content security policy: ``'sha256-...'``."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(script().encode()).digest()).decode()}'"
 
 
 def environment(package: str = SHELL) -> jinja2.Environment:
-    """Give the environment of a report: its own templates first, then those shared here.
+    """Environment of a report: its own templates first, then the shared ones.
 
     Parameters
     ----------

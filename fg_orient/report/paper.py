@@ -44,19 +44,19 @@ WRITTEN: Final = 12
 
 
 def available() -> bool:
-    """Tell whether matplotlib is installed."""
+    """Whether matplotlib is installed."""
     return find_spec("matplotlib") is not None
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Give an empty figure whose parts make room for each other; inches."""
+    """Empty figure of a size in inches whose parts do not overlap."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def file_of(figure: Figure, kind: str) -> bytes:
-    """Give the bytes of a figure as ``svg`` or ``pdf``; the same figure gives the same bytes."""
+    """Bytes of a figure as ``svg`` or ``pdf``; the same figure gives the same bytes."""
     stream = io.BytesIO()
     figure.savefig(stream, format=kind, metadata=_METADATA[kind])
     return stream.getvalue()

@@ -40,14 +40,14 @@ class Payload:
     data : dict
         JSON, arrays packed.
     words : str
-        What was left out, a sentence; empty if nothing was.
+        Sentence on omitted image points; empty if there are none.
     """
 
     data: dict[str, Any]
     words: str
 
     def json(self) -> Markup:
-        """Give the text of the data element; no character in it ends the element."""
+        """Text of the data element; no character in it ends the element."""
         text = json.dumps(self.data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
         for sign in "<>&":
             text = text.replace(sign, f"\\u{ord(sign):04x}")
@@ -129,7 +129,7 @@ def _kilometres(lon_lat_deg: Array, centre: Array) -> Array:
 
 
 def _point_columns(result: Result, rows: Index, role: Index, centre: Array) -> dict[str, Any]:
-    """Columns of the points; differences only of the first ones, that have them."""
+    """Columns of the points; differences of control and check points only, which come first."""
     table = result.points
     km = _kilometres(table.numbers("lon_deg", "lat_deg")[rows], centre)
     known = int(np.searchsorted(role, 2))

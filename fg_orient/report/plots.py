@@ -38,6 +38,8 @@ NEAR: Final = 0.03
 #: Norms of the L-curve of an adjustment.
 NORMS: Final = ("norm of the residuals |Ax − l|, σ", "norm of the solution |x|, prior σ and m")
 LINE_SAMPLE: Final = ("line", "sample")
+#: Normalised residuals: over the standard deviations of the observations, over their own.
+_NORMALISED: Final = ("residual v/σ", "w = v/(σ√r)")
 _DEGREE: Final = {"": "", "constant": "", "linear": " · τ", "quadratic": " · τ²"}
 
 
@@ -116,7 +118,7 @@ def histogram(ratio: Array, name: str, tested: bool, axes: tuple[str, str] = LIN
     spread = 1.0 if tested or n < 2 else float(np.std(values)) or 1.0
     x = np.linspace(-ENDS, ENDS, 81)
     curve = 0.5 * n * width * np.exp(-0.5 * (x / spread) ** 2) / (spread * math.sqrt(2.0 * math.pi))
-    chart = Chart(f"histogram of the residuals of image {name}", Axis(_normalised_words(tested), (-ENDS, ENDS)),
+    chart = Chart(f"histogram of the residuals of image {name}", Axis(_NORMALISED[tested], (-ENDS, ENDS)),
                   title=cut(name))  # fmt: skip
     highest = float(curve.max())
     for kind, axis, column in zip(("of-line", "of-sample"), axes, ratio.T, strict=True):
@@ -130,10 +132,6 @@ def histogram(ratio: Array, name: str, tested: bool, axes: tuple[str, str] = LIN
     return chart
 
 
-def _normalised_words(tested: bool) -> str:
-    return "w = v/(σ√r)" if tested else "residual v/σ"
-
-
 def quantiles(
     ratio: Array, name: str, tested: bool, axes: tuple[str, str] = LINE_SAMPLE, most: int = MAX_QUANTILES
 ) -> Chart | None:
@@ -143,7 +141,7 @@ def quantiles(
     if not n:
         return None
     chart = Chart(f"quantiles of the residuals of image {name} against the normal",
-                  Axis("quantile of N(0, 1)", (-ENDS, ENDS)), Axis(_normalised_words(tested), (-ENDS, ENDS)),
+                  Axis("quantile of N(0, 1)", (-ENDS, ENDS)), Axis(_NORMALISED[tested], (-ENDS, ENDS)),
                   title=cut(name))  # fmt: skip
     if n > 1:
         rank = _spread_ranks(n, most)
@@ -304,8 +302,8 @@ def iteration_charts(log: Sequence[dict[str, Any]], units: str = "prior σ or m"
         return []
     start = {"iteration": 0, "accepted": True, "after": next(i["chi2"] for i in log), "step": None}
     found = [start, *({**i, "after": i["chi2_after"]} for i in log)]
-    charts = (_history(found, "after", "sum of weighted squares"), _history(found, "step", f"largest step, {units}"))
-    return [chart for chart in charts if chart is not None]
+    words = {"after": "sum of weighted squares", "step": f"largest step, {units}"}
+    return [chart for key, text in words.items() if (chart := _history(found, key, text)) is not None]
 
 
 def _history(log: Sequence[dict[str, Any]], key: str, words: str) -> Chart | None:
@@ -353,12 +351,14 @@ def l_curve(section: dict[str, Any] | None, norms: tuple[str, str] = NORMS) -> C
     norms : (str, str)
         Words of both norms with their units.
     """
-    curve = _norms([] if section is None else [dict(zip(_NORMS, pair, strict=True)) for pair in zip(
-        *(section["curve"][name] for name in _NORMS), strict=True)])  # fmt: skip
-    if section is None or len(curve) < 2:
+    if section is None:
         return None
-    choices = [choice for choice in ranked(section) if _on_curve(choice)]
-    marks = _norms(choices)
+    curve = np.array([section["curve"][name] for name in _NORMS], float).T
+    curve = curve[(curve > 0.0).all(axis=1)]  # kappa 0 of a singular system has no place on the curve
+    if len(curve) < 2:
+        return None
+    choices = [choice for choice in ranked(section) if all(choice[name] and choice[name] > 0.0 for name in _NORMS)]
+    marks = np.array([[choice[name] for name in _NORMS] for choice in choices], float).reshape(-1, 2)
     limits = [limits_of(np.concatenate([curve[:, k], marks[:, k]])) for k in (0, 1)]
     chart = broad("L-curve: norm of the solution over norm of the residuals, with the choices of the rules",
                   Axis(norms[0], limits[0], log=True), Axis(norms[1], limits[1], log=True), 380.0,
@@ -376,15 +376,6 @@ def l_curve(section: dict[str, Any] | None, norms: tuple[str, str] = NORMS) -> C
 
 
 _NORMS: Final = ("residual_norm", "solution_norm")
-
-
-def _on_curve(choice: dict[str, Any]) -> bool:
-    """Tell whether both norms are positive: kappa 0 of a singular system has no place on the curve."""
-    return all(choice[name] is not None and choice[name] > 0.0 for name in _NORMS)
-
-
-def _norms(rows: Sequence[dict[str, Any]]) -> Array:
-    return np.array([[row[name] for name in _NORMS] for row in rows if _on_curve(row)], float).reshape(-1, 2)
 
 
 def neighbours(places: Array, near: float) -> list[list[int]]:

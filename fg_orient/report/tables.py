@@ -74,13 +74,10 @@ def short_names(result: Result) -> dict[str, list[str]]:
 
 
 def unknowns_in_words(result: Result) -> dict[str, str]:
-    """Unknowns of the record, ``right.y_0``, as the drawings call them: ``right Y``."""
-    words, names = result.eop.words, short_names(result)
-    left = {image: iter(short) for image, short in names.items()}
-    return {
-        f"{image}.{parameter}": f"{image} {next(left[image])}"
-        for image, parameter in zip(words["image"], words["parameter"], strict=True)
-    }
+    """Unknowns of the record, ``right.y_0``, as the drawings name them: ``right Y``."""
+    left = {image: iter(names) for image, names in short_names(result).items()}
+    rows = zip(result.eop.words["image"], result.eop.words["parameter"], strict=True)
+    return {f"{image}.{parameter}": f"{image} {next(left[image])}" for image, parameter in rows}
 
 
 def correlations(cofactors: Array) -> Array:

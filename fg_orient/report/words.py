@@ -1,4 +1,4 @@
-"""What the reports say in words: the verdict, warnings, kinds of unknowns, and numbers as people write them."""
+"""Sentences of the reports: verdict, warnings, kinds of unknowns; numbers as text."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fg_orient.model.errors import findings_of
 
 
 def orientation_words(record: dict[str, Any]) -> str:
-    """What was unknown of the images, by their kinds: EOP set, RPC compensation."""
+    """Unknowns of the images in words, by kind of image: EOP set, RPC compensation."""
     kinds = {image.get("model", "pushbroom") for image in record["images"]}
     words = []
     if record.get("image_unknowns"):
@@ -52,7 +52,7 @@ def printable(text: object) -> str:
 
 
 def verdict(record: dict[str, Any]) -> dict[str, str]:
-    """Say in words how it ended: ``kind`` (good, warn, bad), ``title`` and ``text``."""
+    """Verdict on a result in words: ``kind`` (good, warn, bad), ``title`` and ``text``."""
     status, sigma0, (low, _) = record["status"], record["sigma0"], record["sigma0_interval_99_9"]
     if status == "not_converged":
         return {"kind": "bad", "title": "No solution", "text": record["reason"]}
@@ -75,7 +75,7 @@ def verdict(record: dict[str, Any]) -> dict[str, str]:
 
 
 def accuracy_words(record: dict[str, Any]) -> list[str]:
-    """Say how accurate the result is at points that took no part; nothing without a solution."""
+    """Sentences on the accuracy at check points; none without a solution."""
     if record["status"] == "not_converged":
         return []
     check = record["accuracy"]["check"]

@@ -86,6 +86,12 @@ class Table:
         """Columns of numbers."""
         return {name: np.asarray(values, float) for name, values in self.columns.items() if name not in WORDS}
 
+    @cached_property
+    def values(self) -> dict[str, list[str] | Array]:
+        """All columns, in the order of the file."""
+        both: dict[str, list[str] | Array] = {**self.words, **self.figures}
+        return {name: both[name] for name in self.columns}
+
     def numbers(self, *names: str) -> Array:
         """Some columns of numbers, (n, k); nan where the table does not have them."""
         return np.stack([self.figures.get(name, np.full(len(self), np.nan)) for name in names], axis=1)

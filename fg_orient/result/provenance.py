@@ -1,4 +1,4 @@
-"""What a run was made from and with: inputs by SHA-256, versions, options, command, time.
+"""Provenance of a run: inputs by SHA-256, versions, options, command, time.
 
 No absolute path is recorded: a result folder may be passed on.
 """
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def provenance(block: Block, folder: Path, command: Sequence[str]) -> dict[str, Any]:
-    """Give the record of a run.
+    """Make the provenance of a run.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def how_to_repeat(
     dem_control: tuple[HeightSurface, float] | None,
     dem_vertical_crs: str,
 ) -> dict[str, Any]:
-    """What a run was given beside its project file; ``fg_orient.orientation.replay`` reads it.
+    """Arguments of a run in addition to its project file; ``fg_orient.orientation.replay`` reads them.
 
     Parameters
     ----------

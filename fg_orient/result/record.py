@@ -22,7 +22,7 @@ import numpy.typing as npt
 from fg_orient.formats.atomic import RESULT
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Status
-from fg_orient.result.plain import WHOLE, Table, dumps, read_table, table_of_rows
+from fg_orient.result.plain import WHOLE, Table, dumps, plain, read_table, table_of_rows
 
 if TYPE_CHECKING:
     import pandas
@@ -196,9 +196,8 @@ class Result:
         if found is None:
             known = ", ".join((*self.tables, "unknowns", "accuracy", "iterations", "covariances"))
             raise InputError.of("options.value", place="table", value=table, expected=known)
-        columns = {**found.words, **found.figures}
         whole = {name: int for name in WHOLE & found.figures.keys() if np.isfinite(found.figures[name]).all()}
-        return pandas.DataFrame({name: columns[name] for name in found.columns}).astype(whole)
+        return pandas.DataFrame(found.values).astype(whole)
 
     def to_geo(self) -> dict[str, Any]:
         """Give the points as a GeoJSON FeatureCollection (RFC 7946): longitude, latitude (degrees, WGS 84).
@@ -207,11 +206,9 @@ class Result:
         """
         table = self.points
         rows = np.flatnonzero(np.isfinite(table.numbers("lon_deg", "lat_deg")).all(axis=1)).tolist()
-        columns = {**table.words, **{name: values.tolist() for name, values in table.figures.items()}}
-        columns = {name: columns[name] for name in table.columns}
         features = [
             {"type": "Feature", "geometry": {"type": "Point", "coordinates": place},
-             "properties": {name: _none_if_nan(values[k]) for name, values in columns.items()}}
+             "properties": {name: plain(values[k]) for name, values in table.values.items()}}
             for k, place in zip(rows, table.numbers("lon_deg", "lat_deg")[rows].tolist(), strict=True)
         ]  # fmt: skip
         return {"type": "FeatureCollection", "features": features}
@@ -221,10 +218,6 @@ class Result:
 
     def _repr_html_(self) -> str:
         return html_table("Result", overview(self.record))
-
-
-def _none_if_nan(value: Any) -> Any:
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def overview(record: Mapping[str, Any]) -> dict[str, Any]:

@@ -92,7 +92,7 @@ def reliability_record(solution: Solution) -> dict[str, Any] | None:
 
 
 def _least(solution: Solution, found: BlockReliability) -> dict[str, Any]:
-    """The single coordinate that is checked least."""
+    """Coordinate with the smallest redundancy number."""
     best: dict[str, Any] = {"redundancy": None, "name": None}
     axes = (_PIXEL, solution.problem.axis_names)
     for part, names in zip((found.image, found.control), axes, strict=True):
@@ -112,7 +112,7 @@ def _control_id(solution: Solution, row: int) -> str:
 
 
 def _control_unchecked(solution: Solution, control: Reliability) -> list[dict[str, Any]]:
-    """Coordinates of control points that nothing checks, least first."""
+    """Coordinates of control points that no other observation checks, smallest redundancy first."""
     rows, axes = np.nonzero(control.redundancy < CHECKABLE)
     out = []
     for k in np.argsort(control.redundancy[rows, axes], kind="stable")[:MAX_NAMED].tolist():
@@ -127,7 +127,7 @@ def _control_unchecked(solution: Solution, control: Reliability) -> list[dict[st
 
 
 def _image_unchecked(solution: Solution, image: Reliability, rays: npt.NDArray[np.intp]) -> list[dict[str, Any]]:
-    """Image points with a direction that nothing checks: those with other than two rays first, least first."""
+    """Image points with an unchecked direction: points with other than two rays first, smallest redundancy first."""
     rows = np.flatnonzero(image.not_checkable)
     order = np.lexsort((np.round(image.least[rows], 9), rays[rows] == 2))[:MAX_NAMED]
     o, block, out = solution.problem.observations, solution.block, []
@@ -145,12 +145,12 @@ def _image_unchecked(solution: Solution, image: Reliability, rays: npt.NDArray[n
 
 
 def _found_from(bias: float, unit: str) -> str:
-    """How large an error must be to be found."""
+    """Size of the errors that the test does not detect, in words."""
     return "an error of any size stays unseen" if np.isnan(bias) else f"errors below {bias:.3g} {unit} stay unseen"
 
 
 def _largest(solution: Solution, image: Reliability) -> list[dict[str, Any]]:
-    """Checkable image points whose errors must be largest to be found, in sigmas."""
+    """Checkable image points with the largest minimal detectable biases, in sigmas."""
     rows = np.flatnonzero(~image.not_checkable)
     o, block = solution.problem.observations, solution.block
     worst = rows[np.argsort(image.least[rows], kind="stable")[:MAX_NAMED]]
@@ -190,7 +190,7 @@ def _high(matrix: NamedMatrix) -> list[tuple[float, str, str]]:
 
 
 def image_columns(solution: Solution) -> dict[str, Column]:
-    """Columns of ``residuals.csv``; under a loss the redundancy numbers only, none where they are unavailable."""
+    """Columns of ``residuals.csv``: under a loss only the redundancy numbers, nothing if these are unavailable."""
     found = reliability_of(solution)
     if found is not None:
         image = found.image
@@ -280,7 +280,7 @@ def _test_record(test: GroupTest) -> dict[str, Any]:
 
 
 def _search_record(solution: Solution) -> dict[str, Any] | None:
-    """Rounds of the search and what it left out; null without a search."""
+    """Rounds of the search and the observations that it excluded; None without a search."""
     search = solution.snooping
     if search is None:
         return None

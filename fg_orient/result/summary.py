@@ -55,7 +55,7 @@ def result_of(
     solution: Solution, models: Mapping[str, Corrected], *, folder: Path = Path(), out: str = "",
     command: Sequence[str] = (),
 ) -> Result:  # fmt: skip
-    """Make the record of a solution; a run adds what it alone knows, and the times of its phases.
+    """Make the record of a solution; a run adds its own options and the times of its phases.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def _file_stems(names: Iterable[str]) -> dict[str, str]:
 
 
 def summary(solution: Solution) -> dict[str, Any]:
-    """Give the record of a solution; ``seconds`` and ``out`` are added by the run.
+    """Record of a solution; the run adds ``seconds`` and ``out``.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def _parallax(solution: Solution) -> dict[str, Any]:
 
 
 def _check(points: PointDifferences) -> dict[str, Any]:
-    """Statistics of the check points and the ones a reader should look at."""
+    """Statistics of the check points, the suspicious points and the largest differences."""
     suspicious = [
         {"id": name, "axis": axis, "difference_m": difference, "ratio": ratio}
         for name, axis, difference, ratio in points.suspicious()
@@ -249,7 +249,7 @@ def _prediction(solution: Solution) -> dict[str, Any]:
 
 
 def _missing(solution: Solution) -> list[Finding]:
-    """Tell why a figure is null."""
+    """Reasons why figures are null."""
     out, interval = [], ["sigma0_interval_99_9"]
     if solution.redundancy <= 0:
         out.append(finding("absent.no_redundancy", figures=["sigma0"]))
@@ -267,14 +267,14 @@ def _missing(solution: Solution) -> list[Finding]:
 
 
 def deficient_summary(error: RankDeficientError, block: Block) -> dict[str, Any]:
-    """Give the record of a block whose unknowns nothing determines.
+    """Record of a block whose unknowns are determined neither by observations nor by priors.
 
     Parameters
     ----------
     error : RankDeficientError
-        Its problems name the directions, one each.
+        Each of its problems names one undetermined direction.
     block : Block
-        What could not be adjusted.
+        Block that could not be adjusted.
 
     Returns
     -------
