@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +14,6 @@ from fg_orient.cli.output import answer, emit, fault, flag, note, say, table, te
 from fg_orient.model.errors import FgOrientError, Finding, InputError
 
 if TYPE_CHECKING:
-    from fg_orient.adjustment.memory import Need
     from fg_orient.formats.registry import Format, Settings
     from fg_orient.model.block import Block
 
@@ -39,11 +38,15 @@ def validate(
     from fg_orient.formats.project import checked_project
 
     block, problems = checked_project(project)
-    impossible = [] if block is None else _impossible(block, project)
-    problems += impossible
-    need = None if block is None or impossible else _memory(block)
-    if block is not None and need is not None and not need.fits:
-        problems.append(need.problem(str(project)))
+    need = None
+    if block is not None:
+        impossible = _impossible(block, project)
+        problems += impossible
+        if not impossible:
+            from fg_orient.adjustment.memory import need_of
+
+            need = need_of(block)
+            problems += [] if need.fits else [need.problem(str(project))]
     errors = [p for p in problems if p.severity == "failure"]
     remarks = [p for p in problems if p.severity != "failure"]
     lines = [] if errors else ["no errors"]
@@ -78,43 +81,35 @@ def _validate_points(paths: list[Path], format_name: str, crs: str) -> None:
 
     format_ = format_named(format_name, place="<format>")
     surveys = [paths] if len(format_.files) > 1 else [[path] for path in paths]
-    checked = [_checked_points(files, format_, Settings(crs)) for files in surveys]
-    crs_of = {c.crs for c in checked}
-    record = {"points": sum(c.points for c in checked), "crs": crs_of.pop() if len(crs_of) == 1 else None,
-              "files": [c.as_dict() for c in checked]}  # fmt: skip
-    lines = [
-        f"{c.files[0] + ': ' if len(checked) > 1 else ''}{c.points} points, {c.image_points} image points, no errors"
-        for c in checked if not c.errors
-    ]  # fmt: skip
-    _finish(record, [p for c in checked for p in c.errors], [p for c in checked for p in c.remarks], lines)
+    errors: list[Finding] = []
+    remarks: list[Finding] = []
+    lines, files = [], []
+    for survey in surveys:
+        counts, own_errors, own_remarks = _checked_points(survey, format_, Settings(crs))
+        names = [str(path) for path in survey]
+        files.append({"files": names, **counts, "n_errors": len(own_errors), "n_remarks": len(own_remarks)})
+        if not own_errors:
+            name = f"{names[0]}: " if len(surveys) > 1 else ""
+            lines.append(f"{name}{counts['points']} points, {counts['image_points']} image points, no errors")
+        errors += own_errors
+        remarks += own_remarks
+    crs_of = {file["crs"] for file in files}
+    record = {"points": sum(file["points"] for file in files), "crs": crs_of.pop() if len(crs_of) == 1 else None,
+              "files": files}  # fmt: skip
+    _finish(record, errors, remarks, lines)
 
 
-@dataclass(frozen=True)
-class _Checked:
-    """Errors and remarks of one survey."""
-
-    files: list[str]
-    points: int = 0
-    image_points: int = 0
-    crs: str = ""
-    remarks: tuple[Finding, ...] = ()
-    errors: tuple[Finding, ...] = ()
-
-    def as_dict(self) -> dict[str, object]:
-        return {"files": self.files, "points": self.points, "image_points": self.image_points, "crs": self.crs,
-                "n_errors": len(self.errors), "n_remarks": len(self.remarks)}  # fmt: skip
-
-
-def _checked_points(paths: list[Path], format_: Format, settings: Settings) -> _Checked:
-    """Read the files of one survey."""
+def _checked_points(
+    paths: list[Path], format_: Format, settings: Settings
+) -> tuple[dict[str, Any], Sequence[Finding], Sequence[Finding]]:
+    """Counts, errors and remarks of one survey."""
     from fg_orient.formats.exchange.convert import read_survey
 
-    names = [str(p) for p in paths]
     try:
         survey, remarks = read_survey(paths, format_, settings, accept_unverified=True)
     except InputError as error:
-        return _Checked(names, errors=tuple(error.problems))
-    return _Checked(names, len(survey.ids), len(survey.observed), survey.crs, remarks)
+        return {"points": 0, "image_points": 0, "crs": ""}, error.problems, ()
+    return {"points": len(survey.ids), "image_points": len(survey.observed), "crs": survey.crs}, (), remarks
 
 
 def _impossible(block: Block, project: Path) -> list[Finding]:
@@ -126,12 +121,6 @@ def _impossible(block: Block, project: Path) -> list[Finding]:
     except InputError as error:
         return list(error.problems)
     return []
-
-
-def _memory(block: Block) -> Need:
-    from fg_orient.adjustment.memory import need_of
-
-    return need_of(block)
 
 
 @command()

@@ -184,11 +184,11 @@ def convert_camera(
 
     Neither polynomial inverts the other: the largest and the rms difference in the image are part of the result.
     """
+    from fg_orient.formats.atomic import require_free_files
     from fg_orient.formats.metadata.frame import read_camera, write_camera
     from fg_orient.sensors.interior import converted
 
-    if out.exists() and (not overwrite or out.samefile(file)):
-        raise InputError.of("output.exists", file=out, option="out")
+    require_free_files(out, overwrite=overwrite and not (out.exists() and out.samefile(file)))
     interior = read_camera(file)
     fitted = converted(interior, model)
     write_camera(out, fitted.interior)

@@ -8,7 +8,7 @@ import pwd
 import stat
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -165,7 +165,7 @@ def open_to(status: os.stat_result, sticky: bool) -> str:
     if status.st_mode & stat.S_IWOTH and not sticky:
         return "all users can write there"
     if status.st_mode & stat.S_IWGRP and not sticky and not _own_group(status.st_gid):
-        return f"the group {_group(status.st_gid)} can write there"
+        return f"the group {_name(grp.getgrgid, status.st_gid)} can write there"
     return ""
 
 
@@ -180,15 +180,13 @@ def _own_group(number: int) -> bool:
 
 
 def _user(number: int) -> str:
-    try:
-        return pwd.getpwuid(number).pw_name
-    except KeyError:  # as in a container
-        return str(number)
+    return _name(pwd.getpwuid, number)
 
 
-def _group(number: int) -> str:
+def _name(look_up: Callable[[int], Any], number: int) -> str:
+    """Name of a user or group; its number if it has no name, as in a container."""
     try:
-        return grp.getgrgid(number).gr_name
+        return str(look_up(number)[0])
     except KeyError:
         return str(number)
 

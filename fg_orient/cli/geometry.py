@@ -306,19 +306,18 @@ def footprint(
 
     On the ground at --height or on --dem.
     """
+    from fg_orient.formats.atomic import require_free_files, write_text
     from fg_orient.sensors.viewing import View, feature_collection, viewing_records
 
     if (height is None) == (dem is None):
         code = "cli.no_height" if height is None else "cli.two_heights"
         raise InputError.of(code, file=sources[0], option="height, dem")
-    if out is not None and out.exists() and not overwrite:
-        raise InputError.of("output.exists", file=out, option="out")
+    require_free_files(out, overwrite=overwrite)
     surface = read_dem(dem, dem_vertical_crs)
     images = _images(sources, model, extrapolate_attitude, result)
     views = [View(image, height or 0.0, surface) for image in images]
     records = viewing_records(views)
     if out is not None:
-        from fg_orient.formats.atomic import write_text
         from fg_orient.result.plain import dumps
 
         write_text(out, dumps(feature_collection(views, records["images"]), indent=1) + "\n")

@@ -21,7 +21,7 @@ import typer
 
 from fg_orient.cli.log import session
 from fg_orient.model.declaration import declared
-from fg_orient.model.errors import Finding, InputError, findings_of
+from fg_orient.model.errors import Finding, findings_of
 from fg_orient.model.options import Options, Reading
 
 if TYPE_CHECKING:
@@ -144,10 +144,9 @@ def write_records(path: Path, columns: Sequence[str], records: Sequence[dict[str
     InputError
         The file exists and ``overwrite`` is not given, or it cannot be written.
     """
-    from fg_orient.formats.atomic import write_text
+    from fg_orient.formats.atomic import require_free_files, write_text
 
-    if path.exists() and not overwrite:
-        raise InputError.of("output.exists", file=path, option="out")
+    require_free_files(path, overwrite=overwrite)
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(columns)

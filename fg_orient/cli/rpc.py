@@ -112,13 +112,13 @@ def refine(
     The corrected RPC is exact for shift, otherwise refitted, and its error is stated.
     The exit code is 4 if the points do not fit the model.
     """
+    from fg_orient.formats.atomic import require_free_files
     from fg_orient.rpc.compensate import refine as refined
-    from fg_orient.rpc.files import corrected, describe, require_free, target_of, write_as
+    from fg_orient.rpc.files import corrected, describe, target_of, write_as
     from fg_orient.rpc.points import read_measured
 
     target = None if out is None else target_of(to, out)
-    if out is not None:
-        require_free(out, overwrite)
+    require_free_files(out, overwrite=overwrite)
     source = _opened(file, options)
     chosen = RefineOptions(**{name: options[name] for name in declared(RefineOptions) if name in options})
     record = refined(source.model, read_measured(points), chosen.compensation, extrapolate=chosen.extrapolate)
@@ -156,11 +156,12 @@ def fit(
     Errors are stated in pixels of the image at points that were not used in the fit.
     The exit code is 4 if a denominator is near zero or the points do not determine the coefficients.
     """
-    from fg_orient.rpc.files import require_free, target_of
+    from fg_orient.formats.atomic import require_free_files
+    from fg_orient.rpc.files import target_of
 
     if out is not None:
         target_of(to, out)
-        require_free(out, overwrite)
+    require_free_files(out, overwrite=overwrite)
     of_form = {name: value for name, value in options.items() if name in ("degree", "denominators", "seed")}
     is_points = source.suffix.lower() == ".csv"
     chosen = FitOptions(**(options if is_points else of_form))

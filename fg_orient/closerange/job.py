@@ -33,7 +33,7 @@ from fg_orient.closerange.report_words import doubts, photo_rows
 from fg_orient.closerange.resection import resect
 from fg_orient.closerange.surface import Kind
 from fg_orient.closerange.surface_fit import Priors, fit_surface
-from fg_orient.formats.atomic import Contents, require_free, staged_folder, write_text, writing
+from fg_orient.formats.atomic import Contents, require_free, require_free_files, staged_folder, write_text, writing
 from fg_orient.formats.closerange import read_photos
 from fg_orient.model.errors import Finding, InputError, as_record, finding
 from fg_orient.model.installation import versions
@@ -67,8 +67,7 @@ class Output:
             require_free(self.out, overwrite=self.overwrite, contents=CONTENTS)
         if self.report is None:
             return
-        if self.report.is_dir() or (self.report.exists() and not self.overwrite):
-            raise InputError.of("output.exists", file=self.report, option="report")
+        require_free_files(self.report, overwrite=self.overwrite and not self.report.is_dir(), option="report")
         if not self.report.parent.is_dir():
             raise InputError.of("output.unwritable", file=self.report, option="report", value="no such folder")
 

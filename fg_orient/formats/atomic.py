@@ -146,6 +146,13 @@ def require_free(out: Path, *, overwrite: bool, contents: Contents = RESULT) -> 
         raise InputError.of("output.foreign", file=out, option="out", value=value, mark=contents.mark)
 
 
+def require_free_files(*files: Path | None, overwrite: bool, option: str = "out") -> None:
+    """Raise InputError if a file exists and ``overwrite`` is False; call it before computing. None: no file."""
+    for file in files:
+        if file is not None and file.exists() and not overwrite:
+            raise InputError.of("output.exists", file=file, option=option)
+
+
 @contextlib.contextmanager
 def writing(out: str | Path) -> Iterator[None]:
     """Convert an OSError into an InputError that names the output; for short blocks that only write."""

@@ -45,13 +45,7 @@ _TERMS: Final = (
 
 
 def eop_set_number(name: int | str) -> int:
-    """Number of an EOP set given by number or name.
-
-    Raises
-    ------
-    InputError
-        There is no such set.
-    """
+    """Number of an EOP set given by number or name; raises InputError if there is no such set."""
     text = str(name).strip().upper()
     for number, one in EOP_SETS.items():
         if text in (str(number), one.name):
@@ -185,13 +179,7 @@ def curve_codes(options: Options, components: Iterable[int]) -> tuple[int, ...]:
 
 
 def require_unknowns(options: Options, codes: tuple[int, ...], file: str, known: Iterable[str]) -> None:
-    """Refuse an image that ``image_unknowns`` leaves without any unknown.
-
-    Raises
-    ------
-    InputError
-        See above.
-    """
+    """Refuse an image that ``image_unknowns`` leaves without any unknown."""
     if not codes:
         raise InputError.of(
             "parameters.unknowns", file=file, place="image_unknowns", value=", ".join(options.image_unknowns),

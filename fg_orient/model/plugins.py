@@ -7,6 +7,7 @@ other module. Nothing else loads code: a project file that came from elsewhere c
 from __future__ import annotations
 
 import sys
+import traceback
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -63,29 +64,16 @@ def _imported(path: Path) -> ModuleType:
 
 
 def fault_of(error: BaseException) -> Finding | None:
-    """Finding of an exception that came through a plugin; None if no plugin took part.
-
-    Parameters
-    ----------
-    error : exception
-        Any but an ``FgOrientError``, which is its own message.
-    """
-    file = next((name for name in reversed(_files(error)) if name in _LOADED), None)
+    """Finding of an exception, other than ``FgOrientError``, that came through a plugin; None if none did."""
+    file = next((name for name, _ in reversed(_frames(error)) if name in _LOADED), None)
     if file is None:
         return None
     return finding("plugin.raised", file=file, place=_line(error, Path(file)), value=told(error))
 
 
 def raised_in(error: BaseException, file: str) -> str:
-    """File and line of a user's own code that an exception came from.
-
-    Parameters
-    ----------
-    error : exception
-    file : str
-        Of that code, should the exception not have come through it: built-in functions leave no trace.
-    """
-    return f"{file}, {_line(error, Path(file))}" if file in _files(error) else file
+    """File and line of a user's own code that raised an exception; the file alone if a built-in function did."""
+    return f"{file}, {_line(error, Path(file))}" if file in dict(_frames(error)) else file
 
 
 def told(error: BaseException) -> str:
@@ -93,22 +81,14 @@ def told(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
-def _files(error: BaseException) -> list[str]:
-    """Files that an exception came through, the innermost last."""
-    files, trace = [], error.__traceback__
-    while trace is not None:
-        files.append(trace.tb_frame.f_code.co_filename)
-        trace = trace.tb_next
-    return files
+def _frames(error: BaseException) -> list[tuple[str, int]]:
+    """Files and lines that an exception came through, the innermost last."""
+    return [(frame.f_code.co_filename, line) for frame, line in traceback.walk_tb(error.__traceback__)]
 
 
 def _line(error: BaseException, path: Path) -> str:
     """Last line of the file that the error came through; of a syntax error the line itself."""
     if isinstance(error, SyntaxError) and error.filename == str(path):
         return f"line {error.lineno}"
-    lines, trace = [], error.__traceback__
-    while trace is not None:
-        if trace.tb_frame.f_code.co_filename == str(path):
-            lines.append(trace.tb_lineno)
-        trace = trace.tb_next
+    lines = [line for file, line in _frames(error) if file == str(path)]
     return f"line {lines[-1]}" if lines else "<plugin>"

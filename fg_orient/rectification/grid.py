@@ -103,8 +103,7 @@ def staged_file(out: Path, *, overwrite: bool) -> Iterator[Path]:
     InputError
         ``out`` exists (without ``overwrite``), or cannot be written.
     """
-    if out.exists() and not overwrite:
-        raise InputError.of("output.exists", file=out, option="out")
+    atomic.require_free_files(out, overwrite=overwrite)
     if out.is_dir() or not out.absolute().parent.is_dir():
         raise InputError.of("output.unwritable", file=out, option="out")
     with atomic.staged_file(out, place="<out>", suffix=".tif") as temporary:

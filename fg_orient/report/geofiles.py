@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fg_orient.formats.atomic import staged_file, write_text
+from fg_orient.formats.atomic import require_free_files, staged_file, write_text
 from fg_orient.formats.exchange.geopackage import GPKG_OPTIONS
 from fg_orient.formats.gdal import plain_case
 from fg_orient.model.errors import InputError
@@ -63,8 +63,7 @@ def export(
     package = target.suffix.lower() == ".gpkg"
     if package and None in (find_spec("pyogrio"), find_spec("shapely")):
         raise InputError.of("report.no_pyogrio", file=out, option="export")
-    if target.exists() and not (overwrite and target.is_file()):
-        raise InputError.of("output.exists", file=out, option="export")
+    require_free_files(target, overwrite=overwrite and target.is_file(), option="export")
     layers = read_layers(Path(folder), vector_scale)
     if package:
         made = read_record(Path(folder))["provenance"]["date_time_utc"]

@@ -23,6 +23,7 @@ import numpy.typing as npt
 from factors._contract import Array
 from factors.cameras.rfm import terms
 from factors.cameras.rfm_project import COMPENSATION, RANGE
+from fg_orient.formats.atomic import require_free_files
 from fg_orient.formats.registry import formats
 from fg_orient.formats.rpc import read_rpc, rpc_writer
 from fg_orient.formats.rpc.fields import USUAL_ORDER
@@ -85,18 +86,6 @@ def target_of(name: str | None, out: Path) -> str:
     return name
 
 
-def require_free(out: Path, overwrite: bool) -> None:
-    """Refuse an existing output.
-
-    Raises
-    ------
-    InputError
-        It exists and ``overwrite`` is False.
-    """
-    if out.exists() and not overwrite:
-        raise InputError.of("output.exists", file=out, option="out")
-
-
 def write_as(model: RpcModel, out: Path, target: str, *, overwrite: bool = False) -> dict[str, Any]:
     """Write a model completely or not at all, read it back and compare.
 
@@ -121,7 +110,7 @@ def write_as(model: RpcModel, out: Path, target: str, *, overwrite: bool = False
     InputError
         The file exists, or cannot be written, or an RPC file beside the image would hide its tags.
     """
-    require_free(out, overwrite)
+    require_free_files(out, overwrite=overwrite)
     if target == "geotiff-tags":
         for beside in (out.with_name(out.stem + end) for end in SIDECARS):
             if beside.exists():

@@ -25,9 +25,9 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from factors.cameras import frame_camera
-from fg_orient.formats.atomic import write_bytes
+from fg_orient.formats.atomic import require_free_files, write_bytes
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.exchange.text import require_free, whole
+from fg_orient.formats.exchange.text import whole
 from fg_orient.formats.exchange.ties import model_survey
 from fg_orient.formats.frame_model import FrameModel, Pose, frame_block
 from fg_orient.formats.registry import TIES_ONLY, Format, Settings
@@ -234,7 +234,7 @@ def bal_data_of(model: FrameModel, file: str = "") -> tuple[BalData, tuple[str, 
 def write_bal(path: str | Path, data: BalData, *, overwrite: bool = False) -> None:
     """Write a file with all digits, compressed if its name ends with .gz or .bz2; InputError if it exists."""
     path = Path(path)
-    require_free(path, overwrite=overwrite)
+    require_free_files(path, overwrite=overwrite)
     seen = zip(data.camera.tolist(), data.point.tolist(), data.xy.tolist(), strict=True)
     lines = [f"{len(data.cameras)} {len(data.points)} {len(data.xy)}"]
     lines += (f"{c} {p} {x!r} {y!r}" for c, p, (x, y) in seen)

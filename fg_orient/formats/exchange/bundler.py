@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from fg_orient.formats.atomic import write_bytes
+from fg_orient.formats.atomic import require_free_files, write_bytes
 from fg_orient.formats.exchange.bal import BalData, bundle_format
-from fg_orient.formats.exchange.text import TextLines, require_free
+from fg_orient.formats.exchange.text import TextLines
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
 
@@ -102,7 +102,7 @@ def _views(
 def write_bundler(path: str | Path, data: BalData, *, overwrite: bool = False) -> None:
     """Write a file of v0.3; points are grey, keys count the image points of an image. InputError if it exists."""
     path = Path(path)
-    require_free(path, overwrite=overwrite)
+    require_free_files(path, overwrite=overwrite)
     lines = [HEAD, f"{len(data.cameras)} {len(data.points)}"]
     for row in data.cameras:
         matrix = Rotation.from_rotvec(row[:3]).as_matrix()

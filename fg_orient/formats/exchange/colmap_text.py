@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from fg_orient.formats.atomic import write_lines
+from fg_orient.formats.atomic import require_free_files, write_lines
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.exchange.text import TextLines, make_folder, positions, require_free, require_once, whole
+from fg_orient.formats.exchange.text import TextLines, make_folder, positions, require_once, whole
 from fg_orient.formats.exchange.ties import model_survey
 from fg_orient.formats.frame_model import FrameModel, Pose
 from fg_orient.formats.registry import TIES_ONLY, Format, Settings
@@ -195,7 +195,7 @@ def write_colmap_text(folder: str | Path, model: FrameModel, *, overwrite: bool 
     """
     folder = Path(folder)
     paths = [folder / name for name in FILES]
-    require_free(*paths, overwrite=overwrite)
+    require_free_files(*paths, overwrite=overwrite)
     for pose in model.poses:
         if len(pose.name.split()) != 1:
             raise InputError.of(

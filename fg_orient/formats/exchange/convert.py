@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.formats.atomic import require_free_files
 from fg_orient.formats.exchange.ground import check_ground, transformed
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.registry import Format, Holds, Settings
@@ -102,9 +103,7 @@ def write_survey(
     _require_usable(paths, format_, True)
     targets = tuple(paths) if len(paths) == len(format_.files) else format_.paths(paths[0])
     wanted = targets if len(survey.observed) else targets[:1]  # the second file contains image points
-    for path in wanted:
-        if path.exists() and not overwrite:
-            raise InputError.of("output.exists", file=path, option="out")
+    require_free_files(*wanted, overwrite=overwrite)
     survey = placed(survey, format_, settings.crs, str(paths[0]))
     _require(survey, format_, str(paths[0]))
     lost = losses(survey, format_, str(paths[0]))

@@ -294,13 +294,6 @@ def positions(ids: Array, wanted: Array) -> npt.NDArray[np.intp]:
     return np.where(ids[at] == wanted, at, -1)
 
 
-def require_free(*paths: Path, overwrite: bool) -> None:
-    """Raise InputError if a file exists and ``overwrite`` is False."""
-    for path in paths:
-        if path.exists() and not overwrite:
-            raise InputError.of("output.exists", file=path, option="out")
-
-
 def make_folder(folder: Path) -> None:
     """Make a folder that may exist; raise InputError if that fails."""
     try:
