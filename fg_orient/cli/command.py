@@ -92,12 +92,9 @@ def outcome(
     as_json: bool, debug: bool = False, quiet: bool = False, log: Path | None = None,
     flags: Mapping[str, str] | None = None,
 ) -> Iterator[None]:  # fmt: skip
-    """Turn exceptions into one line per problem and an exit code; keep the log.
+    """Keep the log; turn exceptions into one line per problem and ``typer.Exit``.
 
-    Raises
-    ------
-    typer.Exit
-        With the code of the exception: 2 bad input, 3 no solution, 130 interrupted, 1 a bug.
+    Exit codes: 2 bad input, 3 no solution, 130 interrupted, 1 error of the program.
     """
     with (
         _explained(as_json, debug), opened(log, as_json=as_json, quiet=quiet, flags=flags), _explained(as_json, debug),
@@ -107,7 +104,7 @@ def outcome(
 
 
 class _CompilationNote:
-    """Note, once in a command, that kernels are being compiled; without it while that takes no time to speak of."""
+    """Note, once in a command, that kernels are being compiled, if this takes longer than ``NOTED_S``."""
 
     def __init__(self) -> None:
         self._begin, self._noted = preparing_seconds(), False
@@ -165,7 +162,7 @@ def _explained(as_json: bool, debug: bool) -> Iterator[None]:
 
 
 def internal(error: Exception, debug: bool) -> Finding:
-    """Describe an exception that should not have happened: a fault of the program, not of the input."""
+    """Finding of an error of the program."""
     hint = "" if debug else " (the same command with --debug shows where)"
     text = " ".join(str(error).split())[:300]
     return finding("internal", kind=type(error).__name__, text=text, hint=hint)

@@ -36,13 +36,7 @@ def command_line() -> list[str]:
 
 
 def require_project(path: Path) -> None:
-    """Refuse a path that is not a file, before anything heavy is loaded.
-
-    Raises
-    ------
-    InputError
-        It does not exist, or is a folder.
-    """
+    """Raise InputError if the project file does not exist or is a folder, before large modules are loaded."""
     if not path.is_file():
         from fg_orient.formats.toml import no_project_file
 

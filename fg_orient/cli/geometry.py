@@ -83,7 +83,7 @@ def locate(
 
 
 def _exclude(*ways: dict[str, object]) -> None:
-    """Refuse options of more than one way to say what is wanted; None is an option that is not given."""
+    """Raise InputError if options of several alternatives are given; None: the option is not given."""
     given = [[name for name, value in way.items() if value is not None] for way in ways]
     names = [way[0] for way in given if way]
     if len(names) > 1:
@@ -236,13 +236,7 @@ def _pixel(text: str) -> tuple[float, float]:
 
 
 def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[list[str], list[Array]]:
-    """Ids and numeric columns of a CSV file; ``optional`` is the last one if the file has it.
-
-    Raises
-    ------
-    InputError
-        All faults of the file.
-    """
+    """Ids and numeric columns of a CSV file, the last is ``optional``; InputError lists all faults of the file."""
     import numpy as np
 
     from fg_orient.formats.tables import Faults, number, read_table

@@ -34,18 +34,7 @@ MARK: Final = b'{"time_utc": "'
 
 
 class LogFile:
-    """A log, open for adding.
-
-    Parameters
-    ----------
-    path : Path
-        A log of earlier commands, or a file that does not exist yet.
-
-    Raises
-    ------
-    InputError
-        The file is something else, or cannot be written.
-    """
+    """Log of earlier commands or a new file, open for adding; InputError if it is another file or cannot be written."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._run = path, secrets.token_hex(4)
@@ -55,7 +44,7 @@ class LogFile:
             raise InputError.of("output.unwritable", file=path, option="log", value=error.strerror or error) from error
 
     def write(self, event: str, **fields: object) -> None:
-        """Add a line; a log that can no longer be written does not stop the work."""
+        """Add a line; an error of writing closes the log and does not stop the work."""
         from fg_orient.result.plain import dumps
 
         if self._descriptor is None:
@@ -96,7 +85,7 @@ class Session:
     Parameters
     ----------
     as_json : bool
-        One JSON object is all that goes to standard output.
+        Standard output is one JSON object.
     quiet : bool
         No tables and no progress.
     log : LogFile or None
@@ -125,13 +114,7 @@ def session() -> Session:
 
 @contextlib.contextmanager
 def opened(path: Path | None, *, as_json: bool, quiet: bool, flags: Mapping[str, str] | None = None) -> Iterator[None]:
-    """Begin a session and log its start and end.
-
-    Raises
-    ------
-    InputError
-        The log cannot be kept.
-    """
+    """Begin a session and log its start and end; InputError if the log cannot be written."""
     begin = time.perf_counter()
     current = Session(as_json, quiet, None if path is None else LogFile(path), flags or {})
     token = _SESSION.set(current)

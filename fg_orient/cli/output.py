@@ -137,13 +137,7 @@ def number(value: object, digits: int = 3) -> str:
 
 
 def write_records(path: Path, columns: Sequence[str], records: Sequence[dict[str, Any]], overwrite: bool) -> None:
-    """Write records as CSV, numbers to their last digit, whole or not at all.
-
-    Raises
-    ------
-    InputError
-        The file exists and ``overwrite`` is not given, or it cannot be written.
-    """
+    """Write records as CSV with all digits, completely or not at all; InputError if the file may not be written."""
     from fg_orient.formats.atomic import require_free_files, write_text
 
     require_free_files(path, overwrite=overwrite)

@@ -12,17 +12,17 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
 from factors._preparation import on_compilation
-from fg_orient.cli.log import COMPILING, Session, session
+from fg_orient.cli.log import COMPILING, session
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
-
     from fg_orient.adjustment.loop import IterationRecord
 
+#: Function of a text, steps done, steps in all (None: unknown).
+Show = Callable[[str, int, int | None], None]
 #: Time between two lines of the log about steps that follow fast, s.
 LOG_EVERY_S: Final = 1.0
 
@@ -82,26 +82,23 @@ def describe_steps(text: str, done: int, total: int, seconds: float) -> str:
 
 @contextlib.contextmanager
 def progress() -> Iterator[Watch]:
-    """Show an adjustment on the terminal, if standard error is one, and tell the log of it."""
-    current = session()
-    with _bar("starting") as bar:
-        yield Watch(bar, current)
+    """Show an adjustment in the log, and on standard error if it is a terminal."""
+    with _bar("starting") as show:
+        yield Watch(show)
 
 
 @contextlib.contextmanager
 def progress_bar(first: str) -> Iterator[Callable[[int, int, str], None] | None]:
-    """Show work in steps, or one long one; ``first`` stands there until the first step is done."""
-    current = session()
-    current.tell("stage", stage=first)
-    with _bar(first) as bar:
-        yield None if bar is None and current.log is None else _Steps(bar, current)
+    """Show work in steps, or in one long step; the text is ``first`` until the first step is done."""
+    session().tell("stage", stage=first)
+    with _bar(first) as show:
+        yield None if show is None and session().log is None else _Steps(show)
 
 
 @contextlib.contextmanager
-def _bar(first: str) -> Iterator[_Bar | None]:
-    """Bar on a terminal; None without one."""
-    current = session()
-    if current.as_json or current.quiet or not sys.stderr.isatty():
+def _bar(first: str) -> Iterator[Show | None]:
+    """Function that shows text, steps done and steps in all on a terminal; None without a terminal."""
+    if session().as_json or session().quiet or not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console
@@ -111,25 +108,14 @@ def _bar(first: str) -> Iterator[_Bar | None]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(first, total=None)
         with on_compilation(lambda kernel: bar.update(task, description=COMPILING)):
-            yield _Bar(bar, task)
-
-
-@dataclass(frozen=True)
-class _Bar:
-    """The line of rich's progress."""
-
-    bar: Progress
-    task: TaskID
-
-    def show(self, text: str, done: int = 0, total: int | None = None) -> None:
-        self.bar.update(self.task, description=text, completed=done, total=total)
+            yield lambda text, done, total: bar.update(task, description=text, completed=done, total=total)
 
 
 class Watch:
-    """Progress of an adjustment, on the bar and in the log if there are any."""
+    """Progress of an adjustment, on the terminal and in the log."""
 
-    def __init__(self, bar: _Bar | None, current: Session) -> None:
-        self.bar, self._session = bar, current
+    def __init__(self, show: Show | None) -> None:
+        self._show, self._session = show, session()
         self._log: list[IterationRecord] = []
         self._image_points = 0
 
@@ -137,24 +123,23 @@ class Watch:
         """Begin a stage of the work."""
         self._image_points = image_points
         self._session.tell("stage", stage=name, image_points=image_points)
-        if self.bar is not None:
-            self.bar.show(name)
+        if self._show is not None:
+            self._show(name, 0, None)
 
     def iteration(self, record: IterationRecord) -> None:
         """Show an iteration."""
         self._log.append(record)
         self._session.tell("iteration", **asdict(record))
-        if self.bar is not None:
+        if self._show is not None:
             left, done = iterations_left(self._log), len(self._log)
-            total = None if left is None else done + left
-            self.bar.show(describe(self._log, self._image_points), done, total)
+            self._show(describe(self._log, self._image_points), done, None if left is None else done + left)
 
 
 class _Steps:
-    """Callback of work in steps, on the bar and in the log."""
+    """Callback of work in steps, on the terminal and in the log."""
 
-    def __init__(self, bar: _Bar | None, current: Session) -> None:
-        self._bar, self._session = bar, current
+    def __init__(self, show: Show | None) -> None:
+        self._show, self._session = show, session()
         self._begin, self._logged = time.perf_counter(), -math.inf
         self._done, self._text = 0, ""
 
@@ -166,5 +151,5 @@ class _Steps:
         if done >= total or seconds - self._logged >= LOG_EVERY_S:
             self._logged = seconds
             self._session.tell("progress", done=done, total=total, text=text, seconds=round(seconds, 3))
-        if self._bar is not None:
-            self._bar.show(describe_steps(text, done, total, seconds), done, total)
+        if self._show is not None:
+            self._show(describe_steps(text, done, total, seconds), done, total)

@@ -190,13 +190,7 @@ def _declared(records: tuple[type, ...]) -> Mapping[str, Option]:
 
 
 def require_allowed(record: Any) -> None:
-    """Check all values of a record.
-
-    Raises
-    ------
-    InputError
-        One problem per value that is not allowed.
-    """
+    """Check all values of a record; InputError has one problem per value that is not allowed."""
     wrong = [one for name, one in declared(type(record)).items() if not one.allows(getattr(record, name))]
     if wrong:
         raise InputError(
@@ -206,13 +200,7 @@ def require_allowed(record: Any) -> None:
 
 
 def require_declared(names: Iterable[str], caller: str, *records: type) -> None:
-    """Refuse names that no record declares.
-
-    Raises
-    ------
-    TypeError
-        As for any unknown keyword argument, with the most similar name.
-    """
+    """Raise TypeError for a name that no record declares, with the most similar name."""
     known = declared(*records)
     for name in sorted(set(names) - set(known)):
         close = get_close_matches(name, known, 1)

@@ -190,12 +190,8 @@ def require_unknowns(options: Options, codes: tuple[int, ...], file: str, known:
 def orientation_parameters(options: Options, file: str = "", camera: str = "") -> ImageParameters:
     """Unknowns of a pushbroom image: EOP coefficients, then those of the look polynomial, then curves.
 
-    ``camera``: with option ``look_shared``, images of the same camera have the look polynomial in common.
-
-    Raises
-    ------
-    InputError
-        ``image_unknowns`` names none of them.
+    ``camera``: with option ``look_shared``, images of the same camera share the look polynomial. InputError if
+    ``image_unknowns`` contains none of the unknowns.
     """
     codes = chosen_codes(options)
     require_unknowns(options, codes, file, (parameter_name(code) for code in range(N_EOP + N_LOOK)))

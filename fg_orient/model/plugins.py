@@ -21,17 +21,8 @@ _LOADED: set[str] = set()
 def load_plugin(path: str | Path) -> ModuleType:
     """Import a Python file under its own name, once.
 
-    Its folder goes to the end of ``sys.path``, so that worker processes, which get that path, find it too.
-
-    Parameters
-    ----------
-    path : str or Path
-        ``NAME.py``; NAME is no module's that is installed.
-
-    Raises
-    ------
-    InputError
-        There is no such file, its name is no module name or is taken, or it cannot be imported: names the line.
+    The path is ``NAME.py``, and no other module is named NAME. Its folder is added to the end of ``sys.path``, so that
+    worker processes find the module. InputError names the line if the file cannot be imported.
     """
     path = Path(path).resolve()
     if not path.is_file() or path.suffix != ".py" or not path.stem.isidentifier():

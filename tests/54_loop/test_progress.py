@@ -7,6 +7,7 @@ import math
 import sys
 
 import pytest
+from rich.progress import Progress
 
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.stages import EXACT, PLAIN
@@ -63,15 +64,14 @@ def test_bar_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
             watch.stage("reading", 0)
             watch.iteration(log(1.0)[0])
         assert stream.getvalue() == ""
-    terminal = Terminal()
+    terminal, update = Terminal(), Progress.update
     monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(Progress, "update", lambda *given, **more: update(*given, **more, refresh=True))  # at once
     with progress() as watch:
         watch.stage("reading", 0)
         watch.stage("iterations", 1000)
         for record in log(1.0, 1e-2):
             watch.iteration(record)
-        watch.bar.bar.refresh()  # type: ignore[attr-defined]
         assert "iteration 2, step 1.0e-02, 2,000 image points/s, about 2 s left" in terminal.getvalue()
         watch.stage("statistics", 1000)
-        watch.bar.bar.refresh()  # type: ignore[attr-defined]
     assert "statistics" in terminal.getvalue()
