@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 #: Modules loaded before the clock starts: ``seconds`` measure the work, not Python's imports.
 WORKING = ("fg_orient.orientation.run", "fg_orient.adjustment.schur", "fg_orient.report", "fg_orient.formats.schema",
            "fg_orient.formats.metadata.dimap", "fg_orient.sensors.projection", "jinja2")  # fmt: skip
-#: The same, of one backend.
+#: Modules of one backend.
 OF_BACKEND = {
     "graph": ("gtsam", "fg_orient.adjustment.graph", "fg_orient.quality.covariance"),
     "dense": ("fg_orient.adjustment.dense", "fg_orient.quality.covariance"),
@@ -94,7 +94,7 @@ def _dem_control(path: Path | None, sigma_m: float | None, vertical_crs: str) ->
 
 
 def load(backend: str | None = None) -> None:
-    """Load what an adjustment needs, before the clock starts; of the backends only the one that was asked for."""
+    """Load the modules of an adjustment and of the given backend before the time is measured."""
     from importlib import import_module
 
     for name in (*WORKING, *OF_BACKEND.get(backend or "", ())):
@@ -185,7 +185,7 @@ def _folds(text: str | None) -> int | None:
 
 
 def _show_reduction(found: Reduction) -> None:
-    """Print one line per model, what is left and which set it comes closest to."""
+    """Print one line per model, the significant unknowns and the closest EOP set."""
     first = found.steps[0]
     columns = ["step", "u", "p", "sigma0", "AIC", "AICc", "BIC"]
     columns += ["image px", "ground m"] if first.validation else []

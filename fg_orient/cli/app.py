@@ -23,10 +23,10 @@ from fg_orient.cli.output import emit_errors, note
 from fg_orient.model.errors import InputError
 
 PROGRAM: Final = "fg-orient"
-#: Variable through which the script of a shell asks for completions.
+#: Environment variable that the completion script of a shell sets.
 VARIABLE: Final = "_FG_ORIENT_COMPLETE"
 SHELLS: Final = ("bash", "zsh", "fish")
-#: Name of a command -> module of this package and the name in it: a function, or a group by itself.
+#: Name of a command -> module of this package and name of the function or group in it.
 COMMANDS: Final = {
     "adjust": ("adjust", "adjust"),
     "compare": ("studies", "compare"),
@@ -49,19 +49,18 @@ COMMANDS: Final = {
     "rectify": ("rectify", "app"),
     "closerange": ("closerange", "app"),
 }
-#: Objects made between two passes of the garbage collector, and passes over the young between two over older ones.
-#: With Python's own 700, 10, 10 it walks again and again over modules that are being loaded and live on.
+#: Thresholds of the garbage collector. With Python's own 700, 10, 10 it scans modules repeatedly during their import.
 COLLECT: Final = (50_000, 20, 50)
 
 
 def declared(name: str) -> Any:
-    """Give the function or the group that declares a command."""
+    """Function or group that declares a command."""
     module, attribute = COMMANDS[name]
     return getattr(import_module(f"fg_orient.cli.{module}"), attribute)
 
 
 def help_of(name: str) -> str | None:
-    """Give the help of a command without building it: typer takes it from the same places."""
+    """Help of a command, from the same docstring or group as typer's, without building the command."""
     one = declared(name)
     text: str | None = one.info.help if isinstance(one, typer.Typer) else inspect.getdoc(one)
     return text
@@ -155,7 +154,7 @@ def main() -> NoReturn:
     """Run the command line; the entry point of ``fg-orient``."""
     gc.set_threshold(*COLLECT)
     signal.signal(signal.SIGTERM, _terminate)
-    if VARIABLE in os.environ:  # the script of a shell asks: typer answers
+    if VARIABLE in os.environ:  # called by the completion script of a shell
         from typer._completion_classes import completion_init
 
         completion_init()
@@ -171,7 +170,7 @@ def main() -> NoReturn:
 
 
 def _usage_error(error: Exception) -> int:
-    """Report a wrong option or argument in one line; any other exception is not ours to catch."""
+    """Report a wrong option or argument in one line; raise any other exception again."""
     explain = getattr(error, "format_message", None)
     if explain is None:
         raise error
@@ -185,5 +184,5 @@ def _usage_error(error: Exception) -> int:
 
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:
-    """End tidily on SIGTERM, so that no half-written folder stays."""
+    """Exit on SIGTERM so that temporary folders are removed."""
     sys.exit(128 + number)

@@ -75,7 +75,7 @@ def _finish(record: dict[str, Any], errors: list[Finding], remarks: list[Finding
 def _validate_points(paths: list[Path], format_name: str, crs: str) -> None:
     """Check points of another program; unverified formats are remarked.
 
-    The files of a format that has several are one survey; of the others each is one.
+    The files of a format with several files are one survey; otherwise each file is a survey.
     """
     from fg_orient.formats.registry import Settings, format_named
 

@@ -31,7 +31,7 @@ Overwrite = Annotated[bool, option("Replace an existing output once the new one 
 
 
 def command_line() -> list[str]:
-    """Words of this command, for the record of a result."""
+    """Words of this command line, for the record of a result."""
     return ["fg-orient", *sys.argv[1:]]
 
 

@@ -106,7 +106,7 @@ def convert(
 
 
 def _require_crs(crs: str, option: str) -> None:
-    """Refuse a CRS by the name of its option; none given is none wrong."""
+    """Raise InputError, with the name of the option, for an unusable CRS; "" is accepted."""
     from fg_orient.geodesy import crs_kind
 
     try:

@@ -39,11 +39,11 @@ def examine() -> dict[str, Any]:
         findings.extend(cache_findings(*folders))
         return True, _describe(cache)
 
-    # the self-test compiles what it calls: the cache is looked at after it
+    # the self-test compiles kernels: the cache is examined after it
     for name, check in (("PROJ", _proj), ("self-test", _self_test), ("numba cache", numba_cache)):
         try:
             good, detail = check()
-        except Exception as error:  # a broken installation may fail in any way; the doctor must say how
+        except Exception as error:  # a broken installation may fail in any way
             good, detail = False, f"{type(error).__name__}: {error}"
         checks.append({"name": name, "good": good, "detail": detail})
     return {
@@ -63,7 +63,7 @@ def _proj_findings() -> list[Finding]:
 
 
 def _proj() -> tuple[bool, str]:
-    """Transform one point there and back; says where PROJ's data lie."""
+    """Transform one point to ECEF and back; the detail is the folder of PROJ's data."""
     import numpy as np
 
     from fg_orient.geodesy import data_folder, ecef_to_geodetic, geodetic_to_ecef
@@ -75,7 +75,7 @@ def _proj() -> tuple[bool, str]:
 
 
 def _cache_folders() -> list[Path]:
-    """Folders of the kernels that are loaded: one for each folder of sources; none where no place is writable."""
+    """Cache folders of the loaded kernels, one for each folder of sources; without folders that are not writable."""
     from factors._kernel import Kernel
 
     modules = [module for name, module in sys.modules.items() if name.startswith(("factors.", "fg_orient.kernels."))]
@@ -86,15 +86,15 @@ def _cache_folders() -> list[Path]:
 
 
 def examine_cache(folders: Sequence[Path]) -> dict[str, Any]:
-    """Path, owner and rights of folders of compiled kernels, which need not exist yet, and the size of all."""
+    """Path, owner and rights of folders of compiled kernels, which may not exist yet, and their total size."""
     files = [file for folder in folders for file in _inside(folder) if file.suffix in (".nbi", ".nbc")]
     sizes = [status.st_size for _, status in _readable(files)]
     return {"folders": list(map(_rights, folders)), "files": len(sizes), "bytes": sum(sizes)}
 
 
 def _rights(folder: Path) -> dict[str, Any]:
-    """Owner and rights of a folder, or of the one above it that exists."""
-    there = next(p for p in (folder, *folder.parents) if os.path.exists(p))  # those that may not be read: False
+    """Owner and rights of a folder, or of the nearest parent that exists."""
+    there = next(p for p in (folder, *folder.parents) if os.path.exists(p))  # False if not readable
     status = there.stat()
     return {
         "folder": str(folder), "exists": there == folder, "owner": _user(status.st_uid),
@@ -103,12 +103,12 @@ def _rights(folder: Path) -> dict[str, Any]:
 
 
 def _inside(folder: Path) -> list[Path]:
-    """Files and folders in a folder, at any depth; those that may not be read hold nothing."""
+    """Files and folders in a folder, at any depth; unreadable folders are skipped."""
     return sorted(Path(at, name) for at, folders, files in os.walk(folder) for name in (*folders, *files))
 
 
 def _readable(paths: Iterable[Path]) -> Iterator[tuple[Path, os.stat_result]]:
-    """Paths with their status, without those that are not made yet, were removed meanwhile or may not be read."""
+    """Paths with their status; missing and unreadable paths are skipped."""
     for path in paths:
         with suppress(OSError):
             yield path, path.stat()
@@ -125,9 +125,9 @@ def _describe(cache: dict[str, Any]) -> str:
 
 
 def cache_findings(*folders: Path) -> list[Finding]:
-    """Findings on a cache that is missing, or into which another user can put code.
+    """Findings on a cache that is missing, or that other users can change.
 
-    Root, and the owner of the program, can change the program itself and are no reason to warn.
+    Root and the owner of the program can change the program itself: they give no warning.
     """
     if not folders:
         return [finding(
@@ -147,10 +147,10 @@ def cache_findings(*folders: Path) -> list[Finding]:
 
 
 def _open_places(folder: Path) -> Iterator[tuple[Path, str]]:
-    """Folders above, the folder itself and what lies in it, as far as another user can write there."""
+    """Parent folders, the folder and its contents that another user can change, with the reason."""
     above = folder.resolve().parents
     for path, status in _readable((*reversed(above), folder, *_inside(folder))):
-        # in a sticky folder such as /tmp others can make new names only: the next one below has an owner of its own
+        # in a sticky folder such as /tmp other users can only add names; the folder below it is tested separately
         sticky = path in above and bool(status.st_mode & stat.S_ISVTX)
         if why := open_to(status, sticky):
             yield path, why
@@ -170,7 +170,7 @@ def open_to(status: os.stat_result, sticky: bool) -> str:
 
 
 def _own_group(number: int) -> bool:
-    """Tell if the user is the only member of a group: many systems give each user a group with rights."""
+    """True if the user is the only member of a group, as on many systems."""
     try:
         group = grp.getgrgid(number)
     except KeyError:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     Array = npt.NDArray[np.float64]
 
-#: Heights beyond these are no ground: a wrong unit or column.
+#: Range of ground heights; others have a wrong unit or column.
 HEIGHT_RANGE_M = (-12e3, 100e3)
 #: Rays of one point with metadata orientation miss each other by tens of metres.
 MAX_MISS_M = 500.0
@@ -194,7 +194,7 @@ def intersect(
 
 
 def _plausible(record: dict[str, Any]) -> bool:
-    """Tell if an intersection can be the same point in every image."""
+    """True if the rays of an intersection can belong to one point."""
     return bool(record["miss_m"] <= MAX_MISS_M and -1e3 <= record["height_m"] <= 10e3)
 
 

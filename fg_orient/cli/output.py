@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-#: Directions of a block, of which there may be dozens with one cause, and how many of them one line names.
+#: Findings of directions, which may be dozens with one cause; number of directions in one line.
 DIRECTIONS: Final = ("adjust.rank_deficient", "adjust.rank_without_control")
 NAMED: Final = 3
 #: Widest table.
@@ -38,7 +38,7 @@ LONGEST_WORD: Final = 24
 
 
 def printable(text: object) -> str:
-    """Replace characters that a terminal could take as commands."""
+    """Replace characters that a terminal could interpret as commands."""
     return "".join(c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in str(text))
 
 
@@ -54,7 +54,7 @@ def say(text: object = "") -> None:
 
 
 def verdict(text: object, *, good: bool) -> None:
-    """Print how the command ended; a bad end also under ``--quiet``."""
+    """Print the result of the command; an error is also printed under ``--quiet``."""
     if session().quiet and not good:
         note(text)
     else:
@@ -62,7 +62,7 @@ def verdict(text: object, *, good: bool) -> None:
 
 
 def flag(option: str) -> str:
-    """Name an option as it is written on the command line."""
+    """Option as it is written on the command line."""
     name, space, rest = option.partition(" ")
     one = declared(Options, Reading).get(name)
     typed = session().flags.get(name) or (one.flag if one else f"--{name.replace('_', '-')}")
@@ -90,7 +90,7 @@ def fault(found: Finding) -> None:
 
 
 def folded(problems: Sequence[Finding]) -> list[Finding]:
-    """Join directions with one cause and one remedy to one line that names some of them."""
+    """Join directions with the same cause and remedy in one line with some of their names."""
     groups: dict[object, list[Finding]] = {}
     for k, p in enumerate(problems):
         groups.setdefault((p.file, p.message, p.remedy) if p.code in DIRECTIONS else k, []).append(p)
@@ -98,7 +98,7 @@ def folded(problems: Sequence[Finding]) -> list[Finding]:
 
 
 def _places(group: Sequence[Finding]) -> str:
-    """Some places with their common beginning once, and the number of the others."""
+    """First places without repetition of their common beginning, and the number of the other places."""
     first = [p.place for p in group[:NAMED]]
     same = takewhile(lambda letters: len(set(letters)) == 1, zip(*first, strict=False))
     alike = "".join(letters[0] for letters in same)
@@ -178,7 +178,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], 
 
 
 def _least(name: str, cells: Sequence[str], *, text: bool) -> int:
-    """Least width of a column: whole numbers; of text, its words."""
+    """Least width of a column: numbers are not broken, text is broken between words."""
     from rich.cells import cell_len
 
     if not text:
@@ -203,7 +203,7 @@ def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], left: int, lea
 
 
 def _print_records(console: Console, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print each row on lines of its own: its first cell, then name and value of the others."""
+    """Print each row on several lines: its first cell, then name and value of the other cells."""
     from rich.text import Text
 
     lines = []

@@ -31,7 +31,7 @@ SHRINKING = 0.9
 
 
 def iterations_left(log: Sequence[IterationRecord]) -> int | None:
-    """Further iterations at the present rate of convergence; None without an estimate."""
+    """Estimated number of further iterations at the present rate of convergence; None if unknown."""
     from fg_orient.adjustment.loop import STEP_TOLERANCE
     from fg_orient.adjustment.stages import stages_left
 
@@ -52,7 +52,7 @@ def _same(one: float, other: float) -> bool:
 
 
 def describe(log: Sequence[IterationRecord], image_points: int) -> str:
-    """Iteration, step, rate and, where it can be said, the time left."""
+    """Iteration, step, rate and, if known, the time left."""
     last, words = log[-1], [f"iteration {log[-1].iteration}", f"step {log[-1].step:.1e}"]
     if last.seconds > 0.0:
         words.append(f"{image_points * last.iteration / last.seconds:,.0f} image points/s")

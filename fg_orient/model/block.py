@@ -228,7 +228,7 @@ class Block:
         return all(image.sensor.georeferenced for image in self.images)
 
     def image_index(self, image_id: str) -> int:
-        """Position of the image with this id."""
+        """Index of the image with this id."""
         return [image.id for image in self.images].index(image_id)
 
     def find(self, name: str) -> tuple[str, int] | None:

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 
 class CellKey(NamedTuple):
-    """Where a number stands in the published tables; fields that do not apply are empty.
+    """Position of a number in the published tables; fields that do not apply are empty.
 
-    The words are those of the tables under ``fg_orient/studies/published``: for instance
+    The values are those of the tables under ``fg_orient/studies/published``: for instance
     ``CellKey("4.28", "5", "bundle", "1", "gcp", "rmse_x", "pivot_inverse")``.
     """
 

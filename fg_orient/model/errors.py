@@ -135,7 +135,7 @@ def _agreeing(part: str, data: Mapping[str, Any]) -> str:
 
 
 def _filled(part: str, data: Mapping[str, Any]) -> bool:
-    """Tell if no field of a part of a message is empty; other parts are not shown."""
+    """True if no field of a part of a message is empty; a part with an empty field is not shown."""
     return not any(data[name] in ("", None, []) for name in _fields(part))
 
 
@@ -181,7 +181,7 @@ def _entered(table: str) -> str:
 
 
 def _plain(item: Any) -> Any:
-    """A value that JSON can hold: numbers, text, lists of them, shortened; anything else as text."""
+    """Value for JSON: numbers, text, shortened lists of them; any other value as text."""
     item = item.item() if hasattr(item, "item") and getattr(item, "ndim", 0) == 0 else item
     if isinstance(item, (list, tuple)):
         return [_plain(one) for one in item[:_MOST]]

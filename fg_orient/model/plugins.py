@@ -44,7 +44,7 @@ def _imported(path: Path) -> ModuleType:
     module = sys.modules[path.stem] = module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:  # a script that ends itself would end the command as if it were good
+    except (Exception, SystemExit) as error:  # a script that calls exit would end the command without an error
         del sys.modules[path.stem]
         value = error if isinstance(error, FgOrientError) else told(error)
         raise InputError.of("plugin.failed", file=path, place=_line(error, path), value=value) from error
@@ -68,7 +68,7 @@ def raised_in(error: BaseException, file: str) -> str:
 
 
 def told(error: BaseException) -> str:
-    """Kind and words of an exception on one line."""
+    """Class and text of an exception on one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
