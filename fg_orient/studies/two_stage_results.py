@@ -45,7 +45,7 @@ class PreAdjustment:
         Raw units; ``design`` is A, ``observed`` is -w.
     solution : LinearSolution
     dP : (k,) array
-        EOP corrections, nan if the solver broke down.
+        EOP corrections in the order of ``eop_codes``, nan if the solver broke down.
     delta : (r,) array
         ``A dP + w``.
     repeats : int
@@ -70,7 +70,7 @@ class TwoStageResult:
     v : (r,) array
         Residuals of the look angles psi_y, psi_x per image point, rad.
     dP : (M, k) array
-        Total EOP corrections.
+        Total EOP corrections of each image in the order of ``eop_codes``.
     accuracy : AxisErrors
         nan where the solver broke down.
     n_observations, n_unknowns : int

@@ -79,7 +79,7 @@ def test_an_altered_cell_is_found_by_the_command_and_text_is_escaped(
     folder, out = copied("terlemezoglu2019"), tmp_path / "out"
     path = folder / "eq-4-01-to-06-counts.csv"
     text = path.read_text("utf-8")
-    path.write_text(text.replace("188,188,63,", "189,188,63,<b>&", 1), "utf-8")
+    path.write_text(text.replace("188,1,188,63,", "189,1,188,63,<b>&", 1), "utf-8")
     before = json.loads(run("reproduce", "terlemezoglu2019", *QUICK, "--out", out, "--json").stdout)["rows"]
     done = run("reproduce", "terlemezoglu2019", *QUICK, "--published", folder, "--out", out, "--overwrite", "--json")
     after = json.loads(done.stdout)["rows"]
