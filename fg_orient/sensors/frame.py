@@ -262,7 +262,7 @@ class FrameSensor(Sensor):
         )  # fmt: skip
 
     def records(self, line: npt.ArrayLike, sample: npt.ArrayLike, origin_m: Array | None = None) -> Array:
-        """Constants of the camera's frame equation for N image points, unwhitened: (N, 24) or (N, 26).
+        """Constants of the camera's frame equation for N image points, unwhitened: (N, 26).
 
         ``origin_m`` (3,): local origin of the ground unknowns (default 0).
         """

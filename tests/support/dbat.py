@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from factors.cameras.frame_camera import CAMERA
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.closerange.photo import PhotoInterior
@@ -190,10 +191,10 @@ def photo_values(solved: Problem, state: State, q: Cofactors, k: int) -> dict[st
     p, sensor = solved.parameters[k], solved.block.images[k].sensor
     correction = solved.models[k].correction(solved.unknowns(state, k))
     found = sensor.camera.corrected(correction)
-    angles, turns = opk_of_rotation(found[:9].reshape(3, 3))
-    values = [*np.degrees(angles), *found[9:12]]
+    angles, turns = opk_of_rotation(found[CAMERA.rotation].reshape(3, 3))
+    values = [*np.degrees(angles), *found[CAMERA.centre]]
     of = np.zeros((6, len(p)))  # rows: omega, phi, kappa (deg), X, Y, Z; the camera's J leads from unknowns to turns
-    by = np.degrees(turns @ found[20:29].reshape(3, 3))
+    by = np.degrees(turns @ found[CAMERA.jacobian].reshape(3, 3))
     for j, (name, sigma) in enumerate(zip(p.names, p.sigma, strict=True)):
         if name in ROTATION:
             of[:3, j] = by[:, ROTATION.index(name)] * sigma
