@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.cofactors import ReducedCofactors, SummedSystem
+from fg_orient.adjustment.cofactors import WHOLE_LIMIT, ReducedCofactors, SummedSystem
 from fg_orient.adjustment.dense import DenseSystem
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.problem import Problem, State
@@ -164,6 +164,9 @@ class GraphCofactors(ReducedCofactors):
 
         self._marginals, self._named = gtsam.Marginals(linear, zero), bool(named_points(problem))
         super().__init__(problem, SummedSystem(state, lambda damping: self))
+        if not self._named and problem.first[-1] <= WHOLE_LIMIT:
+            # GTSAM finds some systems indeterminate only in the joint elimination of all images: the points need it
+            self._of(tuple(range(problem.n_images)))
 
     def points(self, index: Index) -> Array:
         """See :class:`Cofactors`."""

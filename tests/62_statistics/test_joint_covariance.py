@@ -41,13 +41,14 @@ def expected(solution: Solution) -> np.ndarray:
         columns[at.image_slice(1)][roll] * p[1].sigma[roll], columns[at.point_slice(j)],
         columns[at.image_slice(0)] * p[0].sigma[:, None], columns[at.point_slice(j)][2],
     ])  # fmt: skip
-    # x = -N^-1 A^T e, adjusted observation = -A x, residual = e + A x, all of errors e of the rows
+    # residual = adjusted minus observed, so an error e of the rows gives x = -N^-1 A^T e, the adjusted observation A x
+    # and the residual e + A x
     of_errors = -full.unknowns @ full.design.T
     to_x = unknowns @ of_errors
     pick = np.zeros((2, n))
     pick[[0, 1], [2 * row, 2 * row + 1]] = sigma
-    to_adjusted = pick @ (-full.design @ of_errors)
-    to_residual = pick @ (-np.eye(n) - full.design @ of_errors)
+    to_adjusted = pick @ full.design @ of_errors
+    to_residual = pick @ (np.eye(n) + full.design @ of_errors)
     k = len(p[0])
     maps = np.vstack([to_x[:4], to_x[4 : 4 + k], to_adjusted, to_residual, to_x[-1:]])
     return np.asarray(maps @ maps.T)
