@@ -9,7 +9,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from tests.support.general_adjustment import gauss_helmert, gauss_markov
+import fg_orient as fg
+from fg_orient.studies.general import gauss_helmert, gauss_markov
 
 N = 12
 
@@ -140,6 +141,23 @@ def test_an_observation_of_cofactor_zero_is_a_constant() -> None:
 
     found = gauss_helmert(closed, np.array([60.0, 60.0, 60.6]), np.zeros(0), cofactors=np.array([0.0, 1.0, 1.0]))
     assert np.allclose(found.v, [0.0, -0.3, -0.3])
+    with pytest.raises(fg.NoSolutionError, match="conditions depend on each other"):
+        gauss_helmert(closed, np.array([60.0, 60.0, 60.6]), np.zeros(0), cofactors=np.zeros(3))
+
+
+@pytest.mark.behaviour
+def test_dependent_and_too_few_conditions_are_refused() -> None:
+    def twice(l_: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return np.full(2, l_.sum()), np.zeros((2, 0)), np.ones((2, 3))
+
+    def one(l_: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return l_[:1] + x.sum(), np.ones((1, 2)), np.array([[1.0, 0.0]])
+
+    with pytest.raises(fg.NoSolutionError) as caught:
+        gauss_helmert(twice, np.ones(3), np.zeros(0))
+    assert caught.value.problems[0].code == "classical.dependent_conditions"
+    with pytest.raises(fg.InputError, match="too few for 2 unknowns"):
+        gauss_helmert(one, np.ones(2), np.zeros(2))
 
 
 @pytest.mark.oracle
@@ -217,7 +235,7 @@ def test_cofactors_by_monte_carlo() -> None:
 
 
 @pytest.mark.truth
-def test_without_redundancy_there_is_no_m0() -> None:
+def test_without_redundancy_there_is_no_m0_and_a_reason() -> None:
     def exact(l_: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return np.array([l_[0] * x[0] - 6.0]), np.array([[l_[0]]]), np.array([[x[0]]])
 
@@ -225,6 +243,7 @@ def test_without_redundancy_there_is_no_m0() -> None:
     assert found.converged
     assert (found.x[0], found.v[0]) == (pytest.approx(3.0, rel=1e-14), 0.0)
     assert (found.redundancy, found.m0) == (0, None)
+    assert "no redundancy" in found.m0_missing
 
 
 @pytest.mark.behaviour
@@ -233,3 +252,27 @@ def test_no_convergence_is_said(rng: np.random.Generator) -> None:
     found = gauss_helmert(line, observed, np.zeros(2), max_iterations=1)
     assert not found.converged
     assert "no convergence within 1 iteration" in found.reason
+
+
+@pytest.mark.behaviour
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"start": np.zeros(3)}, "classical.function"),
+        ({"observed": np.ones(2 * N + 1)}, "classical.function"),
+        ({"weights": np.zeros(2 * N)}, "classical.not_definite"),
+        ({"weights": np.full(2 * N, 1e-320)}, "classical.not_definite"),
+        ({"cofactors": np.full(2 * N, -1.0)}, "classical.not_definite"),
+        ({"cofactors": -np.eye(2 * N)}, "classical.not_definite"),
+        ({"cofactors": 2.0 - np.eye(2 * N)}, "classical.not_definite"),
+        ({"weights": np.ones(3)}, "classical.weights"),
+        ({"start": np.full(2, np.nan)}, "classical.vector"),
+        ({"solver": "none_such"}, "linear.solver"),
+        ({"max_iterations": -1}, "options.value"),
+    ],
+)
+def test_bad_input_is_refused(change: dict[str, object], code: str) -> None:
+    given: dict[str, object] = {"observed": np.arange(2.0 * N), "start": np.zeros(2), **change}
+    with pytest.raises(fg.InputError) as caught:
+        gauss_helmert(lambda l_, x: line(l_[: 2 * N], x[:2]), **given)
+    assert [p.code for p in caught.value.problems] == [code]

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 import fg_orient as fg
-from tests.support.general_adjustment import gauss_markov
+from fg_orient.studies.general import gauss_markov
 
 TIMES = np.linspace(0.0, 3.0, 14)
 
@@ -115,11 +115,12 @@ def test_weights_of_one_variance_change_nothing_but_the_scale(observed: np.ndarr
 
 
 @pytest.mark.truth
-def test_without_redundancy_there_is_no_m0() -> None:
+def test_without_redundancy_there_is_no_m0_and_a_reason() -> None:
     found = gauss_markov(lambda x: (x**3, np.diag(3.0 * x**2)), np.array([8.0, 27.0]), np.array([1.5, 4.0]))
     assert found.converged
     assert np.allclose(found.x, [2.0, 3.0], rtol=1e-14)
     assert (found.redundancy, found.m0) == (0, None)
+    assert "no redundancy" in found.m0_missing
     assert np.abs(found.cofactors_v).max() < 1e-15
 
 
@@ -151,3 +152,53 @@ def test_no_convergence_is_said(observed: np.ndarray) -> None:
     assert not found.converged
     assert "no convergence within 1 iteration" in found.reason
     assert gauss_markov(decay, observed, np.array([4.0, 0.5, 0.0])).reason == "the step is below the tolerance"
+
+
+@pytest.mark.behaviour
+def test_start_and_observations_are_left_alone(observed: np.ndarray) -> None:
+    start, copy = np.array([4.0, 0.5, 0.0]), observed.copy()
+
+    def spoiling(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        out = decay(x)
+        x[:] = np.nan
+        return out
+
+    gauss_markov(spoiling, observed, start)
+    assert np.array_equal(start, [4.0, 0.5, 0.0])
+    assert np.array_equal(observed, copy)
+
+
+@pytest.mark.behaviour
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"weights": np.ones(14), "cofactors": np.ones(14)}, "classical.weights_twice"),
+        ({"weights": np.ones(13)}, "classical.weights"),
+        ({"weights": np.full(14, np.nan)}, "classical.weights"),
+        ({"weights": np.zeros(14)}, "classical.not_definite"),
+        ({"weights": -np.eye(14)}, "classical.not_definite"),
+        ({"weights": np.ones((14, 14))}, "classical.not_definite"),
+        ({"cofactors": np.tri(14)}, "classical.not_definite"),
+        ({"cofactors": np.zeros(14)}, "classical.not_definite"),
+        ({"cofactors": np.ones((14, 14))}, "classical.not_definite"),
+        ({"observed": np.full(14, np.inf)}, "classical.vector"),
+        ({"observed": np.ones((14, 1))}, "classical.vector"),
+        ({"start": np.array([np.nan, 0.0])}, "classical.vector"),
+        ({"start": np.zeros(0)}, "classical.redundancy"),
+        ({"start": np.zeros(3)}, "classical.function"),
+        ({"observed": np.ones(1)}, "classical.redundancy"),
+        ({"solver": "none_such"}, "linear.solver"),
+        ({"max_iterations": 0}, "options.value"),
+    ],
+)
+def test_bad_input_is_refused(change: dict[str, object], code: str) -> None:
+    given: dict[str, object] = {"observed": np.ones(14), "start": np.zeros(2), **change}
+    with pytest.raises(fg.InputError) as caught:
+        gauss_markov(lambda x: line(x[:2]), **given)
+    assert [p.code for p in caught.value.problems] == [code]
+
+
+@pytest.mark.behaviour
+def test_values_that_are_not_finite_are_no_solution() -> None:
+    with pytest.raises(fg.NoSolutionError, match="not finite"):
+        gauss_markov(lambda x: (np.full(3, np.nan), np.ones((3, 1))), np.ones(3), np.zeros(1))

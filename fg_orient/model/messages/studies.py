@@ -136,6 +136,23 @@ linear.result_shape: the solver must give {unknowns} real numbers
     -> correct the solver's function
 linear.result_not_finite: the solver gives values that are not finite
     -> the system is singular for it
+classical.weights_twice: weights and cofactors exclude each other
+    -> give one of them; Q_ll = W^-1
+classical.weights: there must be {count} finite numbers, or a finite matrix of {count} rows and columns
+    -> give one per observation
+classical.not_definite: weights must be symmetric and positive definite, cofactors symmetric without negative
+    eigenvalues
+    -> leave out observations without weight; weights are 1/sigma^2, cofactors sigma^2
+classical.vector: this must be a vector of finite numbers
+    -> give an array of one dimension
+classical.function: the function must give arrays of the shapes {expected}
+    -> see its documentation
+classical.function_not_finite: the function gives values that are not finite
+    -> start nearer to the solution, or look for a division by zero
+classical.redundancy: too few for {unknowns} unknowns, or none
+    -> add observations or conditions, or take fewer unknowns
+classical.dependent_conditions: conditions depend on each other, or hold no observation that can move
+    -> leave out those that follow from others; an observation of cofactor 0 cannot fulfil a condition
 classical.one_image: the published procedure needs at least two images
     -> use fg-orient adjust for a single one
 classical.bundle: no such bundle adjustment

@@ -1,4 +1,4 @@
-"""Test oracle: adjustment of indirect observations (Gauss-Markov) and of conditions with unknowns (Gauss-Helmert).
+"""General adjustments: indirect observations (Gauss-Markov) and conditions with unknowns (Gauss-Helmert).
 
 Notation of Terlemezoğlu 2019, sections 2.6 and 2.7: ``Q_ll = W^-1``, ``Q_xx = N^-1``, ``m0`` the standard
 deviation of unit weight. Both minimise v^T W v by iterated linearisation. The sources give no
@@ -27,11 +27,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from factors._contract import Array
 from fg_orient.adjustment.linear.registry import solve
 from fg_orient.adjustment.linear.system import LinearSystem
+from fg_orient.model.declaration import declared
+from fg_orient.model.errors import InputError, NoSolutionError
+from fg_orient.model.options import Options
 
 EPS = float(np.finfo(np.float64).eps)
 #: A change that no longer shrinks is rounding if it is below this multiple of the rounding of the misclosure.
@@ -40,7 +43,7 @@ ROUNDING = 1e3
 
 @dataclass(frozen=True)
 class Adjustment:
-    """Result of :func:`gauss_markov` or :func:`gauss_helmert`.
+    """Result of :func:`~fg_orient.studies.general.gauss_markov` or ``gauss_helmert``.
 
     Parameters
     ----------
@@ -84,8 +87,13 @@ class Adjustment:
 
     @property
     def m0(self) -> float | None:
-        """``sqrt(v^T W v / f)``; None without redundancy."""
+        """``sqrt(v^T W v / f)``; None without redundancy, see :attr:`m0_missing`."""
         return float(np.sqrt(self.weighted_squares / self.redundancy)) if self.redundancy else None
+
+    @property
+    def m0_missing(self) -> str:
+        """Reason why there is no m0; "" if there is one."""
+        return "" if self.redundancy else "no redundancy: residuals are zero whatever the observations are"
 
     @property
     def correlations(self) -> Array:
@@ -106,11 +114,63 @@ def _correlations(cofactors: Array, rows: Array, columns: Array) -> Array:
 
 
 def _cofactor_matrix(n: int, weights: Array | None, cofactors: Array | None) -> Array:
-    """Q_ll (n, n) from weights or cofactors, each (n,) or (n, n); unit weights if neither is given."""
+    """Q_ll (n, n) from weights or cofactors, each (n,) or (n, n); unit weights if neither is given.
+
+    Raises
+    ------
+    InputError
+        Both are given; a wrong shape; a value that is not finite; a matrix that is not symmetric; weights that are not
+        positive definite; cofactors with a negative eigenvalue.
+    """
+    if weights is not None and cofactors is not None:
+        raise InputError.of("classical.weights_twice", place="weights, cofactors")
+    name = "weights" if weights is not None else "cofactors"
+    given = next((np.asarray(a, dtype=np.float64) for a in (weights, cofactors) if a is not None), np.ones(n))
+    if given.shape not in ((n,), (n, n)) or not np.isfinite(given).all():
+        raise InputError.of("classical.weights", place=name, value=f"shape {given.shape}", count=n)
+    if given.ndim == 1:
+        least = np.finfo(np.float64).tiny if weights is not None else 0.0  # 1/W of a smaller weight overflows
+        if (given < least).any():
+            raise InputError.of("classical.not_definite", place=name, value=float(given.min()))
+        return np.diag(1.0 / given if weights is not None else given)
+    scale = np.abs(given).max()
+    if np.abs(given - given.T).max() > 1e-12 * scale:
+        raise InputError.of("classical.not_definite", place=name, value="not symmetric")
     if weights is not None:
-        return np.linalg.inv(weights if np.ndim(weights) == 2 else np.diag(weights))
-    given = np.ones(n) if cofactors is None else cofactors
-    return given if given.ndim == 2 else np.diag(given)
+        try:
+            return np.asarray(cho_solve(cho_factor(given, lower=True), np.eye(n)))
+        except np.linalg.LinAlgError:
+            raise InputError.of("classical.not_definite", place=name, value="no Cholesky factor") from None
+    lowest = float(np.linalg.eigvalsh(given)[0])
+    if lowest < -n * EPS * scale:
+        raise InputError.of("classical.not_definite", place=name, value=f"eigenvalue {lowest:.3g}")
+    return given
+
+
+def _as_vector(values: Array, name: str) -> Array:
+    """Copy a vector; raise InputError unless it is one-dimensional and finite."""
+    vector: Array = np.array(values, dtype=np.float64)
+    if vector.ndim != 1 or not np.isfinite(vector).all():
+        raise InputError.of("classical.vector", place=name, value=f"shape {vector.shape}")
+    return vector
+
+
+def _called(
+    function: Callable[..., tuple[Array, ...]], arguments: tuple[Array, ...], wanted: tuple[int, ...]
+) -> list[Array]:
+    """Value and Jacobians of the user's function; their number, shapes and values are checked.
+
+    ``wanted`` contains the length of the value (-1: any), then the number of columns of each Jacobian.
+    """
+    arrays = [np.asarray(a, dtype=np.float64) for a in function(*(a.copy() for a in arguments))]
+    rows = arrays[0].size if wanted[0] < 0 else wanted[0]
+    shapes = [(rows,), *((rows, width) for width in wanted[1:])]
+    if [a.shape for a in arrays] != shapes:
+        seen = ", ".join(str(a.shape) for a in arrays)
+        raise InputError.of("classical.function", place="function", value=seen, expected=", ".join(map(str, shapes)))
+    if not all(np.isfinite(a).all() for a in arrays):
+        raise NoSolutionError.of("classical.function_not_finite", place="function")
+    return arrays
 
 
 def _spectrum(design: Array) -> tuple[int, Array, Array, tuple[str, ...]]:
@@ -159,16 +219,30 @@ def gauss_markov(
     solver, max_iterations, tolerance
         As in :func:`gauss_helmert`.
 
+    Raises
+    ------
+    InputError
+        Arrays that do not fit; fewer observations than unknowns; unknown solver.
+    NoSolutionError
+        The function gives values that are not finite, or the solver breaks down.
     """
+    observed, start = _as_vector(observed, "observed"), _as_vector(start, "start")
+    n, u = len(observed), len(start)
+    if not u or n < u:
+        raise InputError.of("classical.redundancy", place="observed", value=n, unknowns=u)
+    q_ll = _cofactor_matrix(n, weights, cofactors)
+    try:
+        np.linalg.cholesky(q_ll)
+    except np.linalg.LinAlgError:
+        raise InputError.of("classical.not_definite", place="cofactors", value="no Cholesky factor") from None
 
     def conditions(at: Array, x: Array) -> tuple[Array, Array, Array]:
-        value, jacobian = function(x)
-        return value - at, jacobian, -np.eye(len(at))
+        value, jacobian = _called(function, (x,), (n, u))
+        return value - at, jacobian, -np.eye(n)
 
     return gauss_helmert(
-        conditions, observed, start, weights=weights, cofactors=cofactors, solver=solver,
-        max_iterations=max_iterations, tolerance=tolerance,
-    )  # fmt: skip
+        conditions, observed, start, cofactors=q_ll, solver=solver, max_iterations=max_iterations, tolerance=tolerance
+    )
 
 
 @dataclass(frozen=True)
@@ -209,8 +283,18 @@ def gauss_helmert(
         Stop when steps of the unknowns, changes of the residuals and the values of F, all whitened, are
         below this share of the norm of the whitened residuals (or are rounding).
 
+    Raises
+    ------
+    InputError
+        Arrays that do not fit; fewer conditions than unknowns; unknown solver.
+    NoSolutionError
+        Conditions that depend on each other; values that are not finite; the solver breaks down.
     """
-    x, q_ll = start.copy(), _cofactor_matrix(len(observed), weights, cofactors)
+    observed, x = _as_vector(observed, "observed"), _as_vector(start, "start")
+    q_ll = _cofactor_matrix(len(observed), weights, cofactors)
+    option = declared(Options)["max_iterations"]
+    if not option.allows(max_iterations):
+        raise InputError.of("options.value", place=option.name, value=max_iterations, expected=option.expected)
     sigma = np.sqrt(np.diag(q_ll))
     varies = sigma > 0.0
     change, converged, notes, v = math.inf, False, tuple[str, ...](), np.zeros(len(observed))
@@ -247,10 +331,15 @@ def _linearise(
 ) -> _Linearised:
     """Evaluate the conditions at the adjusted observations and whiten them."""
     adjusted = observed + v
-    value, design, d_observed = function(adjusted, x)
+    value, design, d_observed = _called(function, (adjusted, x), (-1, len(x), len(observed)))
+    if len(value) < max(len(x), 1):
+        raise InputError.of("classical.redundancy", place="conditions", value=len(value), unknowns=len(x))
     spread = q_ll @ d_observed.T
     m = d_observed @ spread
     scale = np.sqrt(np.diag(m))
+    # rounding dominates the Cholesky factor of conditions with a correlation of 1 - eps
+    if not scale.all() or np.linalg.eigvalsh(m / np.outer(scale, scale))[0] <= len(m) * EPS:
+        raise NoSolutionError.of("classical.dependent_conditions", place="conditions", value=len(m))
     root: Array = np.asarray(np.linalg.cholesky(m), dtype=np.float64)
     size = (np.abs(d_observed) @ np.abs(adjusted) + np.abs(design) @ np.abs(x)) / scale
     white = [solve_triangular(root, a, lower=True) for a in (value, design, spread.T)]
