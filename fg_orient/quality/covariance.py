@@ -164,8 +164,8 @@ class GraphCofactors(ReducedCofactors):
 
         self._marginals, self._named = gtsam.Marginals(linear, zero), bool(named_points(problem))
         super().__init__(problem, SummedSystem(state, lambda damping: self))
-        if not self._named and problem.first[-1] <= WHOLE_LIMIT:
-            # GTSAM finds some systems indeterminate only in the joint elimination of all images: the points need it
+        if problem.first[-1] <= WHOLE_LIMIT:
+            # GTSAM finds some systems indeterminate only in the joint elimination of all images, not in that of one
             self._of(tuple(range(problem.n_images)))
 
     def points(self, index: Index) -> Array:
@@ -181,7 +181,7 @@ class GraphCofactors(ReducedCofactors):
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """See :class:`Cofactors`."""
-        return self.covariance(images, points) if self._named else super().joint(images, points)
+        return self.covariance(images, points) if self._named and points else super().joint(images, points)
 
     def covariance(self, images: tuple[int, ...], points: tuple[int, ...] = ()) -> Array:
         """Joint cofactors of images, then unknown points, by GTSAM."""

@@ -9,10 +9,10 @@ import pytest
 from scipy.optimize import least_squares
 
 import fg_orient as fg
-from factors.conditions.control import POINT
+from factors.conditions.control import CONTROL_POINT, POINT
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.problem import Problem, State, compile_problem
-from fg_orient.model.block import Block
+from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.names import Role
 from tests.support.full_statistics import Full, step_of_numpy
 from tests.support.published_rays import misses_m
@@ -151,10 +151,15 @@ def test_points_one_by_one_equal_the_dense_inverse(twin: Block) -> None:
 
 
 @pytest.mark.behaviour
-def test_indeterminate_covariance_is_unavailable_with_a_reason(twin: Block) -> None:
+@pytest.mark.parametrize("named", [False, True], ids=["", "extra observation of a point"])
+def test_indeterminate_covariance_is_unavailable_with_a_reason(twin: Block, named: bool) -> None:
     """One control and two check points, no priors: solvable, but GTSAM's Cholesky gives no covariance."""
     keep = [int(twin.points.where(Role.CONTROL)[0]), *(int(j) for j in twin.points.where(Role.CHECK)[:2])]
     small = replace(twin, observations=twin.observations.take(np.isin(twin.observations.point, keep)))
+    if named:
+        record = np.concatenate([1e-3 * np.eye(3).ravel(), np.zeros(3)])
+        place = (f"point:{twin.points.ids[keep[1]]}",)
+        small = replace(small, extra=(ExtraObservation(CONTROL_POINT, place, record, np.zeros((2, 0)), 3, "own"),))
     solution = fg.adjust(small, eop_set=2, priors=False)
     assert solution.cofactors is None
     assert "no covariance" in str(solution.unavailable[0])
