@@ -18,9 +18,6 @@ import numpy as np
 from factors._contract import Array, Equation, check_blocks
 from factors.split import Split
 
-ErrorFunction = Callable[[Any, Any, Any], Array]
-
-
 Unknown = int | Array | Split
 
 
@@ -55,11 +52,8 @@ def factor(
     hard : bool
         The residual must vanish: sigma 0. GTSAM then eliminates by QR.
 
-    Raises
-    ------
-    ValueError
-        At creation if nothing is unknown; at evaluation if the kernel returns arrays of wrong
-        number, shape or type, or values that are not finite.
+    Raises ValueError at creation if nothing is unknown; at evaluation for arrays of wrong number, shape or type, and
+    for values that are not finite.
     """
     parts = [u.keys if isinstance(u, Split) else (int(u),) for u in unknowns if not isinstance(u, np.ndarray)]
     keys = list(itertools.chain(*parts))
@@ -76,6 +70,34 @@ def factor(
     function = _general(equation, unknowns, sizes, record, setup, label, n_residuals)
     noise = gtsam.noiseModel.Constrained.All(n_residuals) if hard else _noise(n_residuals, loss)
     return gtsam.CustomFactor(noise, keys, function)
+
+
+def eliminated_factor(
+    keys: Sequence[int], sizes: Sequence[int], evaluate: Callable[[Any, bool], tuple[Array, Array]], *, label: str
+) -> gtsam.CustomFactor:
+    """Factor between image vectors of these sizes only, n unknowns: eliminated ground points with all their rays.
+
+    Parameters
+    ----------
+    evaluate : callable
+        Error (n + 2,) and Jacobian (n + 2, n) with ``J^T J``, ``J^T e``, ``|e|^2 / 2`` the reduced normal matrix, its
+        gradient and the cost, from GTSAM's values and whether J is wanted; the error must not depend on the latter.
+    label : str
+        Named in every message.
+    """
+    ends = list(itertools.accumulate(sizes, initial=0))
+    n = ends[-1]
+
+    def error(_this: Any, values: Any, jacobians: Any) -> Array:
+        value, jacobian = evaluate(values, jacobians is not None)
+        if value.shape != (n + 2,) or jacobian.shape != (n + 2, n) or not np.isfinite(value).all():
+            raise ValueError(f"{label}: error {value.shape}, Jacobian {jacobian.shape} of {n} unknowns, or nan")
+        if jacobians is not None:
+            for k, (lo, hi) in enumerate(itertools.pairwise(ends)):
+                jacobians[k] = jacobian[:, lo:hi]
+        return value
+
+    return gtsam.CustomFactor(_noise(n + 2, None), list(keys), error)
 
 
 def _noise(n_residuals: int, loss: Any) -> Any:
@@ -101,8 +123,7 @@ def image_point_factors(
     and keep three numbers of their own: what thousands of callbacks touch must stay in the cache.
     """
     fill, noise, m = equation.fill, _noise(n_residuals, loss), n_residuals
-    if fill is None:
-        raise ValueError(f"equation {equation.name!r} has no fill function")
+    assert fill is not None, f"equation {equation.name!r} has no fill function"
     out = np.zeros((m, size + 4))
     value, j_image, j_point = out[:, 0], out[:, 1 : 1 + size], out[:, 1 + size :]
 
@@ -151,7 +172,7 @@ def _general(
     setup: Array,
     label: str,
     m: int,
-) -> ErrorFunction:
+) -> Callable[[Any, Any, Any], Array]:
     """Build the case of any number of arguments, constants among them."""
     kernel, name, widths = equation.kernel, equation.name, tuple(sizes)
     free = [k for k, u in enumerate(unknowns) if not isinstance(u, np.ndarray)]

@@ -6,6 +6,7 @@ see a point, its cofactors are ``H^-1 + K Q K^T``, and its joint cofactors with 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
@@ -179,8 +180,20 @@ def _part(problem: Problem, state: State, places: slice, points: Index, first: I
     w = problem.control_weights(points[known])
     normal[known] += np.swapaxes(w, 1, 2) @ w
     inverse, free = np.zeros_like(normal), problem.active[points]
-    inverse[free] = np.linalg.inv(normal[free])
+    inverse[free] = _inverses(normal[free])
     return _Part(places, points, first, rows, image, d_image, d_ground, inverse)
+
+
+def _inverses(normal: Array) -> Array:
+    """Inverses of matrices (n, 3, 3); nan where one is singular, as of a point that an extra observation determines."""
+    try:
+        return np.asarray(np.linalg.inv(normal))
+    except np.linalg.LinAlgError:
+        out = np.full_like(normal, np.nan)
+        for one, inverse in zip(normal, out, strict=True):
+            with contextlib.suppress(np.linalg.LinAlgError):
+                inverse[:] = np.linalg.inv(one)
+        return out
 
 
 def blocks_of_images(problem: Problem, joint: Callable[[tuple[int, ...]], Array], pairs: Index) -> Array:

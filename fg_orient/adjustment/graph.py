@@ -1,347 +1,190 @@
-"""The graph backend: the problem as a GTSAM factor graph.
+"""The graph backend: image vectors as variables, groups of ground points eliminated inside GTSAM factors.
 
-One CustomFactor per image point links the image's coefficient vector to the ground point. Control points and priors are
-GTSAM's own prior factors, with the weights of ``factors.conditions.control``. GTSAM linearises, eliminates (points
-first, then images: the Schur complement as an ordering) and retracts; ``fg_orient.adjustment.loop`` drives it.
+Each factor holds a group of ground points with all their rays (:mod:`fg_orient.adjustment.eliminated`) and links the
+images that see them. Priors are GTSAM's prior factors; an extra observation of images is a factor of its own. GTSAM's
+Gauss-Newton, Levenberg-Marquardt or Dogleg solve this graph (:mod:`fg_orient.adjustment.optimisers`).
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from factors.conditions.control import POINT
-from factors.graph import factor, image_point_factors
-from factors.split import Split
-from fg_orient.adjustment.image_models import groups
-from fg_orient.adjustment.loop import share_at_radius
-from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.robust import Robust, ScaledLoss, squares
+from factors.graph import eliminated_factor
+from fg_orient.adjustment.eliminated import Elimination, GroupRows
+from fg_orient.adjustment.explicit import (
+    ExplicitBackend,
+    ExplicitSystem,
+    add_image_priors,
+    build_graph,
+    extra_factor,
+    point_key,
+    vector_keys,
+)
+from fg_orient.adjustment.problem import Problem, State, schur_possible
+from fg_orient.adjustment.robust import Robust
+from fg_orient.adjustment.schur import SchurSystem
 from fg_orient.model.block import ExtraObservation
-from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-#: GTSAM's own optimisers copy all values at each callback: refused above this many image points.
-NATIVE_LIMIT = 300
 
-
-def image_key(k: int) -> int:
-    """GTSAM key of an image's coefficient vector."""
-    return int(gtsam.symbol("e", k))
-
-
-def point_key(j: int) -> int:
-    """GTSAM key of a ground point."""
-    return int(gtsam.symbol("p", j))
-
-
-def shared_key(g: int) -> int:
-    """GTSAM key of the unknowns that images share under the g-th id."""
-    return int(gtsam.symbol("c", g))
-
-
-def vector_keys(problem: Problem) -> list[tuple[int, slice]]:
-    """GTSAM vectors of the images, with their parts of ``Problem.image_vector``; none of length zero."""
-    first, m = problem.first if problem.ties is None else problem.ties.part, problem.n_images
-    keys = [image_key(k) if k < m else shared_key(k - m) for k in range(len(first) - 1)]
-    parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(first)]
-    return [(key, part) for key, part in zip(keys, parts, strict=True) if part.stop > part.start]
-
-
-def image_unknown(problem: Problem, k: int) -> int | Split | Array:
-    """Argument of a factor for the vector of an image: key, several keys with shared unknowns, or an empty vector."""
-    ties, size = problem.ties, len(problem.parameters[k])
-    if not size:
-        return np.zeros(0)
-    if ties is None:
-        return image_key(k)
-    of, parts = ties.of[slice(*problem.first[k : k + 2])], []
-    for key, part in vector_keys(problem):
-        columns = np.flatnonzero((of >= part.start) & (of < part.stop))
-        if len(columns):
-            parts.append((key, columns, of[columns] - part.start, part.stop - part.start))
-    if len(parts) == 1 and parts[0][3] == size:
-        return parts[0][0]
-    return Split(*(tuple(values) for values in zip(*parts, strict=True)))
-
-
-def build_graph(problem: Problem, image_loss: Any = None, control_loss: Any = None) -> gtsam.NonlinearFactorGraph:
-    """One factor per image point, control point and image prior; losses are GTSAM's (``noiseModel.mEstimator``)."""
-    graph = gtsam.NonlinearFactorGraph()
-    _add_image_points(graph, problem, image_loss)
-    _add_priors(graph, problem, control_loss)
+def named_points(problem: Problem) -> npt.NDArray[np.bool_]:
+    """Unknown ground points (N,) that extra observations name."""
+    named = np.zeros(len(problem.active), bool)
     for extra in problem.block.extra:
-        graph.add(_extra_factor(extra, problem))
-    return graph
+        for argument in problem.extra_arguments(extra):
+            if not argument.is_image and argument.constant is None:
+                named[argument.index] = True
+    return named
 
 
-def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss: Any) -> None:
-    """Add one factor per image point, point by point: neighbours in the graph share a ground point.
-
-    Values, records and linear factors of one point then lie together in memory.
-    """
-    o, models = problem.observations, problem.models
-    order = np.argsort(o.point, kind="stable")
-    records = np.ascontiguousarray(problem.records[order])
-    rows = order.tolist()
-    makers: dict[int, Callable[[int, int, int], gtsam.CustomFactor]] = {}
-    for images in groups(models):
-        equation, parameters = models[images[0]].equation, models[images[0]].parameters
-        if equation.fill is None:  # general factors below
-            continue
-        make = image_point_factors(
-            equation, len(parameters), records, parameters.setup, lambda n: problem.label(rows[n]), loss=loss
-        )
-        makers |= dict.fromkeys(images, make)
-    image_keys = [image_unknown(problem, i) for i in range(problem.n_images)]
-    key, last = 0, -1
-    for n, row in enumerate(rows):
-        i, j = int(o.image[row]), int(o.point[row])
-        if j != last:
-            key, last = point_key(j), j
-        own = image_keys[i]
-        if problem.active[j] and isinstance(own, int) and i in makers:
-            graph.add(makers[i](own, key, n))
-        elif problem.active[j] or not isinstance(own, np.ndarray):
-            point = key if problem.active[j] else np.ascontiguousarray(problem.start.ground[j])
-            setup = models[i].parameters.setup
-            graph.add(factor(
-                models[i].equation, (own, point), (setup.shape[1], 3), records[n], setup,
-                label=problem.label(row), loss=loss,
-            ))  # fmt: skip
-
-
-def _extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.CustomFactor:
-    """Factor of an extra observation."""
-    unknowns: list[int | Array | Split] = []
-    arguments = problem.extra_arguments(extra)
-    for argument in arguments:
-        if argument.constant is not None:
-            unknowns.append(argument.constant)
-        else:
-            unknowns.append(image_unknown(problem, argument.index) if argument.is_image else point_key(argument.index))
-    return factor(
-        extra.equation, unknowns, [a.size for a in arguments], extra.record, problem.extra_setup(extra),
-        label=extra.label, n_residuals=extra.n_residuals,
-    )  # fmt: skip
-
-
-def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss: Any) -> None:
-    for j in np.flatnonzero(problem.observed):
-        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.SqrtInformation(problem.control_weights(int(j)))
-        if loss is not None:
-            noise = gtsam.noiseModel.Robust.Create(loss, noise)
-        graph.addPriorPoint3(point_key(int(j)), problem.control_records[j, POINT.place], noise)
-    if problem.block.options.priors:
-        for key, part in vector_keys(problem):
-            k = part.stop - part.start
-            graph.addPriorVector(key, np.zeros(k), gtsam.noiseModel.Unit.Create(k))
-
-
-@dataclass
-class GraphStep:
-    """A GTSAM step; see ``loop.Step``."""
-
-    data: gtsam.VectorValues
-    length: float
-    predicted_error: float
-
-
-class GraphSystem:
-    """One linearisation of the graph; see ``loop.System``."""
-
-    def __init__(self, backend: GraphBackend, values: gtsam.Values) -> None:
-        self._backend = backend
-        self.linear: gtsam.GaussianFactorGraph = backend.graph.linearize(values)
-        quadratic = float(self.linear.error(backend.zero))
-        self.error = quadratic if backend.robust is None else backend.error(values)
-        self._excess = self.error - quadratic
-
-    @property
-    def zero(self) -> gtsam.VectorValues:
-        """Zero values of all unknowns."""
-        return self._backend.zero
-
-    @cached_property
-    def _point_diagonals(self) -> dict[int, Array]:
-        """Diagonal (3,) of the normal equations of each unknown ground point, by key."""
-        _, column, value = self.linear.sparseJacobian_()
-        diagonal: Array = np.bincount(np.asarray(column, np.intp) - 1, weights=np.asarray(value) ** 2).astype(
-            np.float64, copy=False
-        )
-        sizes = {key: self.zero.at(key).size for key in sorted(self._backend.ordering_keys)}
-        ends = np.cumsum(list(sizes.values()))
-        parts = zip(sizes, np.split(diagonal, ends)[: len(sizes)], strict=True)
-        return {key: part for key, part in parts if gtsam.symbolChr(key) == ord("p")}
-
-    def solve(self, damping: float) -> GraphStep:
-        """Eliminate points first, then images; damped on the diagonal, see :meth:`GraphBackend.damping_factors`."""
-        linear, damping = self.linear, max(damping, self._backend.problem.least_damping)
-        if damping > 0.0:
-            linear = gtsam.GaussianFactorGraph()
-            linear.push_back(self.linear)
-            linear.push_back(self._backend.damping_factors(damping, self._point_diagonals))
-        if not self._backend.use_qr:
-            try:
-                # one unknown after the other: a sixth less time than by cliques, in which each point is alone anyway
-                return self._step(linear.eliminateSequential(self._backend.ordering).optimize())
-            except RuntimeError:  # GTSAM's Cholesky fails on well-posed but badly scaled systems; QR does not
-                pass  # Cholesky is tried again next time: an iteration depends only on what is carried
-        return self._step(linear.optimize(self._backend.ordering, gtsam.EliminateQR))
-
-    def dogleg(self, radius: float) -> GraphStep:
-        """Blend of the steepest-descent and the Gauss-Newton step."""
-        newton = self.solve(0.0)
-        if newton.data.norm() <= radius:
-            return newton
-        steepest = self.linear.optimizeGradientSearch()
-        length = steepest.norm()
-        if length >= radius:
-            return self._step(steepest.scale(radius / length))
-        across = newton.data.subtract(steepest)
-        share = share_at_radius(across.squaredNorm(), steepest.dot(across), length, radius)
-        return self._step(steepest.add(across.scale(share)))
-
-    def _step(self, delta: gtsam.VectorValues) -> GraphStep:
-        return GraphStep(delta, float(np.abs(delta.vector()).max()), self._excess + float(self.linear.error(delta)))
-
-
-class GraphBackend:
-    """The problem as a GTSAM graph, driven by ``fg_orient.adjustment.loop``.
-
-    Parameters
-    ----------
-    problem : Problem
-    robust : Robust, optional
-        Losses; they may be replaced between linearisations, but not added or removed.
-    """
-
-    name = "graph"
-
-    def __init__(self, problem: Problem, robust: Robust | None = None) -> None:
-        self.problem, self.robust = problem, robust
-        losses = () if robust is None else (self._estimator("image"), self._estimator("control"))
-        self.graph = build_graph(problem, *losses)
-        # without priors the normal equations may be too ill-conditioned for Cholesky; their rank is known
-        self.use_qr = not problem.block.options.priors
-        self._points = [int(j) for j in np.flatnonzero(problem.active)]
-        self.ordering = gtsam.Ordering()
-        for j in self._points:
-            self.ordering.push_back(point_key(j))
-        self._vectors = vector_keys(problem)
-        self.ordering_keys = [key for key, _ in self._vectors] + [point_key(j) for j in self._points]
-        for key, _ in self._vectors:
-            self.ordering.push_back(key)
-        self.zero = gtsam.VectorValues()
-        for key, part in self._vectors:
-            self.zero.insert(key, np.zeros(part.stop - part.start))
-        for j in self._points:
-            self.zero.insert(point_key(j), np.zeros(3))
-
-    def _estimator(self, kind: str) -> Any:
-        """GTSAM's form of a loss: it looks up the present loss at each call."""
-
-        def loss() -> ScaledLoss:
-            return getattr(self.robust, kind)  # type: ignore[no-any-return]
-
-        whole = gtsam.noiseModel.mEstimator.Base.ReweightScheme.Block
-        return gtsam.noiseModel.mEstimator.Custom(
-            lambda norm: float(loss().weights(float(norm))), lambda norm: float(loss().costs(float(norm))), whole, kind
-        )
-
-    def initial(self) -> gtsam.Values:
-        """Start values."""
-        return self.values(self.problem.start)
-
-    def values(self, state: State) -> gtsam.Values:
-        """GTSAM values of a state."""
-        values = gtsam.Values()
-        vector = self.problem.image_vector(state)
-        for key, part in self._vectors:
-            values.insert(key, vector[part])
-        for j in self._points:
-            values.insertPoint3(point_key(j), state.ground[j])
-        return values
-
-    def state(self, values: gtsam.Values) -> State:
-        """Arrays of GTSAM values."""
-        image = np.concatenate([values.atVector(key) for key, _ in self._vectors])
-        ground = self.problem.start.ground.copy()
-        for j in self._points:
-            ground[j] = values.atPoint3(point_key(j))
-        return State(self.problem.image_matrix(image), ground)
-
-    def linearise(self, state: gtsam.Values) -> GraphSystem:
-        """Linearise at a state."""
-        return GraphSystem(self, state)
-
-    def error(self, state: gtsam.Values) -> float:
-        """Half the weighted sum of squares, or the cost under the losses."""
-        return float(self.graph.error(state))
-
-    def squares(self, state: gtsam.Values) -> tuple[Array, Array]:
-        """See ``robust.RobustBackend``."""
-        return squares(self.problem, self.state(state))
-
-    def retract(self, state: gtsam.Values, step: Any) -> gtsam.Values:
-        """State after a step."""
-        return state.retract(step.data)
-
-    def damping_factors(self, damping: float, diagonal: dict[int, Array]) -> gtsam.GaussianFactorGraph:
-        """Rows that add ``damping`` to the diagonal of the images, and a share of it to the diagonal of the points."""
-        graph = gtsam.GaussianFactorGraph()
-        root, point = np.sqrt(damping), gtsam.noiseModel.Unit.Create(3)
-        share = self.problem.point_damping(damping)
-        for key, part in self._vectors:
-            k = part.stop - part.start
-            image = gtsam.noiseModel.Unit.Create(k)
-            graph.add(gtsam.JacobianFactor(key, root * np.eye(k), np.zeros(k), image))
-        for j in self._points:
-            own = np.sqrt(share * diagonal[point_key(j)])
-            graph.add(gtsam.JacobianFactor(point_key(j), np.diag(own), np.zeros(3), point))
-        return graph
-
-
-def run_native(backend: GraphBackend, optimizer: str, max_iterations: int) -> tuple[gtsam.Values, int, float]:
-    """Run GTSAM's own optimiser with its tolerances at 0: values, iterations, error.
+def _divided(problem: Problem, named: npt.NDArray[np.bool_]) -> tuple[Problem, Problem | None]:
+    """Problem of the points to eliminate, and that of the named points with all that is not a group, if there are any.
 
     Raises
     ------
     InputError
-        More than 300 image points: each callback of a Python factor copies all values there.
+        No point is left to eliminate.
     """
-    n = len(backend.problem.observations)
-    if n > NATIVE_LIMIT:
-        raise InputError.of("adjust.native_limit", option="optimizer", value=optimizer, count=n, limit=NATIVE_LIMIT)
-    kinds = {
-        "native": (gtsam.GaussNewtonParams, gtsam.GaussNewtonOptimizer),
-        "native-levenberg-marquardt": (gtsam.LevenbergMarquardtParams, gtsam.LevenbergMarquardtOptimizer),
-        "native-dogleg": (gtsam.DoglegParams, gtsam.DoglegOptimizer),
-    }
-    make_params, make = kinds[optimizer]
-    params = _zero_tolerances(make_params())
-    params.setMaxIterations(max_iterations)
-    params.setOrdering(backend.ordering)
-    run = make(backend.graph, backend.initial(), params)
-    values, iterations = run.optimize(), int(run.iterations())
-    if optimizer == "native-levenberg-marquardt":
-        # it rejects steps whose decrease is below the rounding of chi2 (about 1e-7 sigma): one more undamped step
-        last = gtsam.GaussNewtonOptimizer(backend.graph, values, _zero_tolerances(gtsam.GaussNewtonParams()))
-        last.iterate()
-        values, iterations = last.values(), iterations + 1
-    return values, iterations, float(backend.error(values))
+    if not named.any():
+        return problem, None
+    ray = named[problem.observations.point]
+    return _part(problem, ~ray, ~named, ()), _part(problem, ray, named, problem.block.extra)
 
 
-def _zero_tolerances(params: Any) -> Any:
-    params.setAbsoluteErrorTol(0.0)
-    params.setRelativeErrorTol(0.0)
-    params.setErrorTol(0.0)
-    return params
+def _part(
+    problem: Problem, rays: npt.NDArray[np.bool_], points: npt.NDArray[np.bool_], extra: tuple[ExtraObservation, ...]
+) -> Problem:  # fmt: skip
+    """Problem with some of the image points, ground points and extra observations; the images stay."""
+    return replace(
+        problem, block=replace(problem.block, extra=extra), observations=problem.observations.take(rays),
+        records=problem.records[rays], active=problem.active & points, observed=problem.observed & points,
+    )  # fmt: skip
+
+
+class GraphBackend:
+    """The problem as a GTSAM graph over its images, and the ground points that extra observations name.
+
+    Parameters
+    ----------
+    problem : Problem
+    threads : int, optional
+        Of the kernels.
+    """
+
+    name = "graph"
+
+    def __init__(self, problem: Problem, threads: int | None = None) -> None:
+        self.problem, named = problem, named_points(problem)
+        #: Ground points that are variables of the graph.
+        self.points = np.flatnonzero(named)
+        reduced, explicit = _divided(problem, named)
+        self.elimination = Elimination(reduced, threads)
+        self.robust: Robust | None = None
+        self._vectors = vector_keys(problem)
+        self._prior = 1.0 if problem.block.options.priors else 0.0
+        #: Factors that are not groups of points: priors, extra observations, and the rays of named points.
+        self.others = gtsam.NonlinearFactorGraph()
+        if explicit is not None:
+            self.others.push_back(build_graph(explicit))
+        else:
+            add_image_priors(self.others, problem)
+            for extra in problem.block.extra:
+                self.others.add(extra_factor(extra, problem))
+        self.graph = gtsam.NonlinearFactorGraph()
+        for g in range(len(self.elimination.groups)):
+            self.graph.add(self._factor(g))
+        self.graph.push_back(self.others)
+        self.ordering = self.graph.orderingCOLAMD()
+
+    def _factor(self, g: int) -> gtsam.CustomFactor:
+        """Factor of a group; it does not refer to this object, which would keep the graph alive for ever."""
+        elimination, vectors = self.elimination, self._vectors
+        group = elimination.groups[g]
+        own = {part.start for n, part in elimination.parts.items() if n in group.vectors}
+        keys = [key for key, part in vectors if part.start in own]
+        sizes = [part.stop - part.start for _, part in vectors if part.start in own]
+        n_unknowns = vectors[-1][1].stop
+
+        def everything(values: Any) -> Array:
+            free = np.full(n_unknowns, np.nan)
+            for key, part in vectors:
+                if values.exists(key):
+                    free[part] = values.atVector(key)
+            return free
+
+        def evaluate(values: Any, accepted: bool) -> tuple[Array, Array]:
+            x = np.concatenate([values.atVector(key) for key in keys])
+            rows = elimination.rows(g, x, lambda: everything(values), accepted=accepted)
+            return rows.error, rows.jacobian
+
+        images = ", ".join(self.problem.block.images[k].id for k in group.images[:3].tolist())
+        return eliminated_factor(keys, sizes, evaluate, label=f"group {g} (images {images} ...)")
+
+    def factors_of_point(self, j: int) -> list[gtsam.NonlinearFactor]:
+        """Factor of the group that holds the rays of ground point j."""
+        s = self.elimination.backend.structure
+        place = int(np.flatnonzero(s.number == j)[0])
+        return [
+            self.graph.at(g) for g, group in enumerate(self.elimination.groups)
+            if group.places[0] <= place < group.places[1]
+        ]  # fmt: skip
+
+    def values(self, state: State) -> gtsam.Values:
+        """GTSAM values of a state; the eliminated ground points become the start of the next intersections."""
+        values, vector = gtsam.Values(), self.problem.image_vector(state)
+        for key, part in self._vectors:
+            values.insert(key, vector[part])
+        for j in self.points.tolist():
+            values.insertPoint3(point_key(j), state.ground[j])
+        self.elimination.start_at(vector, state.ground)
+        return values
+
+    def free(self, values: gtsam.Values) -> Array:
+        """Image unknowns (u,) of GTSAM values."""
+        return np.concatenate([values.atVector(key) for key, _ in self._vectors])
+
+    def state(self, values: gtsam.Values, *, complete: bool = False) -> State:
+        """State of values that were evaluated last; see :meth:`Elimination.state`."""
+        state = self.elimination.state(self.free(values), complete=complete)
+        for j in self.points.tolist():
+            state.ground[j] = values.atPoint3(point_key(j))
+        return state
+
+    def rows(self) -> tuple[GroupRows, ...]:
+        """Rows of all groups where they were evaluated last."""
+        return self.elimination.last_rows()
+
+    def linear_model(self, rows: Sequence[GroupRows], before: gtsam.Values, after: gtsam.Values) -> tuple[float, float]:
+        """Cost after a step as the linear model of the groups predicts it, and the gradient of everything along it.
+
+        The cost of the other factors is the actual one.
+        """
+        step = self.free(after) - self.free(before)
+        moves = [step[group.free] for group in self.elimination.groups]
+        cost = sum(own.cost_along(move) for own, move in zip(rows, moves, strict=True))
+        along = sum(float(own.error @ (own.jacobian @ move)) for own, move in zip(rows, moves, strict=True))
+        gradient, delta = self.others.linearize(before).gradientAtZero(), before.localCoordinates(after)
+        keys = {key for n in range(self.others.size()) for key in self.others.at(n).keys()}
+        along += sum(float(gradient.at(key) @ delta.at(key)) for key in sorted(keys))
+        return cost + float(self.others.error(after)), along
+
+    def squares(self, state: State) -> tuple[Array, Array]:
+        """See ``robust.RobustBackend``; image points in the order of the structure."""
+        return self.elimination.backend.squares(state)
+
+    def linearise(self, state: State) -> SchurSystem | ExplicitSystem:
+        """Linearise at a solution, for cofactors: the arrays where the Schur backend takes the block, else all rows."""
+        if not schur_possible(self.problem.block):
+            explicit = ExplicitBackend(self.problem)
+            explicit.robust = self.robust
+            return explicit.linearise(explicit.values(state))
+        self.elimination.release()
+        self.elimination.backend.robust = self.robust
+        return self.elimination.backend.linearise(state)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+import numpy.typing as npt
+
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.base import ImageModel
 
@@ -31,6 +34,11 @@ def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel,
     if wrong:
         raise InputError.of("parameters.unknown", place="image_unknowns", value=", ".join(wrong))
     return models
+
+
+def local_origin(images: Sequence[Image]) -> npt.NDArray[np.float64]:
+    """Origin (3,) of the ground unknowns, ECEF m: mean of the image centres on the ground."""
+    return np.asarray(np.mean([image.sensor.centre_m for image in images], axis=0))
 
 
 def groups(models: Sequence[ImageModel]) -> list[list[int]]:

@@ -199,7 +199,8 @@ class Course(Generic[S]):
         return LoopResult(state, error, self.carried.log, converged, end)
 
 
-def _exhausted(max_iterations: int) -> Finding:
+def exhausted(max_iterations: int) -> Finding:
+    """End at the maximum number of iterations."""
     return finding("loop.iterations", iterations=max_iterations)
 
 
@@ -209,11 +210,12 @@ def share_at_radius(across_squared: float, steepest_dot_across: float, length: f
     return (-b + math.sqrt(b * b - across_squared * c)) / across_squared
 
 
-def _small(step: float, previous: float, tolerance: float, shrink: float) -> bool:
+def small(step: float, previous: float, tolerance: float, shrink: float) -> bool:
+    """Whether a step is below the tolerance, or is rounding and no longer shrinks."""
     return step < tolerance or (step < ROUNDING_STEP and step > shrink * previous)
 
 
-def _settled(step: float, previous: float, tolerance: float) -> bool:
+def settled(step: float, previous: float, tolerance: float) -> bool:
     """Whether the next step, at this rate of shrinking and with a margin of ten, would be below the tolerance."""
     rate = step / previous if 0.0 < previous < math.inf else 1.0
     return rate < 0.1 and 10.0 * step * rate < tolerance
@@ -238,8 +240,8 @@ def gauss_newton(
     for _ in course.remaining(max_iterations):
         carried, step = course.carried, system.solve(0.0)
         state = backend.retract(carried.state, step)
-        last = _small(step.length, carried.previous, tolerance, shrink)
-        last = last or _settled(step.length, carried.previous, tolerance)
+        last = small(step.length, carried.previous, tolerance, shrink)
+        last = last or settled(step.length, carried.previous, tolerance)
         following = None if last else backend.linearise(state)
         error = following.error if following else backend.error(state)
         course.assess(system.error, error, step, 0.0, always=True)
@@ -250,7 +252,7 @@ def gauss_newton(
             return course.end(state, error, rising == 0, SMALL if rising == 0 else finding("loop.last_step"))
         system = following
         course.go_on(state=state, previous=step.length, rising=rising)
-    return course.end(course.carried.state, system.error, False, _exhausted(max_iterations))
+    return course.end(course.carried.state, system.error, False, exhausted(max_iterations))
 
 
 @dataclass(frozen=True)
@@ -362,11 +364,11 @@ def _controlled(
                 return course.end(carried.state, system.error, False, finding("loop.no_step"))
             course.go_on(control=control, growth=growth, rejected=carried.rejected + 1)
             continue
-        if _arrived(system, course.carried.log, _small(step.length, carried.previous, tolerance, shrink)):
+        if _arrived(system, course.carried.log, small(step.length, carried.previous, tolerance, shrink)):
             return course.end(trial, error, True, SMALL)
         system = backend.linearise(trial)
         course.go_on(state=trial, control=control, growth=growth, previous=step.length, rejected=0)
-    return course.end(course.carried.state, system.error, False, _exhausted(max_iterations))
+    return course.end(course.carried.state, system.error, False, exhausted(max_iterations))
 
 
 Optimizer = Callable[..., LoopResult[Any]]

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from factors.conditions.control import POINT
 from factors.geometry import ellipsoid
 from fg_orient import geodesy
-from fg_orient.adjustment.image_models import image_models
+from fg_orient.adjustment.image_models import image_models, local_origin
 from fg_orient.adjustment.rows import residuals, whitened_records
 from fg_orient.adjustment.ties import Ties, ties_of
 from fg_orient.model.block import Block, ExtraObservation, ImagePoints
@@ -343,7 +343,7 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
     _require_finite(block, observations, control_rows)
     if not block.georeferenced and any(image.sensor.georeferenced for image in block.images):
         raise InputError.of("frame.mixed", file=block.name, place="images")
-    origin = np.asarray(np.mean([image.sensor.centre_m for image in block.images], axis=0))
+    origin = local_origin(block.images)
     known = block.points.known
     start_ecef = known.ecef_m.copy()
     same = np.full(len(observations), -1) if like is None else unchanged_rows(like, block, observations)

@@ -135,13 +135,19 @@ class Stages:
             raise Singular(f"point {problem.block.points.ids[s.number[p]]} is not determined by its rays")
 
     def chunks(
-        self, lo: int, hi: int, rows: TileRows, state: State, wide: Array | None, damping: float, b: Buffers
+        self, lo: int, hi: int, rows: TileRows, state: State, wide: Array | None, damping: float, b: Buffers,
+        pairs: bool = True,
     ) -> None:  # fmt: skip
-        """Eliminate the ground points of chunks lo to hi; with ``wide`` their rows are computed and weighted before."""
+        """Eliminate the ground points of chunks lo to hi; with ``wide`` their rows are computed and weighted before.
+
+        Without ``pairs`` only the blocks of the points are computed, for their own steps.
+        """
         s = self.structure
         if wide is not None:
             self._weighted_rows(lo, hi, rows, state, wide, b)
         self.points(int(s.chunk_places[lo]), int(s.chunk_places[hi]), rows, state, damping, b)
+        if not pairs:
+            return
         pair_blocks(
             lo, hi, s.chunks, s.pieces, s.slots, s.slot_begin, s.image, s.n_basis, s.n_components, s.basis,
             rows.tile.points[0], rows.d_image, b.scaled, b.sums, b.gradients,

@@ -165,7 +165,11 @@ class Structure:
         return out
 
 
-def compile_structure(problem: Problem) -> Structure:
+#: Places at which a chunk must begin, from the image points of the places and their images.
+Fences = Callable[[Small, Small], Index]
+
+
+def compile_structure(problem: Problem, fences: Fences | None = None) -> Structure:
     """Sort and index a problem."""
     row, image, point, first = _sorted(problem)
     number = point[first[:-1]]
@@ -181,7 +185,10 @@ def compile_structure(problem: Problem) -> Structure:
         wide[g.images, :k], scale[g.images, :k] = g.columns.wide, g.columns.scale
         _write_basis(problem, row, g, basis)
     numbers = int(n_basis.max() * n_components.max()) ** 2
-    pieces, chunks, slots = _chunks(first, image, free, problem.n_images, numbers)
+    fence = np.zeros(len(free), np.int8)
+    if fences is not None:
+        fence[fences(first, image)] = 1
+    pieces, chunks, slots = _chunks(first, image, free, fence, problem.n_images, numbers)
     chunk_places = np.append(pieces[chunks[:-1], 1], len(number)).astype(np.int32)
     pairs = np.append(pieces[1:, 4], _entries(pieces)) - pieces[:, 4]
     cost = np.concatenate([[0], np.cumsum((pairs + RAY_COST * pieces[:, 3]) * pieces[:, 2])])[chunks]
@@ -235,21 +242,22 @@ def _write_basis(problem: Problem, row: Small, group: Group, basis: Array) -> No
 
 
 def _chunks(
-    first: Small, image: Small, free: npt.NDArray[np.int8], n_images: int, numbers: int
+    first: Small, image: Small, free: npt.NDArray[np.int8], fence: npt.NDArray[np.int8], n_images: int, numbers: int
 ) -> tuple[Index, Index, dict[str, Any]]:  # fmt: skip
     """Pieces (Q, 5), the first of each chunk and their number (N + 1,), and their :func:`_slots`.
 
     The number of chunks is reduced where their sums, ``numbers`` for each slot, would need more memory than the rows:
-    where neighbouring points are seen by different images.
+    where neighbouring points are seen by different images. A chunk begins at each ``fence``.
     """
     total = int(first[-1])
     limit = min(max(total // CHUNKS, LEAST_CHUNK), MOST_CHUNK)
     space, begin = np.zeros((len(free), 5), np.int64), np.zeros(len(free) + 1, np.int64)
     while True:
-        n_pieces, n_chunks = batch_sort.cut_pieces(first, image, free, limit, space, begin)
+        n_pieces, n_chunks = batch_sort.cut_pieces(first, image, free, fence, limit, space, begin)
         pieces, chunks = space[:n_pieces].copy(), begin[: n_chunks + 1].copy()
         slots = _slots(pieces, chunks, image, free, n_images)
-        if n_chunks <= LEAST_CHUNKS or len(slots["slot_own"]) * numbers * 8 <= max(SUMS * total, LEAST_SUMS):
+        few = n_chunks <= max(LEAST_CHUNKS, int(fence.sum()) + 1)
+        if few or len(slots["slot_own"]) * numbers * 8 <= max(SUMS * total, LEAST_SUMS):
             return pieces, chunks, slots
         limit *= 2
 

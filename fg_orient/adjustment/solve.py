@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -19,7 +19,6 @@ from fg_orient.adjustment.irls import DIMENSIONS, RULES, CycleResult, cycles_on_
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import (
     OPTIMIZERS,
-    ROUNDING_STEP,
     SHRINK,
     SHRINK_REWEIGHTED,
     STEP_TOLERANCE,
@@ -49,16 +48,15 @@ from fg_orient.model.options import Backend
 if TYPE_CHECKING:
     from fg_orient.adjustment.cofactors import SummedSystem
     from fg_orient.adjustment.dense import DenseSystem
-    from fg_orient.adjustment.graph import GraphBackend, GraphSystem
+    from fg_orient.adjustment.explicit import ExplicitSystem
     from fg_orient.adjustment.schur import SchurSystem
 
 Array = npt.NDArray[np.float64]
 S = TypeVar("S")
 
-#: GTSAM's own optimisers, for equality tests on small blocks.
-NATIVE = ("native", "native-levenberg-marquardt", "native-dogleg")
-#: Image points up to which "auto" uses the graph if the Schur system is singular: each requires 13 kB.
-GRAPH_FALLBACK = 100_000
+#: Image points up to which a graph with a factor for each is built where eliminated points give a singular system:
+#: it takes 13 kB for each.
+EXPLICIT_LIMIT = 100_000
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,7 @@ class Estimate:
         Weighted sum of squares; under a loss with the weights at the state held fixed.
     backend, solver : str
         "graph", "schur" or "dense"; linear solver of the dense backend, else "".
-    linear : GraphSystem, SchurSystem, DenseSystem or SummedSystem
+    linear : ExplicitSystem, SchurSystem, DenseSystem or SummedSystem
         The undamped linearisation at the state, for cofactors.
     structure_s, solve_s : float
         Wall-clock seconds of compilation and optimisation.
@@ -90,7 +88,7 @@ class Estimate:
     iterations: int
     backend: str
     solver: str
-    linear: GraphSystem | SchurSystem | DenseSystem | SummedSystem
+    linear: ExplicitSystem | SchurSystem | DenseSystem | SummedSystem
     structure_s: float
     solve_s: float
     weights: Weights | None = None
@@ -121,13 +119,13 @@ def solve(
     checkpoint : Checkpoint, optional
         File for the state of the run, from which it can continue. The caller removes it after the end.
     start : State, optional
-        Start instead of the problem's; GTSAM's own optimisers ignore it.
+        Start instead of the problem's.
 
     Raises
     ------
     InputError
-        Unknown backend, optimiser, solver or loss; too many image points for a native optimiser, or unknowns for the
-        dense backend; a block that the Schur backend refuses; a checkpoint of another problem.
+        Unknown backend, optimiser, solver or loss; too many unknowns for the dense backend; a block that the Schur
+        backend refuses; a checkpoint of another problem.
     NoSolutionError
         The equations become singular or not finite.
     KeyboardInterrupt
@@ -149,23 +147,31 @@ def solve(
 
 
 def suitable_backend(block: Block) -> Backend:
-    """Backend of the options; for "auto" the Schur backend where possible, else the graph.
-
-    Blocks without priors get the graph: its QR does not square the condition number.
-    """
+    """Backend of the options; for "auto" the graph, or the Schur backend for a free datum, which needs its damping."""
     options = block.options
     if options.backend != "auto":
         return options.backend
-    regular = options.priors or options.datum == "free"
-    possible = regular and options.optimizer in OPTIMIZERS and schur_possible(block)
-    return "schur" if possible else "graph"
+    return "schur" if options.datum == "free" and schur_possible(block) else "graph"
+
+
+def eliminates_points(problem: Problem) -> bool:
+    """Whether the graph eliminates points inside its factors; else it has one factor for each image point.
+
+    Without priors the normal equations may be too ill-conditioned for it: GTSAM's QR of the rows does not square the
+    condition. Under a loss the rays of points that extra observations name would need weights of their own.
+    """
+    options, block = problem.block.options, problem.block
+    if not (options.priors or options.datum == "free"):
+        return False
+    if schur_possible(block):
+        return True
+    arguments = [a for extra in block.extra for a in problem.extra_arguments(extra)]
+    named = {a.index for a in arguments if not a.is_image and a.constant is None}
+    return options.loss == NONE and len(named) < len(np.unique(problem.observations.point))
 
 
 def require_possible(options: Options) -> None:
     """Raise InputError for unknown losses and options that exclude each other."""
-    if options.optimizer in NATIVE and options.backend in ("dense", "schur"):
-        known = ", ".join(OPTIMIZERS)
-        raise InputError.of("adjust.native_dense", option="optimizer", value=options.optimizer, known=known)
     _require_robust(options)
     if options.gnc and options.loss not in SCHEDULES:
         raise InputError.of("adjust.gnc", option="gnc", value=options.loss, known=", ".join(SCHEDULES))
@@ -181,8 +187,6 @@ def _require_robust(options: Options) -> None:
         if mad or resections:
             raise InputError.of("adjust.needs_loss", option=wish, value=getattr(options, wish))
         return
-    if options.optimizer in NATIVE:
-        raise InputError.of("adjust.native_loss", option="optimizer", value=options.optimizer)
     if options.loss not in RULES:
         find_loss(options.loss)
         if options.gnc and (mad or resections):
@@ -239,7 +243,13 @@ class _Job:
         """Record the time at the end of a phase."""
         self._marks.append(working_clock())
 
-    def optimise(self, backend: Any, to_state: Callable[[S], State], of_state: Callable[[State], S]) -> LoopResult[S]:
+    def optimise(
+        self,
+        backend: Any,
+        to_state: Callable[[S], State],
+        of_state: Callable[[State], S],
+        optimizers: Mapping[str, Any] = OPTIMIZERS,
+    ) -> LoopResult[S]:
         """Run the optimiser on a backend; ``to_state`` and ``of_state`` convert its states for the checkpoint."""
         options = self.options
         first: Carried[Any] = self._first
@@ -253,7 +263,8 @@ class _Job:
                 self._checkpoint.keep(self.problem, self.backend, replace(carried, state=to_state(carried.state)))
 
         def run(start: Carried[S], max_iterations: int, tolerance: float) -> LoopResult[S]:
-            return OPTIMIZERS[options.optimizer](
+            optimise: Callable[..., LoopResult[S]] = optimizers[options.optimizer]
+            return optimise(
                 backend, start, max_iterations, self._callback, tolerance,
                 shrink=SHRINK if backend.robust is None else SHRINK_REWEIGHTED, keep=keep,
             )  # fmt: skip
@@ -282,18 +293,21 @@ class _Job:
 
 
 def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:
-    """Run the backend; under "auto" the graph with its QR follows a singular Schur backend."""
+    """Run the backend; an explicit graph with its QR follows where eliminated points give a singular system."""
     if schur is not None:
         job.backend = "schur"
         return _run_schur(job, schur)
+    run = {"dense": _run_dense, "schur": _run_schur, "graph": _run_graph}[job.backend]
+    if job.backend == "graph" and not eliminates_points(job.problem):
+        return _run_explicit(job)
     try:
-        return {"dense": _run_dense, "schur": _run_schur, "graph": _run_graph}[job.backend](job)
+        return run(job)
     except RuntimeError:
-        few = len(job.problem.observations) <= GRAPH_FALLBACK
-        if (job.options.backend, job.backend) != ("auto", "schur") or not few:
+        few = len(job.problem.observations) <= EXPLICIT_LIMIT
+        if not few or (job.backend != "graph" and job.options.backend != "auto"):
             raise
     job.start_again("graph")
-    return _run_graph(job)
+    return _run_explicit(job)
 
 
 def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Estimate:
@@ -331,25 +345,28 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
 
 
 def _run_graph(job: _Job) -> Estimate:
-    """Build the graph, optimise, linearise at the end."""
+    """Build the graph of images, let GTSAM optimise, linearise at the end."""
     from fg_orient.adjustment.graph import GraphBackend
+    from fg_orient.adjustment.optimisers import GTSAM_OPTIMIZERS
 
-    backend = GraphBackend(job.problem, job.robust())
+    backend = GraphBackend(job.problem)
     job.mark()
-    native = job.options.optimizer in NATIVE
-    result = _native(backend, job.options) if native else job.optimise(backend, backend.state, backend.values)
+    with one_blas_thread():
+        result = job.optimise(backend, _same, _same, GTSAM_OPTIMIZERS)
+        job.mark()
+        linear = backend.linearise(result.state)
+    return job.estimate(backend, result, result.state, linear)
+
+
+def _run_explicit(job: _Job) -> Estimate:
+    """Build the graph of images and points, optimise, linearise at the end."""
+    from fg_orient.adjustment.explicit import ExplicitBackend
+
+    backend = ExplicitBackend(job.problem, job.robust())
+    job.mark()
+    result = job.optimise(backend, backend.state, backend.values)
     job.mark()
     return job.estimate(backend, result, backend.state(result.state), backend.linearise(result.state))
-
-
-def _native(backend: GraphBackend, options: Options) -> LoopResult[Any]:
-    """Run GTSAM's own optimiser. It does not report convergence: one more undamped step decides."""
-    from fg_orient.adjustment.graph import run_native
-
-    values, iterations, error = run_native(backend, options.optimizer, options.max_iterations)
-    remaining = backend.linearise(values).solve(0.0).length
-    end = finding("loop.small_step_of_native", step=remaining)
-    return LoopResult(values, error, (), remaining < ROUNDING_STEP, end, iterations)
 
 
 def _run_dense(job: _Job) -> Estimate:

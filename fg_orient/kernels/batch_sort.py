@@ -73,15 +73,18 @@ def arrange(
 
 @few_in_python
 @threaded
-def cut_pieces(first: Small, image: Small, free: Flags, limit: int, pieces: Index, chunks: Index) -> tuple[int, int]:
+def cut_pieces(
+    first: Small, image: Small, free: Flags, fences: Flags, limit: int, pieces: Index, chunks: Index
+) -> tuple[int, int]:  # fmt: skip
     """Write the pieces (P, 5) and the first piece of each chunk (P + 1,); returns both numbers.
 
-    A chunk begins at each point whose first image point reaches a multiple of ``limit``.
+    A chunk begins at each point with a fence (P,), and at each point whose first image point reaches a multiple of
+    ``limit``.
     """
     n_pieces, n_chunks, entries = 0, 0, 0
     for p in range(len(first) - 1):
         rays = first[p + 1] - first[p]
-        fresh = p == 0 or first[p] // limit != first[p - 1] // limit
+        fresh = p == 0 or fences[p] != 0 or first[p] // limit != first[p - 1] // limit
         same = not fresh and rays == first[p] - first[p - 1] and (free[p] == 0) == (free[p - 1] == 0)
         if same:
             for k in range(rays):

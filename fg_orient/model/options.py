@@ -13,9 +13,7 @@ CheckPoints = Literal["use", "exclude"]
 RpcCompensation = Literal["shift", "shift_drift", "affine"]
 Datum = Literal["control", "priors", "inner", "free"]
 Backend = Literal["auto", "graph", "schur", "dense"]
-Optimizer = Literal[
-    "gauss-newton", "levenberg-marquardt", "dogleg", "native", "native-levenberg-marquardt", "native-dogleg"
-]
+Optimizer = Literal["gauss-newton", "levenberg-marquardt", "dogleg"]
 RobustStart = Literal["none", "huber", "lms", "lts"]
 RobustScale = Literal["prior", "mad"]
 SnoopKind = Literal["groups", "points"]
@@ -109,8 +107,8 @@ class Options:
     )
     backend: Backend = option(
         "auto", ADJUSTMENT,
-        "Least-squares engine: on arrays (schur), GTSAM (graph), full matrices (dense). auto: schur where it is "
-        "possible, else graph; dense: up to 2000 unknowns.",
+        "Least-squares engine: GTSAM's optimisers on a factor graph (graph), our own loop on arrays (schur), full "
+        "matrices (dense). auto: graph, but schur for a free datum; dense: up to 2000 unknowns.",
     )
     solver: str | None = option(
         None, ADJUSTMENT,
@@ -119,7 +117,7 @@ class Options:
     )
     optimizer: Optimizer = option(
         "gauss-newton", ADJUSTMENT,
-        "Optimiser. The native ones are GTSAM's own: they need the graph and keep no checkpoint.",
+        "Optimiser: GTSAM's own with the graph backend, ours with the others.",
         recorded=True,
     )
     loss: str = option(

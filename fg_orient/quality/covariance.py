@@ -10,6 +10,7 @@ metres (points); ``fg_orient.quality.joint`` converts them to physical units. Po
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -33,6 +34,10 @@ Index = npt.NDArray[np.intp]
 #: relative rounding error of a cofactor, about eps cond, exceeds 1e-3. GTSAM's Cholesky fails much earlier on some
 #: well-posed systems (a condition of 3e4 was seen); the standard deviations given here are then correct and large.
 CONDITION_LIMIT = 1e12
+#: Points named by extra observations beyond which one inverse replaces GTSAM's joint marginals of each point, and the
+#: largest number of unknowns of this inverse: 32 MB.
+MANY_POINTS = 32
+INVERTED = 2000
 
 
 class Indeterminate(Exception):
@@ -162,7 +167,9 @@ class GraphCofactors(ReducedCofactors):
     ) -> None:
         import gtsam
 
-        self._marginals, self._named = gtsam.Marginals(linear, zero), bool(named_points(problem))
+        named = len(named_points(problem))
+        self._marginals, self._named, self._linear = gtsam.Marginals(linear, zero), bool(named), linear
+        self._inverts = named > MANY_POINTS and problem.n_unknowns <= INVERTED
         super().__init__(problem, SummedSystem(state, lambda damping: self))
         if problem.first[-1] <= WHOLE_LIMIT:
             # GTSAM finds some systems indeterminate only in the joint elimination of all images, not in that of one
@@ -183,13 +190,34 @@ class GraphCofactors(ReducedCofactors):
         """See :class:`Cofactors`."""
         return self.covariance(images, points) if self._named and points else super().joint(images, points)
 
+    @cached_property
+    def _inverse(self) -> Array:
+        """Cofactors of all free unknowns of the images, then of all unknown points."""
+        import gtsam
+        from scipy.linalg import cho_factor, cho_solve
+
+        from fg_orient.adjustment.explicit import point_key, vector_keys
+
+        order = gtsam.Ordering()
+        points = np.flatnonzero(self._problem.active).tolist()
+        for key in (*(key for key, _ in vector_keys(self._problem)), *map(point_key, points)):
+            order.push_back(key)
+        normal = np.asarray(self._linear.hessian(order)[0])
+        length = np.sqrt(np.diag(normal))
+        inverse = cho_solve(cho_factor(normal / np.outer(length, length)), np.eye(len(length)))
+        return np.asarray(inverse / np.outer(length, length))
+
     def covariance(self, images: tuple[int, ...], points: tuple[int, ...] = ()) -> Array:
-        """Joint cofactors of images, then unknown points, by GTSAM."""
-        from fg_orient.adjustment.graph import point_key, vector_keys
+        """Joint cofactors of images, then unknown points: by GTSAM, or from one inverse if many points are named."""
+        from fg_orient.adjustment.explicit import point_key, vector_keys
 
         problem = self._problem
         free = np.arange(problem.n_image_unknowns) if problem.ties is None else problem.ties.of
         wanted = np.concatenate([free[:0], *(free[problem.first[k] : problem.first[k + 1]] for k in images)])
+        if self._inverts:
+            columns = problem.point_columns[[j for j in points if problem.active[j]], None] + np.arange(3)
+            at = np.concatenate([wanted, (columns - problem.n_image_unknowns + problem.n_free_unknowns).ravel()])
+            return np.asarray(self._inverse[np.ix_(at, at)])
         keys, place, n = list[int](), np.full(problem.n_free_unknowns, -1), 0
         for key, part in vector_keys(problem):
             if ((wanted >= part.start) & (wanted < part.stop)).any():

@@ -35,14 +35,14 @@ FORBIDDEN = {
         ["locate", "{left}", "--line", "6000", "--sample", "6000", "--height", "350"],
         (*OPTIONAL, *SCIPY, "gtsam", "pyproj", "erfa", "jinja2", "fg_orient.adjustment", "fg_orient.cli.adjust"),
     ),
-    "adjust": (
-        ["adjust", "{project}", "--out", "{out}"],
-        (*OPTIONAL, *SCIPY, "gtsam", "erfa", "fg_orient.adjustment.graph", "fg_orient.adjustment.parts",
+    "adjust --backend schur": (
+        ["adjust", "{project}", "--out", "{out}", "--backend", "schur"],
+        (*OPTIONAL, *SCIPY, "gtsam", "erfa", "fg_orient.adjustment.explicit", "fg_orient.adjustment.parts",
          "fg_orient.orientation.outlier_search", "fg_orient.orientation.dem_control",
          "fg_orient.adjustment.linear.kappa_graph"),
     ),
-    "adjust --backend graph": (
-        ["adjust", "{project}", "--out", "{out}", "--backend", "graph"],
+    "adjust": (
+        ["adjust", "{project}", "--out", "{out}"],
         (*OPTIONAL, *SCIPY, "erfa", "fg_orient.adjustment.parts", "fg_orient.adjustment.linear.kappa_graph"),
     ),
 }  # fmt: skip
@@ -91,7 +91,7 @@ def test_a_command_loads_only_what_it_uses(name: str, repository: Path, twin: Pa
     assert [module for module in forbidden if module in loaded] == []
     if words[0] == "adjust" and "--help" not in words:
         assert (tmp_path / "out" / "report.html").is_file()
-        assert ("gtsam" in loaded) == ("graph" in words)
+        assert ("gtsam" in loaded) == ("schur" not in words)
 
 
 @pytest.mark.repository

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import fg_orient as fg
 from factors.conditions.control import POINT
 from fg_orient.adjustment.dense import DenseBackend, assemble
-from fg_orient.adjustment.graph import GraphBackend
+from fg_orient.adjustment.explicit import ExplicitBackend
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.schur import SchurBackend
@@ -65,7 +65,7 @@ def largest(problem: Problem, a: State, b: State) -> tuple[float, float]:
 def test_three_backends_end_where_numpy_has_no_step_left(name: str, optimizer: str) -> None:
     """Image unknowns within 1e-9 prior sigma, points within 1e-7 m, chi2 within 1e-11."""
     problem = compile_problem(blocks()[name])
-    loop, graph = OPTIMIZERS[optimizer], GraphBackend(problem)
+    loop, graph = OPTIMIZERS[optimizer], ExplicitBackend(problem)
     a = loop(SchurBackend(problem), problem.start, 50, tolerance=1e-9)
     b = loop(graph, graph.initial(), 50, tolerance=1e-9)
     c = loop(DenseBackend(problem), problem.start, 50, tolerance=1e-9)

@@ -83,7 +83,7 @@ def test_backends_end_where_numpy_has_no_step_left() -> None:
         assert other.chi2 == pytest.approx(graph.chi2, rel=1e-10)
         q = [s.covariance("image:image02").values for s in (other, graph)]
         np.testing.assert_allclose(*q, rtol=1e-5, atol=1e-7 * np.abs(q[1]).max())
-    assert fg.adjust(strip_block()[0]).backend == "schur"  # from 100 image points on, as without them
+    assert fg.adjust(strip_block()[0]).backend == "graph"  # as without them
 
 
 @pytest.mark.oracle

@@ -14,7 +14,7 @@ import fg_orient as fg
 from factors.cameras.pushbroom import RECORD
 from factors.conditions.control import CONTROL_POINT
 from fg_orient.adjustment.dense import DenseBackend, assemble
-from fg_orient.adjustment.graph import GraphBackend
+from fg_orient.adjustment.explicit import ExplicitBackend
 from fg_orient.adjustment.linear.registry import solve as solve_linear
 from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.adjustment.loop import gauss_newton
@@ -64,7 +64,7 @@ def largest_differences(problem: Problem) -> tuple[float, float, float]:
 
     At the end of the dense one numpy's least squares has no step left.
     """
-    dense, graph = DenseBackend(problem), GraphBackend(problem)
+    dense, graph = DenseBackend(problem), ExplicitBackend(problem)
     a = gauss_newton(dense, dense.initial(), 50, tolerance=TOLERANCE)
     b = gauss_newton(graph, graph.initial(), 50, tolerance=TOLERANCE)
     assert a.converged
@@ -122,7 +122,7 @@ def test_equal_with_own_observations(twin: Block) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("optimizer", ["levenberg-marquardt", "dogleg"])
 def test_damped_optimisers_give_the_same(twin: Block, optimizer: str) -> None:
-    base = fg.adjust(twin, eop_set=15, optimizer=optimizer)
+    base = fg.adjust(twin, eop_set=15, optimizer=optimizer, backend="schur")
     dense = fg.adjust(twin, eop_set=15, optimizer=optimizer, backend="dense")
     assert_no_step_left(dense.problem, dense.state)
     assert np.abs(dense.state.image - base.state.image).max() <= 1e-9
@@ -134,7 +134,7 @@ def test_damped_optimisers_give_the_same(twin: Block, optimizer: str) -> None:
 def test_damped_and_dogleg_steps_equal_the_graphs(twin: Block) -> None:
     """Step by step at the start, and numpy's: damping 0.5, radii in the steepest-descent and the blended part."""
     problem = compiled(twin, eop_set=9)
-    dense, graph = DenseBackend(problem), GraphBackend(problem)
+    dense, graph = DenseBackend(problem), ExplicitBackend(problem)
     a, b = dense.linearise(dense.initial()), graph.linearise(graph.initial())
     newton = float(np.linalg.norm(a.solve(0.0).data))
     steepest = b.linear.optimizeGradientSearch().norm()
@@ -320,10 +320,9 @@ def test_values_that_are_not_finite_name_the_observation(twin: Block) -> None:
         ({"solver": "qr"}, "adjust.solver_dense"),
         ({"solver": "qr", "backend": "graph"}, "adjust.solver_dense"),
         ({"solver": "none_such", "backend": "dense"}, "linear.solver"),
-        ({"optimizer": "native", "backend": "dense"}, "adjust.native_dense"),
         ({"optimizer": "newton", "backend": "dense"}, "options.value"),
         ({"backend": "sparse"}, "options.value"),
-        ({"optimizer": "native", "backend": "schur"}, "adjust.native_dense"),
+        ({"optimizer": "native"}, "options.value"),
         ({"solver": "qr", "backend": "schur"}, "adjust.solver_dense"),
         ({"backend": "dense", "solver": ""}, "options.value"),
     ],

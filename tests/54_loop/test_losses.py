@@ -13,7 +13,7 @@ from scipy.stats import chi
 from factors import losses as registry
 from factors.losses import Loss, losses, register
 from fg_orient.adjustment.dense import DenseBackend, assemble
-from fg_orient.adjustment.graph import GraphBackend
+from fg_orient.adjustment.explicit import ExplicitBackend
 from fg_orient.adjustment.loop import OPTIMIZERS, SHRINK_REWEIGHTED, LoopResult
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.robust import (
@@ -123,7 +123,7 @@ def test_backends_step_like_numpy(name: str) -> None:
     """
     problem = spoiled()
     robust, state = scaled(find_loss(name)), away(problem)
-    schur, dense, graph = SchurBackend(problem), DenseBackend(problem), GraphBackend(problem, robust)
+    schur, dense, graph = SchurBackend(problem), DenseBackend(problem), ExplicitBackend(problem, robust)
     schur.robust = dense.robust = robust
     image, ground = largest(
         problem, schur.retract(state, schur.linearise(state).solve(0.0)), after_numpy(problem, state, robust)
@@ -149,7 +149,7 @@ def test_backends_solve_alike(name: str) -> None:
     """Ten reweighted iterations end within 1e-9 prior sigma and 1e-8 m of each other, converged or not."""
     problem = spoiled()
     robust = scaled(find_loss(name))
-    schur, graph = SchurBackend(problem), GraphBackend(problem, robust)
+    schur, graph = SchurBackend(problem), ExplicitBackend(problem, robust)
     schur.robust = robust
     a = OPTIMIZERS["gauss-newton"](schur, problem.start, 10, None, 0.0, shrink=0.0)
     b = OPTIMIZERS["gauss-newton"](graph, graph.initial(), 10, None, 0.0, shrink=0.0)

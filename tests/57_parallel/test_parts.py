@@ -247,8 +247,6 @@ def test_refusals(small: Block, tmp_path: Path) -> None:
     assert code(replace(small, options=replace(small.options, backend="dense")), parts=2) == "parallel.backend"
     assert code(small, parts=2, work_dir=tmp_path / "missing") == "output.unwritable"
     assert code(small, work_dir=tmp_path) == "parallel.no_parts"
-    native = replace(small.options, backend="auto", optimizer="native")
-    assert code(replace(small, options=native), parts=2) == "adjust.native_dense"
 
 
 @pytest.mark.behaviour

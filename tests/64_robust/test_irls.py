@@ -168,5 +168,3 @@ def test_no_loss_of_theirs() -> None:
             adjusted(twin(), loss="lad", **options)
     with pytest.raises(InputError, match="no cost function"):
         fg.adjust(twin(), loss="lad", parts=2)
-    with pytest.raises(InputError, match="least squares only"):
-        fg.adjust(twin(), loss="lad", optimizer="native")

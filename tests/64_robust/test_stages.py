@@ -192,14 +192,21 @@ def test_the_unit_of_the_loss_is_said() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("options", [{"robust_scale": "mad"}, {"robust_start": "lts"}])
 def test_backends_end_where_numpy_has_no_step_left(options: dict[str, str]) -> None:
-    """Graph, Schur, dense and parts take the same way to the same end: 1e-9 prior sigma, scales to 1e-9."""
+    """Schur, dense and parts take the same way to the same end: 1e-9 prior sigma, scales to 1e-9.
+
+    The graph intersects its points anew at each step. Its stages end at other states, and the scale is measured there.
+    """
     block, _ = spoiled(grid(), 0.1, 3)
     wanted = {"loss": "tukey", "max_iterations": 200, **options}
     first = fg.adjust(block, backend="schur", **wanted)  # type: ignore[arg-type]
     assert first.weights is not None
     robust = scaled(losses()["tukey"], first.weights.scale)
     assert step_of_numpy(first.problem, first.state, robust)[0] <= 1e-6
-    for how in ({"backend": "graph"}, {"backend": "dense"}, {"parts": 2}):
+    graph = fg.adjust(block, backend="graph", **wanted)  # type: ignore[arg-type]
+    assert graph.weights is not None
+    assert graph.weights.scale == pytest.approx(first.weights.scale, rel=1e-3)
+    assert step_of_numpy(graph.problem, graph.state, scaled(losses()["tukey"], graph.weights.scale))[0] <= 1e-6
+    for how in ({"backend": "dense"}, {"parts": 2}):
         other = fg.adjust(block, **how, **wanted)  # type: ignore[arg-type]
         assert other.weights is not None
         assert stages(other.log) == stages(first.log)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from fg_orient.adjustment.cofactors import ReducedCofactors
 from fg_orient.adjustment.dense import assemble
-from fg_orient.adjustment.graph import GraphBackend
+from fg_orient.adjustment.explicit import ExplicitBackend
 from fg_orient.adjustment.parts.pool import Execution
 from fg_orient.adjustment.parts.solve import solve_in_parts
 from fg_orient.adjustment.problem import Problem, State, compile_problem
@@ -54,7 +54,7 @@ class Inverse:
 
 
 def all_cofactors(problem: Problem, state: State) -> dict[str, Cofactors | Inverse]:
-    graph = GraphBackend(problem)
+    graph = ExplicitBackend(problem)
     linear = graph.linearise(graph.values(state)).linear
     return {
         "dense": DenseCofactors(problem, assemble(problem, state)[1]),

@@ -35,8 +35,6 @@ adjust.no_model: images of this sensor cannot be adjusted
 adjust.relative_priors: without control points and priors the datum of the block is not defined
     -> keep the priors, or leave out datum = "priors" and measure control points; datum = "free" lets the block
        float
-adjust.native_dense: GTSAM's own optimisers work on the graph only
-    -> choose one of {known}, or the graph backend
 adjust.solver_dense: a linear solver can be chosen for the dense backend only; the backend is {backend}
     -> add <backend> dense, or leave the solver out
 checkpoint.unreadable: this is not a checkpoint of this version
@@ -55,13 +53,47 @@ adjust.few_control: too few control points, or points that two oriented images s
     -> measure {least} or more in the image, or choose robust_start huber
 adjust.cycles: this loss has no cost function
     -> leave gnc, robust_start, robust_scale and parts out, or choose a loss among {known}
-adjust.native_loss: GTSAM's own optimisers are offered for least squares only
-    -> use <optimizer> gauss-newton, levenberg-marquardt or dogleg
+graph.own_optimizer: this is not possible with an optimiser of one's own
+    -> leave it out, or name one of the program's optimisers
+graph.loss: a factor graph holds no robust loss
+    -> leave <loss> out, or put a loss into the noise models of own factors
+graph.no_priors: points cannot be eliminated without priors
+    -> keep the priors, or ask for points = "explicit"
+graph.no_factor: this is neither an ExtraObservation nor a factor of GTSAM
+    -> give a gtsam.NonlinearFactor, or an ExtraObservation
+graph.key: this key is no variable of the block
+    -> take keys from fg.factor_graph(block).key("point:12"), or key("image:left")
+graph.broken_factor: this factor cannot be evaluated: {why}
+    -> check that images are vectors of their unknowns and points Point3, and that its sigmas are not zero
+graph.name: this name has no variable in the graph
+    -> name "image:ID", "shared:ID", or "point:ID" of an unknown point; eliminated points are no variables
+earlier.no_start: there is no earlier result to take the prior from
+    -> add <start>
+earlier.no_image: no image of this block is in the earlier result, which has {value}
+    -> give a result that has images of this block, under the same ids
+earlier.size: the image of the earlier result has another size; here it has {lines} x {samples} pixels
+    -> give a result of the same images, or rename the image
+earlier.unknowns: these unknowns are unknowns of only one of both adjustments
+    -> adjust with the same EOP set and the same options of unknowns as in the earlier run
+earlier.metadata: the metadata file of the image has changed since the earlier run
+    -> bring back the file of the earlier run: corrections refer to it
+earlier.not_converged: the earlier adjustment did not converge, so its covariance is not a prior
+    -> leave <start_prior> out
+earlier.no_covariance: the earlier result has no joint covariance ({name}): it needs <statistics> "full", another
+       datum than "inner", and at most {limit} unknowns of images and control points
+    -> adjust the earlier block again with <statistics> "full", or leave <start_prior> out
+earlier.components: the covariance of the earlier result is given in prior sigmas, which may not be estimated
+    -> leave "priors" out of <variance_components>, or leave <start_prior> out
+earlier.inner: a free network has no prior
+    -> give another <datum>, or leave <start_prior> out
+earlier.check: these check points were control points of the earlier result, so they are no independent check
+    -> make them control points, give a result without them, or leave <start_prior> out
+earlier.shared: this unknown of the image is shared under another id in the earlier result
+    -> give the cameras the same ids as in the earlier run
+earlier.singular: the covariance of the earlier result is not positive definite
+    -> leave <start_prior> out
 adjust.schur: the Schur backend cannot take this block: {value}
     -> choose <backend> graph, or auto
-adjust.native_limit: GTSAM's own optimisers copy all values at each callback of a Python factor and are refused
-    above {limit} image points; the block has {count}
-    -> use <optimizer> gauss-newton, levenberg-marquardt or dogleg (the same linear algebra, driven from Python)
 adjust.rank_deficient: not observable without priors
     -> keep the priors or choose a smaller EOP set
 adjust.rank_without_control: not observable without priors, and the block has no control point
@@ -139,7 +171,11 @@ parallel.lost: the cluster has gone or no longer answers
 parallel.result: this file of an earlier run cannot be read
     -> remove it; its case is then computed again
 loop.small_step (note): the scaled step is below the tolerance
-loop.small_step_of_native (note): GTSAM's own optimiser ended with a step of {step:.1e} left
+loop.small_step_damped (note): Gauss-Newton raised the cost and Levenberg-Marquardt continued; the scaled step is below
+    the tolerance
+loop.given (note): the whitened gradient is near zero at the values given
+loop.gradient_left: the optimiser ended with a Gauss-Newton step of {step:.1e} left, {gradient:.1e} standard deviations
+    -> try <optimizer> levenberg-marquardt, or look for gross errors
 loop.error_rises: the error rises
     -> try <optimizer> levenberg-marquardt
 loop.last_step: the last step raised the error

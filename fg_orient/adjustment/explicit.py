@@ -1,0 +1,315 @@
+"""The explicit graph: one GTSAM factor per image point, one variable per image and ground point.
+
+One CustomFactor per image point links the image's coefficient vector to the ground point. Control points and priors are
+GTSAM's own prior factors, with the weights of ``factors.conditions.control``. GTSAM linearises, eliminates (points
+first, then images: the Schur complement as an ordering) and retracts; ``fg_orient.adjustment.loop`` drives it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from factors.conditions.control import POINT
+from factors.graph import factor, image_point_factors
+from factors.split import Split
+from fg_orient.adjustment.image_models import groups
+from fg_orient.adjustment.loop import share_at_radius
+from fg_orient.adjustment.native import NativeObservation
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.robust import Robust, ScaledLoss, squares
+from fg_orient.model.block import ExtraObservation
+
+Array = npt.NDArray[np.float64]
+
+
+def image_key(k: int) -> int:
+    """GTSAM key of an image's coefficient vector."""
+    return int(gtsam.symbol("e", k))
+
+
+def point_key(j: int) -> int:
+    """GTSAM key of a ground point."""
+    return int(gtsam.symbol("p", j))
+
+
+def shared_key(g: int) -> int:
+    """GTSAM key of the unknowns that images share under the g-th id."""
+    return int(gtsam.symbol("c", g))
+
+
+def vector_keys(problem: Problem) -> list[tuple[int, slice]]:
+    """GTSAM vectors of the images, with their parts of ``Problem.image_vector``; none of length zero."""
+    first, m = problem.first if problem.ties is None else problem.ties.part, problem.n_images
+    keys = [image_key(k) if k < m else shared_key(k - m) for k in range(len(first) - 1)]
+    parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(first)]
+    return [(key, part) for key, part in zip(keys, parts, strict=True) if part.stop > part.start]
+
+
+def image_unknown(problem: Problem, k: int) -> int | Split | Array:
+    """Argument of a factor for the vector of an image: key, several keys with shared unknowns, or an empty vector."""
+    ties, size = problem.ties, len(problem.parameters[k])
+    if not size:
+        return np.zeros(0)
+    if ties is None:
+        return image_key(k)
+    of, parts = ties.of[slice(*problem.first[k : k + 2])], []
+    for key, part in vector_keys(problem):
+        columns = np.flatnonzero((of >= part.start) & (of < part.stop))
+        if len(columns):
+            parts.append((key, columns, of[columns] - part.start, part.stop - part.start))
+    if len(parts) == 1 and parts[0][3] == size:
+        return parts[0][0]
+    return Split(*(tuple(values) for values in zip(*parts, strict=True)))
+
+
+def build_graph(problem: Problem, image_loss: Any = None, control_loss: Any = None) -> gtsam.NonlinearFactorGraph:
+    """One factor per image point, control point and image prior; losses are GTSAM's (``noiseModel.mEstimator``)."""
+    graph = gtsam.NonlinearFactorGraph()
+    _add_image_points(graph, problem, image_loss)
+    _add_priors(graph, problem, control_loss)
+    for extra in problem.block.extra:
+        graph.add(extra_factor(extra, problem))
+    return graph
+
+
+def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss: Any) -> None:
+    """Add one factor per image point, point by point: neighbours in the graph share a ground point.
+
+    Values, records and linear factors of one point then lie together in memory.
+    """
+    o, models = problem.observations, problem.models
+    order = np.argsort(o.point, kind="stable")
+    records = np.ascontiguousarray(problem.records[order])
+    rows = order.tolist()
+    makers: dict[int, Callable[[int, int, int], gtsam.CustomFactor]] = {}
+    for images in groups(models):
+        equation, parameters = models[images[0]].equation, models[images[0]].parameters
+        if equation.fill is None:  # general factors below
+            continue
+        make = image_point_factors(
+            equation, len(parameters), records, parameters.setup, lambda n: problem.label(rows[n]), loss=loss
+        )
+        makers |= dict.fromkeys(images, make)
+    image_keys = [image_unknown(problem, i) for i in range(problem.n_images)]
+    key, last = 0, -1
+    for n, row in enumerate(rows):
+        i, j = int(o.image[row]), int(o.point[row])
+        if j != last:
+            key, last = point_key(j), j
+        own = image_keys[i]
+        if problem.active[j] and isinstance(own, int) and i in makers:
+            graph.add(makers[i](own, key, n))
+        elif problem.active[j] or not isinstance(own, np.ndarray):
+            point = key if problem.active[j] else np.ascontiguousarray(problem.start.ground[j])
+            setup = models[i].parameters.setup
+            graph.add(factor(
+                models[i].equation, (own, point), (setup.shape[1], 3), records[n], setup,
+                label=problem.label(row), loss=loss,
+            ))  # fmt: skip
+
+
+def extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.NonlinearFactor:
+    """Factor of an extra observation; GTSAM's own as it is, where all its variables are whole unknowns."""
+    if isinstance(extra, NativeObservation) and problem.ties is None:
+        if all(argument.constant is None for argument in problem.extra_arguments(extra)):
+            return extra.factor
+    unknowns: list[int | Array | Split] = []
+    arguments = problem.extra_arguments(extra)
+    for argument in arguments:
+        if argument.constant is not None:
+            unknowns.append(argument.constant)
+        else:
+            unknowns.append(image_unknown(problem, argument.index) if argument.is_image else point_key(argument.index))
+    return factor(
+        extra.equation, unknowns, [a.size for a in arguments], extra.record, problem.extra_setup(extra),
+        label=extra.label, n_residuals=extra.n_residuals,
+    )  # fmt: skip
+
+
+def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss: Any) -> None:
+    for j in np.flatnonzero(problem.observed):
+        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.SqrtInformation(problem.control_weights(int(j)))
+        if loss is not None:
+            noise = gtsam.noiseModel.Robust.Create(loss, noise)
+        graph.addPriorPoint3(point_key(int(j)), problem.control_records[j, POINT.place], noise)
+    add_image_priors(graph, problem)
+
+
+def add_image_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:
+    """Add a prior factor for each vector of image unknowns, if the options ask for priors."""
+    if problem.block.options.priors:
+        for key, part in vector_keys(problem):
+            k = part.stop - part.start
+            graph.addPriorVector(key, np.zeros(k), gtsam.noiseModel.Unit.Create(k))
+
+
+@dataclass
+class ExplicitStep:
+    """A GTSAM step; see ``loop.Step``."""
+
+    data: gtsam.VectorValues
+    length: float
+    predicted_error: float
+
+
+class ExplicitSystem:
+    """One linearisation of the graph; see ``loop.System``."""
+
+    def __init__(self, backend: ExplicitBackend, values: gtsam.Values) -> None:
+        self._backend = backend
+        self.linear: gtsam.GaussianFactorGraph = backend.graph.linearize(values)
+        quadratic = float(self.linear.error(backend.zero))
+        self.error = quadratic if backend.robust is None else backend.error(values)
+        self._excess = self.error - quadratic
+
+    @property
+    def zero(self) -> gtsam.VectorValues:
+        """Zero values of all unknowns."""
+        return self._backend.zero
+
+    @cached_property
+    def _point_diagonals(self) -> dict[int, Array]:
+        """Diagonal (3,) of the normal equations of each unknown ground point, by key."""
+        _, column, value = self.linear.sparseJacobian_()
+        diagonal: Array = np.bincount(np.asarray(column, np.intp) - 1, weights=np.asarray(value) ** 2).astype(
+            np.float64, copy=False
+        )
+        sizes = {key: self.zero.at(key).size for key in sorted(self._backend.ordering_keys)}
+        ends = np.cumsum(list(sizes.values()))
+        parts = zip(sizes, np.split(diagonal, ends)[: len(sizes)], strict=True)
+        return {key: part for key, part in parts if gtsam.symbolChr(key) == ord("p")}
+
+    def solve(self, damping: float) -> ExplicitStep:
+        """Eliminate points first, then images; damped on the diagonal, see :meth:`ExplicitBackend.damping_factors`."""
+        linear, damping = self.linear, max(damping, self._backend.problem.least_damping)
+        if damping > 0.0:
+            linear = gtsam.GaussianFactorGraph()
+            linear.push_back(self.linear)
+            linear.push_back(self._backend.damping_factors(damping, self._point_diagonals))
+        if not self._backend.use_qr:
+            try:
+                # one unknown after the other: a sixth less time than by cliques, in which each point is alone anyway
+                return self._step(linear.eliminateSequential(self._backend.ordering).optimize())
+            except RuntimeError:  # GTSAM's Cholesky fails on well-posed but badly scaled systems; QR does not
+                pass  # Cholesky is tried again next time: an iteration depends only on what is carried
+        return self._step(linear.optimize(self._backend.ordering, gtsam.EliminateQR))
+
+    def dogleg(self, radius: float) -> ExplicitStep:
+        """Blend of the steepest-descent and the Gauss-Newton step."""
+        newton = self.solve(0.0)
+        if newton.data.norm() <= radius:
+            return newton
+        steepest = self.linear.optimizeGradientSearch()
+        length = steepest.norm()
+        if length >= radius:
+            return self._step(steepest.scale(radius / length))
+        across = newton.data.subtract(steepest)
+        share = share_at_radius(across.squaredNorm(), steepest.dot(across), length, radius)
+        return self._step(steepest.add(across.scale(share)))
+
+    def _step(self, delta: gtsam.VectorValues) -> ExplicitStep:
+        return ExplicitStep(delta, float(np.abs(delta.vector()).max()), self._excess + float(self.linear.error(delta)))
+
+
+class ExplicitBackend:
+    """The problem as a GTSAM graph, driven by ``fg_orient.adjustment.loop``.
+
+    Parameters
+    ----------
+    problem : Problem
+    robust : Robust, optional
+        Losses; they may be replaced between linearisations, but not added or removed.
+    """
+
+    name = "graph"
+
+    def __init__(self, problem: Problem, robust: Robust | None = None) -> None:
+        self.problem, self.robust = problem, robust
+        losses = () if robust is None else (self._estimator("image"), self._estimator("control"))
+        self.graph = build_graph(problem, *losses)
+        # without priors the normal equations may be too ill-conditioned for Cholesky; their rank is known
+        self.use_qr = not problem.block.options.priors
+        self._points = [int(j) for j in np.flatnonzero(problem.active)]
+        self.ordering = gtsam.Ordering()
+        for j in self._points:
+            self.ordering.push_back(point_key(j))
+        self._vectors = vector_keys(problem)
+        self.ordering_keys = [key for key, _ in self._vectors] + [point_key(j) for j in self._points]
+        for key, _ in self._vectors:
+            self.ordering.push_back(key)
+        self.zero = gtsam.VectorValues()
+        for key, part in self._vectors:
+            self.zero.insert(key, np.zeros(part.stop - part.start))
+        for j in self._points:
+            self.zero.insert(point_key(j), np.zeros(3))
+
+    def _estimator(self, kind: str) -> Any:
+        """GTSAM's form of a loss: it looks up the present loss at each call."""
+
+        def loss() -> ScaledLoss:
+            return getattr(self.robust, kind)  # type: ignore[no-any-return]
+
+        whole = gtsam.noiseModel.mEstimator.Base.ReweightScheme.Block
+        return gtsam.noiseModel.mEstimator.Custom(
+            lambda norm: float(loss().weights(float(norm))), lambda norm: float(loss().costs(float(norm))), whole, kind
+        )
+
+    def initial(self) -> gtsam.Values:
+        """Start values."""
+        return self.values(self.problem.start)
+
+    def values(self, state: State) -> gtsam.Values:
+        """GTSAM values of a state."""
+        values = gtsam.Values()
+        vector = self.problem.image_vector(state)
+        for key, part in self._vectors:
+            values.insert(key, vector[part])
+        for j in self._points:
+            values.insertPoint3(point_key(j), state.ground[j])
+        return values
+
+    def state(self, values: gtsam.Values) -> State:
+        """Arrays of GTSAM values."""
+        image = np.concatenate([values.atVector(key) for key, _ in self._vectors])
+        ground = self.problem.start.ground.copy()
+        for j in self._points:
+            ground[j] = values.atPoint3(point_key(j))
+        return State(self.problem.image_matrix(image), ground)
+
+    def linearise(self, state: gtsam.Values) -> ExplicitSystem:
+        """Linearise at a state."""
+        return ExplicitSystem(self, state)
+
+    def error(self, state: gtsam.Values) -> float:
+        """Half the weighted sum of squares, or the cost under the losses."""
+        return float(self.graph.error(state))
+
+    def squares(self, state: gtsam.Values) -> tuple[Array, Array]:
+        """See ``robust.RobustBackend``."""
+        return squares(self.problem, self.state(state))
+
+    def retract(self, state: gtsam.Values, step: Any) -> gtsam.Values:
+        """State after a step."""
+        return state.retract(step.data)
+
+    def damping_factors(self, damping: float, diagonal: dict[int, Array]) -> gtsam.GaussianFactorGraph:
+        """Rows that add ``damping`` to the diagonal of the images, and a share of it to the diagonal of the points."""
+        graph = gtsam.GaussianFactorGraph()
+        root, point = np.sqrt(damping), gtsam.noiseModel.Unit.Create(3)
+        share = self.problem.point_damping(damping)
+        for key, part in self._vectors:
+            k = part.stop - part.start
+            image = gtsam.noiseModel.Unit.Create(k)
+            graph.add(gtsam.JacobianFactor(key, root * np.eye(k), np.zeros(k), image))
+        for j in self._points:
+            own = np.sqrt(share * diagonal[point_key(j)])
+            graph.add(gtsam.JacobianFactor(point_key(j), np.diag(own), np.zeros(3), point))
+        return graph

@@ -1,0 +1,184 @@
+"""GTSAM's Gauss-Newton, Levenberg-Marquardt and Dogleg over the graph of images, one ``iterate()`` at a time.
+
+Between two iterations a record is written, a checkpoint kept, and an interrupt can end the run. GTSAM's own tests for
+the end compare costs; they are replaced by the rule of :mod:`fg_orient.adjustment.loop` on the scaled step, which
+resolves the solution to rounding. Levenberg-Marquardt and Dogleg reject steps whose decrease is below the rounding of
+the cost; Gauss-Newton steps follow them. Gauss-Newton that raises the cost continues as Levenberg-Marquardt.
+
+The whitened gradient of the last linearisation, ``sqrt(g^T S^-1 g)``, is the length of the remaining Gauss-Newton step
+in units of the standard deviation of the solution. An end with more than :data:`REMAINING` of it is not converged.
+
+Under a loss the weights are held during an iteration and then follow the residuals (iteratively reweighted least
+squares); the held cost is not below the cost of the loss, so that a decrease of the one is a decrease of the other.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.graph import GraphBackend
+from fg_orient.adjustment.loop import (
+    ROUNDING_STEP,
+    SHRINK,
+    SMALL,
+    STEP_TOLERANCE,
+    Callback,
+    Carried,
+    Course,
+    LoopResult,
+    exhausted,
+    settled,
+    small,
+)
+from fg_orient.adjustment.problem import State
+from fg_orient.model.errors import finding
+
+Array = npt.NDArray[np.float64]
+
+#: Whitened gradient at the end, in standard deviations of the solution, above which it is not converged.
+REMAINING: Final = 1e-3
+#: Control of the Gauss-Newton steps that follow the damped ones.
+FINAL: Final = 0.0
+#: Relative increase of the cost that is more than rounding.
+RISE: Final = 1e-9
+#: First damping of Levenberg-Marquardt in prior sigmas, first radius of Dogleg.
+DAMPING: Final = 1e-5
+RADIUS: Final = 100.0
+
+
+@dataclass
+class _Step:
+    """A step; see ``loop.Step``. ``gradient``: whitened gradient before it, if it is a Gauss-Newton step."""
+
+    length: float
+    predicted_error: float
+    gradient: float
+    data: Any = None
+
+
+class _Run:
+    """One of GTSAM's optimisers on a graph, and what it has reached."""
+
+    def __init__(self, kind: str, backend: GraphBackend, values: gtsam.Values, control: float) -> None:
+        self.kind, self._backend = kind, backend
+        self.optimizer: Any = _optimizer(kind, backend, values, control)
+        self.values, self.error = values, float(self.optimizer.error())
+        self.state = backend.state(values)
+
+    @property
+    def control(self) -> float:
+        """Damping or radius; nan for Gauss-Newton."""
+        if self.kind == "levenberg-marquardt":
+            return float(self.optimizer.lambda_())
+        return float(self.optimizer.getDelta()) if self.kind == "dogleg" else math.nan
+
+    def iterate(self) -> _Step:
+        """Run one iteration."""
+        backend, here = self._backend, self.state
+        rows, before = backend.rows(), self.values
+        self.optimizer.iterate()
+        # a copy: the values of an optimiser are gone after its next iteration
+        self.values, self.error = gtsam.Values(self.optimizer.values()), float(self.optimizer.error())
+        self.state = backend.state(self.values)
+        step = backend.free(self.values) - backend.free(before)
+        moved = np.abs(self.state.ground - here.ground) if step.any() else np.zeros(1)
+        length = max(float(np.abs(step).max(initial=0.0)), float(np.nanmax(moved, initial=0.0)))
+        predicted, along = backend.linear_model(rows, before, self.values)
+        return _Step(length, predicted, math.sqrt(max(-along, 0.0)))
+
+
+def _optimizer(kind: str, backend: GraphBackend, values: gtsam.Values, control: float) -> Any:
+    """Make an optimiser whose own tests for the end never hold."""
+    makers: dict[str, tuple[Any, Any]] = {
+        "gauss-newton": (gtsam.GaussNewtonParams, gtsam.GaussNewtonOptimizer),
+        "levenberg-marquardt": (gtsam.LevenbergMarquardtParams, gtsam.LevenbergMarquardtOptimizer),
+        "dogleg": (gtsam.DoglegParams, gtsam.DoglegOptimizer),
+    }
+    make_params, make = makers[kind]
+    params = make_params()
+    for set_tolerance in (params.setAbsoluteErrorTol, params.setRelativeErrorTol, params.setErrorTol):
+        set_tolerance(0.0)
+    params.setOrdering(backend.ordering)
+    if kind == "levenberg-marquardt":
+        params.setlambdaInitial(DAMPING if math.isnan(control) else control)
+    elif kind == "dogleg":
+        params.setDeltaInitial(RADIUS if math.isnan(control) else control)
+    return make(backend.graph, values, params)
+
+
+def _optimise(
+    kind: str,
+    backend: GraphBackend,
+    start: State | Carried[State],
+    max_iterations: int,
+    callback: Callback | None = None,
+    tolerance: float = STEP_TOLERANCE,
+    *,
+    shrink: float = SHRINK,
+    keep: Callable[[Carried[State]], None] | None = None,
+) -> LoopResult[State]:
+    """Run GTSAM's optimiser ``kind``; parameters as of :func:`fg_orient.adjustment.loop.gauss_newton`."""
+    course = Course(start, callback, keep)
+    carried = course.carried
+    final = carried.control == FINAL  # before an interrupt, as the next
+    changed = kind == "gauss-newton" and not (math.isnan(carried.control) or final)
+    first = "levenberg-marquardt" if changed else "gauss-newton" if final else kind
+    run = _begin(first, backend, carried.state, carried.control)
+    for _ in course.remaining(max_iterations):
+        carried, before, here, control = course.carried, run.error, run.state, run.control
+        step, newton = run.iterate(), run.kind == "gauss-newton"
+        rises = not run.error <= before * (1.0 + RISE) + RISE
+        course.assess(
+            before, math.inf if rises else run.error, step, 0.0 if math.isnan(control) else control, always=not rises
+        )  # fmt: skip
+        if rises:
+            if final or not newton:
+                return course.end(here, before, False, finding("loop.no_step"))
+            run, changed = _begin("levenberg-marquardt", backend, here, math.nan), True
+            course.go_on(control=run.control, rejected=carried.rejected + 1)
+            continue
+        if newton and settled(step.length, carried.previous, tolerance):
+            rate = step.length / carried.previous  # of the steps, and of the gradient
+            step = replace(step, length=rate * step.length, gradient=rate * step.gradient)
+        if step.length == 0.0 or small(step.length, carried.previous, tolerance, shrink):
+            if newton or backend.problem.least_damping > 0.0:
+                return _end(course, backend, run, step, changed=changed)
+            run, final = _begin("gauss-newton", backend, run.state, math.nan), True
+            course.go_on(state=run.state, control=FINAL, previous=math.inf, rejected=0)
+            continue
+        course.go_on(state=run.state, control=FINAL if final else run.control, previous=step.length, rejected=0)
+        if backend.robust is not None:
+            run = _begin(run.kind, backend, run.state, run.control)
+    return course.end(run.state, run.error, False, exhausted(max_iterations))
+
+
+def _begin(kind: str, backend: GraphBackend, state: State, control: float) -> _Run:
+    """Start an optimiser at a state, with the weights of the loss there."""
+    values = backend.values(state)
+    backend.elimination.hold_weights(backend.robust, state)
+    return _Run(kind, backend, values, control)
+
+
+def _end(
+    course: Course[State], backend: GraphBackend, run: _Run, step: _Step, *, changed: bool
+) -> LoopResult[State]:  # fmt: skip
+    """End of the run after a small step; the gradient says whether it is the solution."""
+    if step.length < ROUNDING_STEP and step.gradient <= REMAINING:
+        converged, end = True, finding("loop.small_step_damped") if changed else SMALL
+    else:
+        converged, end = False, finding("loop.gradient_left", step=step.length, gradient=step.gradient)
+    return course.end(backend.state(run.values, complete=True), run.error, converged, end)
+
+
+#: GTSAM's optimisers by name, with the arguments of those of ``loop.OPTIMIZERS``.
+GTSAM_OPTIMIZERS: Final = {
+    kind: functools.partial(_optimise, kind) for kind in ("gauss-newton", "levenberg-marquardt", "dogleg")
+}

@@ -1,0 +1,228 @@
+"""Groups of points eliminated inside factors: against the explicit graph, differences of the cost, and LAPACK."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from dataclasses import replace
+from functools import lru_cache
+
+import gtsam
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fg_orient.adjustment import point_groups
+from fg_orient.adjustment.dense import assemble
+from fg_orient.adjustment.eliminated import IMPOSSIBLE, Elimination, square_root
+from fg_orient.adjustment.graph import GraphBackend
+from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.adjustment.schur import SchurBackend
+from fg_orient.model.block import Block
+from fg_orient.simulate.block import BlockOptions, grid_block
+from fg_orient.simulate.mixed import MixedOptions, mixed_block
+from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from tests.support.pinhole import pinhole_block
+from tests.support.rpc_block import rpc_twin
+
+
+@lru_cache
+def block_of(kind: str) -> Block:
+    if kind == "twin":
+        return zonguldak_block(ZonguldakOptions(seed=1))[0]
+    if kind == "grid":
+        return grid_block(BlockOptions(rows=3, columns=3, points=90, seed=3))[0]
+    if kind == "rpc":
+        return rpc_twin("affine").block
+    if kind == "mixed":
+        return mixed_block(MixedOptions(seed=3, points=40))[0]
+    return pinhole_block(4, 25, views=3, seed=2)[0]
+
+
+KINDS = ("twin", "grid", "rpc", "mixed", "frames")
+
+
+@lru_cache
+def problem_of(kind: str) -> Problem:
+    return compile_problem(block_of(kind))
+
+
+def away(problem: Problem, seed: int, size: float = 0.3) -> np.ndarray:
+    """Image unknowns that are not those of the solution."""
+    return np.random.default_rng(seed).normal(scale=size, size=problem.n_free_unknowns)
+
+
+def values_at(backend: GraphBackend, free: np.ndarray) -> gtsam.Values:
+    values = backend.values(backend.problem.start)
+    for key, part in backend._vectors:
+        values.update(key, free[part])
+    return values
+
+
+def reduced_of_dense(problem: Problem, state: State) -> tuple[np.ndarray, np.ndarray, float]:
+    """Normal equations of the image unknowns after elimination of the points, without priors: numpy, all rows."""
+    without = replace(problem, block=replace(problem.block, options=replace(problem.block.options, priors=False)))
+    residual, design = assemble(without, state)
+    design, u = design if problem.ties is None else problem.ties.columns(design), problem.n_free_unknowns
+    image, ground = design[:, :u], design[:, u:]
+    q, _ = np.linalg.qr(ground / np.linalg.norm(ground, axis=0))
+    image, rest = image - q @ (q.T @ image), residual - q @ (q.T @ residual)
+    return image.T @ image, image.T @ rest, 0.5 * float(rest @ rest)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("kind", KINDS)
+def test_factors_are_the_explicit_graph_with_its_points_eliminated(kind: str) -> None:
+    """Away from the solution, points intersected anew: matrix, gradient and cost within 1e-9 of numpy's."""
+    problem = problem_of(kind)
+    backend = GraphBackend(problem)
+    values = values_at(backend, away(problem, 5))
+    linear = gtsam.NonlinearFactorGraph()
+    for g in range(backend.graph.size() - backend.others.size()):
+        linear.push_back(backend.graph.at(g))
+    error = linear.error(values)
+    jacobian, right = linear.linearize(values).jacobian(backend_ordering(backend))
+    matrix, gradient, cost = reduced_of_dense(problem, backend.state(values, complete=True))
+    scale = np.sqrt(np.diag(matrix))
+    assert np.abs((jacobian.T @ jacobian - matrix) / np.outer(scale, scale)).max() <= 1e-9
+    assert np.abs((-jacobian.T @ right - gradient) / scale).max() <= 1e-9 * np.sqrt(2.0 * cost)
+    assert error == pytest.approx(cost, rel=1e-9)
+
+
+def backend_ordering(backend: GraphBackend) -> gtsam.Ordering:
+    ordering = gtsam.Ordering()
+    for key, _ in backend._vectors:
+        ordering.push_back(key)
+    return ordering
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("kind", KINDS)
+def test_gradient_is_that_of_the_scalar_cost(kind: str) -> None:
+    """``J^T e`` against central differences of half the sum of squares along random directions, of all groups."""
+    problem = problem_of(kind)
+    backend, free = GraphBackend(problem), away(problem, 7, 0.05)
+    rng = np.random.default_rng(1)
+    values = values_at(backend, free)
+    others = backend.others
+    linear = backend.graph.linearize(values).gradientAtZero()
+    gradient = np.concatenate([linear.at(key) for key, _ in backend._vectors])
+    prior = others.linearize(values).gradientAtZero()
+    gradient -= np.concatenate([prior.at(key) for key, _ in backend._vectors])
+    for _ in range(3):
+        direction = rng.normal(size=len(free))
+        direction /= np.linalg.norm(direction)
+        costs = []
+        for step in (1e-4, -1e-4, 2e-4, -2e-4):
+            at = values_at(backend, free + step * direction)
+            costs.append(backend.graph.error(at) - others.error(at))
+        central = (8.0 * (costs[0] - costs[1]) - (costs[2] - costs[3])) / 12e-4
+        assert central == pytest.approx(gradient @ direction, rel=1e-8, abs=1e-8 * np.linalg.norm(gradient))
+
+
+@pytest.mark.consistency
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_error_does_not_depend_on_jacobians_order_or_threads(kind: str) -> None:
+    """1e-12 of the cost after any calls before; the same bits for one and two threads."""
+    problem = problem_of(kind)
+    first, second = GraphBackend(problem, threads=1), GraphBackend(problem, threads=2)
+    here, there = away(problem, 1, 0.1), away(problem, 2, 0.1)
+    plain = [first.graph.error(values_at(first, here)), second.graph.error(values_at(second, here))]
+    assert plain[0] == plain[1]
+    values = values_at(first, there)
+    first.graph.linearize(values)
+    for key, part in first._vectors:
+        values.update(key, here[part])
+    after = first.graph.error(values)  # predicted from there
+    linear = first.graph.linearize(values)
+    zero = gtsam.VectorValues()
+    for key, part in first._vectors:
+        zero.insert(key, np.zeros(part.stop - part.start))
+    assert linear.error(zero) == pytest.approx(after, rel=1e-14)
+    assert after == pytest.approx(plain[0], rel=1e-12)
+
+
+@pytest.mark.oracle
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 12), st.integers(0, 12), st.integers(0, 10_000))
+def test_square_root_of_any_semidefinite_matrix(n: int, rank: int, seed: int) -> None:
+    """Matrix, gradient and cost come back from Jacobian and error, whatever the rank and the units."""
+    rng = np.random.default_rng(seed)
+    units = 10.0 ** rng.uniform(-6, 6, n)
+    rows = rng.normal(size=(min(rank, n), n)) * units
+    residual = rng.normal(size=len(rows))
+    matrix, gradient = rows.T @ rows, rows.T @ residual
+    cost = float(residual @ residual) + 1.0
+    jacobian, error = square_root(matrix, gradient, cost)
+    assert np.abs((jacobian.T @ jacobian - matrix) / np.outer(units, units)).max(initial=0.0) <= 1e-11
+    assert np.abs((jacobian.T @ error - gradient) / units).max(initial=0.0) <= 1e-12
+    assert error @ error == pytest.approx(cost, rel=1e-12)
+
+
+@pytest.mark.behaviour
+def test_points_that_cannot_be_intersected_cost_much_and_are_named() -> None:
+    """GTSAM's optimisers go back from a finite cost; from an exception, nan or infinity they do not."""
+    problem = problem_of("frames")
+    elimination = Elimination(problem)
+    free = away(problem, 3, 1e4)
+    elimination.start_at(np.zeros_like(free), problem.start.ground)
+    rows = elimination.rows(0, free[elimination.groups[0].free], lambda: free, accepted=False)
+    assert rows.cost == pytest.approx(IMPOSSIBLE)
+    assert elimination.impossible
+    good = elimination.rows(0, 0.0 * rows.at, lambda: 0.0 * free, accepted=False)
+    assert good.cost < 1e9
+    assert not elimination.impossible
+
+
+@pytest.mark.behaviour
+def test_graph_and_arrays_are_freed_with_the_backend() -> None:
+    """A callback that held the graph would keep both for ever."""
+    backend = GraphBackend(problem_of("grid"))
+    backend.graph.error(backend.values(backend.problem.start))
+    watched = weakref.ref(backend.elimination)
+    gc.disable()
+    try:
+        del backend
+        assert watched() is None
+    finally:
+        gc.enable()
+
+
+@pytest.mark.consistency
+def test_only_groups_whose_images_moved_are_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(point_groups, "OVERHEAD", 0)
+    problem = compile_problem(grid_block(BlockOptions(rows=6, columns=1, points=90, seed=3))[0])
+    elimination = Elimination(problem)
+    assert len(elimination.groups) > 1
+    free = away(problem, 1, 0.1)
+    elimination.start_at(0.0 * free, problem.start.ground)
+    computed: list[int] = []
+    monkeypatch.setattr(
+        elimination, "_evaluate", lambda groups, x, own=elimination._evaluate: (computed.extend(groups), own(groups, x))
+    )
+    for g, group in enumerate(elimination.groups):
+        elimination.rows(g, free[group.free], lambda: free, accepted=True)
+    assert sorted(computed) == list(range(len(elimination.groups)))
+    computed.clear()
+    changed = free.copy()
+    changed[elimination.groups[-1].free[-1]] += 1e-3
+    last = [g for g, group in enumerate(elimination.groups) if elimination.groups[-1].free[-1] in group.free]
+    for g, group in enumerate(elimination.groups):
+        elimination.rows(g, changed[group.free], lambda: changed, accepted=True)
+    assert sorted(computed) == last
+
+
+@pytest.mark.oracle
+def test_gradient_equals_that_of_the_schur_backend() -> None:
+    """The gradient that a factor gives is that of our own elimination to rounding, not to the root of it."""
+    problem = problem_of("twin")
+    elimination, backend = Elimination(problem), SchurBackend(problem)
+    free = away(problem, 4, 0.01)
+    elimination.start_at(free, problem.start.ground)
+    rows = [elimination.rows(g, free[k.free], lambda: free, accepted=True) for g, k in enumerate(elimination.groups)]
+    total = np.zeros(problem.n_free_unknowns)
+    for own, group in zip(rows, elimination.groups, strict=True):
+        total[group.free] += own.jacobian.T @ own.error
+    _, gradient = backend.linearise(elimination.state(free)).partial(0.0)
+    assert np.abs(total + free - gradient).max() <= 1e-12 * np.abs(gradient).max()
