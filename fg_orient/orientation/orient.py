@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.cofactors import blocks_of_images
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.memory import require_memory
+from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.resection import LocatedPoints, locate_points
 from fg_orient.adjustment.robust import are_information, weighted_problem
@@ -47,13 +48,19 @@ from fg_orient.quality.free_network import (
     without_priors,
 )
 from fg_orient.quality.observability import BlockObservability, ImageObservability
+from fg_orient.result.record import Result
 from fg_orient.sensors import initial
 
 if TYPE_CHECKING:
+    import gtsam
+
     from fg_orient.adjustment.parts.pool import Execution
+    from fg_orient.orientation.factor_graph import FactorGraph
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
+#: Function of a graph and start values that gives the values of a solution.
+Optimizer = Callable[["gtsam.NonlinearFactorGraph", "gtsam.Values"], "gtsam.Values"]
 #: Called at each stage of the work with its name and the number of image points.
 Stage = Callable[[str, int], None]
 
@@ -67,8 +74,11 @@ def adjust(
     backend: Backend | None = None,
     loss: str | None = None,
     snoop: bool | None = None,
+    optimizer: str | Optimizer | None = None,
     variance_components: Sequence[str] | None = None,
     options: Options | None = None,
+    start: Solution | Result | str | Path | None = None,
+    start_prior: bool = False,
     parts: int | None = None,
     workers: int | None = None,
     cluster: Any = None,
@@ -87,8 +97,15 @@ def adjust(
         Number or name ("PUA").
     priors, datum, backend, loss, snoop, variance_components : optional
         Frequent options, see :class:`fg_orient.Options`. None keeps the value of the block.
+    optimizer : str or callable, optional
+        Name of an optimiser, or a function that takes the graph (``gtsam.NonlinearFactorGraph``) and the start values
+        (``gtsam.Values``) of :func:`fg_orient.factor_graph` and gives the values of the solution.
     options : Options, optional
         Options that replace those of the block.
+    start : Solution, Result or path of a result folder, optional
+        Earlier result: start values of common images (by id) and ground points.
+    start_prior : bool
+        Take the joint cofactors of these images and points as an observation, too (``fg_orient.orientation.earlier``).
     parts : int, optional
         Number of parts of the ground points (docs/parallel.md); default with ``workers`` or ``cluster``: by the size of
         the block. The results do not depend on the workers.
@@ -125,6 +142,23 @@ def adjust(
         block if options is None else replace(block, options=options), "adjust", eop_set=eop_set, priors=priors,
         datum=datum, backend=backend, loss=loss, snoop=snoop, variance_components=variance_components, **more,
     )  # fmt: skip
+    block, begin = with_observations(block), None
+    if start is not None:
+        from fg_orient.orientation.earlier import continued
+
+        block, begin = continued(block, start, with_prior=start_prior)
+    elif start_prior:
+        raise InputError.of("earlier.no_start", option="start_prior")
+    if callable(optimizer):
+        wanted = {
+            "snoop": block.options.snoop, "variance_components": block.options.variance_components, "parts": parts,
+            "workers": workers, "cluster": cluster, "checkpoint": checkpoint, "callback": callback,
+        }  # fmt: skip
+        if ignored := [name for name, value in wanted.items() if value]:
+            raise InputError.of("graph.own_optimizer", option=ignored[0])
+        own = _factor_graph(block, "eliminated", begin)
+        return own.solution(optimizer(own.graph, own.values))
+    block = with_options(block, "adjust", optimizer=optimizer)
     require_possible(block.options)
     shared = not (parts is None and workers is None and cluster is None)
     if work_dir is not None and not shared:
@@ -134,7 +168,7 @@ def adjust(
         from fg_orient.adjustment.parts.pool import Execution
 
         execution = Execution(parts, workers or 1, cluster, work_dir)
-    run = _Run(execution, callback, stage, checkpoint)
+    run = _Run(execution, callback, stage, checkpoint, begin)
 
     def run_with_components(block: Block, begin: State | None) -> Solution:
         from fg_orient.orientation.components import adjust_with_components
@@ -159,27 +193,86 @@ def adjust(
     return replace(whole, snooping=record, findings=(*record.findings(), *whole.findings), memory=solution.memory)
 
 
+def _compiled(block: Block) -> tuple[Problem, tuple[ImageObservability, ...], BlockObservability | None, float]:
+    """Compiled block with the datum of its options, observability of images and block, and seconds."""
+    start, inner = working_clock(), block.options.datum == "inner"
+    compiled = compiled_problem(without_priors(block) if inner else block)
+    observability = judge_observability(compiled)
+    block_view = refuse_deficient(compiled, observability)
+    compiled = with_minimal_datum(compiled) if inner else compiled
+    return compiled, observability, block_view, working_clock() - start
+
+
+def factor_graph(block: Block, points: Literal["eliminated", "explicit"] = "eliminated") -> FactorGraph:
+    """Give the factor graph of a block.
+
+    Parameters
+    ----------
+    block : Block
+        Its options choose unknowns, priors and datum. A robust loss is not part of the graph.
+    points : str
+        "eliminated": variables are the images, and the ground points that extra observations name; each factor holds a
+        group of ground points with all their rays. "explicit": images and ground points are variables, with one factor
+        for each image point.
+
+    Returns
+    -------
+    FactorGraph
+
+    Raises
+    ------
+    InputError
+        The block cannot be adjusted, or it has a loss; without priors points cannot be eliminated.
+    RankDeficientError
+        Without priors some directions are not observable.
+    """
+    return _factor_graph(with_observations(block), points)
+
+
+def _factor_graph(
+    block: Block, points: Literal["eliminated", "explicit"], begin: Callable[[Problem], State] | None = None
+) -> FactorGraph:
+    """Factor graph of a block without native factors, with another start if given."""
+    from fg_orient.orientation.factor_graph import FactorGraph, Prepared
+
+    compiled, observability, block_view, structure = _compiled(block)
+
+    def concluded(estimate: Estimate) -> Solution:
+        return conclude(compiled, observability, block_view, estimate, structure)
+
+    return FactorGraph(Prepared(compiled, concluded, None if begin is None else begin(compiled)), points)
+
+
+def adjust_from(block: Block, start: Callable[[Problem], State]) -> Solution:
+    """Adjust a block once with its options, from a state of the compiled problem."""
+    compiled, observability, block_view, structure = _compiled(block)
+    return conclude(compiled, observability, block_view, solve(compiled, start=start(compiled)), structure)
+
+
 @dataclass(frozen=True)
 class _Run:
-    """Adjustments with the same callbacks, in this process or in parts; see :func:`adjust`."""
+    """Adjustments with the same callbacks, in this process or in parts; see :func:`adjust`.
+
+    ``begin`` gives the start of the first adjustment, if it is not that of the problem.
+    """
 
     execution: Execution | None
     callback: Callback | None
     stage: Stage | None
     checkpoint: Checkpoint | None
+    begin: Callable[[Problem], State] | None = None
 
     def once(self, block: Block, begin: State | None = None) -> Solution:
         """Adjust a block once with its options, from a state if given."""
         memory = require_memory(block, elsewhere=self.execution is not None and self.execution.cluster is not None)
-        prepared, start = preparing_seconds(), working_clock()
+        prepared = preparing_seconds()
         self._report("structure", len(block.observations))
         inner = block.options.datum == "inner"
-        compiled = compiled_problem(without_priors(block) if inner else block)
-        observability = judge_observability(compiled)
-        block_view = refuse_deficient(compiled, observability)
-        compiled = with_minimal_datum(compiled) if inner else compiled
-        structure = working_clock() - start
-        estimate = self._solved(compiled, self.checkpoint if begin is None else None, begin)
+        compiled, observability, block_view, structure = _compiled(block)
+        checkpoint = self.checkpoint if begin is None else None
+        if begin is None and self.begin is not None:
+            begin = self.begin(compiled)
+        estimate = self._solved(compiled, checkpoint, begin)
         compiled, estimate = to_inner_datum(compiled, estimate, solve) if inner else (compiled, estimate)
         self._report("statistics", len(compiled.observations))
         solution = conclude(compiled, observability, block_view, estimate, structure)

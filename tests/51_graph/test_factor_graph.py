@@ -1,0 +1,101 @@
+"""The factor graph that users of GTSAM get: names, keys, solutions at values, own optimisers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from fg_orient.model.block import Block
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Status
+from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+
+
+@pytest.fixture(scope="module")
+def twin() -> Block:
+    block = zonguldak_block(ZonguldakOptions(seed=1))[0]
+    return replace(block, options=replace(block.options, eop_set=15))
+
+
+def optimised(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
+    """GTSAM's Levenberg-Marquardt with its own rule for the end, then one Gauss-Newton step."""
+    found = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    last = gtsam.GaussNewtonOptimizer(graph, found)
+    last.iterate()
+    return gtsam.Values(last.values())
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("points", ["eliminated", "explicit"])
+def test_gtsam_on_its_own_finds_the_solution(twin: Block, points: str) -> None:
+    base = fg.adjust(twin, backend="dense")
+    graph = fg.factor_graph(twin, points=points)  # type: ignore[arg-type]
+    found = graph.solution(optimised(graph.graph, graph.values))
+    assert found.status is base.status is Status.CONVERGED
+    assert found.chi2 == pytest.approx(base.chi2, rel=1e-11)
+    assert np.abs(found.state.image - base.state.image).max() <= 1e-9
+    assert np.nanmax(np.abs(found.ground_m - base.ground_m)) <= 1e-7
+    assert found.cofactors is not None
+    assert base.cofactors is not None
+    assert np.allclose(found.cofactors.image(0), base.cofactors.image(0), rtol=1e-6)
+
+
+@pytest.mark.behaviour
+def test_values_that_are_no_solution_are_not_converged(twin: Block) -> None:
+    graph = fg.factor_graph(twin)
+    begin = graph.solution(graph.values)
+    assert begin.status is Status.NOT_CONVERGED
+    assert "standard deviations" in begin.ended
+    assert graph.gradient(graph.values) > 1.0
+
+
+@pytest.mark.behaviour
+def test_own_optimiser_of_adjust(twin: Block) -> None:
+    base = fg.adjust(twin)
+    found = fg.adjust(twin, optimizer=optimised)
+    assert found.status is Status.CONVERGED
+    assert np.abs(found.state.image - base.state.image).max() <= 1e-9
+    with pytest.raises(InputError, match="optimiser of one's own"):
+        fg.adjust(twin, optimizer=optimised, snoop=True)
+
+
+@pytest.mark.behaviour
+def test_names_and_keys_lead_to_each_other(twin: Block) -> None:
+    graph = fg.factor_graph(twin)
+    assert {graph.name(key) for key in graph.values.keys()} == {"image:left", "image:right"}
+    assert graph.name(graph.key("image:left")) == "image:left"
+    point = f"point:{twin.points.ids[4]}"
+    (group,) = graph.factors(point)
+    assert set(group.keys()) == {graph.key("image:left"), graph.key("image:right")}
+    explicit = fg.factor_graph(twin, points="explicit")
+    assert explicit.name(explicit.key(point)) == point
+    assert len(explicit.factors(point)) >= 2
+    with pytest.raises(InputError, match="no variable in the graph"):
+        graph.key(point)
+    with pytest.raises(InputError, match="no variable in the graph"):
+        graph.key("image:none")
+
+
+@pytest.mark.behaviour
+def test_what_has_no_graph_is_refused(twin: Block) -> None:
+    with pytest.raises(InputError, match="no robust loss"):
+        fg.factor_graph(replace(twin, options=replace(twin.options, loss="huber")))
+    with pytest.raises(InputError, match="explicit"):
+        fg.factor_graph(replace(twin, options=replace(twin.options, eop_set=2, priors=False)))
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("eop_set", range(1, 21))
+def test_all_sets_of_the_twin_on_all_backends(twin: Block, eop_set: int) -> None:
+    """chi2 within 1e-11, image unknowns within 1e-9 prior sigma, points within 1e-7 m."""
+    base = fg.adjust(twin, eop_set=eop_set, backend="dense")
+    for optimizer in ("gauss-newton", "levenberg-marquardt", "dogleg"):
+        found = fg.adjust(twin, eop_set=eop_set, backend="graph", optimizer=optimizer)
+        assert found.status is base.status, optimizer
+        assert found.chi2 == pytest.approx(base.chi2, rel=1e-11)
+        assert np.abs(found.state.image - base.state.image).max() <= 1e-9, optimizer
+        assert np.nanmax(np.abs(found.ground_m - base.ground_m)) <= 1e-7, optimizer
