@@ -50,6 +50,8 @@ MOUNTED: Final = Mounting(
 class StripOptions:
     """Options: seed, numbers of strips, of images of each strip, of ground points, and of control points among them.
 
+    ``navigation`` adds the observations from on board with their unknowns.
+
     Raises
     ------
     InputError
@@ -61,11 +63,12 @@ class StripOptions:
     images: int = 5
     points: int = 60
     control: int = 5
+    navigation: bool = True
 
     def __post_init__(self) -> None:
         require(self.seed >= 0, "seed", self.seed, "a whole number from 0")
-        require(1 <= self.strips <= 20 and 2 <= self.images <= 50, "strips, images", (self.strips, self.images),
-                "1 to 20, 2 to 50")  # fmt: skip
+        require(1 <= self.strips <= 20 and 2 <= self.images <= 200, "strips, images", (self.strips, self.images),
+                "1 to 20, 2 to 200")  # fmt: skip
         require(0 <= self.control <= self.points, "control", self.control, f"0 to {self.points} points")
 
 
@@ -98,7 +101,8 @@ def strip_block(options: StripOptions | None = None) -> tuple[Block, StripTruth]
         fixes.append((k, strip, number * INTERVAL_S, tau))
     observed = _fixes(fixes, [true for true, _ in cameras], errors, streams["orientation"])
     block, ground = _block(chosen, cameras, streams)
-    block = with_navigation(block, observed, MOUNTED)
+    if chosen.navigation:
+        block = with_navigation(block, observed, MOUNTED)
     return block, StripTruth(_unknowns(block, errors), ground)
 
 
