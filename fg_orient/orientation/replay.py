@@ -110,6 +110,9 @@ def replay(
     recorded = {entry["file"]: entry["sha256"] for entry in old["provenance"]["inputs"]}
     dem = repeat["dem_control"]
     known = recorded if dem is None else {**recorded, dem["file"]: dem["sha256"]}
+    start = repeat.get("start")
+    if start is not None:
+        known = known | {f"{start['folder']}/{name}": digest for name, digest in start["files"].items()}
     changes = dict(_changed_files(path.parent, known))
     _refuse(changes, allow_changed)
 
@@ -122,6 +125,8 @@ def replay(
         command=old["provenance"]["command"], callback=callback, stage=stage,
         dem_control=None if dem is None else _open(path.parent, dem),
         dem_vertical_crs="" if dem is None else dem["vertical_crs"],
+        start=None if start is None else path.parent / start["folder"],
+        start_prior=start is not None and start["prior"],
     )  # fmt: skip
     n, differences = compare_records(old, json.loads(_text(out)) if new["out"] else new)
     return Replay(

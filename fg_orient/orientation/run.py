@@ -47,6 +47,8 @@ def run_project(
     resume: bool = False,
     dem_control: tuple[HeightSurface, float] | None = None,
     dem_vertical_crs: str = "",
+    start: str | Path | None = None,
+    start_prior: bool = False,
     check: Callable[[Block], None] | None = None,
 ) -> dict[str, Any]:
     """Read a project, adjust it and write the result folder.
@@ -77,6 +79,8 @@ def run_project(
         Elevation model for height observations of the tie points, and their sigma (m); without checkpoint.
     dem_vertical_crs : str
         Vertical CRS of the elevation model, for the record.
+    start : path, optional
+        Folder of an earlier result; ``start_prior``: its covariance is a prior. See :func:`fg_orient.adjust`.
     check : callable, optional
         Called with the block before the adjustment; raises InputError to reject it.
 
@@ -91,7 +95,7 @@ def run_project(
     InputError
         The project or the output folder is unusable.
     """
-    start = time.perf_counter()
+    begin = time.perf_counter()
     require_free(Path(out), overwrite=overwrite)
     report_stage = stage or (lambda name, count: None)
     checkpoint = Checkpoint(checkpoint_path(out), every_s=checkpoint_every_s, resume=resume)
@@ -103,10 +107,12 @@ def run_project(
         check(block)
     read_s = working_clock() - mark
     folder, name = Path(project).parent, Path(out).name
-    repeat = how_to_repeat(folder, options or {}, execution or {}, dem_control, dem_vertical_crs)
+    earlier = None if start is None else (Path(start), start_prior)
+    repeat = how_to_repeat(folder, options or {}, execution or {}, dem_control, dem_vertical_crs, earlier)
     try:
         with staged_folder(out, overwrite=overwrite) as staging:
-            how = {**(execution or {}), "callback": callback, "stage": stage, "checkpoint": checkpoint}
+            how = {**(execution or {}), "callback": callback, "stage": stage, "checkpoint": checkpoint,
+                   "start": start, "start_prior": start_prior}  # fmt: skip
             solution, control = _adjust(block, how, dem_control)
             mark = working_clock()
             result = result_of(solution, corrected_models(solution), folder=folder, out=name, command=command)
@@ -116,9 +122,9 @@ def run_project(
             seconds["record"] = working_clock() - mark
             report_stage("writing", len(block.observations))
             with writing(out):
-                _write(staging, result, seconds, start)
+                _write(staging, result, seconds, begin)
     except RankDeficientError as error:
-        seconds = {"read": read_s, "total": time.perf_counter() - start}
+        seconds = {"read": read_s, "total": time.perf_counter() - begin}
         if not isinstance(error.evidence, Evidence):
             return {**deficient_summary(error, block), "seconds": seconds}
         result = deficient_result(error, error.evidence.problem, folder, name, command)

@@ -11,13 +11,16 @@ import platform
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from fg_orient.model.installation import versions
 
 if TYPE_CHECKING:
     from fg_orient.model.block import Block
     from fg_orient.sensors.correction import HeightSurface
+
+#: Files of an earlier result that an adjustment starts from.
+EARLIER: Final = ("result.json", "eop.csv", "points.csv", "covariance.npz")
 
 
 def provenance(block: Block, folder: Path, command: Sequence[str]) -> dict[str, Any]:
@@ -53,6 +56,7 @@ def how_to_repeat(
     execution: Mapping[str, Any],
     dem_control: tuple[HeightSurface, float] | None,
     dem_vertical_crs: str,
+    earlier: tuple[Path, bool] | None = None,
 ) -> dict[str, Any]:
     """Arguments of a run in addition to its project file; ``fg_orient.orientation.replay`` reads them.
 
@@ -66,22 +70,31 @@ def how_to_repeat(
         ``parts``, ``workers``, ``cluster``: the numbers depend on the parts only.
     dem_control, dem_vertical_crs
         See :func:`fg_orient.orientation.run.run_project`.
+    earlier : (Path, bool), optional
+        Folder of an earlier result, and whether its covariance is a prior.
 
     Returns
     -------
     dict
-        ``options``, ``parts``, ``in_parts``, ``dem_control`` (file, sha256, sigma_m, vertical_crs; or None).
+        ``options``, ``parts``, ``in_parts``, ``dem_control`` (file, sha256, sigma_m, vertical_crs; or None), and only
+        with an earlier result ``start`` (folder, prior, files: their SHA-256).
     """
     dem = None
     if dem_control is not None:
         surface, sigma_m = dem_control
         dem = {"file": relative(surface.path, folder), "sha256": sha256_of(Path(surface.path)), "sigma_m": sigma_m,
                "vertical_crs": dem_vertical_crs}  # fmt: skip
+    start = {}
+    if earlier is not None:
+        path, prior = earlier
+        files = {name: sha256_of(path / name) for name in EARLIER if (path / name).is_file()}
+        start = {"start": {"folder": relative(str(path), folder), "prior": prior, "files": files}}
     return {
         "options": {name: value for name, value in options.items() if value is not None},
         "parts": execution.get("parts"),
         "in_parts": any(execution.get(name) is not None for name in ("parts", "workers", "cluster")),
         "dem_control": dem,
+        **start,
     }
 
 

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from fg_orient.formats.atomic import RESULT
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Status
+from fg_orient.result.joint import JointCofactors
 from fg_orient.result.plain import WHOLE, Table, dumps, plain, read_table, table_of_rows
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ Array = npt.NDArray[np.float64]
 RESULT_FILE: Final = RESULT.mark
 ITERATIONS_FILE: Final = "iterations.jsonl"
 ARRAYS_FILE: Final = "arrays.npz"
+COVARIANCE_FILE: Final = "covariance.npz"
 #: Start values of the points: the only table where nothing was adjusted.
 START_POINTS: Final = "start_points"
 _ENU: Final = ("east_m", "north_m", "up_m")
@@ -65,6 +67,8 @@ class Result:
         Content of ``arrays.npz``.
     files : dict
         Further files by their names in the folder: corrected RPC.
+    joint : JointCofactors or None
+        Joint cofactors of images and points, content of ``covariance.npz``.
     """
 
     record: dict[str, Any]
@@ -72,6 +76,7 @@ class Result:
     iterations: tuple[dict[str, Any], ...] = ()
     arrays: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
     files: Mapping[str, bytes] = field(default_factory=dict)
+    joint: JointCofactors | None = None
 
     @property
     def points(self) -> Table:
@@ -162,6 +167,8 @@ class Result:
             lines = (dumps(iteration) + "\n" for iteration in self.iterations)
             (folder / ITERATIONS_FILE).write_text("".join(lines), encoding="utf-8")
             np.savez(folder / ARRAYS_FILE, allow_pickle=False, **self.arrays)
+            if self.joint is not None:
+                np.savez(folder / COVARIANCE_FILE, allow_pickle=False, **self.joint.arrays())
         for name, data in self.files.items():
             (folder / name).parent.mkdir(exist_ok=True)
             (folder / name).write_bytes(data)
@@ -311,7 +318,11 @@ def read_any_result(folder: Path) -> Result:
         iterations = tuple(json.loads(line) for line in lines)
         arrays = _read_arrays(folder / (file := ARRAYS_FILE), len(result.images))
         files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.glob("rpc/*"))}
-        return Result(result.record, tables, iterations, arrays, files)
+        joint = None
+        if (folder / (file := COVARIANCE_FILE)).is_file():
+            with np.load(folder / file, allow_pickle=False) as stored:
+                joint = JointCofactors.of_arrays(stored)
+        return Result(result.record, tables, iterations, arrays, files, joint)
     except (OSError, ValueError, KeyError, csv.Error, zipfile.BadZipFile) as error:
         raise InputError.of("report.damaged", file=folder / file, value=error) from None
 

@@ -23,6 +23,7 @@ from fg_orient.quality.accuracy import rms_px, y_parallaxes
 from fg_orient.quality.deficiency import DEFICIENT, Evidence, judge_observability
 from fg_orient.quality.elimination import UNOBSERVABLE
 from fg_orient.quality.verdict import DOWN, points_with_rays, turned_down_images
+from fg_orient.result.joint import LIMIT, joint_cofactors_of, points_within
 from fg_orient.result.plain import plain
 from fg_orient.result.provenance import provenance
 from fg_orient.result.record import Result
@@ -32,6 +33,7 @@ from fg_orient.result.statistics import (
     missing_tests,
     outlier_records,
     reliability_record,
+    unavailable,
 )
 from fg_orient.result.tables import arrays_of, start_points, tables_of
 
@@ -85,7 +87,9 @@ def result_of(
     files = {f"rpc/{stem}_RPC.TXT": format_rpc_text(models[name].model).encode("ascii")
              for name, stem in _file_stems(models).items()}  # fmt: skip
     iterations = tuple(plain(asdict(iteration)) for iteration in solution.log)
-    return Result(plain(record), tables_of(solution), iterations, arrays_of(solution), files)
+    points = None if unavailable(solution) else points_within(solution, LIMIT)
+    joint = None if points is None else joint_cofactors_of(solution, points)
+    return Result(plain(record), tables_of(solution), iterations, arrays_of(solution), files, joint)
 
 
 def deficient_result(
