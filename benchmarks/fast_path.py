@@ -37,6 +37,7 @@ from benchmarks.flat import FlatProblem
 from benchmarks.hardware import Meter
 from benchmarks.page import write_page
 from benchmarks.table import print_table
+from fg_orient.adjustment.optimisers import GTSAM_OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.formats.project import read_project
 from fg_orient.kernels.vectors import LANES
@@ -67,6 +68,7 @@ def spot_entries(size: str, given: argparse.Namespace, folder: Path) -> list[Ent
     runs |= {f"schur-2-{way}": own.schur(problem, 2, reduced=way) for way in given.reduced}
     if given.full:
         runs["read"] = reading(size, folder)
+    runs |= {f"graph-{optimizer}": own.eliminated(problem, optimizer) for optimizer in GTSAM_OPTIMIZERS}
     if n <= GRAPH_LIMIT:
         runs["graph"] = own.graph(problem)
     if peers and n <= max(PEER_LIMIT, limit):
@@ -122,6 +124,7 @@ def pinhole_entries(given: argparse.Namespace) -> list[Entry]:
             continue
         arrays, counts = pinhole.as_pinhole(problem), cases.counts(problem)
         runs: dict[str, Callable[[], Outcome]] = {name: own.damped(problem, t) for name, t in THREADS.items()}
+        runs |= {f"graph-{optimizer}": own.eliminated(problem, optimizer) for optimizer in GTSAM_OPTIMIZERS}
         if not given.no_peers:
             runs |= {f"ceres-{t}": peers_pinhole.ceres(arrays, t) for t in (1, 2)}
             runs["gtsam"] = peers_pinhole.gtsam_sfm(arrays)
@@ -138,6 +141,7 @@ def warm_up(given: argparse.Namespace) -> float:
     for threads in (1, 2):
         own.schur(small, threads)()
         own.schur(more, threads)()
+        own.eliminated(more, "dogleg")()
         own.damped(frames, threads)()
     if not given.no_peers:
         flat = FlatProblem(small)

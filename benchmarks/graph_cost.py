@@ -22,7 +22,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
-from fg_orient.adjustment.graph import GraphBackend, image_key, point_key
+from fg_orient.adjustment.explicit import ExplicitBackend, image_key, point_key
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.runtime import calm_memory
@@ -41,7 +41,7 @@ def block_of(image_points: int) -> Block:
     return replace(block, options=replace(block.options, eop_set=20))
 
 
-def empty_graph(problem: Problem, backend: GraphBackend) -> gtsam.NonlinearFactorGraph:
+def empty_graph(problem: Problem, backend: ExplicitBackend) -> gtsam.NonlinearFactorGraph:
     """The same graph with constant Jacobians: callbacks that compute nothing."""
     _, j_image, j_ground = linearised(problem, problem.start)
     graph, unit, zero = gtsam.NonlinearFactorGraph(), gtsam.noiseModel.Unit.Create(2), np.zeros(2)
@@ -64,7 +64,7 @@ def empty_graph(problem: Problem, backend: GraphBackend) -> gtsam.NonlinearFacto
     return graph
 
 
-def iteration_seconds(backend: GraphBackend, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
+def iteration_seconds(backend: ExplicitBackend, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
     """One iteration: linearise, error, eliminate, retract."""
     start = time.perf_counter()
     linear = graph.linearize(values)
@@ -79,7 +79,7 @@ class Case:
     def __init__(self, image_points: int) -> None:
         problem = compile_problem(block_of(image_points))
         self.n = len(problem.observations)
-        self.backend = GraphBackend(problem)
+        self.backend = ExplicitBackend(problem)
         self.values = self.backend.initial()
         self.empty = empty_graph(problem, self.backend)
         self.seconds: list[tuple[float, float]] = []

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fg_orient.adjustment.graph import GraphBackend
+from fg_orient.adjustment.explicit import ExplicitBackend
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import Backend
 from fg_orient.adjustment.problem import Problem, compile_problem
@@ -75,7 +75,7 @@ class Case:
             for name in ("dense", "graph"):
                 self.backends[f"reduced_{name}"] = SchurBackend(problem, threads=2, reduced=name)
         if self.n <= GRAPH_LIMIT:
-            self.backends["graph"] = GraphBackend(problem)
+            self.backends["graph"] = ExplicitBackend(problem)
         self.seconds: dict[str, list[float]] = {name: [] for name in self.backends}
 
     def run(self, count: bool = True) -> None:

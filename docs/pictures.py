@@ -1,4 +1,4 @@
-"""Draw the pictures of the concepts page, of the tutorials and of the examples, from their own commands.
+"""Draw the pictures of the documentation: concepts, factor graph, tutorials and examples, from their own commands.
 
     python docs/pictures.py [FOLDER]
 
@@ -31,8 +31,10 @@ import fg_orient as fg  # noqa: E402
 from fg_orient.formats.sensor import read_sensor  # noqa: E402
 from fg_orient.geodesy import geodetic_to_ecef  # noqa: E402
 from fg_orient.report import chart, paper  # noqa: E402
+from fg_orient.report.graph import write_graph  # noqa: E402
 from fg_orient.result.record import read_result  # noqa: E402
 from fg_orient.sensors.correction import Correction  # noqa: E402
+from fg_orient.simulate import ZonguldakOptions, zonguldak_block  # noqa: E402
 from tests.support import pages  # noqa: E402
 from tests.support.command import in_process  # noqa: E402
 
@@ -190,6 +192,14 @@ def concepts(out: Path) -> None:
         signs(out, Path(folder) / "case0" / "left.DIM")
 
 
+def factor_graph(out: Path) -> None:
+    """Keep the drawings of the graph of the simulated pair."""
+    with tempfile.TemporaryDirectory() as folder:
+        write_graph(zonguldak_block(ZonguldakOptions(seed=1))[0], Path(folder) / "graph")
+        for name in ("graph", "reduced", "tree", "matrix"):
+            (out / f"{name}.svg").write_bytes((Path(folder) / "graph" / f"{name}.svg").read_bytes())
+
+
 # --- tutorials -------------------------------------------------------------------------------------
 
 
@@ -330,6 +340,7 @@ def rpc_bundle(out: Path) -> None:
 #: What is drawn, by the folder that it goes to.
 PICTURES: dict[str, tuple[Callable[[Path], None], ...]] = {
     "concepts": (concepts,),
+    "factor-graph": (factor_graph,),
     "tutorials": (stereo, dense_sparse, rpc, calibrate),
     "examples": (rectify_by_points, rpc_bundle),
 }

@@ -35,7 +35,9 @@ if TYPE_CHECKING:
     from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError, RankDeficientError
     from fg_orient.model.names import Role, Status
     from fg_orient.model.parameters import ImageParameters
-    from fg_orient.orientation.orient import adjust
+    from fg_orient.orientation.factor_graph import FactorGraph
+    from fg_orient.orientation.incremental import Incremental
+    from fg_orient.orientation.orient import adjust, factor_graph
     from fg_orient.orientation.solution import Solution
     from fg_orient.result.record import Result, read_result
     from fg_orient.rpc.select import register_selection
@@ -76,12 +78,14 @@ _HOME: Final = {
     "Equation": "factors._contract",
     "Example": "factors._contract",
     "ExtraObservation": "fg_orient.model.block",
+    "FactorGraph": "fg_orient.orientation.factor_graph",
     "FgOrientError": "fg_orient.model.errors",
     "Format": "fg_orient.formats.registry",
     "GroundPoints": "fg_orient.model.block",
     "Image": "fg_orient.model.block",
     "ImageParameters": "fg_orient.model.parameters",
     "ImagePoints": "fg_orient.model.block",
+    "Incremental": "fg_orient.orientation.incremental",
     "InputError": "fg_orient.model.errors",
     "KappaChoice": "fg_orient.adjustment.linear.kappa",
     "LinearSolution": "fg_orient.adjustment.linear.system",
@@ -99,6 +103,7 @@ _HOME: Final = {
     "adjust": "fg_orient.orientation.orient",
     "compare": "fg_orient.studies.comparison.compare",
     "compiled": "factors._contract",
+    "factor_graph": "fg_orient.orientation.orient",
     "fit_curve": "fg_orient.adjustment.regression",
     "intersect": "fg_orient.sensors.initial",
     "loss_from_weight": "factors.losses.construct",
@@ -119,12 +124,14 @@ __all__ = [
     "Equation",
     "Example",
     "ExtraObservation",
+    "FactorGraph",
     "FgOrientError",
     "Format",
     "GroundPoints",
     "Image",
     "ImageParameters",
     "ImagePoints",
+    "Incremental",
     "InputError",
     "KappaChoice",
     "LinearSolution",
@@ -143,6 +150,7 @@ __all__ = [
     "adjust",
     "compare",
     "compiled",
+    "factor_graph",
     "fit_curve",
     "intersect",
     "loss_from_weight",

@@ -23,14 +23,16 @@ if TYPE_CHECKING:
 #: Modules loaded before the clock starts: ``seconds`` measure the work, not Python's imports.
 WORKING = ("fg_orient.orientation.run", "fg_orient.adjustment.schur", "fg_orient.report", "fg_orient.formats.schema",
            "fg_orient.formats.metadata.dimap", "fg_orient.sensors.projection", "jinja2")  # fmt: skip
+#: Names of the optimisers in sentences.
+OPTIMIZER = {"gauss-newton": "Gauss-Newton", "levenberg-marquardt": "Levenberg-Marquardt", "dogleg": "Dogleg"}
 #: Modules of one backend.
 OF_BACKEND = {
-    "graph": ("gtsam", "fg_orient.adjustment.graph", "fg_orient.quality.covariance"),
+    "graph": ("gtsam", "fg_orient.adjustment.explicit", "fg_orient.quality.covariance"),
     "dense": ("fg_orient.adjustment.dense", "fg_orient.quality.covariance"),
 }
 
 
-@command(Options, Reading, named={"cluster": "--scheduler"})
+@command(Options, Reading, named={"cluster": "--scheduler", "start": "--from", "start_prior": "--from-prior"})
 def adjust(
     project: Project,
     options: Mapping[str, Any],
@@ -45,6 +47,12 @@ def adjust(
     ] = None,
     dem_sigma: Annotated[float | None, option("Standard deviation of a height from --dem-control.", "METRES")] = None,
     dem_vertical_crs: VerticalCrs = "",
+    from_result: Annotated[
+        Path | None, option("Start from the result folder of an earlier run.", "RESULT", flag="--from")
+    ] = None,
+    from_prior: Annotated[
+        bool, option("Take the joint covariance of the result of --from as a prior.", flag="--from-prior")
+    ] = False,
     out: Annotated[Path | None, option("Result folder; default: result, beside the project file.")] = None,
     overwrite: Overwrite = False,
     checkpoint_every: Annotated[
@@ -75,7 +83,7 @@ def adjust(
             command=command_line(), execution=execution, stage=watch.stage,
             checkpoint_every_s=checkpoint_every, resume=resume,
             dem_control=_dem_control(dem_control, dem_sigma, dem_vertical_crs),
-            dem_vertical_crs=dem_vertical_crs,
+            dem_vertical_crs=dem_vertical_crs, start=from_result, start_prior=from_prior,
         )  # fmt: skip
     for found in folded([read(one) for one in record.get("errors", [])]):
         tell("error", found)
@@ -113,8 +121,11 @@ def show(record: dict[str, Any]) -> None:
     from fg_orient.report.words import orientation_words
 
     low, high = record["sigma0_interval_99_9"]
-    say(f"{record['status'].replace('_', ' ')} after {record['iterations']} iterations: {record['n_image_points']} "
-        f"image points, {record['n_unknowns']} unknowns, redundancy {record['redundancy']}")  # fmt: skip
+    whose = f" of GTSAM's {OPTIMIZER[record['optimizer']]}" if record["backend"] == "graph" else ""
+    say(
+        f"{record['status'].replace('_', ' ')} after {record['iterations']} iterations{whose}: "
+        f"{record['n_image_points']} image points, {record['n_unknowns']} unknowns, redundancy {record['redundancy']}"
+    )
     tested = f"99.9 % interval {number(low)} .. {number(high)}" if low is not None else "not tested"
     say(f"sigma0 {number(record['sigma0'])} ({tested}), "
         f"{orientation_words(record)}")  # fmt: skip

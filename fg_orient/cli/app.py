@@ -29,6 +29,7 @@ SHELLS: Final = ("bash", "zsh", "fish")
 #: Name of a command -> module of this package and name of the function or group in it.
 COMMANDS: Final = {
     "adjust": ("adjust", "adjust"),
+    "graph": ("graph", "graph"),
     "compare": ("studies", "compare"),
     "reduce": ("adjust", "reduce"),
     "accuracy": ("results", "accuracy"),

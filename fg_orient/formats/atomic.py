@@ -111,8 +111,8 @@ class Contents:
 RESULT: Final = Contents(
     "result.json",
     ("result.json", "eop.csv", "points.csv", "residuals.csv", "accuracy.csv", "outliers.csv", "iterations.jsonl",
-     "arrays.npz", "start_points.csv", "report.html", "rpc/*_RPC.TXT", "figures/*.svg", "figures/*.pdf",
-     "figures/captions.md"),
+     "arrays.npz", "covariance.npz", "start_points.csv", "report.html", "rpc/*_RPC.TXT", "figures/*.svg",
+     "figures/*.pdf", "figures/captions.md"),
 )  # fmt: skip
 
 

@@ -167,7 +167,7 @@ class Axis:
     log, down : bool
         Logarithmic; growing downwards, as lines of an image do.
     about : int
-        Wanted number of ticks.
+        Wanted number of ticks; 0: none.
     whole : bool
         Ticks at whole numbers only.
     names : sequence of str
@@ -192,6 +192,8 @@ class Axis:
         """Values and texts."""
         if self.names:
             return [(float(k), name) for k, name in enumerate(self.names)]
+        if not self.about:
+            return []
         values = log_ticks(*self.limits) if self.log else ticks(*self.limits, self.about)
         write = self.write or (plain_power if self.log else plain)
         return [(v, write(v)) for v in values if not self.whole or v == round(v)]
@@ -210,11 +212,12 @@ class Mark:
     Parameters
     ----------
     shape : str
-        ``line``, ``area`` (closed), ``dots``, ``bars``, ``names``, ``cells``.
+        ``line``, ``area`` (closed), ``dots``, ``bars``, ``names``, ``cells``; on paper ``blocks``, too.
     kind : str
         Key of :data:`INKS` and class of the style sheet.
     x, y : (n,) arrays
-        Of bars edges (n + 1) and counts (n); of cells nothing and a matrix of correlations.
+        Of bars edges (n + 1) and counts (n); of cells nothing and a matrix of correlations; of blocks edges (n, 2). A
+        line is interrupted at nan.
     label : str
         In the legend; none where empty.
     tips : sequence of str

@@ -145,6 +145,7 @@ def require_matplotlib() -> None:
 def draw_figures(
     charts: Mapping[str, Callable[[], Charts]], captions: Callable[[Collection[str]], str], out: str | Path, *,
     overwrite: bool, formats: Sequence[str] = FORMATS, progress: Progress | None = None,
+    contents: Contents = FIGURES, more: Mapping[str, bytes] | None = None,
 ) -> tuple[Path, list[str]]:  # fmt: skip
     """Draw charts in the style of papers and write them with their captions, whole or not at all.
 
@@ -156,11 +157,15 @@ def draw_figures(
         Text of the captions for the names of the figures that have charts.
     out, overwrite, formats, progress
         See :func:`write_figures`.
+    contents : Contents
+        Files that the folder may have.
+    more : mapping, optional
+        Bytes of further files by name.
     """
     import matplotlib
 
-    target, files, drawn = Path(out), dict[str, bytes](), list[str]()
-    require_free(target, overwrite=overwrite, contents=FIGURES)
+    target, files, drawn = Path(out), dict(more or {}), list[str]()
+    require_free(target, overwrite=overwrite, contents=contents)
     with matplotlib.rc_context(paper.STYLE):
         for done, (name, draw) in enumerate(charts.items(), start=1):
             if given := [chart for chart in draw() if chart is not None]:
@@ -170,7 +175,7 @@ def draw_figures(
             if progress is not None:
                 progress(done, len(charts), "figures")
     files[CAPTIONS_FILE] = captions(drawn).encode()
-    with staged_folder(target, overwrite=overwrite, contents=FIGURES) as staged, writing(target):
+    with staged_folder(target, overwrite=overwrite, contents=contents) as staged, writing(target):
         for name, data in files.items():
             (staged / name).write_bytes(data)
     return target, sorted(files)

@@ -208,4 +208,14 @@ def _cells(axes: Axes, mark: Mark, chart: Chart) -> None:
             axes.text(j, i, hundredths(rho), ha="center", va="center", fontsize=5, color=ink).set_in_layout(False)
 
 
-_DRAW: Final = {"line": _line, "area": _area, "dots": _dots, "bars": _bars, "names": _names, "cells": _cells}
+def _blocks(axes: Axes, mark: Mark, chart: Chart) -> None:
+    """Draw filled rectangles."""
+    from matplotlib.collections import PolyCollection
+
+    corners = np.stack([mark.x[:, [0, 1, 1, 0]], mark.y[:, [0, 0, 1, 1]]], axis=-1)
+    axes.add_collection(PolyCollection(list(corners), facecolors=INKS[mark.kind].colour, label=mark.label or None))
+
+
+_DRAW: Final = {
+    "line": _line, "area": _area, "dots": _dots, "bars": _bars, "names": _names, "cells": _cells, "blocks": _blocks,
+}  # fmt: skip

@@ -64,6 +64,16 @@ def test_own_factor(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.behaviour
+def test_factor_graph(repository: Path) -> None:
+    out = run(repository, "factor_graph.py")
+    assert "redundancy 158 -> 161" in out  # three components of the baseline
+    before, after = (float(v) for v in re.findall(r"the factor: (\S+) m", out))
+    assert before > 1.0
+    assert after < 0.03  # its sigma is 0.01 m
+    assert out.endswith("converged, the same points: True\n")
+
+
+@pytest.mark.behaviour
 def test_program_as_run(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     out = run(repository, "program_as_run.py", "--only", "D5", "--out", "figures")
@@ -95,6 +105,15 @@ def test_rpc_bundle(repository: Path) -> None:
     before, after = (float(v) for v in re.search(r"y-parallax (\S+) px before, (\S+) px after", out).groups())
     assert after < 0.6 < 5.0 < before
     assert out.count("shifted together") == 3
+
+
+@pytest.mark.behaviour
+def test_incremental(repository: Path) -> None:
+    out = run(repository, "incremental.py")
+    assert "30 images: 0 ground points wait" in out
+    assert "image image20, point 7; removed" in out
+    assert [s for s in re.findall(r"sigma0 \S+, (\w+)", out)] == ["not_trustworthy", "converged"]
+    assert float(re.search(r"adjustment by (\S+) prior", out).group(1)) < 1e-8
 
 
 @pytest.mark.behaviour

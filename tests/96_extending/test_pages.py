@@ -197,7 +197,7 @@ def test_sensor_in_a_project_file(parallel: tuple[Path, dict[str, Any]], files: 
     own = ("--plugin", files["sensor"])
     ended = in_process(*own, "adjust", folder / "project.toml", "--out", folder / "result", "--json")
     assert ended.code == 0, ended.stderr
-    assert ended.json["backend"] == "schur"
+    assert ended.json["backend"] == "graph"
     assert ended.json["sigma0_interval_99_9"][0] < ended.json["sigma0"] < ended.json["sigma0_interval_99_9"][1]
     solution = fg.adjust(fg.read_project(folder / "project.toml"), backend="dense")
     for name, shift in true["SHIFTS"].items():
