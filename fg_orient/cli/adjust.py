@@ -122,10 +122,8 @@ def show(record: dict[str, Any]) -> None:
 
     low, high = record["sigma0_interval_99_9"]
     whose = f" of GTSAM's {OPTIMIZER[record['optimizer']]}" if record["backend"] == "graph" else ""
-    say(
-        f"{record['status'].replace('_', ' ')} after {record['iterations']} iterations{whose}: "
-        f"{record['n_image_points']} image points, {record['n_unknowns']} unknowns, redundancy {record['redundancy']}"
-    )
+    say(f"{record['status'].replace('_', ' ')} after {record['iterations']} iterations{whose}")
+    say(f"{record['n_image_points']} image points, {record['n_unknowns']} unknowns, redundancy {record['redundancy']}")
     tested = f"99.9 % interval {number(low)} .. {number(high)}" if low is not None else "not tested"
     say(f"sigma0 {number(record['sigma0'])} ({tested}), "
         f"{orientation_words(record)}")  # fmt: skip
