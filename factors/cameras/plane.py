@@ -30,9 +30,9 @@ RECORD: Final = Record(source="x y z", target="u v", w11=1, w12=1, w22=1)
 #: Highest degree of the polynomial: that of İpbüker 1994.
 MAX_DEGREE = 5
 #: Linear form: pairs of an unknown's place and its factor; the factor is a number or an array over points.
-Form = list[tuple[int, Any]]
+_Form = list[tuple[int, Any]]
 #: Numerators of U and V, denominators minus 1 of U and V.
-Forms = tuple[Form, Form, Form, Form]
+_Forms = tuple[_Form, _Form, _Form, _Form]
 
 
 def polynomial_setup(degree: int) -> Array:
@@ -41,7 +41,7 @@ def polynomial_setup(degree: int) -> Array:
     return np.ascontiguousarray(np.array(pairs, float).T)
 
 
-def _linear(first: int, *factors: Any) -> Form:
+def _linear(first: int, *factors: Any) -> _Form:
     """Form with unknowns from ``first`` on."""
     return list(enumerate(factors, first))
 
@@ -53,7 +53,7 @@ def _power(base: Any, exponent: float) -> Any:
     return out
 
 
-def value_of(form: Form, c: Any, first: float = 0.0) -> Any:
+def value_of(form: _Form, c: Any, first: float = 0.0) -> Any:
     """``first`` plus the sum of unknowns times factors."""
     total: Any = first
     for k, factor in form:
@@ -75,35 +75,35 @@ def whiten_rows(record: Array, rows: Array) -> Array:
     return rows
 
 
-def _polynomial(x: Any, y: Any, z: Any, setup: Array, c: Any) -> Forms:
+def _polynomial(x: Any, y: Any, z: Any, setup: Array, c: Any) -> _Forms:
     terms = [_power(x, j) * _power(y, k) for j, k in setup.T]
     return _linear(0, *terms), _linear(len(terms), *terms), [], []
 
 
-def _helmert(x: Any, y: Any, z: Any, setup: Array, c: Any) -> Forms:
+def _helmert(x: Any, y: Any, z: Any, setup: Array, c: Any) -> _Forms:
     return [(0, 1.0), (2, x), (3, -y)], [(1, 1.0), (3, x), (2, y)], [], []
 
 
-def _projective(x: Any, y: Any, z: Any, setup: Array, c: Any) -> Forms:
+def _projective(x: Any, y: Any, z: Any, setup: Array, c: Any) -> _Forms:
     below = _linear(6, x, y)
     return _linear(0, 1.0, x, y), _linear(3, 1.0, x, y), below, below
 
 
-def _affine(x: Any, y: Any, z: Any, setup: Array, c: Any) -> Forms:
+def _affine(x: Any, y: Any, z: Any, setup: Array, c: Any) -> _Forms:
     return _linear(0, 1.0, x, y, z), _linear(4, 1.0, x, y, z), [], []
 
 
-def _parallel(x: Any, y: Any, z: Any, setup: Array, c: Any) -> Forms:
+def _parallel(x: Any, y: Any, z: Any, setup: Array, c: Any) -> _Forms:
     line, q = _linear(0, 1.0, x, y, z), _linear(4, 1.0, x, y, z)
     return line, q, [], [(8, value_of(q, c))]
 
 
-def _line_scanner_dlt(x: Any, y: Any, z: Any, setup: Array, c: Any) -> Forms:
+def _line_scanner_dlt(x: Any, y: Any, z: Any, setup: Array, c: Any) -> _Forms:
     return _linear(0, 1.0, x, y, z), _linear(4, 1.0, x, y, z), [], _linear(8, x, y, z)
 
 
-#: Forms of each transformation, by the name of its equation.
-_FORMS: Final[dict[str, Callable[..., Forms]]] = {
+#: _Forms of each transformation, by the name of its equation.
+_FORMS: Final[dict[str, Callable[..., _Forms]]] = {
     "plane_polynomial": _polynomial, "plane_helmert": _helmert, "plane_projective": _projective,
     "affine_projection": _affine, "parallel_projection": _parallel, "line_scanner_dlt": _line_scanner_dlt,
 }  # fmt: skip
