@@ -29,9 +29,9 @@ from factors.records import Record
 RECORD: Final = Record(source="x y z", target="u v", w11=1, w12=1, w22=1)
 #: Highest degree of the polynomial: that of İpbüker 1994.
 MAX_DEGREE = 5
-#: Linear form: pairs of an unknown's place and its factor; the factor is a number or an array over points.
+# Linear form: pairs of an unknown's place and its factor; the factor is a number or an array over points.
 _Form = list[tuple[int, Any]]
-#: Numerators of U and V, denominators minus 1 of U and V.
+# Numerators of U and V, denominators minus 1 of U and V.
 _Forms = tuple[_Form, _Form, _Form, _Form]
 
 
