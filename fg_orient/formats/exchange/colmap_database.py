@@ -76,7 +76,7 @@ def _read(opened: sqlite3.Connection, file: str) -> Survey:
     xy = np.concatenate([np.empty((0, 2), np.float32), *keypoints]).astype(float) - FIRST_PIXEL
     image, notes = (
         np.repeat(np.arange(len(rows)), np.diff(first)),
-        (finding("points.matches", n=len(matches), kind=kind),),
+        [finding("points.matches", n=len(matches), kind=kind)],
     )
     return matched_survey(tuple(str(name) for _, name in rows), image, xy[:, 1], xy[:, 0], matches, notes)
 
@@ -155,11 +155,6 @@ def write_colmap_database(path: Path, survey: Survey, sizes: Mapping[str, tuple[
     return float(np.abs(single - xy).max(initial=0.0))
 
 
-def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read the tie points of a database."""
-    return read_colmap_database(paths[0])
-
-
 def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
     """Write a database; the finding states the rounding to single precision."""
     rounding = write_colmap_database(paths[0], survey, settings.image_sizes)
@@ -176,7 +171,7 @@ FORMAT: Final = Format(
     first_pixel=(FIRST_PIXEL, FIRST_PIXEL),
     pixel_axes="x column, y row (pixels, single precision)",
     holds=TIES_ONLY,
-    read=read,
+    read=lambda paths, settings: read_colmap_database(paths[0]),
     write=write,
     evidence="databases written by pycolmap 4.2; ours are read by it",
 )

@@ -17,11 +17,10 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from fg_orient.formats.atomic import require_free_files, write_lines
-from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import TextLines, make_folder, positions, require_once, whole
 from fg_orient.formats.exchange.ties import model_survey
 from fg_orient.formats.frame_model import FrameModel, Pose
-from fg_orient.formats.registry import TIES_ONLY, Format, Settings
+from fg_orient.formats.registry import TIES_ONLY, Format
 from fg_orient.formats.tables import finite
 from fg_orient.model.errors import InputError, finding
 from fg_orient.sensors.frame import IDEAL_TO_MEASURED
@@ -41,8 +40,6 @@ MODELS: Final = {
     "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
     "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
 }
-#: Number of a model in databases.
-MODEL_IDS: Final = {0: "SIMPLE_PINHOLE", 1: "PINHOLE", 2: "SIMPLE_RADIAL", 3: "RADIAL", 4: "OPENCV", 6: "FULL_OPENCV"}
 #: Coefficients in the order of ``Interior.distortion``.
 _BROWN: Final = ("k1", "k2", "k3", "p1", "p2")
 FILES: Final = ("cameras.txt", "images.txt", "points3D.txt")
@@ -256,11 +253,6 @@ def _point_lines(model: FrameModel, place: Index) -> Iterator[str]:
         yield " ".join([str(k + 1), *map(repr, xyz), "128 128 128", repr(error), *tokens[first:last]])
 
 
-def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read the tie points of a model."""
-    return model_survey(read_colmap_text(paths[0]))
-
-
 FORMAT: Final = Format(
     name="colmap-text",
     title="COLMAP text model (folder of cameras.txt, images.txt, points3D.txt)",
@@ -269,7 +261,7 @@ FORMAT: Final = Format(
     pixel_axes="x column, y row (pixels)",
     ground_axes="local x, y, z (left out)",
     holds=TIES_ONLY,
-    read=read,
+    read=lambda paths, settings: model_survey(read_colmap_text(paths[0])),
     read_model=lambda paths, settings: read_colmap_text(paths[0]),
     write_model=lambda out, model, overwrite: write_colmap_text(out, model, overwrite=overwrite),
     evidence="models written by pycolmap 4.2; ours are read by it",

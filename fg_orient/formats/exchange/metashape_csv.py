@@ -16,9 +16,9 @@ import numpy as np
 
 from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
-from fg_orient.formats.exchange.text import delimited, digits, named, numbers, row_of, separator_of, sigma, stated_in
+from fg_orient.formats.exchange.text import digits, named, numbers, row_of, separator_of, sigma, stated_in
 from fg_orient.formats.registry import Format, Holds, Settings
-from fg_orient.formats.tables import Row, read_text
+from fg_orient.formats.tables import Row, delimited, read_text
 from fg_orient.geodesy.crs import wkt
 from fg_orient.model.errors import InputError, finding
 from fg_orient.model.names import Role
@@ -55,7 +55,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     lines = list(enumerate(text.split("\n"), start=1))
     start, mark, columns, ignored = _header(lines, path)
     for n, line in lines[start:]:
-        cells = None if not line.strip() or line.startswith("#") else delimited(line, n, mark, faults)
+        cells = None if not line.strip() or line.startswith("#") else delimited(n, line, faults, mark=mark)
         if cells and len(cells) > len(columns):
             value = f"{len(cells)} cells"
             faults.add("interchange.cell_count", place=f"line {n}", value=value, expected=f"up to {len(columns)}")
