@@ -1,4 +1,13 @@
-"""Ground control of MicMac and Pix4D: a text file of points and one of their image points, both without header."""
+"""Ground control of MicMac and Pix4D: a text file of points and one of their image points, both without header.
+
+MicMac: ``name X Y Z precXY precZ`` and ``name image x y``, blanks between them. X is longitude or easting. The files do
+not state the CRS. Bilinear interpolation in MicMac gives the value of a pixel at whole coordinates; (0, 0) is therefore
+assumed to be the centre of the first pixel.
+
+Pix4D: ``label, coordinate 1, coordinate 2, z`` and, if given, ``horizontal accuracy, vertical accuracy``. The two
+coordinates have the order of the definition of the CRS (latitude first for EPSG:4326). Marks: ``image, label, x, y``
+and, if given, a scale, which is ignored. Pixels count from the corner of the first pixel: its centre is (0.5, 0.5).
+"""
 
 from __future__ import annotations
 
@@ -92,12 +101,6 @@ _MICMAC: Final = Layout(
 MICMAC: Final = Format(
     name="micmac",
     title="MicMac control points (two text files)",
-    help="""\
-Control points of MicMac: two text files, ``name X Y Z precXY precZ`` and ``name image x y``, blanks between them.
-
-X is longitude or easting. The files do not state the CRS. Bilinear interpolation in MicMac gives the value of a pixel
-at whole coordinates; (0, 0) is therefore assumed to be the centre of the first pixel.
-""",
     suffixes=(".txt",),
     files=("points", "images"),
     first_pixel=(0.0, 0.0),
@@ -115,13 +118,6 @@ _PIX4D: Final = Layout(
 PIX4D: Final = Format(
     name="pix4d",
     title="Pix4D ground control points and marks (CSV)",
-    help="""\
-Ground control of Pix4D: a table of points and one of their marks in images, both without header.
-
-Points: ``label, coordinate 1, coordinate 2, z`` and, if given, ``horizontal accuracy, vertical accuracy``. The two
-coordinates have the order of the definition of the CRS (latitude first for EPSG:4326). Marks: ``image, label, x, y``
-and, if given, a scale, which is ignored. Pixels count from the corner of the first pixel: its centre is (0.5, 0.5).
-""",
     suffixes=(".csv",),
     files=("points", "marks"),
     first_pixel=(0.5, 0.5),
