@@ -56,7 +56,7 @@ _ROOT = Path(__file__).resolve().parents[1]
 _INTERNAL = """
     fg_orient/__main__.py fg_orient/model/public.py
     fg_orient/adjustment/*.py fg_orient/adjustment/parts/*
-    fg_orient/cli fg_orient/closerange/*job.py fg_orient/closerange/bundle_record.py fg_orient/closerange/importing.py
+    fg_orient/cli fg_orient/closerange/*job.py fg_orient/closerange/importing.py
     fg_orient/closerange/report*.py fg_orient/formats/assemble.py fg_orient/formats/atomic.py
     fg_orient/formats/*_checks.py fg_orient/formats/gdal.py fg_orient/formats/toml.py
     fg_orient/formats/rpc/fields.py fg_orient/formats/schema.py fg_orient/kernels/batch* fg_orient/model/cells.py

@@ -54,7 +54,7 @@ def report(
             path, comparison = write_report(folder, truth)
     record: dict[str, Any] = {"report": str(path), "truth": comparison}
     if figures or figures_out is not None:
-        drawing = import_module("fg_orient.closerange.report_plots" if closerange else "fg_orient.report.figures")
+        drawing = import_module("fg_orient.closerange.report" if closerange else "fg_orient.report.figures")
         with progress_bar("drawing the figures") as callback:
             drawn, names = drawing.write_figures(folder, figures_out, overwrite=overwrite, progress=callback)
         record["figures"] = {"folder": str(drawn), "files": names}

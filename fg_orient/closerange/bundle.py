@@ -14,23 +14,15 @@ from factors._contract import NotFiniteError
 from factors.cameras.extended_collinearity import NAMES
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.linear.threads import one_blas_thread
-from fg_orient.adjustment.loop import OPTIMIZERS, Callback, LoopResult
-from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, bordered_inverse
-from fg_orient.closerange.bundle_checks import (
-    HELD,
-    missed_most,
-    require_consistent,
-    require_determined,
-    require_independent,
-    require_rays,
-    require_slopes,
-)
+from fg_orient.adjustment.loop import OPTIMIZERS, Callback, IterationRecord, LoopResult
+from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, NetworkRows, bordered_inverse
+from fg_orient.closerange import bundle_checks as checks
 from fg_orient.closerange.bundle_network import Built, build
-from fg_orient.closerange.bundle_quality import Quality, quality_of
 from fg_orient.closerange.constraints import FITTED_FIRST, Constraint
 from fg_orient.closerange.fitting import as_points, require_sigmas, unit_weight
 from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
+from fg_orient.sensors.frame import opk_of_rotation
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -139,9 +131,9 @@ class Adjustment:
         return float(self.values[k]), None if self.sigma is None else float(self.sigma[k])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BundleResult:
-    """Result of :func:`adjust_bundle`.
+    """Result of :func:`adjust_bundle`; cofactors are for the given sigmas.
 
     Parameters
     ----------
@@ -164,13 +156,22 @@ class BundleResult:
     labels : tuple of str
         Of the unknowns.
     cofactors : (u,) array
-        Diagonal, for the given sigmas.
+        Diagonal.
     m0 : float or None
     redundancy, iterations : int
         Iterations with all constraints; iterations without spheres and spheroids are not counted.
     backend : str
-    quality : Quality
-        Redundancy numbers, covariances, weak directions.
+    history : tuple of IterationRecord
+    redundancy_numbers : (m, 2) array
+        Of the image coordinates.
+    others, others_whitened, others_redundancy
+        Names (k) of other soft observations, element by element; their whitened residuals and redundancy numbers (k,).
+    point_cofactors, angle_cofactors : (n, 3, 3), (p, 3, 3) arrays
+        Of the points, m^2; of omega, phi, kappa of the photos, deg^2; 0 for fixed ones.
+    orientation, orientation_labels : (o, o) array, tuple of str
+        Cofactors and names of all unknowns except those of points.
+    orientation_units : (o,) array
+        Accuracy of these from one image point; an unknown that is 1000 times less accurate is not determined.
     """
 
     photos: tuple[Adjustment, ...]
@@ -190,7 +191,16 @@ class BundleResult:
     redundancy: int
     iterations: int
     backend: str
-    quality: Quality
+    history: tuple[IterationRecord, ...]
+    redundancy_numbers: Array
+    others: tuple[str, ...]
+    others_whitened: Array
+    others_redundancy: Array
+    point_cofactors: Array
+    angle_cofactors: Array
+    orientation: Array
+    orientation_labels: tuple[str, ...]
+    orientation_units: Array
 
     @property
     def beyond(self) -> list[str]:
@@ -293,42 +303,47 @@ def _require_possible(built: Built, which: Index, of: Index) -> None:
     """Refuse too many unknowns, and points without rays."""
     if built.network.n_unknowns > MAX_UNKNOWNS:
         raise InputError.of("linear.too_large", place="bundle", value=built.network.n_unknowns, limit=MAX_UNKNOWNS)
-    require_rays(built, which, of)
+    checks.require_rays(built, which, of)
 
 
 def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None) -> LoopResult[Array]:
     """Result of the loop; start and end must determine all unknowns."""
     network = built.network
     try:
-        rows = network.rows(network.start)
-        require_slopes(network, rows)
-        require_independent(network, rows)
-        require_determined(built, rows)
+        _require_regular(built, network.rows(network.start))
         run: LoopResult[Array] = OPTIMIZERS[optimizer](
             engine, network.start, MAX_ITERATIONS, callback, tolerance=TOLERANCE
         )
         if not run.converged:
             raise _not_converged(network, run.end.message)
         rows = network.rows(run.state)
-        if len(rows.condition) and np.abs(rows.condition).max() > HELD:
+        if len(rows.condition) and np.abs(rows.condition).max() > checks.HELD:
             raise _not_converged(network, "hard constraints are not satisfied where the steps end")
-        require_slopes(network, rows)
-        require_independent(network, rows)  # some depend on others only where these are satisfied
-        require_determined(built, rows)
+        _require_regular(built, rows)
     except (NotFiniteError, RuntimeError) as error:
         raise _not_converged(network, str(error)) from error
     return run
 
 
+def _require_regular(built: Built, rows: NetworkRows) -> None:
+    """Refuse dependent constraints and undetermined unknowns.
+
+    Some constraints depend on others only at a state that satisfies these: start and end are checked.
+    """
+    checks.require_slopes(built.network, rows)
+    checks.require_independent(built.network, rows)
+    checks.require_determined(built, rows)
+
+
 def _not_converged(network: Network, reason: str) -> NoSolutionError:
     """Error with the reason and the hard constraint of the largest misclosure; InputError if they are contradictory."""
-    require_consistent(network)
-    reason += missed_most(network)
+    checks.require_consistent(network)
+    reason += checks.missed_most(network)
     return NoSolutionError.of("closerange.not_converged", place="bundle", reason=reason)  # type: ignore[return-value]
 
 
 def _result(built: Built, engine: Any, run: LoopResult[Array], which: Index, of: Index, sigma: Array) -> BundleResult:
-    network, state = built.network, run.state
+    network, state, n = built.network, run.state, 2 * len(of)
     rows = network.rows(state)
     built.require_in_front(state, which, of)
     m0 = unit_weight(float(rows.residual @ rows.residual), network.redundancy)
@@ -336,24 +351,41 @@ def _result(built: Built, engine: Any, run: LoopResult[Array], which: Index, of:
     is_dense = isinstance(engine, DenseNetwork)
     variances = whole.diagonal() if is_dense else np.concatenate([q.diagonal() for q in engine.cofactors(state)])
     cofactors = np.maximum(variances, 0.0)  # hard conditions give variances of 0, which rounding can make negative
-    scaled = cofactors * built.steps**2
-    values, every = built.values(state), np.arange(network.n_unknowns)
+    scaled, values = cofactors * built.steps**2, built.values(state)
 
-    def of_variables(name: str, numbers: Sequence[int]) -> Adjustment:
+    def adjusted(name: str, numbers: Sequence[int]) -> Adjustment:
         labels = tuple(label for k in numbers for label in network.variables[k].labels)
-        mine = np.concatenate([np.zeros(0, np.intp), *(every[network.part(k)] for k in numbers)])
+        mine = built.elements(numbers)
         return Adjustment(name, labels, values[mine], scaled[mine], None if m0 is None else m0 * np.sqrt(scaled[mine]))
 
     points, spread = built.start.copy(), np.zeros_like(built.start)
+    of_points = np.zeros((len(points), 3, 3))
     for j, k in built.point_variables.items():
-        points[j], spread[j] = values[network.part(k)], scaled[network.part(k)]
+        part = network.part(k)
+        points[j], spread[j], of_points[j] = values[part], scaled[part], whole[part, part]
     interiors, rotations, centres = built.oriented(state)
+    of_angles = np.zeros((len(rotations), 3, 3))
+    for j, (turn, rotation) in enumerate(zip(built.turns, rotations, strict=True)):
+        if not isinstance(turn, np.ndarray):
+            by, part = np.degrees(opk_of_rotation(rotation)[1]), network.part(turn)
+            of_angles[j] = by @ whole[part, part] @ by.T
+    numbers = 1.0 - np.einsum("ij,ij->i", rows.design @ whole, rows.design)
+    others = [o.label if o.n_residuals == 1 else f"{o.label}, {element}" for o in network.observations if not o.hard
+              for element in ("XYZ" if o.n_residuals == 3 else range(1, o.n_residuals + 1))][n:]  # fmt: skip
+    where = built.elements(sorted({*range(len(network.variables))} - {*built.point_variables.values()}))
+    steps = built.steps[where]
     return BundleResult(
-        tuple(of_variables(p.name, ks) for p, ks in zip(built.photos, built.photo_variables, strict=True)),
-        tuple(of_variables(name, [k]) for name, k in built.camera_variables.items()),
-        tuple(interiors), tuple(rotations), tuple(centres), built.ids, points,
-        None if m0 is None else m0 * np.sqrt(spread),
-        tuple(of_variables(network.variables[k].name, [k]) for k in built.figure_variables),
-        rows.residual[: 2 * len(of)].reshape(-1, 2) * sigma, state, tuple(network.labels), cofactors, m0,
-        network.redundancy, len(run.log), engine.name, quality_of(built, rows, whole, rotations, run.log),
+        photos=tuple(adjusted(p.name, ks) for p, ks in zip(built.photos, built.photo_variables, strict=True)),
+        cameras=tuple(adjusted(name, [k]) for name, k in built.camera_variables.items()),
+        figures=tuple(adjusted(network.variables[k].name, [k]) for k in built.figure_variables),
+        interiors=tuple(interiors), rotations=tuple(rotations), centres_m=tuple(centres),
+        ids=built.ids, points_m=points, sigma_m=None if m0 is None else m0 * np.sqrt(spread),
+        residuals=rows.residual[:n].reshape(-1, 2) * sigma, state=state, labels=tuple(network.labels),
+        cofactors=cofactors, m0=m0, redundancy=network.redundancy, iterations=len(run.log),
+        backend=engine.name, history=run.log, redundancy_numbers=numbers[:n].reshape(-1, 2),
+        others=tuple(others), others_whitened=rows.residual[n:], others_redundancy=numbers[n:],
+        point_cofactors=of_points, angle_cofactors=of_angles,
+        orientation=whole[np.ix_(where, where)] * np.outer(steps, steps),
+        orientation_labels=tuple(network.labels[k] for k in where),
+        orientation_units=built.units(rows)[where] * steps,
     )  # fmt: skip

@@ -25,16 +25,12 @@ MOTIONS: Final = ("shift X", "shift Y", "shift Z", "turn about X", "turn about Y
 HARD: Final = 1e6
 #: Largest misclosure of a hard condition (m, or a sine): rounding of coordinates of 1e6 m.
 HELD: Final = 1e-9
-#: Misclosure that ends the search: well below, so that the derivatives show dependence.
-_CLOSED: Final = 1e-12
 #: Conditions with this share of the largest misclosure are named.
 CONFLICTING: Final = 0.1
 #: Distance of two points, relative to the start, below which conditions have merged them.
 MERGED: Final = 1e-3
 _STEPS: Final = 300
-#: Smallest damping, relative to the square of the largest singular value.
-_DAMPING: Final = 1e-12
-#: Ratio of steps and unknowns at rounding level.
+#: Relative change of squares and unknowns, and gradient, at rounding level.
 ROUNDING: Final = 1e-15
 
 
@@ -104,9 +100,9 @@ def require_datum(built: Built, rows: NetworkRows, unit: Array) -> None:
     length = np.linalg.norm(rows.border * unit, axis=1, keepdims=True)
     design = np.vstack([rows.design * unit, HARD * rows.border * unit / np.where(length > 0.0, length, 1.0)])
     moved = motions(built) / unit[:, None]
-    figures = [i for k in built.figure_variables for i in range(*built.network.part(k).indices(len(unit)))]
+    figures = built.elements(built.figure_variables)
     effect = design @ moved
-    if figures:  # the figures follow a motion without a misclosure
+    if len(figures):  # the figures follow a motion without a misclosure
         follow, _ = np.linalg.qr(design[:, figures])
         effect = effect - follow @ (follow.T @ effect)
     size = np.linalg.norm(moved, axis=0)
@@ -145,7 +141,7 @@ def motions(built: Built) -> Array:
 def require_consistent(network: Network) -> None:
     """Refuse hard conditions without a common solution near the start.
 
-    Levenberg-Marquardt minimises the sum of their squares, without observations; the misclosure of a condition there
+    Their sum of squares is minimised in a trust region, without observations; the misclosure of a condition there
     is its part in a conflict. Conditions that vanish only if points merge (points of a plumb line on a horizontal
     circle) are a conflict as well if the points were measured apart. A condition that follows from the others where all
     hold is refused, too.
@@ -223,21 +219,14 @@ def _labels(hard: Network) -> list[str]:
 
 
 def _least(hard: Network) -> tuple[Array, Array]:
-    """Misclosures (h,) of the conditions at the minimum of their sum of squares, and the state there."""
-    state, damping = hard.start, _DAMPING
-    rows = hard.rows(state)
-    for _ in range(_STEPS):
-        if np.abs(rows.condition).max() <= _CLOSED:
-            break
-        # shortest step to the least scaled conditions
-        size = float(np.linalg.norm(rows.border, 2))
-        square = rows.border @ rows.border.T + damping * size**2 * np.eye(len(rows.condition))
-        step = -rows.border.T @ np.linalg.solve(square, rows.condition)
-        trial = hard.rows(state + step)
-        if trial.condition @ trial.condition < rows.condition @ rows.condition:
-            state, rows, damping = state + step, trial, max(0.1 * damping, _DAMPING)
-        else:
-            damping *= 10.0
-        if np.linalg.norm(step) <= ROUNDING * np.linalg.norm(state):
-            break
-    return rows.condition, state
+    """Misclosures (h,) of the conditions at the minimum of their sum of squares, and the state (u,) there."""
+    from scipy.optimize import least_squares
+
+    def misclosures(x: Array) -> Array:
+        return hard.rows(x, jacobian=False).condition
+
+    def slopes(x: Array) -> Array:
+        return hard.rows(x).border
+
+    run = least_squares(misclosures, hard.start, slopes, ftol=ROUNDING, xtol=ROUNDING, gtol=ROUNDING, max_nfev=_STEPS)
+    return np.asarray(run.fun), np.asarray(run.x)

@@ -2,53 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from factors.cameras.extended_collinearity import NAMES
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import Callback
-from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
-from fg_orient.closerange.bundle_record import bundle_record
+from fg_orient.closerange import files, job
+from fg_orient.closerange.accuracy import compare_points
+from fg_orient.closerange.bundle import Adjustment, BundlePhoto, BundleResult, adjust_bundle
+from fg_orient.closerange.bundle_checks import NAMED
+from fg_orient.closerange.bundle_network import CENTRE, TURNS, camera_of
 from fg_orient.closerange.constraints import Constraint
-from fg_orient.closerange.corrections import parameters_of
-from fg_orient.closerange.files import (
-    Observed,
-    Station,
-    interiors,
-    photo_text,
-    read_ground_points,
-    read_image_points,
-    read_stations,
-)
+from fg_orient.closerange.corrections import parameters_of, profile
 from fg_orient.closerange.intersection import intersect_photos
-from fg_orient.closerange.job import (
-    NONE,
-    Output,
-    Record,
-    finished,
-    of_name,
-    require_absolute,
-)
 from fg_orient.closerange.options import BundleOptions
 from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.closerange.resection import resect
 from fg_orient.formats.closerange import ConstraintEntry, read_constraints, read_photos
-from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.errors import Finding, InputError, as_record, finding
+from fg_orient.quality.reliability import ALPHA, CHECKABLE, POWER, noncentrality
+from fg_orient.report.tables import correlations
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 #: Called at each stage of the work with its name and the number of image points (0 if unknown).
 Stage = Callable[[str, int], None]
+Known = Mapping[str, tuple[Array, Array]]
+
+#: Correlations above this are listed; how many of them, and of weak directions.
+HIGH: Final = 0.9
+LISTED: Final = 40
+#: Fields of an iteration.
+HISTORY: Final = ("iteration", "chi2", "chi2_after", "ratio", "step", "accepted")
+_WEAK: Final = 5
+#: Unknowns of a direction that are named, at most.
+_FEW: Final = 4
 
 
 def run_bundle(
     path: Path, photos: Path, options: BundleOptions, *, control: Path | None = None, start: Path | None = None,
-    constraints: Path | None = None, stations: Path | None = None, check: Path | None = None, output: Output = NONE,
-    callback: Callback | None = None, stage: Stage | None = None,
-) -> Record:  # fmt: skip
+    constraints: Path | None = None, stations: Path | None = None, check: Path | None = None,
+    output: job.Output = job.NONE, callback: Callback | None = None, stage: Stage | None = None,
+) -> job.Record:  # fmt: skip
     """Adjust the photos and points of a table.
 
     Parameters
@@ -74,31 +74,28 @@ def run_bundle(
     output.require_possible()
     report_progress = stage or (lambda name, count: None)
     report_progress("reading", 0)
-    table, sigma_control_m = read_image_points(path, options.sigma), options.sigma_control_m
+    table, sigma_control_m = files.read_image_points(path, options.sigma), options.sigma_control_m
     own, common = parameters_of(options.unknown, "<unknown>"), parameters_of(options.shared, "<shared>")
     known, begun = _control(control, sigma_control_m), _control(start, 0.0)
     places = begun | known
-    names, ids = list(dict.fromkeys(table.photos)), list(dict.fromkeys((*table.ids, *begun)))
-    which = np.array([names.index(name) for name in table.photos], np.intp)
-    of = np.array([ids.index(name) for name in table.ids], np.intp)
-    seen, withheld = read_stations(stations) if stations else {}, _control(check, 0.0)
+    names, ids, which, of = table.numbered(begun)
+    seen, withheld = files.read_stations(stations) if stations else {}, _control(check, 0.0)
     both = [name for name in withheld if name in known]
     if both:
         raise InputError.of("closerange.check_and_control", file=check, place=f"point {both[0]}")
     entries = read_constraints(constraints) if constraints else ()
     stated = [Constraint(e.kind, e.members, e.value_m, e.sigma, e.observed, e.axis,
                          np.eye(3) if e.offset is None else np.array(e.offset)) for e in entries]  # fmt: skip
-    require_absolute(path, table, _sigmas(control, sigma_control_m, known, constraints, entries, stations, seen))
+    job.require_absolute(path, table, _sigmas(control, sigma_control_m, known, constraints, entries, stations, seen))
     report_progress("start values", len(table.ids))
     with one_blas_thread():
-        starts, doubts = _starts(photos, names, table, which, of, ids, places, seen)
+        starts, begin, doubts = _approximate(photos, table, places, seen, begun)
         given = [
             BundlePhoto(name, *start, own, "all", common, sigma_centre_m=station.sigma_m if station else None,
                         sigma_turn_rad=station.sigma_turns_rad if station else None,
                         observed_centre_m=station.centre_m if station else None)
             for name, start, station in zip(names, starts, map(seen.get, names), strict=True)
         ]  # fmt: skip
-        begin = _points(starts, names, table, which, of, ids, places)
         report_progress("iterations", len(table.ids))
         result = adjust_bundle(
             given, ids, begin, which, of, table.image, sigma=table.image_sigma,
@@ -107,16 +104,16 @@ def run_bundle(
         )  # fmt: skip
     oriented = [] if result.beyond else result.oriented()
     parts = zip(oriented, result.interiors, result.rotations, strict=bool(oriented))
-    texts = [photo_text(*part) for part in parts]
-    checks = {name: at for name, (at, _) in withheld.items()}
-    record = {"weights": table.weights} | bundle_record(result, table, known, which, of, seen, checks, doubts)
+    texts = [files.photo_text(*part) for part in parts]
+    given_check = {name: at for name, (at, _) in withheld.items()}
+    record = {"weights": table.weights} | bundle_record(result, table, known, which, of, seen, given_check, doubts)
     beside = (photos, control, check, start, constraints, stations)
-    return finished(record, path, table, output, texts, beside)
+    return job.finished(record, path, table, output, texts, beside)
 
 
 def _sigmas(
     control: Path | None, sigma_m: float, known: Mapping[str, tuple[Array, Array]], constraints: Path | None,
-    entries: Sequence[ConstraintEntry], stations: Path | None, seen: Mapping[str, Station],
+    entries: Sequence[ConstraintEntry], stations: Path | None, seen: Mapping[str, files.Station],
 ) -> Iterator[tuple[str, str, float]]:  # fmt: skip
     """Sigmas in m or rad: file, place and value of control points, constraints with their observations, stations."""
     for name, (_, sigma) in known.items():
@@ -136,58 +133,250 @@ def _control(path: Path | None, sigma_m: float) -> dict[str, tuple[Array, Array]
     """Coordinates and sigmas of the control points by id."""
     if path is None:
         return {}
-    table = read_ground_points(path, sigma_m)
+    table = files.read_ground_points(path, sigma_m)
     assert table.sigma is not None  # else there is no default
     return {name: (at, sigma) for name, at, sigma in zip(table.ids, table.ground, table.sigma, strict=True)}
 
 
-Start = tuple[PhotoInterior, Array, Array]
+def _approximate(
+    path: Path, table: files.Observed, known: Known, seen: Mapping[str, files.Station], begun: Iterable[str]
+) -> tuple[list[tuple[PhotoInterior, Array, Array]], Array, list[Finding]]:
+    """Interior, rotation and centre of each photo; points (n, 3); warnings.
 
-
-def _starts(
-    path: Path, names: Sequence[str], table: Observed, which: Index, of: Index, ids: Sequence[str],
-    known: Mapping[str, tuple[Array, Array]], seen: Mapping[str, Station],
-) -> tuple[list[Start], list[Finding]]:  # fmt: skip
-    """PhotoInterior, rotation and centre of each photo, and warnings.
-
-    An observed attitude is its own approximate value; the others come from the file, else from a resection.
+    An observed attitude is its own approximate value; other photos come from the file, else from a resection. Points
+    without given coordinates are intersected.
     """
+    names, ids, which, of = table.numbered(begun)
     file = read_photos(path)
-    cameras, out, doubts = interiors(file), list[Start](), list[Finding]()
+    cameras, starts, doubts = files.interiors(file), list[tuple[PhotoInterior, Array, Array]](), list[Finding]()
     for k, name in enumerate(names):
-        entry, interior = of_name(file.entries, name, path), of_name(cameras, name, path)
+        entry, interior = job.of_name(file.entries, name, path), job.of_name(cameras, name, path)
         turn = seen[name].rotation if name in seen else None
         if entry.rotation is not None and entry.centre_m is not None:
-            out.append((interior, np.array(entry.rotation) if turn is None else turn, np.array(entry.centre_m)))
+            starts.append((interior, np.array(entry.rotation) if turn is None else turn, np.array(entry.centre_m)))
             continue
         if turn is not None:
-            out.append((interior, turn, seen[name].centre_m))
+            starts.append((interior, turn, seen[name].centre_m))
             continue
-        rows = [a for a in np.flatnonzero(which == k) if ids[of[a]] in known]
+        rows = [a for a in np.flatnonzero(which == k) if table.ids[a] in known]
         if len(rows) < 4:
             raise InputError.of("closerange.not_oriented", file=path, place=name)
-        ground = np.array([known[ids[of[a]]][0] for a in rows])
+        ground = np.array([known[table.ids[a]][0] for a in rows])
         pose = resect(interior, ground, table.image[rows], sigma=table.image_sigma[rows], name=name)
-        out.append((interior, pose.rotation, pose.photo.origin_m))
+        starts.append((interior, pose.rotation, pose.photo.origin_m))
         doubts += pose.second_pose(f"the bundle begins with a resection of photo {name}")
-    return out, doubts
-
-
-def _points(
-    starts: Sequence[Start], names: Sequence[str], table: Observed, which: Index, of: Index, ids: Sequence[str],
-    known: Mapping[str, tuple[Array, Array]],
-) -> Array:  # fmt: skip
-    """Start coordinates (n, 3): as given, else by intersection."""
-    out = np.array([known[i][0] if i in known else np.full(3, np.nan) for i in ids])
-    rays, free = np.bincount(of, minlength=len(ids)), np.isnan(out[:, 0])
-    lost = [name for name, is_free, n in zip(ids, free, rays, strict=True) if is_free and n < 2]
+    points = np.array([known[i][0] if i in known else np.full(3, np.nan) for i in ids])
+    rays, free = np.bincount(of, minlength=len(ids)), np.isnan(points[:, 0])
+    lost = [ids[j] for j in np.flatnonzero(free & (rays < 2))]
     if lost:
         raise InputError(*(finding("closerange.no_place", place=f"point {name}") for name in lost))
-    rows = np.flatnonzero(free[of])
-    if len(rows):
-        number = np.cumsum(free) - 1
-        photos = [Photo.of(n, *start) for n, start in zip(names, starts, strict=True)]
-        result = intersect_photos(photos, which[rows], number[of[rows]], table.image[rows],
-                                  ids=[i for i, f in zip(ids, free, strict=True) if f])  # fmt: skip
-        out[free] = result.points_m
+    seen_new = free[of]
+    if seen_new.any():
+        photos = [Photo.of(name, *start) for name, start in zip(names, starts, strict=True)]
+        new, number = np.unique(of[seen_new], return_inverse=True)
+        points[new] = intersect_photos(photos, which[seen_new], number, table.image[seen_new],
+                                       ids=[ids[j] for j in new]).points_m  # fmt: skip
+    return starts, points, doubts
+
+
+# --- record ----------------------------------------------------------------------------------------
+
+
+def bundle_record(
+    result: BundleResult, table: files.Observed, known: Known, which: Index, of: Index,
+    seen: Mapping[str, files.Station], check: Mapping[str, Array], started: Sequence[Finding],
+) -> job.Record:  # fmt: skip
+    """Record of a bundle.
+
+    Parameters
+    ----------
+    result : BundleResult
+    table : files.Observed
+        Image points. With relative weights m0 replaces the sigmas in tests.
+    known, check : mappings
+        Coordinates and sigmas of control points; coordinates of check points.
+    which, of : (m,) int arrays
+        Photo and point of each image point.
+    seen : mapping
+        Observed stations by photo.
+    started : sequence of Finding
+        Warnings on the start values.
+    """
+    unit = (result.m0 or 1.0) if table.sigma is None else 1.0
+    return {
+        "kind": "bundle", "backend": result.backend, "m0": result.m0, "redundancy": result.redundancy,
+        "iterations": result.iterations, "unknowns": len(result.labels), "photos": _photos(result, which, seen),
+        "cameras": [{"camera": c.name, "parameters": _numbers(c)} for c in result.cameras],
+        "figures": [{"figure": f.name, "numbers": _numbers(f)} for f in result.figures],
+        "points": _points(result, known, of, check), "residuals": _residuals(result, table, unit),
+        "distortion": _distortion(result, table, which), "observations": _others(result, unit),
+        "check": _check(result, check), "reliability": _reliability(result.redundancy_numbers),
+        "correlations": _correlations(result), "directions": directions(result),
+        "history": [{name: getattr(i, name) for name in HISTORY} for i in result.history],
+        **as_record([*_findings(result, known, seen, check), *started]),
+    }  # fmt: skip
+
+
+def _numbers(one: Adjustment, *names: str) -> list[job.Record]:
+    """Some values, by default all, with standard deviations."""
+    return [{"name": n, "value": one[n][0], "sigma": one[n][1]} for n in (names or one.names)]
+
+
+def _photos(result: BundleResult, which: Index, seen: Mapping[str, files.Station]) -> list[job.Record]:
+    photos, m0 = [], np.nan if result.m0 is None else result.m0
+    for k, (one, rotation, centre) in enumerate(zip(result.photos, result.rotations, result.centres_m, strict=True)):
+        sigma, turns = ([one[n][1] for n in names] for names in (CENTRE, TURNS))
+        own = [n for n in one.names if n in NAMES]
+        angles = m0 * np.sqrt(result.angle_cofactors[k].diagonal())
+        inner = result.interiors[k]
+        photos.append({
+            "photo": one.name, "parameters": _numbers(one, *own) if own else [], "interior": None, "points": [],
+            "exterior": job.exterior_record(rotation, centre, turns, sigma) | {"sigma_angles_deg": angles},
+            "camera": {"focal": inner.focal, "principal": inner.principal, "corrections": inner.corrections,
+                       "y_axis": inner.y_axis},
+            "observed": files.observed_record(seen.get(one.name), centre),
+            "rms": np.sqrt(np.mean(result.residuals[which == k] ** 2, axis=0)),
+        })  # fmt: skip
+    return photos
+
+
+def _distortion(result: BundleResult, table: files.Observed, which: Index) -> list[job.Record]:
+    """Corrections along the radius of each camera: common ones, of each photo, or fixed ones that are not 0."""
+    labels, out = result.orientation_labels, list[job.Record]()
+    m0 = result.m0 or 0.0
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for k, photo in enumerate(result.photos):
+        own = [n for n in photo.names if n in NAMES]
+        inner = result.interiors[k]
+        same = ("photo", photo.name) if own else (inner.focal, *inner.principal, *inner.corrections)
+        groups.setdefault(same, []).append(k)
+    for members in groups.values():
+        photo, inner = result.photos[members[0]], result.interiors[members[0]]
+        camera = camera_of(inner)
+        parts = [*((f"camera {c.name}", c) for c in result.cameras), (f"photo {photo.name}", photo)]
+        where = {n: (f"{of} {n}", p[n][0]) for of, p in parts for n in p.names if n in NAMES}
+        for name, (_, value) in where.items():
+            camera[NAMES.index(name)] = value
+        rows = [labels.index(label) for label, _ in where.values()]
+        covariance = m0**2 * result.orientation[np.ix_(rows, rows)]
+        reach = np.linalg.norm(table.image[np.isin(which, members)] - inner.principal, axis=1)
+        curve = profile(camera, float(reach.max(initial=1e-9)), list(where), covariance)
+        if any(curve["radial"]) or any(curve["across"]) or any(curve["sigma"]):
+            out.append({"photos": [result.photos[k].name for k in members], "determined": list(where), **curve})
+    return out
+
+
+def _points(result: BundleResult, known: Known, of: Index, check: Mapping[str, Array]) -> list[job.Record]:
+    n = len(result.ids)
+    rays = np.bincount(of, minlength=n)
+    with np.errstate(invalid="ignore"):  # points without rays have no misfit
+        misfit = np.sqrt(np.bincount(of, np.sum(result.residuals**2, axis=1), n) / rays)
+    given = np.array([known[i][0] if i in known else check.get(i, np.full(3, np.nan)) for i in result.ids])
+    role = ["control" if i in known else "check" if i in check else "new" for i in result.ids]
+    places = job.point_columns(result.points_m, result.sigma_m, result.point_cofactors, result.m0)
+    return job.rows({"id": result.ids, "role": role, **places, "difference_{}_m": result.points_m - given,
+                     "rays": rays, "misfit": misfit})  # fmt: skip
+
+
+def _residuals(result: BundleResult, table: files.Observed, unit: float) -> list[job.Record]:
+    """Image points: residuals (computed minus measured, corrected), redundancy numbers, w and detectable errors."""
+    sigma = table.image_sigma
+    own, detectable = _tested(result.residuals, sigma * unit, result.redundancy_numbers)
+    return job.rows({
+        "photo": table.photos, "id": table.ids, "{}": table.image, "residual_{}": result.residuals, "sigma_{}": sigma,
+        "redundancy_{}": result.redundancy_numbers, "w_{}": own, "mdb_{}": detectable,
+    })  # fmt: skip
+
+
+def _tested(residual: Array, sigma: Array, redundancy: Array) -> tuple[Array, Array]:
+    """Normalised residuals and minimal detectable biases; nan if the observation is not checked."""
+    root = np.sqrt(np.where(redundancy >= CHECKABLE, redundancy, np.nan))
+    return residual / (sigma * root), np.sqrt(noncentrality()) * sigma / root
+
+
+def _others(result: BundleResult, unit: float) -> list[job.Record]:
+    """Observations other than image coordinates: name, redundancy number, normalised residual."""
+    r = result.others_redundancy
+    own, _ = _tested(result.others_whitened, np.full(len(r), unit), r)
+    return job.rows({"what": result.others, "redundancy": r, "w": own})
+
+
+def _check(result: BundleResult, check: Mapping[str, Array]) -> job.Record | None:
+    """Statistics of adjusted minus given coordinates of the check points; None without check points."""
+    rows = [name for name in check if name in result.ids]
+    if not rows:
+        return None
+    given, ours = np.array([check[name] for name in rows]), result.points_m[[result.ids.index(name) for name in rows]]
+    measures = compare_points(given, ours, np.zeros(len(rows), bool)).other
+    return {"n": len(rows), "rms_mm": measures.rms_mm[:3], "worst_mm": measures.worst_mm,
+            "mean_mm": 1e3 * (ours - given).mean(axis=0)}  # fmt: skip
+
+
+def _reliability(r: Array) -> job.Record:
+    """Summary of the redundancy numbers (m, 2)."""
+    return {
+        "redundancy_of_images": r.sum(), "mean": r.mean(), "least": r.min(), "alpha": ALPHA, "power": POWER,
+        "limit_of_checkable": CHECKABLE, "n_not_checkable": (r < CHECKABLE).any(axis=1).sum(),
+    }  # fmt: skip
+
+
+def _correlations(result: BundleResult) -> job.Record:
+    """High correlations of the orientation, largest first; all correlations of each photo and camera as triangles.
+
+    Unknowns that hard conditions fix have none.
+    """
+    rho, labels = correlations(result.orientation), result.orientation_labels
+    first, second = np.nonzero(np.tril(np.abs(np.nan_to_num(rho)) > HIGH, -1))
+    order = np.argsort(-np.abs(rho[first, second]), kind="stable")[:LISTED]
+    owner = [label.rpartition(" ")[0] for label in labels]
+    parts = []
+    for name in dict.fromkeys(o for o in owner if o.startswith(("photo ", "camera "))):
+        rows = [k for k, o in enumerate(owner) if o == name]
+        parts.append({"of": name, "names": [labels[k].rpartition(" ")[2] for k in rows],
+                      "triangle": [rho[k, rows[:i]] for i, k in enumerate(rows)]})  # fmt: skip
+    return {
+        "limit": HIGH, "n": len(first), "parts": parts,
+        "largest": [{"a": labels[i], "b": labels[j], "correlation": rho[i, j]}
+                    for i, j in zip(first[order], second[order], strict=True)],
+    }  # fmt: skip
+
+
+def directions(result: BundleResult) -> job.Record:
+    """Singular values of the orientation in its units, and its weakest directions by their main unknowns.
+
+    A direction with the value s has a standard deviation of 1/s units; directions that hard conditions fix are counted.
+    """
+    units = result.orientation_units
+    variances, vectors = np.linalg.eigh(result.orientation / np.outer(units, units))
+    values = 1.0 / np.sqrt(variances[variances > 0.0][::-1])
+    return {
+        "singular_values": values, "held": len(units) - len(values),
+        "weakest": [{"value": value, "words": _words(vectors[:, -1 - k], result.orientation_labels)}
+                    for k, value in enumerate(values[:_WEAK])],
+    }  # fmt: skip
+
+
+def _words(direction: Array, labels: Sequence[str]) -> str:
+    """Main unknowns of a direction (o,)."""
+    size = np.abs(direction)
+    order = [int(k) for k in np.argsort(-size, kind="stable")[:_FEW] if size[k] >= NAMED * size.max()]
+    sign = np.sign(direction[order[0]]) or 1.0
+    return ", ".join(f"{sign * direction[k]:+.2f} {labels[k]}".replace("-", "−") for k in order)
+
+
+def _findings(
+    result: BundleResult, known: Known, seen: Mapping[str, files.Station], check: Mapping[str, Array]
+) -> list[Finding]:  # fmt: skip
+    """Warnings on the result."""
+    out = job.no_redundancy(result.m0)
+    for code, names, measured in (
+        ("closerange.unseen_control", known, result.ids),
+        ("closerange.unseen_check", check, result.ids),
+        ("closerange.unseen_station", seen, [p.name for p in result.photos]),
+    ):
+        unseen = [name for name in names if name not in set(measured)]
+        if unseen:
+            out.append(finding(code, names=unseen))
+    if result.beyond:
+        out.append(finding("closerange.no_photo_file", parameters=result.beyond))
     return out

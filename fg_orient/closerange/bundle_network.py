@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
@@ -83,6 +83,11 @@ class Built:
     def network(self) -> Network:
         """Network, at first use, when it is complete."""
         return Network(tuple(self.variables), tuple(self.observations))
+
+    def elements(self, variables: Iterable[int]) -> Index:
+        """Positions (k,) of the elements of some variables in a state."""
+        parts = [range(*self.network.first[k : k + 2]) for k in variables]
+        return np.array([element for part in parts for element in part], np.intp)
 
     @property
     def steps(self) -> Array:

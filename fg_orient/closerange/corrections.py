@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -51,8 +51,8 @@ def parameters_of(words: Sequence[str], place: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(out))
 
 
-def profile(camera: Array, rim: float, names: Sequence[str], covariance: Array) -> dict[str, Any]:
-    """Corrections of a camera over the radius, as lists of the same length, in image units.
+def profile(camera: Array, rim: float, names: Sequence[str], covariance: Array) -> dict[str, Array]:
+    """Corrections of a camera over the radius, as arrays (33,), in image units.
 
     ``radius``; ``radial``: radial part of the correction, mean over all directions; ``sigma``: its standard deviation;
     ``across``: largest part at right angles to the radius.
@@ -80,8 +80,7 @@ def profile(camera: Array, rim: float, names: Sequence[str], covariance: Array) 
             unit[CAMERA.c], unit[NAMES.index(name)] = camera[CAMERA.c], 1.0
             slopes[:, j] = np.einsum("rdk,dk->rd", _corrections(unit, radius, along, rim), along).mean(axis=1)
     variance = np.einsum("ri,ij,rj->r", slopes, covariance, slopes)
-    return {"radius": radius.tolist(), "radial": radial.tolist(), "across": across.tolist(),
-            "sigma": np.sqrt(np.maximum(variance, 0.0)).tolist()}  # fmt: skip
+    return {"radius": radius, "radial": radial, "across": across, "sigma": np.sqrt(np.maximum(variance, 0.0))}
 
 
 def _corrections(camera: Array, radius: Array, along: Array, rim: float) -> Array:

@@ -26,19 +26,7 @@ import numpy.typing as npt
 
 from factors.cameras.dlt import DLT, N_DISTORTION, RECORD
 from factors.cameras.image_corrections import NAMES
-from fg_orient.closerange.fitting import (
-    RANK_LIMIT,
-    UNDETERMINED,
-    Determination,
-    Fit,
-    Rows,
-    adjust,
-    as_points,
-    determination,
-    equation_rows,
-    require_sigmas,
-    statistics,
-)
+from fg_orient.closerange import fitting
 from fg_orient.closerange.photo import Photo, YAxis, corrections_of
 from fg_orient.model.distributions import normal_quantile, t_quantile
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
@@ -93,7 +81,7 @@ class Recovered:
 
 
 @dataclass(frozen=True)
-class DltFit(Fit):
+class DltFit(fitting.Fit):
     """An adjusted DLT.
 
     Parameters
@@ -166,22 +154,22 @@ def fit_dlt(
     NoSolutionError
         The iteration does not converge, or points lie on both sides of the camera.
     """
-    ground = as_points(ground_m, 3, "ground")
-    measured = as_points(image, 2, "image")
+    ground = fitting.as_points(ground_m, 3, "ground")
+    measured = fitting.as_points(image, 2, "image")
     size = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, float), measured.shape)
     for unknown in [name for name in distortion if name not in DISTORTION or not iterate]:
         raise InputError.of("closerange.distortion", place="distortion", value=unknown, known=", ".join(DISTORTION))
     least = (11 + len(distortion) + 1) // 2
     if len(ground) != len(measured) or len(ground) < least:
         raise InputError.of("closerange.few", place="DLT", value=len(ground), least=least)
-    require_sigmas(size)
+    fitting.require_sigmas(size)
     codes = np.array([DISTORTION.index(name) for name in distortion], float)
     source, target = Scaling.of(ground, shared=True), Scaling.of(measured, shared=True)
     scale = target.scale / size
     records = RECORD.pack(source=source.normalised(ground), target=target.normalised(measured), w11=scale[:, 0],
                           w12=0.0, w22=scale[:, 1], centre=np.zeros(2))  # fmt: skip
     setup = np.ascontiguousarray(np.stack([codes, np.ones(len(codes))]))
-    rows = equation_rows(DLT, records, setup)
+    rows = fitting.equation_rows(DLT, records, setup)
     direct = direct_dlt(records[:, RECORD.source], records[:, RECORD.target])
     state, iterations = np.concatenate([direct, np.zeros(len(codes))]), 1
     _require_spatial(ground, rows(state, True)[1][:, :11])
@@ -197,14 +185,13 @@ def fit_dlt(
         raise NoSolutionError.of("closerange.behind", place=f"point {int(np.argmin(below)) + 1}")
     white, design = rows(state, True)
     assessed = _require_spatial(ground, design)
-    scaled = statistics(white, assessed, iterations, np.eye(len(state)))
-    doubt = require_depth(ground, state[:11], scaled["cofactors"], scaled["m0"], scaled["redundancy"],
-                          known=sigma is not None)  # fmt: skip
     # physical parameters are linear in the normalised ones because the last element of the matrix is 1
     to_physical = _denormalisation(source, target, distortion)
+    facts = fitting.statistics(white, assessed, iterations, to_physical)
+    doubt = require_depth(ground, state[:11], np.asarray(assessed.cofactors), facts["m0"], facts["redundancy"],
+                          known=sigma is not None)  # fmt: skip
     values, residuals = to_physical @ state, white.reshape(-1, 2) * size
     values[[3, 7]] += target.offset  # times the 1 of the last element
-    facts = statistics((residuals / size).ravel(), assessed, iterations, to_physical)
     recovered = _scaled(recover(values[:11], source.offset, facts["cofactors"][:11, :11]), facts["m0"], ground, size)
     origin = target.physical(records[0, RECORD.centre]) if distortion else recovered.principal
     photo = Photo(name, np.append(values[:11], 1.0).reshape(3, 4), source.offset, origin,
@@ -212,14 +199,14 @@ def fit_dlt(
     return DltFit(photo, (*PARAMETERS, *distortion), values, residuals, recovered, doubt, **facts)
 
 
-def _iterated(rows: Rows, records: Array, state: Array, *, moves: bool) -> tuple[Array, int]:
+def _iterated(rows: fitting.Rows, records: Array, state: Array, *, moves: bool) -> tuple[Array, int]:
     """Adjusted state and number of iterations; if it ``moves``, the centre of distortion is the principal point of L.
 
     If this iteration does not converge (points that do not separate distortion and principal point), the centre of the
     direct solution is used; ``records`` contain the used centre.
     """
     start, before = records[0, RECORD.centre].copy(), np.inf
-    first = last = adjust(rows, state, "DLT")
+    first = last = fitting.adjust(rows, state, "DLT")
     iterations = len(last.log)
     while moves:
         centre = recover(last.state[:11], np.zeros(3)).principal
@@ -230,7 +217,7 @@ def _iterated(rows: Rows, records: Array, state: Array, *, moves: bool) -> tuple
             records[:, RECORD.centre] = start
             return first.state, iterations
         records[:, RECORD.centre], before = centre, shift
-        last = adjust(rows, last.state, "DLT")
+        last = fitting.adjust(rows, last.state, "DLT")
         iterations += len(last.log)
     return last.state, iterations
 
@@ -242,10 +229,10 @@ def _open(ground: Array, value: str) -> InputError:
     return InputError.of(code, place="DLT", value=value)  # type: ignore[return-value]
 
 
-def _require_spatial(ground: Array, design: Array) -> Determination:
+def _require_spatial(ground: Array, design: Array) -> fitting.Determination:
     """Refuse points in a plane or another configuration that does not determine L."""
-    assessed = determination(design)
-    if assessed.cofactors is None or assessed.condition >= 1.0 / max(PLANE_LIMIT, RANK_LIMIT):
+    assessed = fitting.determination(design)
+    if assessed.cofactors is None or assessed.condition >= 1.0 / max(PLANE_LIMIT, fitting.RANK_LIMIT):
         raise _open(ground, f"condition {assessed.condition:.2g}")
     return assessed
 
@@ -322,24 +309,20 @@ def _scaled(recovered: Recovered, m0: float | None, ground: Array, sigma: Array)
     depth = float(np.linalg.norm(recovered.centre_m - ground.mean(axis=0)))
     worst = max(apriori[name] for name in ("X0", "Y0", "Z0"))
     ratio = worst / (float(np.sqrt(np.mean(sigma**2))) * depth / recovered.cx)
-    if not ratio <= UNDETERMINED:
+    if not ratio <= fitting.UNDETERMINED:
         raise _open(ground, f"projection centre {ratio:.2g} sigmas of a point")
     return replace(recovered, sigma=None if m0 is None else {name: m0 * s for name, s in apriori.items()})
 
 
 def _denormalisation(source: Scaling, target: Scaling, distortion: Sequence[str]) -> Array:
     """Physical from normalised parameters (u, u), ground coordinates about the offset of the normalisation."""
-    u, size = 11 + len(distortion), float(target.scale[0])
-    out = np.zeros((u, u))
-    ground = np.append(1.0 / source.scale, 1.0)
-    for row in range(2):
-        for k in range(4):
-            out[4 * row + k, 4 * row + k] = size * ground[k]
-            if k < 3:
-                out[4 * row + k, 8 + k] = target.offset[row] * ground[k]
-    out[8:11, 8:11] = np.diag(ground[:3])
-    for j, coefficient in enumerate(distortion):
-        out[11 + j, 11 + j] = size ** -({"k1": 2, "k2": 4, "k3": 6}.get(coefficient, 1))
+    size, out = float(target.scale[0]), np.eye(11 + len(distortion))
+    image = np.diag([size, size, 1.0])
+    image[:2, 2] = target.offset
+    ground = np.diag(np.append(1.0 / source.scale, 1.0))
+    out[:11, :11] = np.kron(image, ground)[:11, :11]  # of the matrix (3, 4) row by row, without its last element
+    for j, coefficient in enumerate(distortion, start=11):
+        out[j, j] = size ** -({"k1": 2, "k2": 4, "k3": 6}.get(coefficient, 1))
     return out
 
 

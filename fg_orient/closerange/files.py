@@ -7,7 +7,7 @@ receiver, a total station or an inertial unit, in the coordinate system of the c
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -19,14 +19,15 @@ import numpy.typing as npt
 from factors.cameras.image_corrections import NAMES
 from fg_orient.closerange.photo import Photo, PhotoInterior, rotation_from_aerial
 from fg_orient.formats.closerange import LARGEST, SMALLEST
-from fg_orient.formats.tables import Faults, Row, read_table, sha256_of
+from fg_orient.formats.tables import Faults, Table, read_table, sha256_of
 from fg_orient.model.errors import InputError
-from fg_orient.rectification.points import check_roles, numbers_of
+from fg_orient.rpc.points import checks
 
 if TYPE_CHECKING:
     from fg_orient.formats.closerange import PhotoEntry, Photos
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 
 IMAGE: Final = ("x", "y")
 GROUND: Final = ("x_m", "y_m", "z_m")
@@ -77,6 +78,13 @@ class Observed:
         """Sigmas (n, 2) of the image coordinates, 1 with relative weights."""
         return np.ones((len(self), 2)) if self.sigma is None else self.sigma
 
+    def numbered(self, others: Iterable[str] = ()) -> tuple[list[str], list[str], Index, Index]:
+        """Names of the photos; ids of the points and of others; number (n,) of the photo and point of each row."""
+        names, ids = list(dict.fromkeys(self.photos)), list(dict.fromkeys((*self.ids, *others)))
+        rows = ((names, self.photos), (ids, self.ids))
+        which, of = (np.array([known.index(one) for one in given], np.intp) for known, given in rows)
+        return names, ids, which, of
+
 
 def read_control(path: Path, sigma: float | None = None) -> Observed:
     """Control points measured in photos: id, x, y, x_m, y_m, z_m; optional photo, role, sigma_x and sigma_y.
@@ -103,40 +111,43 @@ def read_ground_points(path: Path, sigma_m: float | None = None) -> Observed:
 
 
 def _read(path: Path, layouts: list[tuple[str, ...]], default: float | None) -> Observed:
+    table = _table(path, layouts)
+    columns, names = table.columns, [own for own in (SIGMA_IMAGE, SIGMA_GROUND) if own[0] in table.columns]
+    image = _numbers(table, IMAGE if "x" in columns else ())
+    ground = _numbers(table, GROUND if "x_m" in columns else ())
+    sigma = None if default is None else np.full((len(table), 2 if "x" in columns else 3), default)
+    if names:
+        sigma = _sigmas(table, names[0])
+    photos = tuple(table.cells["photo"]) if "photo" in columns else ("",) * len(table)
+    keys = list(zip(table.cells["id"], photos, strict=True))
+    table.refuse_repeated(keys, "rectify.id_twice", "id", value=lambda row: " in photo ".join(
+        filter(None, (row.cells["id"], row.cells.get("photo")))))  # fmt: skip
+    check = checks(table)
+    _require_valid(table, path)
+    return Observed(tuple(table.cells["id"]), photos, image, ground, sigma, check, sha256_of(path))
+
+
+def _table(path: Path, layouts: list[tuple[str, ...]]) -> Table:
+    """Table of a file; InputError if it cannot be read."""
     faults = Faults(str(path))
     table = read_table(path, layouts, faults)
-    rows, columns = ((), ()) if table is None else (table.rows, table.columns)
-    sigma_names = next((names for names in (SIGMA_IMAGE, SIGMA_GROUND) if names[0] in columns), ())
-    sigma = _numbers(rows, sigma_names, faults)
-    for row, values in zip(rows, sigma, strict=True):
-        for name, value in zip(sigma_names, values, strict=True):
-            if 0.0 < value < SMALLEST:
-                faults.add("closerange.sigma_range", place=row.place(name), value=value, least=SMALLEST, limit=LARGEST)
-            if value <= 0.0:
-                faults.add("rectify.positive", place=row.place(name), value=value, unit="the unit of the coordinates")
-    own = sigma if sigma_names else None
-    if own is None and default is not None:
-        own = np.full((len(rows), 2 if "x" in columns else 3), default)
-    points = Observed(
-        tuple(row.cells["id"] for row in rows), tuple(row.cells.get("photo", "") for row in rows),
-        _numbers(rows, IMAGE if "x" in columns else (), faults),
-        _numbers(rows, GROUND if "x_m" in columns else (), faults), own,
-        check_roles(rows, faults), sha256_of(path) if table else "",
-    )  # fmt: skip
-    seen = set[tuple[str, str]]()
-    for row, key in zip(rows, zip(points.ids, points.photos, strict=True), strict=True):
-        if key in seen:
-            faults.add("rectify.id_twice", place=row.place("id"), value=" in photo ".join(filter(None, key)))
-        seen.add(key)
     faults.raise_if_any()
-    return points
+    assert table is not None  # else there is an error
+    return table
 
 
-def _numbers(rows: Sequence[Row], names: Sequence[str], faults: Faults) -> Array:
-    """Numbers (n, k) of some columns, none larger than ``LARGEST``."""
-    out = numbers_of(rows, names, faults)
-    for k, j in np.argwhere(np.abs(out) > LARGEST):
-        faults.add("closerange.range", place=rows[k].place(names[j]), value=out[k, j], limit=LARGEST)
+def _require_valid(table: Table, path: Path) -> None:
+    """Raise InputError with the errors of all records that were refused."""
+    faults = Faults(str(path))
+    table.report(faults)
+    faults.raise_if_any()
+
+
+def _numbers(table: Table, names: Sequence[str]) -> Array:
+    """Numbers (n, k) of some columns; those larger than ``LARGEST`` are refused."""
+    out = table.numbers(*names)
+    for name, values in zip(names, out.T, strict=True):
+        table.refuse(np.abs(values) > LARGEST, "closerange.range", name, value=values, limit=LARGEST)
     return out
 
 
@@ -204,37 +215,31 @@ def read_stations(path: Path) -> dict[str, Station]:
     Columns: photo, x_m, y_m, z_m, sigma_x_m, sigma_y_m, sigma_z_m; optional omega_deg, phi_deg, kappa_deg,
     sigma_x_deg, sigma_y_deg, sigma_z_deg.
     """
-    faults = Faults(str(path))
     place = ("photo", *GROUND, *SIGMA_GROUND)
-    table = read_table(path, [place, (*place, *ANGLES, *SIGMA_TURNS)], faults)
-    faults.raise_if_any()
-    assert table is not None  # else there is an error
-    out: dict[str, Station] = {}
-    for row in table.rows:
-        name = row.cells["photo"]
-        if name in out or not name:
-            faults.add("closerange.station_twice" if name else "table.cell_empty", place=row.place("photo"), value=name)
-        rotation = turns = None
-        centre, sigma = _numbers([row], GROUND, faults)[0], _sigmas(row, SIGMA_GROUND, LARGEST, faults)
-        if ANGLES[0] in table.columns:
-            rotation = rotation_from_aerial(*np.radians(numbers_of([row], ANGLES, faults)[0]).tolist())
-            turns = np.radians(_sigmas(row, SIGMA_TURNS, _LARGEST_TURN_DEG, faults))
-        out[name] = Station(centre, sigma, rotation, turns)
-    faults.raise_if_any()
+    table = _table(path, [place, (*place, *ANGLES, *SIGMA_TURNS)])
+    names = table.cells["photo"]
+    table.refuse([not name for name in names], "table.cell_empty", "photo")
+    table.refuse_repeated(names, "closerange.station_twice", "photo")
+    columns = [_numbers(table, GROUND), _sigmas(table, SIGMA_GROUND)]
+    if ANGLES[0] in table.columns:
+        angles = np.radians(table.numbers(*ANGLES)).tolist()
+        turns = np.radians(_sigmas(table, SIGMA_TURNS, _LARGEST_TURN_DEG))
+        columns += [np.array([rotation_from_aerial(*row) for row in angles]), turns]
+    _require_valid(table, path)
+    return {name: Station(*rows) for name, *rows in zip(names, *columns, strict=True)}
+
+
+def _sigmas(table: Table, names: Sequence[str], limit: float = LARGEST) -> Array:
+    """Standard deviations (n, k); impossible ones are refused."""
+    out = table.numbers(*names)
+    for name, values in zip(names, out.T, strict=True):
+        wrong = (values < SMALLEST) | (values > limit)
+        table.refuse(wrong, "closerange.sigma_range", name, value=values, least=SMALLEST, limit=limit)
     return out
-
-
-def _sigmas(row: Row, names: tuple[str, ...], limit: float, faults: Faults) -> Array:
-    values = np.asarray(numbers_of([row], names, faults)[0], float)
-    for name, value in zip(names, values.tolist(), strict=True):
-        if not (np.isnan(value) or SMALLEST <= value <= limit):
-            faults.add("closerange.sigma_range", place=row.place(name), value=value, least=SMALLEST, limit=limit)
-    return values
 
 
 def observed_record(station: Station | None, centre_m: Array) -> dict[str, Any] | None:
     """Record of an observed centre: value, sigma, adjusted minus observed, m; None without a station."""
     if station is None:
         return None
-    return {"centre_m": station.centre_m.tolist(), "sigma_m": station.sigma_m.tolist(),
-            "residual_m": (centre_m - station.centre_m).tolist()}  # fmt: skip
+    return {"centre_m": station.centre_m, "sigma_m": station.sigma_m, "residual_m": centre_m - station.centre_m}

@@ -232,6 +232,18 @@ class Conditions:
         """Derivatives (n, d) of the condition."""
         return np.asarray(2.0 * self._half_slope(points))
 
+    def central(self, least: float = 1e-9) -> tuple[Array, Array, Array] | None:
+        """Centre (d,), squares of the semi-axes (d,), below 0 for imaginary ones, and their directions as columns.
+
+        None without a centre: a curvature is below ``least`` times the largest. For one condition.
+        """
+        curvatures, axes = np.linalg.eigh(self.square)
+        if np.abs(curvatures).min() <= least * np.abs(curvatures).max():
+            return None
+        centre = -np.linalg.solve(self.square, self.linear)
+        squares = np.asarray(-(self.constant + self.linear @ centre) / curvatures, float)
+        return np.asarray(centre, float), squares, np.asarray(axes, float)
+
     def _half_slope(self, points: Array) -> Array:
         return np.asarray(np.einsum("...ij,...j->...i", self.square, points) + self.linear)
 

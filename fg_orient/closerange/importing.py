@@ -7,21 +7,23 @@ mean difference of these points, because programs export a shifted system. A rot
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.closerange.files import GROUND, IMAGE, SIGMA_GROUND, SIGMA_IMAGE, photo_text
+from fg_orient.closerange.files import photo_text
+from fg_orient.closerange.job import rows
 from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
 from fg_orient.formats.exchange.dbat import read_centres, read_control
 from fg_orient.formats.frame_model import FrameModel
 from fg_orient.formats.registry import Settings, format_named
 from fg_orient.model.errors import InputError
+from fg_orient.rectification.folder import write_rows
+from fg_orient.result.plain import plain
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL
 from fg_orient.sensors.interior import Interior as FrameInterior
 
@@ -65,20 +67,19 @@ def run_import(
         raise InputError.of("closerange.control_mixed", file=control, place=f"point {ids[int(np.argmin(weighted))]}")
     shift = _shift(model, ids, known, control)
     centres = read_centres(stations) if stations else {}
-    tables: dict[str, tuple[Sequence[str], Iterable[Sequence[object]]]] = {"image.csv": _marks(model, sigma_image_px)}
-    if new := _start(model, ids, shift):
-        tables["start.csv"] = ("id", *GROUND), new
+    tables = {"image.csv": _marks(model, sigma_image_px)}
+    new = [k for k in np.unique(model.point).tolist() if model.point_ids[k] not in set(ids)]
+    if new:
+        tables["start.csv"] = {"id": [model.point_ids[k] for k in new], "{}_m": model.points_m[new] + shift}
     if ids:
-        columns = ("id", *GROUND, *SIGMA_GROUND)[: 7 if weighted.all() else 4]
-        tables["control.csv"] = columns, [(i, *row[: len(columns) - 1]) for i, row in zip(ids, known, strict=True)]
+        tables["control.csv"] = {"id": ids, **_spread(known[:, : 6 if weighted.all() else 3])}
     if centres:
-        tables["stations.csv"] = ("photo", *GROUND, *SIGMA_GROUND), [(n, *row) for n, row in centres.items()]
+        tables["stations.csv"] = {"photo": [*centres], **_spread(np.array([*centres.values()]))}
     photos = _photos(model, shift, export)
     with staged_folder(out, overwrite=overwrite, contents=CONTENTS) as folder, writing(out):
         (folder / "photos.toml").write_text("schema = 1\n\n" + "\n".join(photos), encoding="utf-8")
-        for name, (head, rows) in tables.items():
-            with (folder / name).open("w", encoding="utf-8", newline="") as stream:
-                csv.writer(stream, lineterminator="\n").writerows([head, *rows])
+        for name, columns in tables.items():
+            write_rows(folder / name, plain(rows(columns)))
     return {
         "kind": "import", "format": source, "photos": len(model.poses), "points": len(np.unique(model.point)),
         "image_points": len(model.point), "control": len(ids), "stations": len(centres), "shift_m": shift.tolist(),
@@ -104,20 +105,19 @@ def _shift(model: FrameModel, ids: Sequence[str], known: Array, file: Path | Non
     return np.asarray((known[:, :3] - model.points_m[[place[name] for name in ids]]).mean(axis=0))
 
 
-def _marks(model: FrameModel, sigma_px: float | None) -> tuple[Sequence[str], list[tuple[object, ...]]]:
-    """Table of the image points."""
+def _marks(model: FrameModel, sigma_px: float | None) -> dict[str, Any]:
+    """Columns of the table of image points."""
     unit = _unit(model)
-    sigma = () if sigma_px is None else (sigma_px / unit,) * 2
-    rows = zip(model.image.tolist(), model.point.tolist(), (model.sample / unit).tolist(), (model.line / unit).tolist(),
-               strict=True)  # fmt: skip
-    head = ("id", "photo", *IMAGE, *(SIGMA_IMAGE if sigma else ()))
-    return head, [(model.point_ids[j], model.poses[k].name, x, y, *sigma) for k, j, x, y in rows]
+    columns: dict[str, Any] = {
+        "id": [model.point_ids[j] for j in model.point], "photo": [model.poses[k].name for k in model.image],
+        "{}": np.column_stack([model.sample, model.line]) / unit,
+    }  # fmt: skip
+    return columns if sigma_px is None else columns | {"sigma_{}": np.full((len(model.point), 2), sigma_px / unit)}
 
 
-def _start(model: FrameModel, control: Sequence[str], shift: Array) -> list[tuple[object, ...]]:
-    """Rows of the measured new points, in the system of the control points."""
-    new = [k for k in np.unique(model.point).tolist() if model.point_ids[k] not in set(control)]
-    return [(model.point_ids[k], *(model.points_m[k] + shift).tolist()) for k in new]
+def _spread(values: Array) -> dict[str, Array]:
+    """Columns of coordinates (n, 3) and, if there are six numbers, their standard deviations."""
+    return {"{}_m": values[:, :3]} | ({"sigma_{}_m": values[:, 3:]} if values.shape[1] > 3 else {})
 
 
 def _photos(model: FrameModel, shift: Array, file: Path) -> list[str]:

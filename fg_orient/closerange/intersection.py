@@ -111,7 +111,8 @@ def intersect_photos(
     residuals, slopes, depth = _rows(matrices, ideal, points[of], False)
     if not (depth > 0.0).all():
         raise NoSolutionError.of("closerange.behind", place=f"point {names[of[int(np.argmin(depth))]]}")
-    cofactors: Array = np.linalg.inv(_summed(slopes / size[:, :, None], of, n)).astype(float)
+    normal, _ = _normals(slopes / size[:, :, None], residuals / size, of, n)
+    cofactors = np.asarray(np.linalg.inv(normal))
     _require_depth(cofactors, depth, matrices, size, of, names)
     white, redundancy = (residuals / size).ravel(), 2 * len(of) - 3 * n
     m0 = unit_weight(float(white @ white), redundancy)
@@ -133,24 +134,18 @@ def _start(matrices: Array, ideal: Array, of: Index, n: int, names: Sequence[str
     """Points of the linear equations with weight 1."""
     rows = ideal[:, :, None] * matrices[:, 2:, :] - matrices[:, :2, :]
     rows = rows / np.linalg.norm(rows[:, :, :3], axis=2, keepdims=True)
-    normal, right = _summed(rows[:, :, :3], of, n), _right(rows[:, :, :3], rows[:, :, 3], of, n)
+    normal, right = _normals(rows[:, :, :3], rows[:, :, 3], of, n)
     values = np.linalg.eigvalsh(normal)
     _refuse(values[:, 0] <= 1e-13 * values[:, 2], names)
     return np.asarray(np.linalg.solve(normal, right[:, :, None])[:, :, 0])
 
 
-def _summed(rows: Array, of: Index, n: int) -> Array:
-    """Normal matrices (n, 3, 3) of the points from rows (m, 2, 3)."""
-    out = np.zeros((n, 3, 3))
-    np.add.at(out, of, np.einsum("mij,mik->mjk", rows, rows))
-    return out
-
-
-def _right(rows: Array, residuals: Array, of: Index, n: int) -> Array:
-    """Right sides (n, 3) of the normal equations from rows (m, 2, 3) and residuals (m, 2)."""
-    out = np.zeros((n, 3))
-    np.add.at(out, of, -np.einsum("mij,mi->mj", rows, residuals))
-    return out
+def _normals(rows: Array, residuals: Array, of: Index, n: int) -> tuple[Array, Array]:
+    """Normal matrices (n, 3, 3) and right sides (n, 3) of the points from rows (m, 2, 3) and residuals (m, 2)."""
+    normal, right = np.zeros((n, 3, 3)), np.zeros((n, 3))
+    np.add.at(normal, of, np.einsum("mij,mik->mjk", rows, rows))
+    np.add.at(right, of, -np.einsum("mij,mi->mj", rows, residuals))
+    return normal, right
 
 
 def _rows(matrices: Array, ideal: Array, points: Array, at_measured: bool) -> tuple[Array, Array, Array]:
@@ -170,8 +165,7 @@ def _iterated(
     for iteration in range(1, _ITERATIONS + 1):
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # divergence of a point ends the loop
             residuals, slopes, _ = _rows(matrices, ideal, points[of], reweighted)
-            white = slopes / size[:, :, None]
-            step = _solved(_summed(white, of, len(points)), _right(white, residuals / size, of, len(points)))
+            step = _solved(*_normals(slopes / size[:, :, None], residuals / size, of, len(points)))
             points = points + step
             length = np.linalg.norm(step, axis=1) / (np.linalg.norm(points, axis=1) + np.finfo(float).tiny)
         largest = float(length.max())

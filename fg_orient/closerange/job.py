@@ -12,23 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.closerange import files
 from fg_orient.closerange.dlt import RECOVERED, fit_dlt
-from fg_orient.closerange.files import (
-    GROUND,
-    Observed,
-    interiors,
-    oriented_photos,
-    photo_text,
-    read_control,
-    read_ground_points,
-    read_image_points,
-)
+from fg_orient.closerange.files import Observed
 from fg_orient.closerange.fitting import Fit, plain_rms
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.options import DltOptions, ImageOptions, SurfaceOptions
 from fg_orient.closerange.photo import Photo, aerial_from_rotation
-from fg_orient.closerange.report import RECORD_FILE, REPORT_FILE
-from fg_orient.closerange.report_html import render
+from fg_orient.closerange.report import RECORD_FILE, REPORT_FILE, render
 from fg_orient.closerange.report_words import doubts, photo_rows
 from fg_orient.closerange.resection import resect
 from fg_orient.closerange.surface import Kind
@@ -38,7 +29,7 @@ from fg_orient.formats.closerange import read_photos
 from fg_orient.model.errors import Finding, InputError, as_record, finding
 from fg_orient.model.installation import versions
 from fg_orient.rectification.folder import write_rows
-from fg_orient.result.plain import dumps
+from fg_orient.result.plain import dumps, of_axes, plain
 from fg_orient.result.provenance import sha256_of
 
 Array = npt.NDArray[np.float64]
@@ -89,26 +80,20 @@ def run_dlt(path: Path, options: DltOptions, output: Output = NONE) -> Record:
         fit = fit_dlt(ground, image, sigma=sigma, distortion=options.distortion, name=name, iterate=not options.direct)
         little = fit.redundancy == 1 and sigma is None
         doubts = [fit.doubt, finding("closerange.little_redundancy") if little else None]
-        r, s = fit.recovered, fit.recovered.sigma or dict.fromkeys(RECOVERED)
+        r, s = fit.recovered, fit.recovered.sigma or dict.fromkeys(RECOVERED, np.nan)
         interior = {
-            "principal": r.principal.tolist(), "sigma_principal": [s["x0"], s["y0"]], "cx": r.cx, "sigma_cx": s["cx"],
+            "principal": r.principal, "sigma_principal": [s["x0"], s["y0"]], "cx": r.cx, "sigma_cx": s["cx"],
             "cy": r.cy, "sigma_cy": s["cy"], "skew_rad": r.skew, "sigma_skew_rad": s["skew"], "y_axis": r.y_axis,
         }  # fmt: skip
         sd = [s[name] for name in RECOVERED]
-        exterior = exterior_record(r.rotation, r.centre_m, sd[8:], sd[5:8])
         record = {
-            "photo": name, **_fit_facts(fit, doubts), "parameters": _parameters(fit.names, fit.values, fit.sigma),
-            "origin_m": fit.photo.origin_m.tolist(), "interior": interior, "exterior": exterior,
+            "photo": name, **_fit_facts(fit, doubts), "parameters": parameters(fit.names, fit.values, fit.sigma),
+            "origin_m": fit.photo.origin_m, "interior": interior,
+            "exterior": exterior_record(r.rotation, r.centre_m, sd[8:], sd[5:8]),
         }  # fmt: skip
-        return record, fit.photo, photo_text(fit.photo)
+        return record, fit.photo, files.photo_text(fit.photo)
 
     return _each_photo("dlt", path, options.sigma, output, one)
-
-
-def _parameters(names: Sequence[str], values: Array, sigma: Array | None) -> list[Record]:
-    """Values with standard deviations."""
-    deviations = [None] * len(names) if sigma is None else sigma.tolist()
-    return [{"name": n, "value": v, "sigma": s} for n, v, s in zip(names, values.tolist(), deviations, strict=True)]
 
 
 def run_resect(path: Path, camera: Path, options: ImageOptions, output: Output = NONE) -> Record:
@@ -119,15 +104,15 @@ def run_resect(path: Path, camera: Path, options: ImageOptions, output: Output =
     InputError, NoSolutionError
         See :func:`fg_orient.closerange.resection.resect`; a photo without a camera.
     """
-    cameras = interiors(read_photos(camera))
+    cameras = files.interiors(read_photos(camera))
 
     def one(name: str, ground: Array, image: Array, sigma: Array | None) -> tuple[Record, Photo, str]:
         interior = of_name(cameras, name, camera)
         pose = resect(interior, ground, image, sigma=1.0 if sigma is None else sigma, name=name)
-        sd: list[Any] = [None] * 6 if pose.sigma is None else pose.sigma.tolist()
+        sd = np.full(6, np.nan) if pose.sigma is None else pose.sigma
         exterior = exterior_record(pose.rotation, pose.centre_m, sd[:3], sd[3:])
         record = {"photo": name, **_fit_facts(pose, pose.second_pose()), "exterior": exterior}
-        return record, pose.photo, photo_text(pose.photo, interior, pose.rotation)
+        return record, pose.photo, files.photo_text(pose.photo, interior, pose.rotation)
 
     return _each_photo("resection", path, options.sigma, output, one, [camera])
 
@@ -141,27 +126,22 @@ def run_intersect(path: Path, photos: Path, options: ImageOptions, output: Outpu
         See :func:`fg_orient.closerange.intersection.intersect_photos`; a photo that the file does not contain.
     """
     output.require_possible()
-    table, known = read_image_points(path, options.sigma), oriented_photos(read_photos(photos))
-    names, ids = list(dict.fromkeys(table.photos)), list(dict.fromkeys(table.ids))
-    which, of = [names.index(name) for name in table.photos], [ids.index(name) for name in table.ids]
+    table, known = files.read_image_points(path, options.sigma), files.oriented_photos(read_photos(photos))
+    names, ids, which, of = table.numbered()
     with one_blas_thread():
         result = intersect_photos([of_name(known, n, photos) for n in names], which, of, table.image,
                                   sigma=table.image_sigma, ids=ids)  # fmt: skip
-    rms, sd = [np.linalg.norm(result.residuals[np.array(of) == k]) for k in range(len(ids))], result.sigma_m
-    points = [
-        {"id": name, **xyz(result.points_m[k]), **xyz(None if sd is None else sd[k], "sigma_"),
-         **covariances(result.cofactors[k], result.m0), "rays": of.count(k),
-         "misfit": float(rms[k] / np.sqrt(of.count(k)))}
-        for k, name in enumerate(ids)
-    ]  # fmt: skip
-    residuals = [
-        {"photo": table.photos[k], "id": table.ids[k], **_pair("", table.image[k]), **_pair("residual_", v),
-         **_given_sigmas(table, k)} for k, v in enumerate(result.residuals)
-    ]  # fmt: skip
-    centres = [{"photo": n, "exterior": {"centre_m": known[n].origin_m.tolist()}} for n in names if n in known]
+    rays = np.bincount(of)
+    misfit = np.sqrt(np.bincount(of, np.sum(result.residuals**2, axis=1)) / rays)
+    sigma = {} if table.sigma is None else {"sigma_{}": table.sigma}
     record = {
         "kind": "intersection", "weights": table.weights, "m0": result.m0, "redundancy": result.redundancy,
-        "iterations": result.iterations, "points": points, "residuals": residuals, "stations": centres,
+        "iterations": result.iterations,
+        "points": rows({"id": ids, **point_columns(result.points_m, result.sigma_m, result.cofactors, result.m0),
+                        "rays": rays, "misfit": misfit}),
+        "residuals": rows({"photo": table.photos, "id": table.ids, "{}": table.image, "residual_{}": result.residuals,
+                           **sigma}),
+        "stations": [{"photo": n, "exterior": {"centre_m": known[n].origin_m}} for n in names if n in known],
         **as_record(no_redundancy(result.m0)),
     }  # fmt: skip
     return finished(record, path, table, output, beside=[photos])
@@ -178,24 +158,22 @@ def run_surface(
         See :func:`fg_orient.closerange.surface_fit.fit_surface`; priors for points without sigma.
     """
     output.require_possible()
-    table, axis, method = read_ground_points(path, options.sigma_m), options.axis, options.method
+    table, axis, method = files.read_ground_points(path, options.sigma_m), options.axis, options.method
     sigma = table.sigma
     require_absolute(path, table, [("", f"<prior> {name}", value[1]) for name, value in (priors or {}).items()])
     with one_blas_thread():
         fit = fit_surface(table.ground, kind, axis=axis, sigma_m=sigma, method=method, priors=priors)
-    ratio = None if sigma is None or method != "geometric" else np.linalg.norm(fit.deviations_m / sigma, axis=1)
+    ratio = {}
+    if sigma is not None and method == "geometric":
+        ratio["distance_over_sigma"] = np.linalg.norm(fit.deviations_m / sigma, axis=1)
     record: Record = {
         "kind": "surface", "weights": table.weights, "surface": fit.surface.as_dict(), "method": method,
         "axis": axis if kind == "spheroid" else None, "m0": fit.m0, "redundancy": fit.redundancy,
         "condition": fit.condition, "iterations": fit.iterations, "rms_m": fit.rms_m,
         "rms_deviation_m": plain_rms(fit.deviations_m),
-        "parameters": _parameters(fit.names, fit.values, fit.sigma),
-        "points": [
-            {"id": name, **xyz(table.ground[k]), **xyz(fit.deviations_m[k], "deviation_"),
-             "distance_m": float(fit.distances_m[k]),
-             **({} if ratio is None else {"distance_over_sigma": float(ratio[k])})}
-            for k, name in enumerate(table.ids)
-        ],
+        "parameters": parameters(fit.names, fit.values, fit.sigma),
+        "points": rows({"id": table.ids, "{}_m": table.ground, "deviation_{}_m": fit.deviations_m,
+                        "distance_m": fit.distances_m, **ratio}),
         **as_record(no_redundancy(fit.m0)),
     }  # fmt: skip
     return finished(record, path, table, output)
@@ -221,18 +199,18 @@ def _each_photo(
     (n, 2) of the control points and their sigmas (n, 2).
     """
     output.require_possible()
-    table, texts, photos = read_control(path, sigma), list[str](), list[Record]()
+    table, texts, photos = files.read_control(path, sigma), list[str](), list[Record]()
     with one_blas_thread():
         for name in dict.fromkeys(table.photos):
-            rows = np.flatnonzero(np.array(table.photos, dtype=object) == name)
-            used = rows[~table.check[rows]]
+            mine = np.flatnonzero(np.array(table.photos, dtype=object) == name)
+            used = mine[~table.check[mine]]
             try:
                 record, photo, text = one(name, table.ground[used], table.image[used],
                                           None if table.sigma is None else table.sigma[used])  # fmt: skip
             except InputError as error:
                 of = f"photo {name}, " if name else ""
                 raise InputError(*(replace(p, place=f"{of}{p.place}".rstrip(", ")) for p in error.problems)) from None
-            photos.append(record | _photo_points(table, rows, photo))
+            photos.append(record | _photo_points(table, mine, photo))
             texts.append(text)
     return finished({"kind": kind, "weights": table.weights, "photos": photos}, path, table, output, texts, beside)
 
@@ -259,61 +237,66 @@ def _fit_facts(fit: Fit, doubts: Sequence[Finding | None]) -> Record:
     }  # fmt: skip
 
 
-def exterior_record(rotation: Array, centre: Array, turns: Sequence[Any], sigma: Sequence[Any]) -> Record:
-    """Orientation of a photo with standard deviations and aerial angles."""
-    omega, phi, kappa = (float(np.degrees(angle)) for angle in aerial_from_rotation(rotation))
+def exterior_record(rotation: Array, centre: Array, turns: Any, sigma: Any) -> Record:
+    """Orientation of a photo with standard deviations of rotations (3,) and centre (3,), and aerial angles."""
+    omega, phi, kappa = np.degrees(aerial_from_rotation(rotation))
     return {
-        "centre_m": centre.tolist(), "sigma_centre_m": list(sigma), "rotation": rotation.tolist(),
-        "sigma_turns_rad": list(turns), "omega_deg": omega, "phi_deg": phi, "kappa_deg": kappa,
+        "centre_m": centre, "sigma_centre_m": sigma, "rotation": rotation, "sigma_turns_rad": turns,
+        "omega_deg": omega, "phi_deg": phi, "kappa_deg": kappa,
     }  # fmt: skip
 
 
-def _photo_points(table: Observed, rows: npt.NDArray[np.intp], photo: Photo) -> Record:
+def _photo_points(table: Observed, mine: npt.NDArray[np.intp], photo: Photo) -> Record:
     """Residuals of all points of a photo, computed minus measured, and their RMS by role."""
-    residual, check = photo.project(table.ground[rows]) - table.image[rows], table.check[rows]
-    points = [
-        {"id": table.ids[k], "role": "check" if table.check[k] else "control", **_pair("residual_", v),
-         **_pair("", table.image[k]), **xyz(table.ground[k]), **_given_sigmas(table, k)}
-        for k, v in zip(rows.tolist(), residual, strict=True)
-    ]  # fmt: skip
+    residual, check = photo.project(table.ground[mine]) - table.image[mine], table.check[mine]
+    sigma = {} if table.sigma is None else {"sigma_{}": table.sigma[mine]}
+    points = rows({
+        "id": [table.ids[k] for k in mine], "role": np.where(check, "check", "control"), "residual_{}": residual,
+        "{}": table.image[mine], "{}_m": table.ground[mine], **sigma,
+    })  # fmt: skip
     return {"rms": plain_rms(residual[~check]), "check_rms": plain_rms(residual[check]), "points": points}
 
 
-def _pair(prefix: str, values: Array) -> Record:
-    """Two numbers of an image point."""
-    return {f"{prefix}{axis}": value for axis, value in zip("xy", values.tolist(), strict=True)}
+def rows(columns: Mapping[str, Any]) -> list[Record]:
+    """Records of columns of n values; "{}" in a name: an array (n, k) with the axes x, y, z in its place."""
+    flat: dict[str, Any] = {}
+    for name, values in columns.items():
+        flat |= of_axes(name, "xyz"[: values.shape[1]], values) if "{}" in name else {name: values}
+    return [dict(zip(flat, row, strict=True)) for row in zip(*flat.values(), strict=True)]
 
 
-def _given_sigmas(table: Observed, row: int) -> Record:
-    """Given standard deviations of an image point; empty for relative weights."""
-    return {} if table.sigma is None else _pair("sigma_", table.sigma[row])
+def parameters(names: Sequence[str], values: Array, sigma: Array | None) -> list[Record]:
+    """Values (k,) with standard deviations, None without redundancy."""
+    return rows({"name": names, "value": values, "sigma": [None] * len(names) if sigma is None else sigma})
 
 
-def xyz(values: Array | None, prefix: str = "") -> Record:
-    """Three numbers by the names of the columns."""
-    numbers: Sequence[Any] = [None] * 3 if values is None else values.tolist()
-    return {f"{prefix}{name}": value for name, value in zip(GROUND, numbers, strict=True)}
+def point_columns(points_m: Array, sigma_m: Array | None, cofactors: Array, m0: float | None) -> Record:
+    """Columns of points (n, 3), standard deviations (n, 3), m, and covariances, m²; nan without redundancy.
 
-
-def covariances(cofactors: Array, m0: float | None) -> Record:
-    """Covariances of a point's coordinates, m²; None without redundancy."""
-    places = {"cov_xy_m2": (0, 1), "cov_xz_m2": (0, 2), "cov_yz_m2": (1, 2)}
-    return {name: None if m0 is None else float(m0**2 * cofactors[at]) for name, at in places.items()}
+    ``cofactors`` (n, 3, 3), m².
+    """
+    sigma = np.full_like(points_m, np.nan) if sigma_m is None else sigma_m
+    covariance = (np.nan if m0 is None else m0**2) * cofactors
+    pairs = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+    mixed = {f"cov_{name}_m2": covariance[:, i, j] for name, (i, j) in pairs.items()}
+    return {"{}_m": points_m, "sigma_{}_m": sigma, **mixed}
 
 
 def finished(
     record: Record, path: Path, table: Observed, output: Output, photos: Sequence[str] = (),
     beside: Iterable[Path | None] = (),
 ) -> Record:  # fmt: skip
-    """Add the provenance to a record, and write folder and report.
+    """Make a record plain, add its provenance, and write folder and report.
 
     ``photos``: tables of ``photos.toml``; ``beside``: inputs in addition to the points of ``path``.
     """
-    files, out, report = [one for one in beside if one is not None], output.out, output.report
-    record = {"schema": SCHEMA, **record, "input": {"file": path.name, "sha256": table.sha256}, "versions": versions(),
-              "command": [Path(word).name if Path(word).is_absolute() else word for word in output.command],
-              "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-              "report": {"inputs": [{"file": one.name, "sha256": sha256_of(one)} for one in files]}}  # fmt: skip
+    inputs, out, report = [one for one in beside if one is not None], output.out, output.report
+    record = plain({
+        "schema": SCHEMA, **record, "input": {"file": path.name, "sha256": table.sha256}, "versions": versions(),
+        "command": [Path(word).name if Path(word).is_absolute() else word for word in output.command],
+        "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "report": {"inputs": [{"file": one.name, "sha256": sha256_of(one)} for one in inputs]},
+    })  # fmt: skip
     record["doubts"] = doubts(record)
     page = "" if out is None and report is None else render(record)
     if out is not None:

@@ -16,20 +16,7 @@ from factors.cameras.frame_camera import CAMERA, rotated
 from factors.conditions.coplanarity import COPLANARITY, turn_and_base
 from factors.conditions.coplanarity import RECORD as PAIR
 from factors.conditions.similarity import RECORD, SIMILARITY
-from fg_orient.closerange.fitting import (
-    Conditions,
-    Fit,
-    Rows,
-    adjust,
-    as_points,
-    determination,
-    determined,
-    distance_rows,
-    equation_rows,
-    require_sigmas,
-    statistics,
-    weighted_distances,
-)
+from fg_orient.closerange import fitting
 from fg_orient.closerange.minima import SAME, Rival, bend, ratio_limit, rival_of
 from fg_orient.closerange.photo import PhotoInterior
 from fg_orient.model.distributions import chi_square_limit, f_quantile
@@ -56,7 +43,7 @@ ON_A_LINE: Final = ("closerange.line", "absolute orientation")
 
 
 @dataclass(frozen=True)
-class RelativeOrientation(Fit):
+class RelativeOrientation(fitting.Fit):
     """Orientation of the second photo relative to the first.
 
     Cofactors are those of rotations about the axes of the second camera and of the base along ``base_axes``, rad.
@@ -142,14 +129,14 @@ def relative_orientation(
     Hartley 1997), which points of a plane do not determine.
     """
     tangents = [
-        camera.tangents(as_points(image, 2, place))
+        camera.tangents(fitting.as_points(image, 2, place))
         for camera, image, place in ((first, image_first, "first image"), (second, image_second, "second image"))
     ]
     n = len(tangents[0])
     if n != len(tangents[1]) or n < LEAST_RELATIVE:
         raise InputError.of("closerange.few", place="relative orientation", value=n, least=LEAST_RELATIVE)
     unit = 1.0 if sigma is None else sigma
-    require_sigmas(unit)
+    fitting.require_sigmas(unit)
     points = np.column_stack(tangents)
     size = np.tile(np.repeat([unit / first.focal, unit / second.focal], 2), (n, 1))
     minima = list[_Candidate]()
@@ -202,7 +189,7 @@ def _record(rotation: Array, base: Array) -> tuple[Array, Array]:
 
 def _adjusted_pair(points: Array, sigma: Array, rotation: Array, base: Array) -> _Candidate:
     record, _ = _record(rotation, base)
-    minimum = adjust(lambda x, jacobian: _pair_rows(record, points, sigma, x, jacobian), np.zeros(5),
+    minimum = fitting.adjust(lambda x, jacobian: _pair_rows(record, points, sigma, x, jacobian), np.zeros(5),
                      "relative orientation")  # fmt: skip
     turn, moved = turn_and_base(record, minimum.state)
     rotation, base = turn[CAMERA.rotation].reshape(3, 3), moved / np.linalg.norm(moved)
@@ -212,10 +199,10 @@ def _adjusted_pair(points: Array, sigma: Array, rotation: Array, base: Array) ->
     )
     record, axes = _record(rotation, base)  # unknowns are rotations of the second camera at the solution
     distances, design = _pair_rows(record, points, sigma, np.zeros(5), True)
-    assessed, squares = determination(design, sigma), float(distances @ distances)
+    assessed, squares = fitting.determination(design, sigma), float(distances @ distances)
     if assessed.cofactors is None:
         return _Candidate(squares, rotation, base, in_front, None)
-    facts = statistics(distances, assessed, len(minimum.log), np.eye(5))
+    facts = fitting.statistics(distances, assessed, len(minimum.log), np.eye(5))
     return _Candidate(squares, rotation, base, in_front, RelativeOrientation(rotation, base, axes, model, distances,
                                                                              **facts))  # fmt: skip
 
@@ -226,19 +213,19 @@ def _pair_rows(record: Array, points: Array, sigma: Array, x: Array, with_jacobi
     g = turn[CAMERA.rotation].reshape(3, 3) @ np.cross(np.eye(3), base)
     square = np.zeros((4, 4))
     square[2:, :2], square[:2, 2:] = 0.5 * g[:2, :2], 0.5 * g[:2, :2].T
-    conditions = Conditions(square, 0.5 * np.concatenate([g[2, :2], g[:2, 2]]), float(g[2, 2]))
-    residual, foot = weighted_distances(conditions, points, sigma)
+    conditions = fitting.Conditions(square, 0.5 * np.concatenate([g[2, :2], g[:2, 2]]), float(g[2, 2]))
+    residual, foot = fitting.weighted_distances(conditions, points, sigma)
     if not with_jacobian:
         return residual, np.zeros((0, 5))
     n = len(points)
     _, (by_unknown, slope) = evaluate(COPLANARITY, np.tile(record, (n, 1)), [np.zeros((2, 0))] * n, [x] * n, foot)
-    return residual, distance_rows(np.concatenate(by_unknown), np.concatenate(slope), sigma)
+    return residual, fitting.distance_rows(np.concatenate(by_unknown), np.concatenate(slope), sigma)
 
 
 def _model(points: Array, rotation: Array, base: Array) -> Array:
     """Points (n, 3) nearest to both rays; nan for parallel rays."""
-    n, ones = len(points), np.ones(len(points))
-    rays = np.concatenate([np.column_stack([points[:, :2], ones]), np.column_stack([points[:, 2:], ones]) @ rotation])
+    n, (first, second) = len(points), _rays(points)
+    rays = np.concatenate([first, second @ rotation])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     centres = np.repeat(np.stack([np.zeros(3), base]), n, axis=0)
     return nearest_points(centres, rays, np.tile(np.arange(n), 2), n)[0]
@@ -337,7 +324,7 @@ def _require_base(points: Array, sigma: Array, squares: float, *, known: bool) -
 
 
 @dataclass(frozen=True)
-class Similarity(Fit):
+class Similarity(fitting.Fit):
     """Seven-parameter transformation: ground = shift + scale rotation model.
 
     Cofactors are those of rotations about the ground axes (rad), of the logarithm of the scale, and of the shift (m).
@@ -362,7 +349,7 @@ class Similarity(Fit):
 
     def apply(self, model: npt.ArrayLike) -> Array:
         """Ground coordinates (n, 3) of model points."""
-        return np.asarray(self.shift_m + self.scale * as_points(model, 3, "model") @ self.rotation.T)
+        return np.asarray(self.shift_m + self.scale * fitting.as_points(model, 3, "model") @ self.rotation.T)
 
 
 def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma_m: npt.ArrayLike = 1.0) -> Similarity:
@@ -392,29 +379,29 @@ def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma
     -----
     Start in closed form (Umeyama 1991), which is the solution for equal sigmas; then ``factors.conditions.similarity``.
     """
-    source, target = as_points(model, 3, "model"), as_points(ground_m, 3, "ground")
+    source, target = fitting.as_points(model, 3, "model"), fitting.as_points(ground_m, 3, "ground")
     sigma = np.broadcast_to(np.asarray(sigma_m, float), target.shape)
     if len(source) != len(target) or len(source) < LEAST_ABSOLUTE:
         raise InputError.of("closerange.few", place="absolute orientation", value=len(source), least=LEAST_ABSOLUTE)
-    require_sigmas(sigma, "sigma_m")
+    fitting.require_sigmas(sigma, "sigma_m")
     from_, to = Scaling.of(source, shared=True), Scaling.of(target, shared=True)
     a, b = from_.normalised(source), to.normalised(target)
     size = float(to.scale[0])
     start = _umeyama(a, b)
     rows = _similarity_rows(a, b, sigma / size, *start)
-    determined(rows(np.zeros(7), True)[1], sigma / size, *ON_A_LINE)
-    minimum = adjust(rows, np.zeros(7), "absolute orientation")
+    fitting.determined(rows(np.zeros(7), True)[1], sigma / size, *ON_A_LINE)
+    minimum = fitting.adjust(rows, np.zeros(7), "absolute orientation")
     x = minimum.state
     rotation, scale, shift = rotated(start[0], x[:3]), float(np.exp(x[3]) * start[1]), np.asarray(start[2] + x[4:])
     rows = _similarity_rows(a, b, sigma / size, rotation, scale, shift)
-    assessed = determined(rows(np.zeros(7), True)[1], sigma / size, *ON_A_LINE)
+    assessed = fitting.determined(rows(np.zeros(7), True)[1], sigma / size, *ON_A_LINE)
     physical = scale * size / float(from_.scale[0])
     offset = physical * rotation @ from_.offset
     # shift = centre on the ground - scale R (middle of the model), so rotations and scale about that middle change it
     away = np.eye(7)
     away[4:, 4:] *= size
     away[4:, :3], away[4:, 3] = np.cross(np.eye(3), offset), -offset
-    facts = statistics(minimum.residual, assessed, len(minimum.log), away)
+    facts = fitting.statistics(minimum.residual, assessed, len(minimum.log), away)
     return Similarity(
         physical, rotation, to.offset + size * shift - offset, minimum.residual.reshape(-1, 3) * sigma,
         bend(rows, np.zeros(7), facts["m0"]), **facts,
@@ -422,7 +409,7 @@ def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma
 
 
 def _umeyama(a: Array, b: Array) -> tuple[Array, float, Array]:
-    """Rotation, scale and shift with b ~ shift + scale R a, equal weights, in closed form."""
+    """Rotation (3, 3), scale and shift (3,) with b ~ shift + scale R a for points (n, 3) of equal weight."""
     mean_a, mean_b = a.mean(axis=0), b.mean(axis=0)
     left, values, right = np.linalg.svd((b - mean_b).T @ (a - mean_a))
     flip = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
@@ -433,7 +420,7 @@ def _umeyama(a: Array, b: Array) -> tuple[Array, float, Array]:
     return rotation, scale, np.asarray(mean_b - scale * rotation @ mean_a)
 
 
-def _similarity_rows(a: Array, b: Array, sigma: Array, rotation: Array, scale: float, shift: Array) -> Rows:
+def _similarity_rows(a: Array, b: Array, sigma: Array, rotation: Array, scale: float, shift: Array) -> fitting.Rows:
     whitening = (np.eye(3) / sigma[..., None, :]).reshape(*sigma.shape[:-1], 9)
     records = RECORD.pack(model=a, place=b, whitening=whitening, rotation=rotation.ravel(), scale=scale, shift=shift)
-    return equation_rows(SIMILARITY, records, np.zeros((2, 0)))
+    return fitting.equation_rows(SIMILARITY, records, np.zeros((2, 0)))

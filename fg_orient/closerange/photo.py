@@ -182,7 +182,12 @@ def corrections_of(names: Sequence[str], values: npt.ArrayLike) -> Array:
 
 def ayhan_matrix(omega: float, psi: float, kappa: float) -> Array:
     """M = M_kappa M_psi M_omega (3, 3) of Ayhan 1996, eqs. 56-59, on the triple (X, Z, Y); angles in rad."""
-    return _from_angles(omega, psi, kappa)
+    so, co, sp, cp, sk, ck = (f(a) for a in (omega, psi, kappa) for f in (np.sin, np.cos))
+    return np.array([
+        [cp * ck, so * sp * ck + co * sk, -co * sp * ck + so * sk],
+        [-cp * sk, -so * sp * sk + co * ck, co * sp * sk + so * ck],
+        [sp, -so * cp, co * cp],
+    ])  # fmt: skip
 
 
 def rotation_from_ayhan(omega: float, psi: float, kappa: float) -> Array:
@@ -197,19 +202,10 @@ def ayhan_from_rotation(rotation: Array) -> tuple[float, float, float]:
 
 def rotation_from_aerial(omega: float, phi: float, kappa: float) -> Array:
     """Camera axes from ground axes (3, 3) of aerial angles, rad; camera X right, Y up, view along -Z."""
-    return np.asarray(_BACK @ _from_angles(omega, phi, kappa))
+    return np.asarray(_BACK @ ayhan_matrix(omega, phi, kappa))
 
 
 def aerial_from_rotation(rotation: Array) -> tuple[float, float, float]:
     """Aerial angles omega, phi, kappa, rad: first about X, then the turned Y, then the turned Z."""
     omega, phi, kappa = opk_of_rotation(rotation)[0].tolist()
     return omega, phi, kappa
-
-
-def _from_angles(omega: float, phi: float, kappa: float) -> Array:
-    so, co, sp, cp, sk, ck = (f(a) for a in (omega, phi, kappa) for f in (np.sin, np.cos))
-    return np.array([
-        [cp * ck, so * sp * ck + co * sk, -co * sp * ck + so * sk],
-        [-cp * sk, -so * sp * sk + co * ck, co * sp * sk + so * ck],
-        [sp, -so * cp, co * cp],
-    ])  # fmt: skip

@@ -11,10 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from fg_orient.closerange.report_words import length, photo_rows, round_length
-from fg_orient.closerange.surface import Surface
 from fg_orient.report.chart import Axis, Chart, broad, large, mapped, round_down, thousands
 from fg_orient.report.words import printable
 
@@ -162,6 +160,8 @@ def _thinned(scene: Scene) -> npt.NDArray[np.intp]:
 
 def _per_width(covariance: Array, vectors: Array, at: Array, wide: float) -> float:
     """Error in metres that is drawn as long as the view is wide; 0 without any."""
+    from scipy.spatial import cKDTree
+
     size = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2), 0.0))
     longest = large(np.concatenate([np.stack([size, 0.0 * size], axis=1), vectors]))
     distance = np.inf if len(at) < 2 else float(np.median(np.asarray(cKDTree(at).query(at, 2)[0], float)[:, 1]))
@@ -171,9 +171,8 @@ def _per_width(covariance: Array, vectors: Array, at: Array, wide: float) -> flo
 def _ellipse(place: Array, covariance: Array, scale: float) -> Array:
     """Outline (n, 2) of the enlarged standard ellipse about a place."""
     values, vectors = np.linalg.eigh(covariance)
-    turn = np.linspace(0.0, 2.0 * np.pi, _OUTLINE, endpoint=False)
     half = scale * np.sqrt(np.maximum(values, 0.0))
-    return np.asarray(place + (np.stack([np.cos(turn), np.sin(turn)], axis=1) * half) @ vectors.T)
+    return np.asarray(place + (_circle(_OUTLINE) * half) @ vectors.T)
 
 
 def _tip(name: str, at: Array, sigma: Array, difference: Array) -> str:
@@ -241,21 +240,23 @@ def _deviation_tip(point: dict[str, Any]) -> str:
 
 def outline(surface: dict[str, Any], axes: list[int]) -> Array:
     """Outline (n, 2) of a closed surface (``Surface.as_dict``) in axes across and up; no points for open quadrics."""
+    from fg_orient.closerange.surface import Surface
+
     coefficients = np.array(surface["coefficients"] or [], float)
-    form = Surface(surface["kind"], surface["centre_m"], surface["semi_axes_m"], surface["rotation"],
-                   coefficients).conditions  # fmt: skip
-    values, vectors = np.linalg.eigh(form.square)
-    if np.abs(values).min() <= _FLAT * np.abs(values).max():
+    form = Surface(surface["kind"], surface["centre_m"], surface["semi_axes_m"], surface["rotation"], coefficients)
+    central = form.conditions.central(_FLAT)
+    if central is None or (central[1] <= 0.0).any():
         return np.zeros((0, 2))
-    inverse = (vectors / values) @ vectors.T
-    middle = -inverse @ form.linear
-    shape = -float(form.value(middle[None])[0]) * inverse
-    if np.linalg.eigvalsh(shape)[0] <= 0.0:
-        return np.zeros((0, 2))
-    angle = np.linspace(0.0, 2.0 * math.pi, 72, endpoint=False)
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    half = np.linalg.cholesky(shape[np.ix_(np.array(axes), np.array(axes))])
-    return np.asarray((np.array(surface["centre_m"]) + middle)[axes] + circle @ half.T)
+    middle, squares, directions = central
+    shape = (directions * squares) @ directions.T
+    half = np.linalg.cholesky(shape[np.ix_(axes, axes)])
+    return np.asarray((form.centre + middle)[axes] + _circle(72) @ half.T)
+
+
+def _circle(n: int) -> Array:
+    """Points (n, 2) of the unit circle."""
+    angle = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def distance_histogram(record: dict[str, Any]) -> Chart:

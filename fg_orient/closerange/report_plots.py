@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.closerange.report import read_record
 from fg_orient.closerange.report_maps import columns, deviation_views, scene_of, views_of
 from fg_orient.closerange.report_words import photo_rows
-from fg_orient.model.names import Progress
-from fg_orient.report import figures
 from fg_orient.report.chart import Axis, Chart, broad, cut, round_down
 from fg_orient.report.plots import ENDS, histogram, quantiles, thinned, vectors
 from fg_orient.report.words import printable
@@ -150,22 +146,6 @@ def directions_chart(record: dict[str, Any]) -> Chart | None:
 
 
 # --- figures for papers ----------------------------------------------------------------------------
-
-
-def write_figures(
-    folder: str | Path, out: str | Path | None = None, *, overwrite: bool = False, progress: Progress | None = None
-) -> tuple[Path, list[str]]:
-    """Write the figures of a close-range folder; see :func:`fg_orient.report.figures.write_figures`."""
-    figures.require_matplotlib()
-    record = read_record(Path(folder))
-
-    def captions(drawn: Collection[str]) -> str:
-        return "\n".join(["# Figures", "", *(f"- `{name}`: {PLOTS[name][1]}" for name in drawn), ""])
-
-    charts = {name: partial(draw, record) for name, (draw, _) in PLOTS.items()}
-    return figures.draw_figures(
-        charts, captions, out or Path(folder) / figures.FOLDER, overwrite=overwrite, progress=progress
-    )
 
 
 def _views(record: dict[str, Any], *, of_surface: bool) -> Charts:

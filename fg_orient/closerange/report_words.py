@@ -84,12 +84,10 @@ def m0_words(record: dict[str, Any]) -> tuple[str, str]:
 
 def _assessed(record: dict[str, Any]) -> list[tuple[float | None, str, str]]:
     """The m0 of the adjustment or of each photo, with the kind of its sentence and the sentence."""
-    if "m0" in record:
-        return [(record["m0"], *m0_words(record))]
-    names = [f"{photo['photo'] or 'photo'}: " if len(record["photos"]) > 1 else "" for photo in record["photos"]]
-    facts = [m0_words({**photo, "weights": record["weights"], "kind": record["kind"]}) for photo in record["photos"]]
-    return [(photo["m0"], kind, name + text)
-            for photo, name, (kind, text) in zip(record["photos"], names, facts, strict=True)]  # fmt: skip
+    parts = [record] if "m0" in record else record["photos"]
+    names = [f"{part['photo'] or 'photo'}: " if len(parts) > 1 else "" for part in parts]
+    texts = [m0_words(record | part) for part in parts]
+    return [(part["m0"], kind, name + text) for part, name, (kind, text) in zip(parts, names, texts, strict=True)]
 
 
 def doubts(record: dict[str, Any]) -> list[str]:

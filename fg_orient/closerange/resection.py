@@ -12,17 +12,8 @@ import numpy.typing as npt
 
 from factors.cameras.frame import FRAME_COLLINEARITY, RECORD, camera
 from factors.cameras.frame_camera import CAMERA
+from fg_orient.closerange import fitting
 from fg_orient.closerange.dlt import direct_dlt, recover
-from fg_orient.closerange.fitting import (
-    UNDETERMINED,
-    Fit,
-    adjust,
-    as_points,
-    determined,
-    equation_rows,
-    require_sigmas,
-    statistics,
-)
 from fg_orient.closerange.minima import SAME, Rival, bend, rival_of
 from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.model.errors import FgOrientError, Finding, InputError, NoSolutionError, finding
@@ -41,7 +32,7 @@ REFUSED: Final = ("closerange.pose", "resection")
 
 
 @dataclass(frozen=True)
-class Resection(Fit):
+class Resection(fitting.Fit):
     """Photo oriented by control points.
 
     Cofactors are those of rotations about the camera axes (rad) and of the centre (m).
@@ -115,12 +106,12 @@ def resect(
     the minimum with the smallest weighted squares. The mirrored pose of a plane (Schweighofer & Pinz 2006) is always
     tried, and reported if it fits as well.
     """
-    ground = as_points(ground_m, 3, "ground")
-    measured = as_points(image, 2, "image")
+    ground = fitting.as_points(ground_m, 3, "ground")
+    measured = fitting.as_points(image, 2, "image")
     size = np.broadcast_to(np.asarray(sigma, float), measured.shape)
     if len(ground) != len(measured) or len(ground) < LEAST:
         raise InputError.of("closerange.few", place="resection", value=len(ground), least=LEAST)
-    require_sigmas(size)
+    fitting.require_sigmas(size)
     tangents = interior.tangents(measured)
     poses = start_poses(ground, tangents)
     if not poses:
@@ -147,7 +138,7 @@ def resect(
 def _require_off_line(ground: Array) -> None:
     """Refuse points so close to a line that the rotation about it is ``UNDETERMINED``, if there is no pose."""
     along, across = np.linalg.svd(ground - ground.mean(axis=0), compute_uv=False)[:2] / np.sqrt(len(ground))
-    if across * UNDETERMINED <= along or along == 0.0:
+    if across * fitting.UNDETERMINED <= along or along == 0.0:
         raise InputError.of("closerange.line", place="resection", value=f"{across:.2g} m rms across, {along:.2g} along")
 
 
@@ -190,25 +181,25 @@ def _adjusted(
         aspect=0.0, unit=0.0,
     )  # fmt: skip
     setup = np.stack([np.arange(6.0), np.array([1.0, 1.0, 1.0, distance, distance, distance])])
-    rows = equation_rows(FRAME_COLLINEARITY, records, setup, (ground - centre,))
+    rows = fitting.equation_rows(FRAME_COLLINEARITY, records, setup, (ground - centre,))
     try:
-        minimum = adjust(rows, np.zeros(6), "resection")
+        minimum = fitting.adjust(rows, np.zeros(6), "resection")
     except NoSolutionError:
-        determined(rows(np.zeros(6), True)[1], sigma, *REFUSED)
+        fitting.determined(rows(np.zeros(6), True)[1], sigma, *REFUSED)
         raise
     turned = camera(records[0], setup, minimum.state)
     rotation = turned[CAMERA.rotation].reshape(3, 3)
     depth = (ground - centre - turned[CAMERA.centre]) @ rotation[2]
     if not (depth > 0.0).all():
         raise NoSolutionError.of("closerange.behind", place=f"point {int(np.argmin(depth)) + 1}")
-    assessed = determined(minimum.design, sigma, *REFUSED)
+    assessed = fitting.determined(minimum.design, sigma, *REFUSED)
     # the unknowns are rotations about the start's axes; J transforms them to the axes of the adjusted camera
     away = np.diag(setup[1])
     away[:3, :3] = turned[CAMERA.jacobian].reshape(3, 3)
     moved = centre + turned[CAMERA.centre]
     photo = Photo.of(name, interior, rotation, moved)
     residuals = minimum.residual.reshape(-1, 2)[:, ::-1] * sigma * interior.focal * [1.0, interior.sign]
-    facts = statistics(minimum.residual, assessed, len(minimum.log), away)
+    facts = fitting.statistics(minimum.residual, assessed, len(minimum.log), away)
     return Resection(
         photo, rotation, moved, residuals, minimum.squares, bend(rows, minimum.state, facts["m0"]), **facts
     )

@@ -157,15 +157,11 @@ def quadric_matrices(coefficients: Array) -> tuple[Array, Array, float]:
 
 def shape_of(coefficients: Array) -> str:
     """Name of a quadric by the signs of its eigenvalues; "other" for cones, cylinders and quadrics without points."""
-    square, linear, constant = quadric_matrices(coefficients)
-    values = np.linalg.eigvalsh(square)
-    if np.abs(values).min() <= 1e-9 * np.abs(values).max():
+    central = Conditions(*quadric_matrices(coefficients)).central()
+    if central is None:
         return "other"
-    left = constant - linear @ np.linalg.solve(square, linear)
-    if left == 0.0:
-        return "other"
-    against = int(np.count_nonzero(values * left < 0.0))
-    return {3: "ellipsoid", 2: "hyperboloid of one sheet", 1: "hyperboloid of two sheets"}.get(against, "other")
+    real = int(np.count_nonzero(central[1] > 0.0))
+    return {3: "ellipsoid", 2: "hyperboloid of one sheet", 1: "hyperboloid of two sheets"}.get(real, "other")
 
 
 # --- models of a fit, in normalised coordinates ----------------------------------------------------
@@ -206,13 +202,13 @@ class SurfaceModel:
         """Surface of a state."""
         if self.kind == "quadric":
             return Surface("quadric", np.zeros(3), np.ones(3), coefficients=x)
-        if self.kind == "sphere":
-            return Surface("sphere", x[:3], np.full(3, abs(x[3])))
         centre, rotation, semi = self._ellipsoid(x)
         return Surface(self.kind, centre, np.abs(semi), rotation)
 
     def _ellipsoid(self, x: Array) -> tuple[Array, Array, Array]:
-        """Centre, rotation (3, 3) and semi-axes of a state of an ellipsoid."""
+        """Centre, rotation (3, 3) and semi-axes of a state of a sphere, spheroid or ellipsoid."""
+        if self.kind == "sphere":
+            return x[:3], np.eye(3), np.full(3, x[3])
         centre, turn, semi = surfaces.shape(self.record, self.setup, x)
         return centre, turn[CAMERA.rotation].reshape(3, 3), semi
 
@@ -220,8 +216,6 @@ class SurfaceModel:
         """Conditions of a state and their origin."""
         if self.kind == "quadric":
             return Conditions(*quadric_matrices(x)), np.zeros(3)
-        if self.kind == "sphere":
-            return Conditions(np.eye(3), np.zeros(3), -float(x[3] ** 2)), x[:3]
         centre, rotation, semi = self._ellipsoid(x)
         return _ellipsoid_conditions(rotation, semi), centre
 
@@ -258,13 +252,13 @@ def models_of(kind: Kind, points: Array, axis: str) -> list[SurfaceModel]:
     InputError
         No such kind or axis.
     """
+    plain = np.ones(1), np.zeros((2, 0))
     if kind == "quadric":
         start = _algebraic_quadric(points)
-        return [SurfaceModel(kind, surfaces.QUADRIC, np.ones(1), np.zeros((2, 0)), _QUADRIC, start, np.zeros(10, bool))]
+        return [SurfaceModel(kind, surfaces.QUADRIC, *plain, _QUADRIC, start, np.zeros(10, bool))]
     ball = start_sphere(points)
     if kind == "sphere":
-        lengths = np.ones(4, bool)
-        return [SurfaceModel("sphere", surfaces.SPHERE, np.ones(1), np.zeros((2, 0)), (*_CENTRE, "a"), ball, lengths)]
+        return [SurfaceModel(kind, surfaces.SPHERE, *plain, (*_CENTRE, "a"), ball, np.ones(4, bool))]
     if kind == "spheroid" and axis in AXES:
         return [_spheroid(AXES.index(axis), ball[:3], np.eye(3), np.full(3, ball[3]), free=False)]
     # rotations have no effect on a sphere: without a quadric the start is oblate
@@ -323,13 +317,9 @@ def _from_quadric(points: Array) -> list[tuple[Array, Array, Array]]:
     """Centre, rotation and semi-axes of the best quadric, if that is an ellipsoid."""
     if len(points) < 10:
         return []
-    square, linear, constant = quadric_matrices(_algebraic_quadric(points))
-    values, axes = np.linalg.eigh(square)
-    if np.abs(values).min() <= 1e-9 * np.abs(values).max():
+    central = Conditions(*quadric_matrices(_algebraic_quadric(points))).central()
+    if central is None or (central[1] <= 0.0).any():
         return []
-    centre = -np.linalg.solve(square, linear)
-    size = -(constant + linear @ centre) / values
-    if (size <= 0.0).any():
-        return []
+    centre, squares, axes = central
     turn = axes.T * np.sign(np.linalg.det(axes))
-    return [(np.asarray(centre), np.ascontiguousarray(turn), np.asarray(np.sqrt(size)))]
+    return [(centre, np.ascontiguousarray(turn), np.sqrt(squares))]

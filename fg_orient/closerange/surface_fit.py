@@ -16,20 +16,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.closerange.fitting import (
-    UNDETERMINED,
-    Determination,
-    Fit,
-    Minimum,
-    adjust,
-    as_points,
-    determination,
-    distance_rows,
-    finite_rows,
-    require_sigmas,
-    statistics,
-    weighted_distances,
-)
+from fg_orient.closerange import fitting
 from fg_orient.closerange.minima import followed, held, reach
 from fg_orient.closerange.surface import Kind, Surface, SurfaceModel, models_of
 from fg_orient.formats.closerange import LARGEST, SMALLEST
@@ -47,7 +34,7 @@ NAMED: Final = 0.1
 
 
 @dataclass(frozen=True)
-class SurfaceFit(Fit):
+class SurfaceFit(fitting.Fit):
     """Fitted surface; the condition number is that of weighted normal distances.
 
     Parameters
@@ -120,7 +107,7 @@ class _Task:
         """Rows of normal distances divided by their sigmas, then of priors; derivatives at the foot points."""
         model = self.model
         conditions, centre = model.conditions(x)
-        residual, foot = weighted_distances(conditions, self.points - centre, self.sigma)
+        residual, foot = fitting.weighted_distances(conditions, self.points - centre, self.sigma)
         scale, at = self.scale, [model.names.index(name) for name in self.priors]
         values = model.values(x) * scale + self.shift
         given = list(zip(at, self.priors.values(), strict=True))
@@ -130,12 +117,13 @@ class _Task:
         _, by_unknown, slope = model.derivatives(x, foot + centre)
         extra = np.zeros((len(at), len(x)))
         extra[np.arange(len(at)), at] = [scale[k] / s for k, (_, s) in given]
-        return residual, np.vstack([distance_rows(by_unknown, slope, self.sigma), extra])
+        return residual, np.vstack([fitting.distance_rows(by_unknown, slope, self.sigma), extra])
 
     def refusal(self, direction: Array, condition: float) -> FgOrientError:
         """Error that names the parameters of a direction (u,)."""
+        words = _words(self.model.names, direction * self.scale)
         return InputError.of("closerange.undetermined", place=self.model.kind, value=f"condition {condition:.2g}",
-                             limit=UNDETERMINED, **_words(self.model.names, direction * self.scale))  # fmt: skip
+                             limit=fitting.UNDETERMINED, **words)  # fmt: skip
 
     def unverified(self, k: int, value: float) -> FgOrientError:
         """Error for a semi-axis that may or may not be determined."""
@@ -180,9 +168,9 @@ def fit_surface(
     """
     if method not in METHODS:
         raise InputError.of("closerange.method", place="method", value=method, known=", ".join(METHODS))
-    points = as_points(points_m, 3, "points")
+    points = fitting.as_points(points_m, 3, "points")
     sigma = np.broadcast_to(np.asarray(1.0 if sigma_m is None else sigma_m, float), points.shape)
-    require_sigmas(sigma, "sigma_m")
+    fitting.require_sigmas(sigma, "sigma_m")
     offset = points.mean(axis=0)
     size = float(np.linalg.norm(points - offset, axis=1).max()) or 1.0
     normalised = (points - offset) / size
@@ -191,7 +179,7 @@ def fit_surface(
     _require_priors(models[0], observed, method)
     if len(points) + len(observed) < unknowns:
         raise InputError.of("closerange.few", place=kind, value=len(points), least=unknowns - len(observed))
-    tried, failures = list[tuple[_Task, Minimum]](), list[FgOrientError]()
+    tried, failures = list[tuple[_Task, fitting.Minimum]](), list[FgOrientError]()
     for model in models:
         task = _Task(model, observed, normalised, sigma / size, offset, size, sigma_m is not None)
         try:
@@ -212,7 +200,7 @@ def _require_priors(model: SurfaceModel, priors: Priors, method: str) -> None:
                                 known=", ".join(lengths))  # fmt: skip
 
 
-def _minimum(task: _Task, method: str) -> Minimum:
+def _minimum(task: _Task, method: str) -> fitting.Minimum:
     """Minimum from one start; without convergence undetermined parameters are refused at the last possible state."""
     model = task.model
 
@@ -227,9 +215,9 @@ def _minimum(task: _Task, method: str) -> Minimum:
         return np.append(value, 0.0), np.vstack([design, x]) if with_jacobian else design
 
     if model.kind == "quadric" and method == "algebraic":  # its start is the solution, by SVD
-        return Minimum(model.start, *rows(model.start, True), ())
+        return fitting.Minimum(model.start, *rows(model.start, True), ())
     try:
-        return adjust(rows, model.start, model.kind, moved=model.moved)
+        return fitting.adjust(rows, model.start, model.kind, moved=model.moved)
     except NoSolutionError:
         _require_determined(task, model.start)
         for k in task.semi_axes:
@@ -239,7 +227,7 @@ def _minimum(task: _Task, method: str) -> Minimum:
         raise
 
 
-def _require_determined(task: _Task, x: Array) -> Determination:
+def _require_determined(task: _Task, x: Array) -> fitting.Determination:
     """Determination by the weighted normal distances; see the module docstring.
 
     Raises
@@ -249,12 +237,12 @@ def _require_determined(task: _Task, x: Array) -> Determination:
     NoSolutionError
         Normal distances have no derivatives at this state.
     """
-    _, design = finite_rows(task.geometric, task.model.kind)(x, True)
+    _, design = fitting.finite_rows(task.geometric, task.model.kind)(x, True)
     tangent = _tangent(task.model, x)
-    assessed = determination(design @ tangent)
+    assessed = fitting.determination(design @ tangent)
     if assessed.cofactors is not None:
         sd = np.sqrt(np.einsum("ij,jk,ik->i", tangent, assessed.cofactors, tangent))
-        if not ((sd > UNDETERMINED * task.typical_sigma) & ~np.isin(task.model.names, list(task.priors))).any():
+        if not ((sd > fitting.UNDETERMINED * task.typical_sigma) & ~np.isin(task.model.names, list(task.priors))).any():
             return assessed
     raise task.refusal(tangent @ assessed.weakest, assessed.condition)
 
@@ -292,7 +280,7 @@ def _require_steep(task: _Task, base: tuple[Array, float] | None, k: int) -> Non
         if other is None:
             raise task.unverified(k, value)
         if other[1] - squares < growth:
-            assessed = determination(task.geometric(other[0], True)[1])
+            assessed = fitting.determination(task.geometric(other[0], True)[1])
             raise task.refusal(assessed.weakest, assessed.condition)
 
 
@@ -314,19 +302,19 @@ def _words(names: tuple[str, ...], direction: Array) -> dict[str, str]:
     return {"names": f"{', '.join(parts)} and {last} are inseparable", "direction": ", ".join(ratios)}
 
 
-def _result(task: _Task, minimum: Minimum, method: str) -> SurfaceFit:
+def _result(task: _Task, minimum: fitting.Minimum, method: str) -> SurfaceFit:
     model, state = task.model.settled(minimum.state)
     task = replace(task, model=model)
     assessed, tangent = _require_determined(task, state), _tangent(model, state)
     least = None
     with suppress(NoSolutionError):
-        geometric = adjust(task.geometric, state, model.kind)
+        geometric = fitting.adjust(task.geometric, state, model.kind)
         least = geometric.state, geometric.squares
     for k in task.semi_axes:
         _require_steep(task, least, k)
     cofactors = assessed.cofactors
     if method == "algebraic":
-        cofactors = determination(model.derivatives(state, task.points)[1] @ tangent).cofactors
+        cofactors = fitting.determination(model.derivatives(state, task.points)[1] @ tangent).cofactors
     if cofactors is None:  # the normal distances determine the same unknowns
         raise NoSolutionError.of("closerange.not_converged", place=model.kind, reason="the conditions are singular")
     residual = minimum.residual[: len(minimum.residual) - (model.kind == "quadric")]
@@ -338,5 +326,5 @@ def _result(task: _Task, minimum: Minimum, method: str) -> SurfaceFit:
     return SurfaceFit(
         surface, method, model.names, model.values(state) * task.scale + task.shift,
         foot - points if method == "geometric" else surface.deviations(points), surface.distances(points),
-        **statistics(residual, own, len(minimum.log), task.scale[:, None] * tangent),
+        **fitting.statistics(residual, own, len(minimum.log), task.scale[:, None] * tangent),
     )  # fmt: skip

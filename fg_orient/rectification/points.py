@@ -6,7 +6,6 @@ wanted, height_m, role (control or check), sigma_easting_m and sigma_northing_m,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.tables import Faults, Row, Table, number, read_table, sha256_of
+from fg_orient.formats.tables import Faults, Table, read_table, sha256_of
 from fg_orient.geodesy import crs_kind, from_geographic
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.fit import Observations, TransformationFit, fit, plain_rmse, require_redundancy
@@ -32,7 +31,6 @@ MAP: Final = ("easting_m", "northing_m")
 GEOGRAPHIC: Final = ("lon_deg", "lat_deg")
 SIGMA_MAP: Final = ("sigma_easting_m", "sigma_northing_m")
 SIGMA_IMAGE: Final = ("sigma_line_px", "sigma_sample_px")
-_ROLES: Final = ("control", "check")
 
 
 @dataclass(frozen=True)
@@ -112,21 +110,6 @@ def _layouts() -> list[tuple[str, ...]]:
     """All allowed sets of columns."""
     parts = product((MAP, GEOGRAPHIC), ((), ("height_m",)), ((), ("role",)), ((), SIGMA_MAP, SIGMA_IMAGE))
     return [("id", *IMAGE, *plane, *height, *role, *sigma) for plane, height, role, sigma in parts]
-
-
-def numbers_of(rows: Sequence[Row], names: Sequence[str], faults: Faults) -> Array:
-    """Cells (n, k) of some columns as finite numbers; nan, with the error noted, for invalid ones."""
-    values = [[number(row, name, faults) for name in names] for row in rows]
-    return np.array(values, float).reshape(len(rows), len(names))
-
-
-def check_roles(rows: Sequence[Row], faults: Faults) -> npt.NDArray[np.bool_]:
-    """Whether the role of a point is "check" (n,), by default "control"; other roles are noted as errors."""
-    roles = [row.cells.get("role", _ROLES[0]) for row in rows]
-    for row, role in zip(rows, roles, strict=True):
-        if role not in _ROLES:
-            faults.add("rectify.role", place=row.place("role"), value=role)
-    return np.array([role == _ROLES[1] for role in roles], bool)
 
 
 def _projected(path: Path, crs: str, table: Table, ground: Array) -> Array:

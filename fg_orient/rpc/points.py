@@ -95,11 +95,16 @@ def ids_and_checks(table: Table) -> tuple[tuple[str, ...], npt.NDArray[np.bool_]
     ids = tuple(table.cells["id"])
     table.refuse([not name for name in ids], "points.id_missing", "id")
     table.refuse_repeated([name or k for k, name in enumerate(ids)], "points.id_twice", "id")
+    return ids, checks(table)
+
+
+def checks(table: Table) -> npt.NDArray[np.bool_]:
+    """Whether the role of a point is "check" (n,), by default "control"; other roles are refused."""
     if "role" not in table.columns:
-        return ids, np.zeros(len(table), bool)
+        return np.zeros(len(table), bool)
     check = table.where("role", Role.CHECK)
     table.refuse(~check & ~table.where("role", Role.CONTROL), "rectify.role", "role")
-    return ids, check
+    return check
 
 
 def positive_numbers(table: Table, columns: Sequence[str]) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fg_orient.closerange.bundle import adjust_bundle
+from fg_orient.closerange.bundle_job import directions
 from fg_orient.closerange.constraints import Constraint
 from fg_orient.closerange.photo import aerial_from_rotation
 from tests.support import photomodeler
@@ -162,15 +163,16 @@ def test_redundancy_numbers_sum_to_the_redundancy(hard: bool) -> None:
     photos = scene.photos(shared=("k1",), camera="all")
     found = adjust_bundle(photos, scene.ids, scene.points + 0.01, scene.which, scene.of, scene.image, sigma=SIGMA,
                           control=control, constraints=bound)  # fmt: skip
-    q = found.quality
-    assert q.redundancy.sum() + q.others_redundancy.sum() == pytest.approx(found.redundancy, abs=1e-6)
-    assert len(q.others) == 15 + (not hard) and q.others[:2] == ("point p0: control, X", "point p0: control, Y")
-    roots = np.sqrt(np.diagonal(q.points, axis1=1, axis2=2))
+    numbers = [*found.redundancy_numbers.ravel(), *found.others_redundancy]
+    assert sum(numbers) == pytest.approx(found.redundancy, abs=1e-6)
+    assert len(found.others) == 15 + (not hard)
+    assert found.others[:2] == ("point p0: control, X", "point p0: control, Y")
+    roots = np.sqrt(np.diagonal(found.point_cofactors, axis1=1, axis2=2))
     assert found.sigma_m is not None and found.m0 is not None
     np.testing.assert_allclose(found.m0 * roots, found.sigma_m, rtol=1e-9)
-    values, rows = q.weak_directions()
-    spread = rows[0] @ (q.orientation / np.outer(q.units, q.units)) @ rows[0]
-    assert values[0] == pytest.approx(1.0 / np.sqrt(spread)) and (np.diff(values) >= 0.0).all()
+    values, units = directions(found)["singular_values"], found.orientation_units
+    largest = np.linalg.norm(found.orientation / np.outer(units, units), 2)
+    assert values[0] == pytest.approx(1.0 / np.sqrt(largest)) and (np.diff(values) >= 0.0).all()
 
 
 @pytest.mark.oracle
@@ -182,15 +184,15 @@ def test_angles_have_the_deviations_of_small_turns() -> None:
     control = {f"p{k}": (scene.points[k], 0.0) for k in range(6)}
     found = adjust_bundle(scene.photos(), scene.ids, scene.points, scene.which, scene.of, scene.image, sigma=SIGMA,
                           control=control)  # fmt: skip
-    rows = np.flatnonzero(["turn" in label for label in found.quality.labels])[3:6]
-    of_turns = found.quality.orientation[np.ix_(rows, rows)]
+    rows = np.flatnonzero(["turn" in label for label in found.orientation_labels])[3:6]
+    of_turns = found.orientation[np.ix_(rows, rows)]
     step, by = 1e-6, np.zeros((3, 3))
     for j in range(3):
         cross = np.cross(np.eye(3), step * np.eye(3)[j])
         ends = [np.array(opk_of_rotation((np.eye(3) + sign * cross) @ found.rotations[1])[0]) for sign in (1.0, -1.0)]
         by[:, j] = np.degrees(ends[0] - ends[1]) / (2.0 * step)
     expected = by @ of_turns @ by.T
-    np.testing.assert_allclose(np.diag(found.quality.angles_deg[1]), np.diag(expected), rtol=1e-5)
+    np.testing.assert_allclose(np.diag(found.angle_cofactors[1]), np.diag(expected), rtol=1e-5)
 
 
 # --- projects of other programs ---------------------------------------------------------------------

@@ -18,7 +18,7 @@ from fg_orient.closerange import report_maps as maps
 from fg_orient.closerange import report_plots as plots
 from fg_orient.closerange import report_words as words
 from fg_orient.closerange.corrections import profile
-from fg_orient.closerange.report_html import render
+from fg_orient.closerange.report import render
 from fg_orient.closerange.surface import Surface
 from fg_orient.model.errors import as_record, finding
 from fg_orient.report.page import script

@@ -8,6 +8,7 @@ is a conflict. The matches do not show which connection is wrong; the whole trac
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -48,10 +49,10 @@ def matched_survey(
 
     Tie points are named by numbers from 1; those with two places in one image are left out, and a note counts them.
     """
-    (k, track), conflicts = join(image, line, sample, matches)
-    n = int(track.max(initial=-1)) + 1
-    notes = (*notes, *conflict_note(n, conflicts, images, image, line, sample))
-    return tie_survey(images, tuple(map(str, range(1, n + 1))), image[k], track, line[k], sample[k], notes)
+    tracks, conflicts = join(image, line, sample, matches)
+    notes = (*notes, *conflict_note(tracks.n, conflicts, images, image, line, sample))
+    k, ids = tracks.keypoint, tuple(map(str, range(1, tracks.n + 1)))
+    return tie_survey(images, ids, image[k], tracks.track, line[k], sample[k], notes)
 
 
 def pairs_of(image: Index, point: Index) -> dict[tuple[int, int], Index]:
@@ -89,9 +90,22 @@ def model_survey(model: FrameModel) -> Survey:
 # --- tracks --------------------------------------------------------------------------------------
 
 
-#: Rows of the given keypoints, and the group of each, sorted by group, then image. Groups count from 0 in the order of
-#: their first keypoints.
-Tracks = tuple[Index, Index]
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Groups of matched keypoints.
+
+    Parameters
+    ----------
+    keypoint, track : (m,) int arrays
+        Rows of the given keypoints and their group, counted from 0 in the order of the first keypoint of each group;
+        sorted by group, then image.
+    n : int
+        Number of groups.
+    """
+
+    keypoint: Index
+    track: Index
+    n: int
 
 
 def join(image: Index, line: Array, sample: Array, matches: Index) -> tuple[Tracks, Tracks]:
@@ -109,7 +123,7 @@ def join(image: Index, line: Array, sample: Array, matches: Index) -> tuple[Trac
     Returns
     -------
     tracks, conflicts : Tracks
-        Tie points, and groups with two places in one image: int arrays (k,), (k,).
+        Tie points, and groups with two places in one image.
 
     Raises
     ------
@@ -130,8 +144,7 @@ def join(image: Index, line: Array, sample: Array, matches: Index) -> tuple[Trac
     keypoint, label = used[order], label[order]
     twice = (label[1:] == label[:-1]) & (image[keypoint][1:] == image[keypoint][:-1])
     bad = np.isin(label, label[1:][twice])
-    tracks, conflicts = ((keypoint[k], np.unique(label[k], return_inverse=True)[1]) for k in (~bad, bad))
-    return tracks, conflicts
+    return _numbered(keypoint[~bad], label[~bad]), _numbered(keypoint[bad], label[bad])
 
 
 def conflict_note(
@@ -141,16 +154,14 @@ def conflict_note(
 
     ``names`` are those of the images; ``image``, ``line``, ``sample`` are the arguments of :func:`join`.
     """
-    keypoint, track = conflicts
-    if not len(keypoint):
+    if not conflicts.n:
         return ()
-    n, first = int(track[-1]) + 1, keypoint[track == 0]
+    first = conflicts.keypoint[conflicts.track == 0]
     doubled = int(np.flatnonzero(image[first][1:] == image[first][:-1])[0])
-    one, other = ((line[k], sample[k]) for k in first[doubled : doubled + 2])
-    name = names[int(image[first[doubled]])]
+    places = [(line[k], sample[k]) for k in first[doubled : doubled + 2]]
     return (
-        finding("points.conflicts", n=n, total=n + n_tracks, image_points=len(keypoint), first=one, second=other,
-                image=name),
+        finding("points.conflicts", n=conflicts.n, total=conflicts.n + n_tracks, image_points=len(conflicts.keypoint),
+                first=places[0], second=places[1], image=names[int(image[first[doubled]])]),
     )  # fmt: skip
 
 
@@ -163,3 +174,15 @@ def _places(image: Index, line: Array, sample: Array) -> Index:
     out = np.empty(len(order), np.intp)
     out[order] = order[new][np.cumsum(new) - 1] if len(order) else order
     return out
+
+
+def _numbered(keypoint: Index, label: Index) -> Tracks:
+    """Groups by label, renumbered from 0 in the order of the first keypoint of each."""
+    known, inverse = np.unique(label, return_inverse=True)
+    first = np.full(len(known), np.iinfo(np.intp).max)
+    np.minimum.at(first, inverse, keypoint)
+    rank = np.empty(len(known), np.intp)
+    rank[np.argsort(first)] = np.arange(len(known))
+    track = rank[inverse]
+    order = np.argsort(track, kind="stable")
+    return Tracks(keypoint[order], track[order], len(known))
