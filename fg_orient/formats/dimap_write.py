@@ -4,29 +4,28 @@ Only elements that a reader of the rigorous model needs are written, under a hea
 so that no simulated file passes for a real one. Every number is printed with the digits that identify the float (17
 where needed), times likewise: reading a written file gives the same records bit by bit.
 
-The writer makes a tree of dictionaries: the value of an element name is its text, its children, or a list of these for
-an element that repeats; a list of pairs is children in order.
+The writer makes the tree of :func:`fg_orient.formats.xml.element`.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from decimal import Decimal
 from typing import Any, Final
-from xml.sax.saxutils import escape
 
 import numpy as np
 import numpy.typing as npt
+from lxml import etree
 
 from fg_orient.formats.atomic import write_text
 from fg_orient.formats.dimap1 import ATTITUDE_SIGN, FRAME_HEIGHT_M
 from fg_orient.formats.dimap_checks import DIMAP_FIRST_PIXEL
+from fg_orient.formats.xml import element
 from fg_orient.model.errors import FgOrientError, InputError
 from fg_orient.sensors.metadata import AngleAttitude, FramePoint, LookAngleTable, PushbroomMetadata
 
 Array = npt.NDArray[np.float64]
-Pairs = list[tuple[str, Any]]
 
 _HEAD: Final = '<?xml version="1.0" encoding="UTF-8"?>\n'
 PRODUCER: Final = "fg_orient simulator"
@@ -78,7 +77,7 @@ def write_dimap1(path: str | os.PathLike[str], metadata: PushbroomMetadata, *, d
         "INSTRUMENT": instrument or "HRG", "INSTRUMENT_INDEX": index or 1,
     }  # fmt: skip
     _write(path, {
-        "Metadata_Id": {'METADATA_FORMAT version="1.1"': "DIMAP", "METADATA_PROFILE": "SPOTSCENE_1A"},
+        "Metadata_Id": {"METADATA_FORMAT version=1.1": "DIMAP", "METADATA_PROFILE": "SPOTSCENE_1A"},
         "Dataset_Id": {"DATASET_NAME": dataset_name, "COPYRIGHT": "simulated, no real image"},
         "Production": {"PRODUCT_INFO": "Simulated scene level 1A", "DATASET_PRODUCER_NAME": PRODUCER},
         **_frame1(metadata.frame_points),
@@ -107,7 +106,7 @@ def _frame1(points: tuple[FramePoint, ...]) -> dict[str, Any]:
     """Frame points as corners and as tie points; nothing if there are none."""
     if not points:
         return {}
-    vertices: Pairs = [
+    vertices: list[tuple[str, Any]] = [
         ("Scene_Center" if p.id == "centre" else "Vertex", {
             "FRAME_LON": float(p.lon_deg), "FRAME_LAT": float(p.lat_deg), "FRAME_ROW": _from_1(p.line),
             "FRAME_COL": _from_1(p.sample),
@@ -130,25 +129,9 @@ def _frame1(points: tuple[FramePoint, ...]) -> dict[str, Any]:
 
 
 def _write(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
-    write_text(path, _HEAD + "\n".join(_elements([("Dimap_Document", content)])) + "\n")
-
-
-def _elements(pairs: Iterable[tuple[str, Any]]) -> Iterator[str]:
-    """Lines of elements, given by name with attributes and content."""
-    for tag, value in pairs:
-        for content in value if _repeats(value) else [value]:
-            if isinstance(content, Mapping | list):
-                yield f"<{tag}>"
-                yield from _elements(content.items() if isinstance(content, Mapping) else content)
-                yield f"</{tag.partition(' ')[0]}>"
-            else:
-                text = repr(float(content)) if isinstance(content, float) else escape(str(content))
-                yield f"<{tag}>{text}</{tag.partition(' ')[0]}>"
-
-
-def _repeats(value: object) -> bool:
-    """True for a list of contents of one element, False for a list of pairs."""
-    return isinstance(value, list) and not (value and isinstance(value[0], tuple))
+    root = element("Dimap_Document", content)
+    etree.indent(root, space="")
+    write_text(path, _HEAD + etree.tostring(root, encoding="unicode") + "\n")
 
 
 def _from_1(pixel: float) -> float:

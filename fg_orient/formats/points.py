@@ -1,14 +1,17 @@
-"""Table of ground points: ids, roles, coordinates in any EPSG CRS, standard deviations.
+"""Tables of ground points (ids, roles, coordinates in any EPSG CRS, standard deviations) and of image observations.
 
 Roles: **control** points enter the adjustment as observed (or, with the word ``fixed`` in all sigma columns, constant)
 points; the coordinates of **check** points are for comparison only; **tie** points have none. Reading checks every
 cell of every point, but the coordinates of check points do not leave this module until
 :meth:`fg_orient.model.block.WithheldCoordinates.open` reads the file again.
+
+An observation is one record per image and point, with pixels and their standard deviations: (line, sample) with (0, 0)
+in the centre of the first pixel. An image of n lines spans -0.5 .. n - 0.5.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -20,7 +23,7 @@ from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.scenes import Scene, check_positions
 from fg_orient.formats.tables import Faults, Row, Table, read_table, sha256_of, sigma_remarks
 from fg_orient.geodesy import COORDINATE_COLUMNS, Kind, Operation, crs_kind, to_ecef_with_operation
-from fg_orient.model.block import Coordinates, GroundPoints, WithheldCoordinates
+from fg_orient.model.block import Coordinates, GroundPoints, ImagePoints, WithheldCoordinates
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 
@@ -34,6 +37,10 @@ FIXED: Final = "fixed"
 LOSES_IDS: Final = {"table.cell_count", "table.quotes", "table.long_line", "points.id_twice", "points.id_missing"}
 #: Standard deviations outside this range are more likely a wrong unit than a survey: 0.01 mm, 10 km.
 PLAUSIBLE_SIGMA_M: Final = (1e-5, 1e4)
+#: Columns of a table of observations.
+COLUMNS: Final = ("image", "id", "line", "sample", "sigma_line_px", "sigma_sample_px")
+#: The same for image points: others are more likely a wrong unit than a measurement.
+PLAUSIBLE_SIGMA_PX: Final = (1e-4, 1e3)
 
 
 #: Reads the points of a file, check points included; None, with the faults noted, if it is unusable.
@@ -264,3 +271,63 @@ def _remarks(file: str, survey: Survey, operation: Operation | None) -> tuple[Fi
             finding("remark.grid_missing", file=file, place="crs", value=operation.crs, accuracy=accuracy, grids=grids)
         )
     return tuple(remarks)
+
+
+# --- observations ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ObservationFile:
+    """Image observations as read, the SHA-256 of the file and remarks about it."""
+
+    path: Path
+    sha256: str
+    observations: ImagePoints
+    remarks: tuple[Finding, ...]
+
+
+def read_observations(
+    path: Path, sizes: Mapping[str, tuple[int, int] | None] | None, point_ids: Sequence[str] | None, faults: Faults
+) -> ObservationFile | None:
+    """Read a table of image observations.
+
+    Parameters
+    ----------
+    path : Path
+        CSV file with the columns ``image, id, line, sample, sigma_line_px, sigma_sample_px``.
+    sizes : mapping of str to (n_lines, n_samples) or None, or None
+        The images in the order of the block; None where the size is unknown (the pixel
+        range is then not checked); None instead of the mapping if the images are unknown.
+    point_ids : sequence of str or None
+        Ids of the ground points; None if they are unknown (ids are then not checked).
+    faults : Faults
+        Receives all faults of the file.
+
+    Returns
+    -------
+    ObservationFile or None
+        None if anything is wrong; the reasons are then in ``faults``.
+    """
+    table = read_table(path, [COLUMNS], faults)
+    if table is None:
+        return None
+    image = table.positions("image", None if sizes is None else list(sizes), "observations.image_unknown")
+    point = table.positions("id", point_ids, "observations.point_unknown")
+    keys = image * (int(point.max(initial=0)) + 1) + point
+    pair = {"value": lambda row: f"{row.cells['id']} in {row.cells['image']}"}
+    table.refuse_repeated(keys, "observations.twice", "id", **pair)
+    values = table.numbers(*COLUMNS[2:])
+    size = np.array([n or (np.inf, np.inf) for n in (sizes or {"": None}).values()], float)
+    last = np.append(size, [[np.inf, np.inf]], axis=0)[np.minimum(image, len(size))] - 0.5
+    for j, axis in enumerate(("line", "sample")):
+        outside = np.isfinite(last[:, j]) & ((values[:, j] < -0.5) | (values[:, j] > last[:, j]))
+        fields = {"image": lambda row: row.cells["image"], "axis": axis, "last": last[:, j]}
+        table.refuse(outside, "observations.outside", axis, **fields)
+        table.refuse(values[:, 2 + j] <= 0.0, "observations.sigma_not_positive", COLUMNS[4 + j])
+    table.report(faults)
+    if faults or sizes is None or point_ids is None:
+        return None
+    remarks = sigma_remarks(
+        "remark.sigma_image", faults.file, values[:, 2:], PLAUSIBLE_SIGMA_PX, lambda k: table.row(k).place()
+    )
+    return ObservationFile(path, sha256_of(path), ImagePoints(image, point, *values.T), remarks)

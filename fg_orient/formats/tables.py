@@ -228,7 +228,7 @@ def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> 
     if text is None:
         return None
     numbers, lines = _lines(text, faults)
-    headers = ((n, _cells(n, line, faults)) for n, line in zip(numbers, lines, strict=True))
+    headers = ((n, delimited(n, line, faults)) for n, line in zip(numbers, lines, strict=True))
     first, cells = next(((n, cells) for n, cells in headers if cells is not None), (0, None))
     if cells is None:
         faults.add("table.empty", place="line 1", columns=", ".join(columns[0]))
@@ -369,13 +369,13 @@ def _lines(text: str, faults: Faults) -> tuple[list[int], list[str]]:
     return kept, [lines[n - 1] for n in kept]
 
 
-def _cells(number: int, line: str, faults: Faults, width: int | None = None) -> list[str] | None:
+def delimited(number: int, line: str, faults: Faults, width: int | None = None, *, mark: str = ",") -> list[str] | None:
     """Stripped cells of a line; None, with the fault noted, if quotes or the number of cells are wrong.
 
     Empty cells beyond the last column are left out.
     """
     try:
-        cells = [cell.strip() for cell in next(csv.reader([line], strict=True))]
+        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=mark, strict=True))]
     except csv.Error as error:
         faults.add("table.quotes", place=f"line {number}", value=str(error))
         return None
@@ -400,7 +400,7 @@ def _records(
         if not text.isascii() or any(space in text for space in _SPACES):
             flat = [cell.strip() for cell in flat]
         return numbers, {name: flat[k::width] for k, name in enumerate(names)}
-    split = {n: _cells(n, line, faults, width) for n, line in zip(numbers, lines, strict=True)}
+    split = {n: delimited(n, line, faults, width) for n, line in zip(numbers, lines, strict=True)}
     rows = {n: cells for n, cells in split.items() if cells is not None}
     return list(rows), {name: [cells[k] for cells in rows.values()] for k, name in enumerate(names)}
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -235,6 +236,28 @@ class XmlNode:
             unit = "" if si == "1" else f" {si}"
             raise self.fault("xml.out_of_range", self.text(), low=low, high=high, unit=unit)
         return value
+
+
+def element(name: str, content: Any) -> etree._Element:
+    """Make an element.
+
+    Parameters
+    ----------
+    name : str
+        Its name, followed by its attributes as ``version=1.1``.
+    content : mapping, list of pairs, or value
+        Children by name, in their order: a list of contents repeats the child. Other values are text, floats with the
+        digits that identify them.
+    """
+    tag, *attributes = name.replace('"', "").split()
+    made = etree.Element(tag, dict(word.split("=") for word in attributes))
+    if not isinstance(content, Mapping | list):
+        made.text = repr(float(content)) if isinstance(content, float) else str(content)
+        return made
+    for child, value in content.items() if isinstance(content, Mapping) else content:
+        is_pairs = isinstance(value, list) and value and isinstance(value[0], tuple)
+        made.extend(element(child, one) for one in (value if isinstance(value, list) and not is_pairs else [value]))
+    return made
 
 
 def read_xml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> XmlNode:

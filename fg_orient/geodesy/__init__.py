@@ -24,7 +24,6 @@ from fg_orient.model.errors import InputError, finding
 
 if TYPE_CHECKING:
     from pyproj import CRS, Transformer
-    from pyproj.transformer import TransformerGroup
 
 __all__ = ["ecef_to_geodetic", "enu_from_ecef", "from_geographic", "geodetic_to_ecef", "to_ecef", "to_geographic"]
 
@@ -78,7 +77,20 @@ def crs_kind(crs: str) -> Kind:
 
     InputError if the code is unknown, or its axes are not degrees / metres towards east, north, up.
     """
-    return _kind(crs, spatial_crs(crs))
+    source = spatial_crs(crs)
+    tests: dict[Kind, bool] = {
+        "geocentric": source.is_geocentric, "projected": source.is_projected, "geographic": source.is_geographic,
+    }  # fmt: skip
+    kind = next((name for name, fits in tests.items() if fits), None)
+    if kind is None or len(source.axis_info) != 3:
+        raise InputError.of("geodesy.not_spatial", place="crs", value=f"{crs}, {source.name}")
+    horizontal = "degree" if kind == "geographic" else "metre"
+    units = [axis.unit_name for axis in source.axis_info]
+    backwards = {axis.direction for axis in source.axis_info} & {"west", "down"}
+    if units != [horizontal, horizontal, "metre"] or backwards:
+        axes = ", ".join(f"{axis.direction} {axis.unit_name}" for axis in source.axis_info)
+        raise InputError.of("geodesy.axes", place="crs", value=f"{crs}: {axes}", unit=horizontal)
+    return kind
 
 
 def to_ecef(
@@ -125,16 +137,15 @@ def to_ecef_with_operation(
     on the operation, or that of all points if it is absent or selects none.
     """
     first, second, third = (np.atleast_1d(np.asarray(a, float)) for a in (east_or_lon, north_or_lat, height))
-    source = spatial_crs(crs)
-    kind = _kind(crs, source)
+    source, kind = spatial_crs(crs), crs_kind(crs)
     given = np.stack([first, second, third], axis=1)
     require_finite(crs, given, given, labels)
     lonlat = _longitude_latitude(crs, source, kind, given, labels)
     some = deciding is not None and bool(deciding.any())
-    group = operations_to_ecef(crs, source, lonlat[deciding] if some else lonlat)
-    xyz = np.stack(group.transformers[0].transform(first, second, third), axis=1)
+    transformer, operation = operation_to_ecef(crs, source, lonlat[deciding] if some else lonlat)
+    xyz = np.stack(transformer.transform(first, second, third), axis=1)
     require_finite(crs, xyz, given, labels)
-    return np.ascontiguousarray(xyz), operation_of(crs, group)
+    return np.ascontiguousarray(xyz), operation
 
 
 def geodetic_to_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike) -> Array:
@@ -257,7 +268,7 @@ def undulation_m(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
     given = np.stack([np.asarray(x, float), np.asarray(y, float), np.zeros(np.shape(x))], axis=1)
     kind: Kind = "projected" if source.sub_crs_list[0].is_projected else "geographic"
     lonlat = _longitude_latitude(source.name, source, kind, given, None)
-    xyz = np.stack(operations_to_ecef(source.name, source, lonlat).transformers[0].transform(*given.T), axis=1)
+    xyz = np.stack(operation_to_ecef(source.name, source, lonlat)[0].transform(*given.T), axis=1)
     require_finite(source.name, xyz, given, None)
     return ecef_to_geodetic(xyz)[2]
 
@@ -336,22 +347,6 @@ def _flat(crs: CRS) -> CRS:
     return crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
 
 
-def _kind(crs: str, source: CRS) -> Kind:
-    tests: dict[Kind, bool] = {
-        "geocentric": source.is_geocentric, "projected": source.is_projected, "geographic": source.is_geographic,
-    }  # fmt: skip
-    kind = next((name for name, fits in tests.items() if fits), None)
-    if kind is None or len(source.axis_info) != 3:
-        raise InputError.of("geodesy.not_spatial", place="crs", value=f"{crs}, {source.name}")
-    horizontal = "degree" if kind == "geographic" else "metre"
-    units = [axis.unit_name for axis in source.axis_info]
-    backwards = {axis.direction for axis in source.axis_info} & {"west", "down"}
-    if units != [horizontal, horizontal, "metre"] or backwards:
-        axes = ", ".join(f"{axis.direction} {axis.unit_name}" for axis in source.axis_info)
-        raise InputError.of("geodesy.axes", place="crs", value=f"{crs}: {axes}", unit=horizontal)
-    return kind
-
-
 def _longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels: Sequence[str] | None) -> Array:
     """Longitude, latitude (N, 2) degrees on the CRS's own datum, accurate enough to choose an operation."""
     if kind == "geographic":
@@ -368,8 +363,11 @@ def _longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels:
     return np.asarray(lonlat, float)
 
 
-def operations_to_ecef(crs: str, source: CRS, lonlat: Array) -> TransformerGroup:
-    """Operations to ECEF for the area of the points, best first, without ballparks."""
+def operation_to_ecef(crs: str, source: CRS, lonlat: Array) -> tuple[Transformer, Operation]:
+    """Best operation to ECEF for the area of the points (N, 2) in degrees, never a ballpark; its record.
+
+    InputError if there is none.
+    """
     proj = offline_pyproj()
     from pyproj.transformer import AreaOfInterest, TransformerGroup
 
@@ -386,16 +384,11 @@ def operations_to_ecef(crs: str, source: CRS, lonlat: Array) -> TransformerGroup
         raise InputError.of(
             "geodesy.no_operation", place="crs", value=crs, grids=", ".join(needed) or "an operation PROJ does not have"
         )
-    return group
-
-
-def operation_of(crs: str, group: TransformerGroup) -> Operation:
-    """Best operation of a group, with the grids of a better one."""
     chosen = group.transformers[0]
     accuracy = chosen.accuracy if chosen.accuracy >= 0.0 else np.nan
-    grids = {grid.short_name for operation in group.unavailable_operations[:1] for grid in operation.grids}
+    grids = {grid.short_name for better in group.unavailable_operations[:1] for grid in better.grids}
     missing = () if group.best_available else tuple(sorted(grids))
-    return Operation(crs, chosen.description, float(accuracy), missing)
+    return chosen, Operation(crs, chosen.description, float(accuracy), missing)
 
 
 def require_finite(crs: str, values: Array, given: Array, labels: Sequence[str] | None) -> None:

@@ -18,8 +18,7 @@ from fg_orient.geodesy import (
     ecef_to_geodetic,
     known_crs,
     offline_pyproj,
-    operation_of,
-    operations_to_ecef,
+    operation_to_ecef,
     require_finite,
     same_crs,
     spatial_crs,
@@ -120,11 +119,10 @@ def from_ecef(crs: str, xyz_m: npt.ArrayLike, labels: Sequence[str] | None = Non
     lon, lat, height = ecef_to_geodetic(xyz)
     crs_kind(crs)
     source = spatial_crs(crs)
-    group = operations_to_ecef(crs, source, np.stack([lon, lat], axis=1))
-    operation = operation_of(crs, group)
+    transformer, operation = operation_to_ecef(crs, source, np.stack([lon, lat], axis=1))
     if same_crs(crs, WGS84):
         return np.stack([lon, lat, height], axis=1), operation
     x, y, z = xyz.T
-    out = np.stack(group.transformers[0].transform(x, y, z, direction="INVERSE"), axis=1)
+    out = np.stack(transformer.transform(x, y, z, direction="INVERSE"), axis=1)
     require_finite(crs, out, xyz, labels)
     return np.ascontiguousarray(out), operation

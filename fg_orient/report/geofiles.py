@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from fg_orient.formats.atomic import require_free_files, staged_file, write_text
-from fg_orient.formats.exchange.geopackage import GPKG_OPTIONS
+from fg_orient.formats.exchange.gis import GPKG_OPTIONS
 from fg_orient.formats.gdal import plain_case
 from fg_orient.model.errors import InputError
 from fg_orient.report.layers import Layer, read_layers

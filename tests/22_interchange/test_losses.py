@@ -9,10 +9,9 @@ import numpy as np
 import pyproj
 import pytest
 
-from fg_orient.formats.exchange.convert import read_survey, write_survey
-from fg_orient.formats.exchange.ground import transformed
+from fg_orient.formats.exchange.convert import placed, read_survey, write_survey
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.registry import Format, Holds, Settings, format_of, formats, register_format
+from fg_orient.formats.registry import Format, Holds, Settings, format_named, format_of, formats, register_format
 from fg_orient.geodesy import ecef_to_geodetic, to_ecef
 from fg_orient.geodesy.crs import from_ecef
 from fg_orient.model.errors import InputError
@@ -62,7 +61,8 @@ def test_the_table_of_losses_covers_all_formats_of_points() -> None:
 def test_everything_lost_is_named(name: str, everything: Survey, tmp_path: Path) -> None:
     format_ = formats()[name]
     # formats of WGS84 need the geoid's grid to get there: what is lost of heights is not their question
-    survey = everything if not format_.crs else transformed(replace(everything, crs=UTM), format_.crs, "")
+    moved = replace(everything, crs=UTM)
+    survey = placed(moved, format_named("csv"), format_.crs, "") if format_.crs else everything
     out = tmp_path / f"a{format_.suffixes[0]}"
     settings = Settings(image="left.tif", sigma_axes="enu")
     _, lost = write_survey(survey, [out], format_, settings)
@@ -106,7 +106,7 @@ def test_points_of_another_image_are_lost_and_counted(everything: Survey, tmp_pa
 @pytest.mark.behaviour
 def test_geocentric_axes_of_asp_lose_correlations_only_if_sigmas_differ(everything: Survey, tmp_path: Path) -> None:
     format_ = formats()["asp-gcp"]
-    survey = transformed(replace(everything, crs=UTM), "EPSG:4979", "")
+    survey = placed(replace(everything, crs=UTM), format_named("csv"), "EPSG:4979", "")
     codes = {p.code for p in write_survey(survey, [tmp_path / "a.gcp"], format_, Settings())[1]}
     assert "lost.sigma_axes" in codes
     equal = replace(survey, sigma_enu_m=np.where(np.isnan(survey.sigma_enu_m), np.nan, 0.5))
@@ -139,13 +139,13 @@ def test_from_ecef_is_what_proj_gives(crs: str, rng: np.random.Generator) -> Non
 @pytest.mark.oracle
 def test_a_survey_in_another_crs_says_by_which_operation(rng: np.random.Generator) -> None:
     survey = random_survey(rng, formats()["csv"], UTM)
-    there = transformed(survey, "EPSG:4979", "f")
+    there = placed(survey, format_named("csv"), "EPSG:4979", "f")
     assert any("UTM zone 36N" in str(note) for note in there.notes)
     proj = pyproj.Transformer.from_crs(pyproj.CRS(UTM).to_3d(), "EPSG:4979", always_xy=True)
     expected = np.stack(proj.transform(*survey.coordinates.T), axis=1)
     known = np.isfinite(survey.coordinates).all(axis=1)
     assert (np.abs(there.coordinates - expected)[known] < [1e-10, 1e-10, 1e-5]).all()
-    back = transformed(there, UTM, "f")
+    back = placed(there, format_named("csv"), UTM, "f")
     assert np.nanmax(np.abs(back.coordinates - survey.coordinates)) < 2e-6
     np.testing.assert_array_equal(np.isnan(back.coordinates), np.isnan(survey.coordinates))
 

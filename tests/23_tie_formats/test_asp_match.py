@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.exchange.asp_match import FORMAT, images_of, read_match, write_match
+from fg_orient.formats.exchange.tie_folders import FORMAT, images_of, read_match, write_match
 from fg_orient.formats.exchange.ties import tie_survey
 from fg_orient.formats.registry import Settings
 from fg_orient.model.errors import InputError

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.exchange.colmap_text import (
+from fg_orient.formats.exchange.colmap import (
     FILES,
     MODELS,
     interior_of,

@@ -7,12 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.exchange.asp_match import write_match
-from fg_orient.formats.exchange.bal import assumed_side, frame_model_of, read_bal_data
-from fg_orient.formats.exchange.bundler import read_bundler
-from fg_orient.formats.exchange.colmap_database import read_colmap_database
-from fg_orient.formats.exchange.colmap_text import read_colmap_text, write_colmap_text
-from fg_orient.formats.exchange.micmac_csv import read_image
+from fg_orient.formats.exchange.bal import assumed_side, frame_model_of, read_bal_data, read_bundler
+from fg_orient.formats.exchange.colmap import read_colmap_database, read_colmap_text, write_colmap_text
+from fg_orient.formats.exchange.tie_folders import read_image, write_match
 from fg_orient.formats.registry import formats
 from tests.support.command import in_process
 from tests.support.frame_models import frame_model

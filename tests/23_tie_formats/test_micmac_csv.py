@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.exchange.micmac_csv import FORMAT, read_image
+from fg_orient.formats.exchange.tie_folders import MICMAC, read_image
 from fg_orient.formats.exchange.ties import tie_survey
 from fg_orient.formats.registry import Settings
 from fg_orient.formats.sensor import read_sensor
@@ -23,7 +23,7 @@ TABLE = "Pt.x,Pt.y,Id\n32.036,1436.579,0\n61.123,1767.49,1\n1e1,.5,7\n"
 def test_columns_are_sample_line_id(tmp_path: Path) -> None:
     (tmp_path / "PMUL-a.tif.csv").write_text(TABLE, newline="\r\n")
     (tmp_path / "PMUL-b.csv.gz").write_bytes(gzip.compress(b"Pt.x,Pt.y,Id\n5,6,7\n8,9,0\n"))
-    survey = FORMAT.read((tmp_path,), Settings())  # type: ignore[misc]
+    survey = MICMAC.read((tmp_path,), Settings())  # type: ignore[misc]
     assert (survey.images, survey.ids) == (("a.tif", "b"), ("0", "1", "7"))
     o = survey.observed
     rows = list(zip(o.image.tolist(), o.point.tolist(), o.line.tolist(), o.sample.tolist(), strict=True))
@@ -38,8 +38,8 @@ def test_what_is_written_is_read_again(ids: tuple[str, ...], tmp_path: Path) -> 
     rng = np.random.default_rng(1)
     image, point = np.array([0, 0, 1, 1, 2]), np.array([0, 1, 1, 2, 0])
     line, sample = rng.uniform(-0.5, 30000, (2, 5))
-    FORMAT.write(tie_survey(("a", "b", "c"), ids, image, point, line, sample), (tmp_path / "t",), Settings())  # type: ignore[misc]
-    again = FORMAT.read((tmp_path / "t",), Settings())  # type: ignore[misc]
+    MICMAC.write(tie_survey(("a", "b", "c"), ids, image, point, line, sample), (tmp_path / "t",), Settings())  # type: ignore[misc]
+    again = MICMAC.read((tmp_path / "t",), Settings())  # type: ignore[misc]
     expected = ids if ids[0] == "3" else ("0", "1", "2")
     named = [expected[p] for p in point]
     assert again.images == ("a", "b", "c")
@@ -81,11 +81,11 @@ def test_faults_name_their_line(old: str, new: str, code: str, place: str, tmp_p
 @pytest.mark.behaviour
 def test_other_folders_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="PMUL-IMAGE"):
-        FORMAT.read((tmp_path,), Settings())  # type: ignore[misc]
+        MICMAC.read((tmp_path,), Settings())  # type: ignore[misc]
     for name, raw in (("PMUL-a.csv", TABLE.encode()), ("PMUL-a.csv.gz", gzip.compress(TABLE.encode()))):
         (tmp_path / name).write_bytes(raw)
     with pytest.raises(InputError) as error:
-        FORMAT.read((tmp_path,), Settings())  # type: ignore[misc]
+        MICMAC.read((tmp_path,), Settings())  # type: ignore[misc]
     assert error.value.problems[0].code == "micmac.name"
     (tmp_path / "PMUL-b.csv.gz").write_bytes(gzip.compress(TABLE.encode())[:-9])
     with pytest.raises(InputError) as error:
@@ -98,7 +98,7 @@ def test_other_folders_are_refused(tmp_path: Path) -> None:
 def test_the_published_pair_is_read_as_arrays_and_agrees_with_its_rpc(real_data: Path) -> None:
     folder = real_data / "micmac-spot7-rpc"
     with counted() as calls:
-        survey = FORMAT.read((folder,), Settings())  # type: ignore[misc]
+        survey = MICMAC.read((folder,), Settings())  # type: ignore[misc]
     assert calls.count < 5 * 115_109  # of functions: no more than the lines are split and kept by
     assert survey.images == ("SPOT_1A", "SPOT_1B")
     o = survey.observed

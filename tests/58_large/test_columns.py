@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 
 from fg_orient.adjustment.problem import State, compile_problem
 from fg_orient.adjustment.rows import image_rows, linearised, residuals, rows_by_image
-from fg_orient.formats import observations as observation_files
-from fg_orient.formats.observations import read_observations
-from fg_orient.formats.points import read_points
+from fg_orient.formats import points as observation_files
+from fg_orient.formats.points import read_observations, read_points
 from fg_orient.formats.tables import Faults
 from fg_orient.model.block import Block
 from fg_orient.orientation.orient import adjust

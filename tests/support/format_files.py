@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fg_orient.formats.exchange.asp_match import write_match
-from fg_orient.formats.exchange.bal import bal_data_of, write_bal
-from fg_orient.formats.exchange.bundler import write_bundler
-from fg_orient.formats.exchange.colmap_text import write_colmap_text
+from fg_orient.formats.exchange.bal import bal_data_of, write_bal, write_bundler
+from fg_orient.formats.exchange.colmap import write_colmap_text
+from fg_orient.formats.exchange.tie_folders import write_match
 from fg_orient.geodesy.crs import wkt
 
 from .command import in_process

@@ -1,11 +1,10 @@
-"""Shared parts of text formats: lines to cells, cells to numbers, tables of points, numbers of bundles, output paths.
+"""Shared parts of text formats: lines to cells, cells to numbers, numbers of bundles, output paths.
 
 Numbers are written with the fewest digits that read back to the same double.
 """
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
@@ -15,12 +14,8 @@ from typing import Any, Final, Literal, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.atomic import write_lines
-from fg_orient.formats.exchange.survey import Gathering, Survey
-from fg_orient.formats.tables import Faults, Row, finite, number, read_text
-from fg_orient.geodesy.crs import north_first
+from fg_orient.formats.tables import Faults, Row, delimited, finite, number, read_text
 from fg_orient.model.errors import InputError
-from fg_orient.model.names import Role
 
 Array = npt.NDArray[np.float64]
 Separator = Literal["comma", "blank", "either"]
@@ -52,7 +47,7 @@ def cells_of(path: Path, faults: Faults, separator: Separator) -> list[tuple[int
         if separator == "blank" or (separator == "either" and "," not in line):
             out.append((n, line.split()))
         else:
-            cells = delimited(line, n, mark if separator == "comma" else ",", faults)
+            cells = delimited(n, line, faults, mark=mark if separator == "comma" else ",")
             out += [] if cells is None else [(n, cells)]
     return out
 
@@ -60,18 +55,6 @@ def cells_of(path: Path, faults: Faults, separator: Separator) -> list[tuple[int
 def separator_of(line: str) -> str:
     """Separator of a delimited file from one of its lines: semicolon and tab come before decimal commas."""
     return next((mark for mark in ("\t", ";") if mark in line), ",")
-
-
-def delimited(line: str, n: int, mark: str, faults: Faults) -> list[str] | None:
-    """Stripped cells of a delimited line without empty cells at its end; None, with the fault noted, if unusable."""
-    try:
-        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=mark, strict=True))]
-    except csv.Error as error:
-        faults.add("table.quotes", place=f"line {n}", value=str(error))
-        return None
-    while cells and not cells[-1]:
-        cells.pop()
-    return cells
 
 
 def read_rows(
@@ -94,74 +77,6 @@ def read_rows(
             yield named(n, cells, columns)
         else:
             faults.add("interchange.cell_count", place=f"line {n}", value=f"{len(cells)} cells", expected=expected)
-
-
-def read_tables(
-    paths: tuple[Path, ...], given: str, separator: Separator, point: Sequence[str], mark: Sequence[str],
-    counts: tuple[Sequence[int], Sequence[int]], centre_px: float = 0.0, *, in_crs_order: bool = False,
-) -> Survey:  # fmt: skip
-    """Read control points and, if there is a second file, image points; both files have no header.
-
-    Parameters
-    ----------
-    paths : tuple of Path
-    given : str
-        CRS by the user.
-    separator : str
-        See :func:`cells_of`.
-    point : sequence of str
-        Cells of a point: name, three coordinates, horizontal and vertical standard deviation.
-    mark : sequence of str
-        Cells of an image point: ``image``, ``x``, ``y`` and the name of the point, which is that of ``point``.
-    counts : two sequences of int
-        Allowed numbers of cells of points and image points.
-    centre_px : float
-        Coordinate of the centre of the first pixel.
-    in_crs_order : bool
-        Coordinates have the order of the definition of the CRS; else longitude or easting is first.
-    """
-    gathered = Gathering(paths[0], given)
-    faults = gathered.faults
-    backwards = in_crs_order and north_first(gathered.crs)
-    for row in read_rows(paths[0], faults, separator, point, counts[0]):
-        first, second, height = numbers(row, point[1:4], faults)
-        across, up = (sigma(row, column, "m", faults) for column in point[4:])
-        xyz = (second, first, height) if backwards else (first, second, height)
-        gathered.point(row.cells[point[0]], Role.CONTROL, xyz, (across, across, up), line=row.line)
-    faults.raise_if_any()
-    if len(paths) > 1:
-        faults = gathered.faults = Faults(str(paths[1]))
-        for row in read_rows(paths[1], faults, separator, mark, counts[1]):
-            x, y = numbers(row, ("x", "y"), faults)
-            gathered.measure(row.cells["image"], row.cells[point[0]], y - centre_px, x - centre_px, line=row.line)
-    return gathered.finished()
-
-
-def write_tables(
-    survey: Survey, paths: tuple[Path, ...], separator: Separator, point: Sequence[str], mark: Sequence[str],
-    centre_px: float = 0.0, *, in_crs_order: bool = False,
-) -> None:  # fmt: skip
-    """Write files as :func:`read_tables` reads them; the second file only if there are image points.
-
-    Lines with blanks as separator begin with a comment that names the cells.
-    """
-    head = [f"# {' '.join(names)}" if separator == "blank" else "" for names in (point, mark)]
-    join = " ".join if separator == "blank" else row_of
-    order = [1, 0, 2] if in_crs_order and north_first(survey.crs) else [0, 1, 2]
-    lines = []
-    for k in np.flatnonzero(survey.located).tolist():
-        east, north, up = survey.sigma_enu_m[k].tolist()
-        across = east if east == north else float(np.hypot(east, north) / np.sqrt(2.0))
-        sigmas = [] if np.isnan(up) else [digits(across), digits(up)]
-        lines.append(join([survey.ids[k], *map(digits, survey.coordinates[k, order]), *sigmas]))
-    write_lines(paths[0], [*filter(None, head[:1]), *lines])
-    o, lines = survey.observed, []
-    for i, p, line, sample in zip(o.image, o.point, o.line, o.sample, strict=True):
-        cells = {"image": survey.images[i], point[0]: survey.ids[p], "x": digits(sample + centre_px),
-                 "y": digits(line + centre_px)}  # fmt: skip
-        lines.append(join([cells[name] for name in mark if name in cells]))
-    if lines:
-        write_lines(paths[1], [*filter(None, head[1:]), *lines])
 
 
 def stated_in(path: Path, pattern: re.Pattern[str]) -> str:

@@ -8,7 +8,6 @@ is a conflict. The matches do not show which connection is wrong; the whole trac
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -49,10 +48,10 @@ def matched_survey(
 
     Tie points are named by numbers from 1; those with two places in one image are left out, and a note counts them.
     """
-    tracks, conflicts = join(image, line, sample, matches)
-    notes = (*notes, *conflict_note(tracks.n, conflicts, images, image, line, sample))
-    k, ids = tracks.keypoint, tuple(map(str, range(1, tracks.n + 1)))
-    return tie_survey(images, ids, image[k], tracks.track, line[k], sample[k], notes)
+    (k, track), conflicts = join(image, line, sample, matches)
+    n = int(track.max(initial=-1)) + 1
+    notes = (*notes, *conflict_note(n, conflicts, images, image, line, sample))
+    return tie_survey(images, tuple(map(str, range(1, n + 1))), image[k], track, line[k], sample[k], notes)
 
 
 def pairs_of(image: Index, point: Index) -> dict[tuple[int, int], Index]:
@@ -90,22 +89,9 @@ def model_survey(model: FrameModel) -> Survey:
 # --- tracks --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Tracks:
-    """Groups of matched keypoints.
-
-    Parameters
-    ----------
-    keypoint, track : (m,) int arrays
-        Rows of the given keypoints and their group, counted from 0 in the order of the first keypoint of each group;
-        sorted by group, then image.
-    n : int
-        Number of groups.
-    """
-
-    keypoint: Index
-    track: Index
-    n: int
+#: Rows of the given keypoints, and the group of each, sorted by group, then image. Groups count from 0 in the order of
+#: their first keypoints.
+Tracks = tuple[Index, Index]
 
 
 def join(image: Index, line: Array, sample: Array, matches: Index) -> tuple[Tracks, Tracks]:
@@ -123,7 +109,7 @@ def join(image: Index, line: Array, sample: Array, matches: Index) -> tuple[Trac
     Returns
     -------
     tracks, conflicts : Tracks
-        Tie points, and groups with two places in one image.
+        Tie points, and groups with two places in one image: int arrays (k,), (k,).
 
     Raises
     ------
@@ -144,7 +130,8 @@ def join(image: Index, line: Array, sample: Array, matches: Index) -> tuple[Trac
     keypoint, label = used[order], label[order]
     twice = (label[1:] == label[:-1]) & (image[keypoint][1:] == image[keypoint][:-1])
     bad = np.isin(label, label[1:][twice])
-    return _numbered(keypoint[~bad], label[~bad]), _numbered(keypoint[bad], label[bad])
+    tracks, conflicts = ((keypoint[k], np.unique(label[k], return_inverse=True)[1]) for k in (~bad, bad))
+    return tracks, conflicts
 
 
 def conflict_note(
@@ -154,14 +141,16 @@ def conflict_note(
 
     ``names`` are those of the images; ``image``, ``line``, ``sample`` are the arguments of :func:`join`.
     """
-    if not conflicts.n:
+    keypoint, track = conflicts
+    if not len(keypoint):
         return ()
-    first = conflicts.keypoint[conflicts.track == 0]
+    n, first = int(track[-1]) + 1, keypoint[track == 0]
     doubled = int(np.flatnonzero(image[first][1:] == image[first][:-1])[0])
-    places = [(line[k], sample[k]) for k in first[doubled : doubled + 2]]
+    one, other = ((line[k], sample[k]) for k in first[doubled : doubled + 2])
+    name = names[int(image[first[doubled]])]
     return (
-        finding("points.conflicts", n=conflicts.n, total=conflicts.n + n_tracks, image_points=len(conflicts.keypoint),
-                first=places[0], second=places[1], image=names[int(image[first[doubled]])]),
+        finding("points.conflicts", n=n, total=n + n_tracks, image_points=len(keypoint), first=one, second=other,
+                image=name),
     )  # fmt: skip
 
 
@@ -174,15 +163,3 @@ def _places(image: Index, line: Array, sample: Array) -> Index:
     out = np.empty(len(order), np.intp)
     out[order] = order[new][np.cumsum(new) - 1] if len(order) else order
     return out
-
-
-def _numbered(keypoint: Index, label: Index) -> Tracks:
-    """Groups by label, renumbered from 0 in the order of the first keypoint of each."""
-    known, inverse = np.unique(label, return_inverse=True)
-    first = np.full(len(known), np.iinfo(np.intp).max)
-    np.minimum.at(first, inverse, keypoint)
-    rank = np.empty(len(known), np.intp)
-    rank[np.argsort(first)] = np.arange(len(known))
-    track = rank[inverse]
-    order = np.argsort(track, kind="stable")
-    return Tracks(keypoint[order], track[order], len(known))

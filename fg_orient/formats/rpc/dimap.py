@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -26,13 +25,11 @@ from fg_orient.formats.rpc.fields import (
     USUAL_ORDER,
     Reading,
     RpcFields,
-    build,
     printed,
-    require_order,
     texts_of,
     validity,
 )
-from fg_orient.formats.xml import XmlNode, read_xml
+from fg_orient.formats.xml import XmlNode, element, read_xml
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.rpc import RpcModel
 
@@ -79,34 +76,33 @@ def read_rpc_dimap(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     head = root.one("Metadata_Identification")
     version = head.one("METADATA_FORMAT").element.get("version", "")
     profile = head.one("METADATA_PROFILE").text()
-    rfm = root.one("Rational_Function_Model")
+    rfm, fields = root.one("Rational_Function_Model"), RpcFields(root.file, reading)
     order = rfm.maybe("Resource_Reference/RESOURCE_ID")
     if order is not None:
-        require_order(root.file, order.place, order.text(), reading)
+        fields.require_order(order.place, order.text())
     model = rfm.one("Global_RFM")
     layout = LAYOUTS["2" if model.maybe(LAYOUTS["2"].inverse) is not None else "3"]
-    ranges, fields = model.one("RFM_Validity"), RpcFields(root.file)
-    for axis in AXES:
-        for word in ("OFF", "SCALE"):
-            node = ranges.one(f"{axis}_{word}")
-            fields.add(f"{axis}_{word}", node.text(), node.place)
-    _add_coefficients(fields, model.one(layout.inverse))
+    ranges, direct = model.one("RFM_Validity"), model.maybe(layout.direct)
+    nodes = [ranges.one(f"{axis}_{word}") for axis in AXES for word in ("OFF", "SCALE")]
+    _add(fields, [*nodes, *_coefficient_nodes(model.one(layout.inverse))])
     first, domain_first, notes = _origin(profile, ranges.one(layout.domains[0]))
     extra: dict[str, Any] = {"notes": notes}
-    direct = model.maybe(layout.direct)
     if direct is not None:
-        coefficients = RpcFields(root.file)
-        _add_coefficients(coefficients, direct)
+        coefficients = RpcFields(root.file, reading)
+        _add(coefficients, _coefficient_nodes(direct))
         extra["direct"] = _direct(np.stack([coefficients.group(stem) for stem in layout.stems]), direct, reading)
-    read = build(fields, reading, f"DIMAP {version} {profile}", first, extra)
+    read = fields.model(f"DIMAP {version} {profile}", first, **extra)
     return _with_domain(read, ranges, layout.domains, domain_first)
 
 
-def _add_coefficients(fields: RpcFields, node: XmlNode) -> None:
-    """Take the elements ``LINE_NUM_COEFF_1`` and so on."""
-    for child in node.children():
-        if "_COEFF_" in child.tag:
-            fields.add(child.tag, child.text(), child.place)
+def _coefficient_nodes(node: XmlNode) -> list[XmlNode]:
+    """Elements ``LINE_NUM_COEFF_1`` and so on."""
+    return [child for child in node.children() if "_COEFF_" in child.tag]
+
+
+def _add(fields: RpcFields, nodes: list[XmlNode]) -> None:
+    for node in nodes:
+        fields.add(node.tag, node.text(), node.place)
 
 
 def _direct(rows: Array, node: XmlNode, reading: Reading) -> Array:
@@ -170,7 +166,7 @@ def read_rpc_dimap1(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     """Read the RPC of a PHR_DIMAP file of CNES: 40 numbers for each coordinate, A scale and B offset."""
     root = read_xml(path)
     model = root.one("Geoposition/Rational_Sensor_Model/Global_RFM")
-    ranges, fields = model.one("RFM_Validity"), RpcFields(root.file)
+    ranges, fields = model.one("RFM_Validity"), RpcFields(root.file, reading)
     for axis, name in V1_AXES.items():
         for word, tag in (("OFF", "B"), ("SCALE", "A")):
             node = ranges.one(f"{name}/{tag}")
@@ -183,7 +179,7 @@ def read_rpc_dimap1(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     direct = model.one("Direct_Model")
     rows = np.vstack([direct.one(name).vector(40).reshape(2, 20) for name in V1_DIRECT])
     first, domain_first = FIRST_PIXEL["PHR"]
-    read = build(fields, reading, V1_NAME, first, {"direct": _direct(rows, direct, reading)})
+    read = fields.model(V1_NAME, first, direct=_direct(rows, direct, reading))
     return _with_domain(read, ranges, LAYOUTS["2"].domains, domain_first)
 
 
@@ -202,30 +198,19 @@ def format_rpc_dimap(model: RpcModel) -> bytes:
         (version, profile), prefix = USUAL, "PHR"
     if model.format == V1_NAME:
         body = _body(model, replace(LAYOUTS["2"], stems=V1_DIRECT), tuple(V1_PAIRS.values()), *FIRST_PIXEL["PHR"])
-        head = {"METADATA_PROFILE 1.4": "PHR_SYSTEM_RECTIFIED_PRODUCT", "METADATA_FORMAT": "DIMAP_PHR"}
+        head = {"METADATA_PROFILE version=1.4": "PHR_SYSTEM_RECTIFIED_PRODUCT", "METADATA_FORMAT": "DIMAP_PHR"}
         content: dict[str, Any] = {"Geoposition": {"Rational_Sensor_Model": {"Global_RFM": body}}}
-        root = _element("PHR_Dimap_Document", {"Metadata_Identification": head, **content})
+        root = element("PHR_Dimap_Document", {"Metadata_Identification": head, **content})
     else:
         body = _body(model, LAYOUTS[version[0]], POLYNOMIALS, *FIRST_PIXEL[prefix])
         head = {
-            f"METADATA_FORMAT {version}": "DIMAP", "METADATA_PROFILE": profile, "METADATA_SUBPROFILE": "RPC",
+            f"METADATA_FORMAT version={version}": "DIMAP", "METADATA_PROFILE": profile, "METADATA_SUBPROFILE": "RPC",
             "METADATA_LANGUAGE": "en",
         }  # fmt: skip
-        reference = {"RESOURCE_TITLE 2.1": "NITF", "RESOURCE_ID": USUAL_ORDER}
+        reference = {"RESOURCE_TITLE version=2.1": "NITF", "RESOURCE_ID": USUAL_ORDER}
         content = {"Rational_Function_Model": {"Resource_Reference": reference, "Global_RFM": body}}
-        root = _element("Dimap_Document", {"Metadata_Identification": head, **content})
+        root = element("Dimap_Document", {"Metadata_Identification": head, **content})
     return bytes(etree.tostring(root, encoding="UTF-8", xml_declaration=True, pretty_print=True))
-
-
-def _element(name: str, content: Mapping[str, Any] | str) -> etree._Element:
-    """Element with children or text; a word after its name is the attribute ``version``."""
-    tag, _, version = name.partition(" ")
-    made = etree.Element(tag, {"version": version} if version else {})
-    if isinstance(content, str):
-        made.text = content
-    else:
-        made.extend([_element(*child) for child in content.items()])
-    return made
 
 
 def _body(

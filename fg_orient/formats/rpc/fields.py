@@ -62,19 +62,21 @@ class Reading:
 
 @dataclass
 class RpcFields:
-    """Texts of one file: name of ``_RPC.TXT`` -> (text, place)."""
+    """Texts of one file: name of ``_RPC.TXT`` -> (text, place).
+
+    Parameters
+    ----------
+    file : str
+    reading : Reading
+        Order of the coefficients and first pixel that the user states.
+    """
 
     file: str
+    reading: Reading
     cells: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     def add(self, name: str, text: str, place: str) -> None:
-        """Take a text.
-
-        Raises
-        ------
-        InputError
-            The name has one already.
-        """
+        """Take a text; InputError if the name has a text already."""
         if name in self.cells:
             raise InputError.of("rpc.doubled", file=self.file, place=place, field=name)
         self.cells[name] = (text, place)
@@ -83,10 +85,8 @@ class RpcFields:
         """Take a text of a name of ``_RPC.TXT``, or all texts of ``LINE_NUM_COEFF`` etc.; False for other names."""
         if not NAMES.fullmatch(name):
             return False
-        texts = (
-            {f"{name}_{k}": one for k, one in enumerate(text.split(), 1)} if name.endswith("_COEFF") else {name: text}
-        )
-        for each, one in texts.items():
+        many = name.endswith("_COEFF")
+        for each, one in ((f"{name}_{k}", one) for k, one in enumerate(text.split(), 1)) if many else ((name, text),):
             self.add(each, one, place)
         return True
 
@@ -105,10 +105,6 @@ class RpcFields:
             raise InputError.of("rpc.not_a_number", file=self.file, place=f"{place}, {name}", value=text)
         return float(text)
 
-    def maybe(self, name: str) -> float | None:
-        """Finite number, or None if the file does not have the name."""
-        return self.number(name) if name in self.cells else None
-
     def group(self, stem: str) -> Array:
         """Coefficients of one polynomial: (20,), in the order of the file.
 
@@ -123,50 +119,39 @@ class RpcFields:
             raise InputError.of("rpc.coefficient_count", file=self.file, place=f"{stem}_COEFF", count=len(given))
         return np.array([self.number(name) for name in wanted])
 
+    def require_order(self, place: str, stated: str) -> None:
+        """Refuse coefficients in another order than the requested one; the InputError names both."""
+        asked = self.reading.order
+        if stated != asked:
+            known = stated if stated in EXPONENTS else f"{stated}, which is not known"
+            raise InputError.of("rpc.order", file=self.file, place=place, value=stated, found=known, asked=asked)
 
-def require_order(file: str, place: str, stated: str, reading: Reading) -> None:
-    """Refuse coefficients in another order than the requested one.
+    def model(self, form: str, first_pixel: float = FIRST_PIXEL, **extra: Any) -> RpcModel:
+        """Make the model.
 
-    Raises
-    ------
-    InputError
-        Names both orders and how to request the order of the file.
-    """
-    if stated != reading.order:
-        known = stated if stated in EXPONENTS else f"{stated}, which is not known"
-        raise InputError.of("rpc.order", file=file, place=place, value=stated, found=known, asked=reading.order)
+        Parameters
+        ----------
+        form : str
+            Name of the format.
+        first_pixel : float
+            Pixel coordinate of the centre of the first pixel in the format; that of the user has priority.
+        **extra
+            Further fields of ``RpcModel``; pixels 0-based.
 
-
-def build(
-    fields: RpcFields, reading: Reading, form: str, first_pixel: float = FIRST_PIXEL,
-    extra: Mapping[str, Any] | None = None,
-) -> RpcModel:  # fmt: skip
-    """Make the model from the fields of a file.
-
-    Parameters
-    ----------
-    fields : RpcFields
-    reading : Reading
-        Its ``first_pixel`` has priority over the argument.
-    form : str
-        Name of the format.
-    first_pixel : float
-        Pixel coordinate of the centre of the first pixel in the format.
-    extra : mapping, optional
-        Further fields of ``RpcModel``; pixels 0-based.
-
-    Raises
-    ------
-    InputError
-        A field is missing or not a number, or the model is not sound.
-    """
-    offsets, scales = (np.array([fields.number(f"{axis}_{word}") for axis in AXES]) for word in ("OFF", "SCALE"))
-    coefficients = np.stack([fields.group(stem) for stem in POLYNOMIALS])[:, permutation(reading.order, USUAL_ORDER)]
-    offsets[RANGE.image] -= first_pixel if reading.first_pixel is None else reading.first_pixel
-    bias, rand = (fields.maybe(name) for name in ERRORS)
-    return RpcModel(
-        offsets, scales, coefficients, file=fields.file, format=form, err_bias_m=bias, err_rand_m=rand, **(extra or {})
-    )
+        Raises
+        ------
+        InputError
+            A field is missing or not a number, or the model is not sound.
+        """
+        offsets, scales = (np.array([self.number(f"{axis}_{word}") for axis in AXES]) for word in ("OFF", "SCALE"))
+        rows = np.stack([self.group(stem) for stem in POLYNOMIALS])
+        stated = self.reading.first_pixel
+        offsets[RANGE.image] -= first_pixel if stated is None else stated
+        bias, rand = (self.number(name) if name in self.cells else None for name in ERRORS)
+        return RpcModel(
+            offsets, scales, rows[:, permutation(self.reading.order, USUAL_ORDER)], file=self.file, format=form,
+            err_bias_m=bias, err_rand_m=rand, **extra,
+        )  # fmt: skip
 
 
 def texts_of(model: RpcModel, first_pixel: float = FIRST_PIXEL) -> dict[str, str]:

@@ -20,7 +20,7 @@ import numpy as np
 
 from fg_orient.formats.gdal import rasterio_of
 from fg_orient.formats.registry import Format, xml_root
-from fg_orient.formats.rpc.fields import NAMES, Reading, RpcFields, build, printed, texts_of
+from fg_orient.formats.rpc.fields import NAMES, Reading, RpcFields, printed, texts_of
 from fg_orient.formats.xml import read_xml
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel
@@ -47,7 +47,7 @@ def read_rpc_raster(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     InputError
         rasterio is missing, GDAL cannot read the image, or it contains no RPC.
     """
-    fields = RpcFields(os.fspath(path))
+    fields = RpcFields(os.fspath(path), reading)
     rasterio = rasterio_of(fields.file, "rpc.no_rasterio")
     try:
         with _opened(rasterio, path) as source:
@@ -59,7 +59,7 @@ def read_rpc_raster(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     for name, values in rpcs.to_dict().items():
         if values is not None:
             fields.take(name.upper(), printed(np.atleast_1d(values)), "RPC tags")
-    return build(fields, reading, NAME, extra={"n_lines": size[0], "n_samples": size[1]})
+    return fields.model(NAME, n_lines=size[0], n_samples=size[1])
 
 
 def write_rpc_raster(path: str | os.PathLike[str], model: RpcModel) -> None:
@@ -98,16 +98,14 @@ def read_rpc_vrt(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     domain = next((n for n in root.every("Metadata", 0) if n.element.get("domain") == "RPC"), None)
     if domain is None:
         raise InputError.of("rpc.no_tags", file=root.file)
-    fields = RpcFields(root.file)
+    fields = RpcFields(root.file, reading)
     for node in domain.every("MDI"):
         key = node.element.get("key", "")
         if NAMES.fullmatch(key):
             fields.take(key, node.text(), node.place)
-    extra: dict[str, Any] = {}
-    for name, attribute in (("n_lines", "rasterYSize"), ("n_samples", "rasterXSize")):
-        text = root.element.get(attribute, "")
-        extra[name] = int(text) if re.fullmatch(r"[1-9][0-9]{0,6}", text) else None
-    return build(fields, reading, VRT_NAME, extra=extra)
+    texts = (root.element.get(attribute, "") for attribute in ("rasterYSize", "rasterXSize"))
+    lines, samples = (int(text) if re.fullmatch(r"[1-9][0-9]{0,6}", text) else None for text in texts)
+    return fields.model(VRT_NAME, n_lines=lines, n_samples=samples)
 
 
 FORMAT = Format(

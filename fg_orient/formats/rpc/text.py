@@ -1,28 +1,54 @@
-"""RPC as ``_RPC.TXT``: one ``KEY: value unit`` on each line (IKONOS, GeoEye, GDAL), and plain lists of 90 numbers."""
+"""RPC in text files: ``_RPC.TXT``, lists of 90 numbers, ``.RPB``, DigitalGlobe's XML, and OSSIM keyword lists.
+
+``_RPC.TXT`` has one ``KEY: value unit`` on each line (IKONOS, GeoEye, GDAL). ``.RPB`` of DigitalGlobe has groups of
+``key = value;``; their XML (root ``isd``) has the same fields. Keyword lists (``.geom`` of OSSIM and the Orfeo Toolbox)
+have ``key: value``; they and the XML are read only.
+"""
 
 from __future__ import annotations
 
 import os
 import re
-from typing import Final
+from collections.abc import Iterator
+from typing import Any, Final
 
 from fg_orient.formats.atomic import write_bytes
-from fg_orient.formats.registry import Format, has_line
-from fg_orient.formats.rpc.fields import ERRORS, POLYNOMIALS, Reading, RpcFields, build, read_text, texts_of
-from fg_orient.model.errors import InputError
+from fg_orient.formats.registry import Format, has_line, xml_root
+from fg_orient.formats.rpc.fields import ERRORS, FIRST_PIXEL, POLYNOMIALS, Reading, RpcFields, read_text, texts_of
+from fg_orient.formats.xml import read_xml
+from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.rpc import RpcModel
 
 NAME: Final = "_RPC.TXT"
 LIST_NAME: Final = "list of 90 numbers"
+RPB_NAME: Final = "RPB"
+ISD_NAME: Final = "DigitalGlobe ISD"
+GEOM_NAME: Final = "OSSIM .geom"
 #: Axes in the order of most files, latitude before longitude, and their units.
 _UNITS = {"LINE": "pixels", "SAMP": "pixels", "LAT": "degrees", "LONG": "degrees", "HEIGHT": "meters"}
+#: Key of ``.RPB`` -> name in ``_RPC.TXT``.
+_RPB_KEYS = {
+    "errBias": "ERR_BIAS", "errRand": "ERR_RAND",
+    **{f"{name.lower()}{word}": f"{name}_{short}"
+       for word, short in (("Offset", "OFF"), ("Scale", "SCALE")) for name in _UNITS},
+    **{f"{name[:4].lower()}{name[5:].title()}Coef": f"{name}_COEFF" for name in POLYNOMIALS},
+}  # fmt: skip
+#: OSSIM counts from the centre of the first pixel, and has subtracted 1 from the offsets of Pléiades. Newer versions
+#: also subtract 1 from the offsets of SPOT 6/7, which count from 0 (docs/rpc.md).
+SPOT_FIRST_PIXEL: Final = -1.0
+_OSSIM_ERRORS = {"bias_error": "ERR_BIAS", "rand_error": "ERR_RAND"}
+
 _LINE = re.compile(r"\s*([A-Z][A-Z0-9_]*)\s*:\s*(\S+)(?:\s+[A-Za-z/]+)?\s*")
 _NUMBERS = re.compile(r"\s*(?:[-+.0-9eEdD]+\s+){20,}")
+_RPB_ENTRY = re.compile(r'^[ \t]*(\w+)[ \t]*=\s*(\([^)]*\)|"[^"\n]*"|[^;\n("]*);', re.MULTILINE)
+_GEOM_ENTRY = re.compile(r"^\s*([\w.]+):[ \t]*(.*)$", re.MULTILINE)
+_GEOM_COEFFICIENT = re.compile(r"(line|samp)_(num|den)_coeff_(\d+)")
+_GEOM_PARAMETER = re.compile(r"adjustment_\d+\.adj_param_\d+\.parameter")
 
 
 def read_rpc_text(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     """Read a ``_RPC.TXT``; unknown keys are refused."""
-    fields = RpcFields(os.fspath(path))
+    fields = RpcFields(os.fspath(path), reading)
     for number, line in enumerate(read_text(path).splitlines(), 1):
         match = _LINE.fullmatch(line)
         if line.strip() and not (match and fields.take(match[1], match[2], f"line {number}")):
@@ -30,7 +56,7 @@ def read_rpc_text(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
             raise InputError.of(
                 "rpc.syntax", file=fields.file, place=f"line {number}", value=line.strip(), expected=expected
             )
-    return build(fields, reading, NAME)
+    return fields.model(NAME)
 
 
 def format_rpc_text(model: RpcModel) -> str:
@@ -57,14 +83,110 @@ def read_rpc_list(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
         raise InputError.of("rpc.list_count", file=file, value=f"{len(words)} numbers")
     if reading.first_pixel is None:
         raise InputError.of("rpc.origin", file=file)
-    fields = RpcFields(file)
+    fields = RpcFields(file, reading)
     names = [f"{axis}_{word}" for word in ("OFF", "SCALE") for axis in _UNITS]
     names += [f"{stem}_COEFF_{k}" for stem in POLYNOMIALS for k in range(1, 21)]
     for k, (name, text) in enumerate(zip(names, words, strict=True), 1):
         fields.add(name, text, f"number {k}")
-    return build(fields, reading, LIST_NAME, reading.first_pixel)
+    return fields.model(LIST_NAME)
 
 
+# --- DigitalGlobe --------------------------------------------------------------------------------
+
+
+def _entries(path: str | os.PathLike[str], pattern: re.Pattern[str]) -> Iterator[tuple[str, str, str]]:
+    """Key, text and place of each match of a pattern."""
+    text = read_text(path)
+    for match in pattern.finditer(text):
+        yield match[1], match[2].strip(), f"line {text.count(chr(10), 0, match.start(1)) + 1}"
+
+
+def read_rpc_rpb(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
+    """Read an RPB file."""
+    fields = RpcFields(os.fspath(path), reading)
+    for key, value, place in _entries(path, _RPB_ENTRY):
+        if key in _RPB_KEYS:
+            listed = value.strip("()").replace(",", " ") if key.endswith("Coef") else value
+            fields.take(_RPB_KEYS[key], listed, place)
+        elif key.lower() == "specid":
+            fields.require_order(f"{place}, SpecId", value.strip('"'))
+    return fields.model(RPB_NAME)
+
+
+def format_rpc_rpb(model: RpcModel) -> str:
+    """Text of a model as RPB file, with all digits; unknown errors are 0."""
+    texts = {"ERR_BIAS": "0.0", "ERR_RAND": "0.0", **texts_of(model)}
+    lines = ['satId = "";', 'bandId = "";', 'SpecId = "RPC00B";', "BEGIN_GROUP = IMAGE"]
+    for key, name in _RPB_KEYS.items():
+        words = ",\n\t\t\t".join(texts[name].split())
+        lines.append(f"\t{key} = (\n\t\t\t{words});" if key.endswith("Coef") else f"\t{key} = {words};")
+    return "\n".join([*lines, "END_GROUP = IMAGE", "END;"]) + "\n"
+
+
+def read_rpc_isd(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
+    """Read the RPB section of a DigitalGlobe XML file."""
+    root = read_xml(path)
+    section, fields = root.maybe("RPB"), RpcFields(root.file, reading)
+    if section is None:
+        raise InputError.of("rpc.missing", file=root.file, field="element RPB")
+    spec, image = section.one("SPECID"), section.one("IMAGE")
+    fields.require_order(spec.place, spec.text())
+    for key, name in _RPB_KEYS.items():
+        tag = key.upper()
+        node = image.one(f"{tag}List/{tag}") if key.endswith("Coef") else image.maybe(tag)
+        if node is not None:
+            fields.take(name, node.text(), node.place)
+    sizes = (root.maybe(f"IMD/{tag}") for tag in ("NUMROWS", "NUMCOLUMNS"))
+    lines, samples = (None if size is None else size.integer(1, 10**7) for size in sizes)
+    return fields.model(ISD_NAME, n_lines=lines, n_samples=samples)
+
+
+# --- OSSIM ---------------------------------------------------------------------------------------
+
+
+def read_rpc_geom(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
+    """Read the RPC of an OSSIM keyword list."""
+    fields, other = RpcFields(os.fspath(path), reading), {}
+    for key, text, place in _entries(path, _GEOM_ENTRY):
+        coefficient = _GEOM_COEFFICIENT.fullmatch(key)
+        name = _OSSIM_ERRORS.get(key, key.upper())
+        if coefficient:
+            name = f"{coefficient[1]}_{coefficient[2]}_coeff_{int(coefficient[3]) + 1}".upper()
+        if not fields.take(name, text, place):
+            other[key] = (text, place)
+    if "polynomial_format" in other:
+        text, place = other["polynomial_format"]
+        fields.require_order(f"{place}, polynomial_format", f"RPC00{text}")
+    extra: dict[str, Any] = {}
+    for name, key in (("n_lines", "number_lines"), ("n_samples", "number_samples")):
+        text, place = other.get(key, ("", ""))
+        if place and not re.fullmatch(r"[1-9][0-9]{0,6}", text):
+            raise InputError.of("rpc.not_a_number", file=fields.file, place=f"{place}, {key}", value=text)
+        extra[name] = int(text) if place else None
+    shift, notes = FIRST_PIXEL, list[Finding]()
+    # the vendor's offsets of SPOT 6/7 equal the scales; OSSIM has subtracted 1 if they are 1 less
+    if other.get("type", ("", ""))[0] == "ossimSpot6Model" and all(
+        fields.number(f"{axis}_OFF") == fields.number(f"{axis}_SCALE") - 1.0 for axis in ("LINE", "SAMP")
+    ):
+        shift, notes = SPOT_FIRST_PIXEL, [finding("rpc.offsets_put_back")]
+    if any(text.strip("0.+-") for key, (text, _) in other.items() if _GEOM_PARAMETER.fullmatch(key)):
+        notes.append(finding("rpc.adjustment_ignored"))
+    return fields.model(GEOM_NAME, shift, notes=tuple(notes), **extra)
+
+
+GEOM_FORMAT = Format(
+    name="ossim-geom", title=GEOM_NAME, read_rpc=read_rpc_geom,
+    sniff=has_line("(?:line_num_coeff_0?0|line_den_coeff_0?0|polynomial_format)\\s*:"),
+)  # fmt: skip
+RPB_FORMAT = Format(
+    name="rpb", title=RPB_NAME, suffixes=(".rpb",), sniff=has_line("(?:lineOffset|lineNumCoef)\\s*="),
+    read_rpc=read_rpc_rpb,
+    write_rpc=lambda path, model: write_bytes(path, format_rpc_rpb(model).encode("ascii")),
+)  # fmt: skip
+ISD_FORMAT = Format(
+    name="digitalglobe-xml", title="DigitalGlobe XML", read_rpc=read_rpc_isd,
+    sniff=lambda _, head: xml_root(head) == "isd",
+)  # fmt: skip
 FORMAT = Format(
     name="rpc-txt", title=NAME, suffixes=(".txt",),
     sniff=has_line("(?:LINE|SAMP|LAT|LONG|HEIGHT)_(?:OFF|SCALE)\\s*:"), read_rpc=read_rpc_text,

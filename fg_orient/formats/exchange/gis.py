@@ -1,0 +1,231 @@
+"""GeoJSON and GeoPackage: points of a geographic information system with the columns of our tables.
+
+A GeoJSON file (RFC 7946) is a FeatureCollection. Positions are longitude, latitude, height above the WGS84 ellipsoid,
+always in this order. Properties: ``id, role, sigma_east_m, sigma_north_m, sigma_up_m``, ``fixed``; others are ignored.
+
+A GeoPackage has a layer ``ground_points`` and a table ``image_points``; it needs pyogrio and shapely (extra ``geo``).
+Geometries are points with Z, longitude or easting first, in the CRS of the survey. Pixel (0, 0) is the centre of the
+first pixel, as in our tables. Tie points have no geometry in either format.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Final, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.formats.atomic import staged_file, write_text
+from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
+from fg_orient.formats.gdal import plain_case
+from fg_orient.formats.points import COLUMNS, SIGMA_COLUMNS
+from fg_orient.formats.registry import Format, Holds, Settings
+from fg_orient.formats.tables import Faults, read_text
+from fg_orient.geodesy.crs import WGS84, same_horizontal
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
+
+#: Members that may name a point, in order of preference.
+_NAMES: Final = ("id", "name", "label", "Name", "Label", "ID")
+
+
+def read_geojson(paths: tuple[Path, ...], settings: Settings) -> Survey:
+    """Read a FeatureCollection; a vertical CRS may be given, as EPSG:4326+5773."""
+    path = paths[0]
+    content = _content(path)
+    if settings.crs and not same_horizontal(settings.crs, WGS84):
+        raise InputError.of("interchange.crs_differs", file=path, place="CRS", value=WGS84, given=settings.crs)
+    gathered = Gathering(path, settings.crs or WGS84)
+    for k, feature in enumerate(content["features"], start=1):
+        _take(gathered, feature if isinstance(feature, dict) else {}, k)
+    return gathered.finished()
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """The collection; nan, infinity and other content than a collection in WGS84 are refused."""
+    faults = Faults(str(path))
+    text = read_text(path, faults)
+    faults.raise_if_any()
+
+    def refuse(word: str) -> NoReturn:
+        raise InputError.of("interchange.json", file=path, value=word)
+
+    try:
+        content = json.loads(text or "", parse_constant=refuse)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InputError.of("interchange.json", file=path, value=error) from None
+    if not isinstance(content, dict) or not isinstance(content.get("features"), list):
+        what = "it has no list of features"
+        raise InputError.of("interchange.geojson", file=path, value=type(content).__name__, what=what)
+    named = content.get("crs")  # of GeoJSON before 2016
+    if named is not None and "CRS84" not in str(named) and "4326" not in str(named):
+        what = "coordinates have to be WGS84 (RFC 7946)"
+        raise InputError.of("interchange.geojson", file=path, place="crs", value=named, what=what)
+    return content
+
+
+def _take(gathered: Gathering, feature: dict[str, Any], k: int) -> None:
+    """Take one feature."""
+    properties = feature.get("properties") or {}
+    members = [properties.get(name) for name in _NAMES] + [feature.get("id")]
+    name = next((str(member) for member in members if member not in (None, "")), "")
+    geometry = feature.get("geometry")
+    if geometry is None:
+        gathered.point(name, Role.TIE, UNKNOWN, line=k)
+        return
+    place, faults = f"feature {k}", gathered.faults
+    position = geometry.get("coordinates") if isinstance(geometry, dict) else None
+    if not isinstance(position, list) or geometry.get("type") != "Point" or len(position) not in (2, 3):
+        faults.add("interchange.geojson", place=place, value=name, what="a geometry is no point")
+        return
+    sigmas = [properties.get(column) for column in SIGMA_COLUMNS]
+    values = [float(v) if _is_number(v) else np.nan for v in (*position, *[None] * (3 - len(position)), *sigmas)]
+    if np.isnan(values[: len(position)]).any() or any(v is not None and not _is_number(v) for v in sigmas):
+        faults.add("interchange.geojson", place=place, value=name, what="a coordinate or sigma is no number")
+        return
+    role, fixed = str(properties.get("role") or Role.CONTROL), properties.get("fixed") is True
+    gathered.feature(name, role, values[:3], values[3:], number=k, fixed=fixed)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def write_geojson(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
+    """Write all points."""
+    features = [_feature(survey, k) for k in range(len(survey.ids))]
+    content = {"type": "FeatureCollection", "features": features}
+    write_text(paths[0], json.dumps(content, ensure_ascii=False, allow_nan=False, indent=1) + "\n")
+
+
+def _feature(survey: Survey, k: int) -> dict[str, Any]:
+    sigmas = survey.sigma_enu_m[k].tolist()
+    properties: dict[str, Any] = {"id": survey.ids[k], "role": str(survey.roles[k])}
+    if np.isfinite(sigmas).all():
+        properties |= dict(zip(SIGMA_COLUMNS, sigmas, strict=True))
+    if survey.fixed[k]:
+        properties["fixed"] = True
+    position = [v for v in survey.coordinates[k].tolist() if np.isfinite(v)]
+    geometry = {"type": "Point", "coordinates": position} if survey.located[k] else None
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+GEOJSON = Format(
+    name="geojson",
+    title="GeoJSON (RFC 7946)",
+    suffixes=(".geojson", ".json"),
+    ground_axes="longitude, latitude (degrees), height (m), WGS84",
+    holds=frozenset(Holds) - {Holds.IMAGE, Holds.IMAGES, Holds.SIGMA_IMAGE, Holds.VERTICAL_CRS},
+    read=read_geojson,
+    write=write_geojson,
+    evidence="GDAL reads what we write, and we read what GDAL writes (tests)",
+    crs=WGS84,
+)
+
+
+# --- GeoPackage ----------------------------------------------------------------------------------
+
+GROUND: Final = "ground_points"
+IMAGE: Final = "image_points"
+#: Version 1.2 is sufficient; QGIS before 3.28 warns of later versions.
+GPKG_OPTIONS: Final = {"VERSION": "1.2"}
+
+
+def _libraries(file: Path) -> tuple[Any, Any]:
+    """Pyogrio and shapely, imported on demand."""
+    try:
+        with plain_case():
+            import pyogrio
+        import shapely
+    except ImportError as error:
+        raise InputError.of("interchange.no_pyogrio", file=file) from error
+    return pyogrio, shapely
+
+
+def _layer(pyogrio: Any, path: Path, layer: str) -> tuple[dict[str, Any], Any, dict[str, Any]]:
+    """Description, geometries (WKB) and columns of a layer."""
+    meta, _, geometry, columns = pyogrio.raw.read(path, layer=layer)
+    return meta, geometry, dict(zip(meta["fields"], columns, strict=True))
+
+
+def read_geopackage(paths: tuple[Path, ...], settings: Settings) -> Survey:
+    """Read both layers; the second may be missing."""
+    path = paths[0]
+    pyogrio, shapely = _libraries(path)
+    if not path.is_file():
+        raise InputError.of("table.missing_file", file=path)
+    try:
+        with plain_case():
+            layers = [str(name) for name, _ in pyogrio.list_layers(path)]
+            ground = _layer(pyogrio, path, GROUND) if GROUND in layers else None
+            image = _layer(pyogrio, path, IMAGE) if IMAGE in layers else None
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
+        raise InputError.of("interchange.gpkg", file=path, value=str(error).split(";")[0]) from None
+    if ground is None or "id" not in ground[2]:
+        raise InputError.of("interchange.layer", file=path, value=", ".join(layers), layer=GROUND)
+    gathered = Gathering(path, settings.crs, ground[0]["crs"] or "")
+    _take_ground(gathered, shapely.from_wkb(ground[1]), ground[2])
+    if image is not None:
+        _take_image(gathered, image[2], path)
+    return gathered.finished()
+
+
+def _take_ground(gathered: Gathering, geometry: Any, columns: dict[str, Any]) -> None:
+    n = len(geometry)
+    sigmas = np.stack([np.asarray(columns.get(name, np.full(n, np.nan)), float) for name in SIGMA_COLUMNS], axis=1)
+    roles, fixed = columns.get("role", [Role.CONTROL] * n), columns.get("fixed", np.zeros(n, bool))
+    for k, point in enumerate(geometry):
+        name = "" if columns["id"][k] is None else str(columns["id"][k])
+        if point is None or point.is_empty:
+            gathered.point(name, Role.TIE, UNKNOWN, line=k + 1)
+        elif point.geom_type != "Point":
+            gathered.faults.add("interchange.layer", place=f"feature {k + 1}", value=point.geom_type, layer=GROUND)
+        else:
+            xyz = (point.x, point.y, point.z if point.has_z else np.nan)
+            gathered.feature(name, roles[k], xyz, sigmas[k].tolist(), number=k + 1, fixed=bool(fixed[k]))
+
+
+def _take_image(gathered: Gathering, columns: dict[str, Any], path: Path) -> None:
+    for column in COLUMNS:
+        if column not in columns:
+            raise InputError.of("interchange.columns", file=path, place=f"layer {IMAGE}", column=column)
+    for k, (image, name, line, sample, *sigma) in enumerate(zip(*(columns[c] for c in COLUMNS), strict=True), start=1):
+        if not np.isfinite([line, sample]).all():
+            gathered.faults.add("table.not_a_number", place=f"layer {IMAGE}, feature {k}", value=f"{line} {sample}")
+        gathered.measure(str(image or ""), str(name or ""), float(line), float(sample), sigma, line=k)
+
+
+def write_geopackage(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
+    """Write both layers; the second only if there are image points."""
+    pyogrio, shapely = _libraries(paths[0])
+    geometry: npt.NDArray[np.object_] = shapely.to_wkb(shapely.points(np.nan_to_num(survey.coordinates)))
+    geometry[~survey.located] = None
+    flat = survey.located & np.isnan(survey.coordinates[:, 2])
+    geometry[flat] = shapely.to_wkb(shapely.points(survey.coordinates[flat, :2]))
+    roles = [str(role) for role in survey.roles]
+    text = [np.array(survey.ids, object), np.array(roles, object)]
+    with staged_file(paths[0], suffix=".gpkg") as temporary, plain_case():
+        pyogrio.raw.write(
+            temporary, geometry, [*text, *survey.sigma_enu_m.T, survey.fixed], ["id", "role", *SIGMA_COLUMNS, "fixed"],
+            layer=GROUND, driver="GPKG", geometry_type="Point Z", crs=survey.crs, dataset_options=GPKG_OPTIONS,
+        )  # fmt: skip
+        if len(o := survey.observed):
+            names = [np.array(survey.images, object)[o.image], np.array(survey.ids, object)[o.point]]
+            columns = [*names, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px]
+            pyogrio.raw.write(temporary, None, columns, list(COLUMNS), layer=IMAGE, driver="GPKG", append=True)
+
+
+GEOPACKAGE = Format(
+    name="gpkg",
+    title="GeoPackage",
+    suffixes=(".gpkg",),
+    first_pixel=(0.0, 0.0),
+    pixel_axes="line, sample (pixels)",
+    ground_axes="longitude or easting, latitude or northing, height (m)",
+    holds=frozenset(Holds),
+    read=read_geopackage,
+    write=write_geopackage,
+    evidence="written and read by GDAL (tests)",
+)
