@@ -56,7 +56,7 @@ from fg_orient.cli.selftest import self_test
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.model.block import Block, Coordinates, GroundPoints, ImagePoints
 from fg_orient.model.names import Role
-from fg_orient.quality.reliability import residual_cofactors
+from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.simulation import Truth
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
@@ -144,7 +144,7 @@ def clean(case: str, seed: int) -> Clean:
         )
     solution = fg.adjust(block)
     assert solution.cofactors is not None
-    q = residual_cofactors(solution.problem, solution.state, solution.cofactors)
+    q = ResidualCofactors(solution.problem, solution.state, solution.cofactors)
     control = np.zeros((len(block.points.ids), 3, 3))
     control[solution.problem.observed] = q.control
     return Clean(block, truth, solution.problem, q.image, control)

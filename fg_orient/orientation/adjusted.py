@@ -13,9 +13,8 @@ from fg_orient.model.block import Block
 from fg_orient.model.errors import Finding, NoSolutionError
 from fg_orient.model.names import Status
 from fg_orient.quality.covariance import Cofactors
-from fg_orient.quality.outliers import OutlierTests, outlier_tests
-from fg_orient.quality.reliability import ResidualCofactors, residual_cofactors
-from fg_orient.quality.suspects import Kind
+from fg_orient.quality.outliers import Kind, OutlierTests, outlier_tests
+from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.variance_components import VarianceComponents
 
 
@@ -83,8 +82,8 @@ class AdjustmentResult:
 
     @cached_property
     def residual_cofactors(self) -> ResidualCofactors:
-        """Cofactors of all residuals (whitened, prior scale) and redundancy numbers."""
-        return residual_cofactors(self.weighted, self.state, self.required_cofactors())
+        """Residuals, their cofactors (whitened, prior scale) and redundancy numbers."""
+        return ResidualCofactors(self.weighted, self.state, self.required_cofactors())
 
     def outlier_tests(
         self, *, level: float | None = None, test: str | None = None, control: str | None = None, kind: Kind = "groups"
@@ -105,10 +104,10 @@ class AdjustmentResult:
         NoSolutionError
             The covariance could not be computed.
         """
-        cofactors, options = self.required_cofactors(unweighted="covariance.weighted"), self.block.options
+        self.required_cofactors(unweighted="covariance.weighted")
+        options = self.block.options
         return outlier_tests(
-            self.problem, self.state, cofactors, self.chi2, kind=kind, components=self.components,
-            known=self.residual_cofactors,
+            self.residual_cofactors, self.chi2, kind=kind, components=self.components,
             level=options.outlier_level if level is None else level,
             test=options.outlier_test if test is None else test,
             control=options.multiple_testing if control is None else control,

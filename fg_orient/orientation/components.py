@@ -21,8 +21,8 @@ from fg_orient.model.options import USUAL_GROUPS
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality.observation_groups import Groups, groups_of, require_groups, scaled
 from fg_orient.quality.variance_components import (
+    GroupedResiduals,
     Method,
-    Residuals,
     Round,
     VarianceComponents,
     components_of,
@@ -84,9 +84,8 @@ def adjust_with_components(
     state: _Rounds | None = None
     for rounds in range(1, MAX_ROUNDS + 1):
         solution = run(block if state is None else scaled(block, state.groups, np.sqrt(state.variance)), begin)
-        cofactors = solution.required_cofactors()
         state = state or _Rounds(groups_of(solution.problem, groups))
-        residuals = Residuals(solution.problem, solution.state, cofactors, state.groups)
+        residuals = GroupedResiduals(solution.residual_cofactors, state.groups)
         assessed = rounds > FIRST_ROUNDS
         estimated = one_round(residuals, method, keep=state.kept, judge=assessed)
         if assessed and state.converged(estimated):

@@ -41,7 +41,7 @@ from fg_orient.quality.deficiency import (
     require_determined,
 )
 from fg_orient.quality.free_network import (
-    InnerCofactors,
+    FreeNetwork,
     held_unknowns,
     to_inner_datum,
     with_minimal_datum,
@@ -375,7 +375,7 @@ def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None,
     try:
         cofactors = cofactors_of(compiled, estimate)
         inner = compiled.block.options.datum == "inner"
-        return (InnerCofactors(compiled, estimate.state, cofactors) if inner else cofactors), ()
+        return (FreeNetwork.of(compiled, estimate.state, cofactors) if inner else cofactors), ()
     except Indeterminate as reason:
         return None, (finding("unavailable.indeterminate", why=reason),)
 

@@ -20,12 +20,11 @@ from fg_orient.model.block import Block
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.model.names import Role, Status
 from fg_orient.orientation.adjusted import AdjustmentResult
-from fg_orient.quality.freedom import least_freedom, with_freedom
 from fg_orient.quality.observation_groups import groups_of, scaled
 from fg_orient.quality.outliers import GroupTest, OutlierTests
 from fg_orient.quality.prediction import ConsistencyTest, Suspect, prediction
 from fg_orient.quality.rejection import MOST, ExcludedObservation, Rejection, Round, Search, reject
-from fg_orient.quality.variance_components import VarianceComponents
+from fg_orient.quality.variance_components import VarianceComponents, least_freedom
 from fg_orient.sensors import initial
 
 Index = npt.NDArray[np.intp]
@@ -161,7 +160,7 @@ class _Rounds:
                 bool(known and not solution.problem.observed[j]), suspect,
             )  # fmt: skip
             if components is not None:
-                fit = with_freedom(fit, least_freedom(components), self._block.options.outlier_test)
+                fit = fit.with_freedom(least_freedom(components), self._block.options.outlier_test)
             removal.fit = fit
 
     def _is_control(self, j: int, removals: Sequence[_Removal]) -> bool:

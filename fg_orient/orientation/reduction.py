@@ -323,10 +323,7 @@ class _Runs:
 def coefficient_test(solution: Solution, name: str) -> GroupTest:
     """F test of a coefficient over all images that have it."""
     index = places_of(solution.problem, lambda known: known == name)
-    return group_test(
-        solution.problem, solution.state, solution.required_cofactors(), solution.sigma0, name, index,
-        freedom=solution.unknown_freedom,
-    )  # fmt: skip
+    return group_test(solution.residual_cofactors, solution.sigma0, solution.unknown_freedom, name, index)
 
 
 def _backward(run: _Runs, full: Solution, every: tuple[str, ...], level: float) -> list[tuple[Step, Solution]]:

@@ -21,17 +21,15 @@ from fg_orient.model.names import Role
 from fg_orient.model.options import USUAL_GROUPS
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.quality.accuracy import Accuracy
-from fg_orient.quality.covariance import NamedMatrix
-from fg_orient.quality.freedom import UnknownFreedom
+from fg_orient.quality.covariance import NamedMatrix, joint_cofactors
 from fg_orient.quality.hypotheses import GlobalTest, global_test
 from fg_orient.quality.observability import BlockObservability, ImageObservability
-from fg_orient.quality.outliers import GroupTest
+from fg_orient.quality.outliers import GroupTest, Kind
 from fg_orient.quality.rejection import Search
 from fg_orient.quality.reliability import ALPHA, POWER, BlockReliability, reliability
 from fg_orient.quality.significance import LEVEL as SIGNIFICANCE_LEVEL
 from fg_orient.quality.significance import Significance, significance
-from fg_orient.quality.suspects import Kind
-from fg_orient.quality.variance_components import Method, VarianceComponents, variance_components
+from fg_orient.quality.variance_components import Method, UnknownFreedom, VarianceComponents, variance_components
 from fg_orient.result.record import Result, html_table, one_line, overview
 
 if TYPE_CHECKING:
@@ -162,11 +160,9 @@ class Solution(AdjustmentResult):
 
         "image:left" (all its parameters), "image:left.x_0" (one), "point:12", "point:12.z", "observation:left/12"
         (adjusted line and sample of an image point), "residual:left/12". Units are physical: m, m/s, rad for
-        images, ECEF metres for points, pixels; see ``fg_orient.quality.joint``. InputError for a name that does not
-        exist, or a point that is not an unknown.
+        images, ECEF metres for points, pixels; see ``fg_orient.quality.covariance``. InputError for a name that does
+        not exist, or a point that is not an unknown.
         """
-        from fg_orient.quality.joint import joint_cofactors
-
         return joint_cofactors(self.weighted, self.state, self.required_cofactors(), names)
 
     def covariance(self, *names: str) -> NamedMatrix:
@@ -177,10 +173,7 @@ class Solution(AdjustmentResult):
     @cached_property
     def unknown_freedom(self) -> UnknownFreedom | None:
         """Degrees of freedom of tests of unknowns with estimated variance components; None without components."""
-        if self.components is None:
-            return None
-        q, known = self.required_cofactors(), self.residual_cofactors
-        return UnknownFreedom.of(self.problem, self.state, q, self.components, known)
+        return None if self.components is None else UnknownFreedom.of(self.residual_cofactors, self.components)
 
     def locate(
         self, image: str, line: float, sample: float, *, height_m: float | None = None,
@@ -252,8 +245,7 @@ class Solution(AdjustmentResult):
         self._require_unweighted("statistics.reliability_weighted")
         known: dict[tuple[float, float], BlockReliability] = self.__dict__.setdefault("_reliability", {})
         if (alpha, power) not in known:
-            q = self.residual_cofactors
-            known[alpha, power] = reliability(self.problem, self.state, q, alpha=alpha, power=power)
+            known[alpha, power] = reliability(self.residual_cofactors, alpha=alpha, power=power)
         return known[alpha, power]
 
     def suspicious(
@@ -280,8 +272,8 @@ class Solution(AdjustmentResult):
         See ``fg_orient.quality.variance_components``; ``adjust(variance_components=...)`` iterates. NoSolutionError:
         there is no covariance, or it contains the weights of a loss.
         """
-        q, known = self.required_cofactors(unweighted="statistics.components_loss"), self.residual_cofactors
-        return variance_components(self.problem, self.state, q, groups=groups, method=method, known=known)
+        self.required_cofactors(unweighted="statistics.components_loss")
+        return variance_components(self.residual_cofactors, groups=groups, method=method)
 
     def in_datum(self, *names: str) -> FreeNetwork:
         """S-transformation of a free network to the datum of images ("image:3") and points ("point:12").
@@ -291,10 +283,11 @@ class Solution(AdjustmentResult):
         NoSolutionError: not a free network (``datum = "inner"``), or no covariance. InputError: no such image or point,
         or they do not fix all motions.
         """
-        network = getattr(self.cofactors, "network", None)
-        if network is None:
+        from fg_orient.quality.free_network import FreeNetwork
+
+        if not isinstance(self.cofactors, FreeNetwork):
             raise NoSolutionError.of("statistics.no_free_network", place=self.block.options.datum)
-        return network.in_datum(*names) if names else network  # type: ignore[no-any-return]
+        return self.cofactors.in_datum(*names) if names else self.cofactors
 
     def significance(self, *, level: float = SIGNIFICANCE_LEVEL) -> Significance:
         """Test all unknowns of the images and groups of them; see ``fg_orient.quality.significance``.
@@ -302,8 +295,8 @@ class Solution(AdjustmentResult):
         NoSolutionError: no covariance, a loss, no redundancy, or variance components in a block too large for their
         degrees of freedom.
         """
-        q = self.required_cofactors(unweighted="statistics.significance_weighted")
-        return significance(self.problem, self.state, q, self.sigma0, level=level, freedom=self.unknown_freedom)
+        self.required_cofactors(unweighted="statistics.significance_weighted")
+        return significance(self.residual_cofactors, self.sigma0, self.unknown_freedom, level=level)
 
     def prediction_test(self) -> PredictionTest:
         """Compare predicted and actual accuracy at check points; see ``fg_orient.quality.accuracy``.

@@ -60,13 +60,11 @@ def _kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, A
     return _residual(record, setup, x), jacobian
 
 
-def _example(rng: np.random.Generator) -> Example:
-    return Example(np.array([0.0, 2.0]), rng.normal(size=(1, 2)), (rng.normal(size=4),))
-
-
 #: Some unknowns of an image, each observed with sigma 1 prior sigma.
 HELD_UNKNOWNS: Final = Equation(
-    "held_unknowns", _kernel, _residual, (Argument("x", "prior sigma"),), _example, "minimal datum of a free network",
+    "held_unknowns", _kernel, _residual, (Argument("x", "prior sigma"),),
+    lambda rng: Example(np.array([0.0, 2.0]), rng.normal(size=(1, 2)), (rng.normal(size=4),)),
+    "minimal datum of a free network",
 )  # fmt: skip
 
 
@@ -183,27 +181,41 @@ def datum_points(problem: Problem, names: tuple[str, ...] = ()) -> Mask:
     return out
 
 
-@dataclass(frozen=True)
-class FreeNetwork:
-    """A free network in one datum.
+@dataclass(frozen=True, eq=False)
+class FreeNetwork(MatrixCofactors):
+    """A free network in one datum, with its cofactors (``fg_orient.quality.covariance.Cofactors``).
 
     Parameters
     ----------
     problem : Problem
+        With its minimal datum.
+    cofactors : (n, n) array
+        In prior scale, columns as in ``Problem.vector``.
     state : State
     null_space : (n, d) array
         Motions at the state; unknowns of all images in prior sigmas, then of all unknown points in m.
-    cofactors : (n, n) array
-        In prior scale.
     datum : (n,) bool array
         Unknowns of the datum.
     """
 
-    problem: Problem
     state: State
     null_space: Array
-    cofactors: Array
     datum: Mask
+
+    @classmethod
+    def of(cls, problem: Problem, state: State, minimal: Cofactors) -> FreeNetwork:
+        """Inner constraints on the ground points, from a solution and its cofactors in the minimal datum.
+
+        Indeterminate is raised for more than 3000 unknowns.
+        """
+        if problem.n_unknowns > MAX_UNKNOWNS:
+            raise Indeterminate(
+                f"the free network has {problem.n_unknowns} unknowns; all its cofactors are formed up to {MAX_UNKNOWNS}"
+            )
+        motions, datum = null_space(problem, state), datum_points(problem)
+        with one_blas_thread():
+            every = minimal.joint(tuple(range(problem.n_images)), tuple(np.flatnonzero(problem.active).tolist()))
+            return cls(problem, s_transform(every, motions, datum), state, motions, datum)
 
     @property
     def datum_defect(self) -> int:
@@ -220,7 +232,7 @@ class FreeNetwork:
         difference = problem.vector(self.state) - problem.vector(problem.start)
         state = problem.moved(self.state, datum_step(difference, self.null_space, datum))
         q = s_transform(self.cofactors, self.null_space, datum)
-        return FreeNetwork(problem, state, self.null_space, q, datum)
+        return FreeNetwork(problem, q, state, self.null_space, datum)
 
     def cofactor_matrix(self) -> NamedMatrix:
         """Cofactors of all unknowns in physical units: m, m/s, rad, px for images, m for points."""
@@ -231,34 +243,6 @@ class FreeNetwork:
         units = [u for p in problem.parameters for u in p.units] + ["m"] * (3 * len(ids))
         scale = np.concatenate([*(p.sigma for p in problem.parameters), np.ones(3 * len(ids))])
         return NamedMatrix(tuple(names), tuple(units), self.cofactors * np.outer(scale, scale))
-
-
-class InnerCofactors(MatrixCofactors):
-    """Cofactors under inner constraints on the ground points; see ``fg_orient.quality.covariance.Cofactors``.
-
-    Parameters
-    ----------
-    problem : Problem
-        With its minimal datum.
-    state : State
-        The solution.
-    minimal : Cofactors
-        Of the minimal datum.
-
-    Indeterminate is raised for more than 3000 unknowns.
-    """
-
-    def __init__(self, problem: Problem, state: State, minimal: Cofactors) -> None:
-        if problem.n_unknowns > MAX_UNKNOWNS:
-            raise Indeterminate(
-                f"the free network has {problem.n_unknowns} unknowns; all its cofactors are formed up to {MAX_UNKNOWNS}"
-            )
-        motions, datum = null_space(problem, state), datum_points(problem)
-        with one_blas_thread():
-            every = minimal.joint(tuple(range(problem.n_images)), tuple(np.flatnonzero(problem.active).tolist()))
-            q = s_transform(every, motions, datum)
-        super().__init__(problem, q)
-        self.network = FreeNetwork(problem, state, motions, q, datum)
 
 
 # --- S-transformations ----------------------------------------------------------------------------

@@ -25,9 +25,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
-from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.elimination import (
     PointRows,
     eliminated_points,
@@ -36,14 +35,14 @@ from fg_orient.quality.elimination import (
     named_points,
     single_rows,
 )
+from fg_orient.quality.hypotheses import CHECKED
+from fg_orient.quality.residuals import ResidualCofactors
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 #: Elements of the matrices W_j of all groups up to which they are formed: 0.5 GB each kind; 4 groups, 4000 unknowns.
 LARGEST: Final = 2**26
-#: Directions of an error below this share of the best one are not checked by the other observations.
-CHECKED: Final = 1e-6
 
 
 def cost(problem: Problem, n_groups: int) -> int:
@@ -56,18 +55,18 @@ class GroupCofactors:
 
     Parameters
     ----------
-    problem, state, cofactors
+    known : ResidualCofactors
         Of a solution by any backend.
     labels : (n,) int array
         Group of every row: image points, control points in East, North, Up, priors, extra observations; -1: none.
     n_groups : int
     """
 
-    def __init__(self, problem: Problem, state: State, cofactors: Cofactors, labels: Index, n_groups: int) -> None:
-        self._problem, self._state = problem, state
+    def __init__(self, known: ResidualCofactors, labels: Index, n_groups: int) -> None:
+        self._problem, self._state = problem, state = known.problem, known.state
         self._labels, self._size = np.where(labels < 0, n_groups, labels), n_groups + 1
         self._named, self._rows = named_points(problem), linearised(problem, state)
-        self._q = free_cofactors(problem, cofactors.joint, self._named)
+        self._q = free_cofactors(problem, known.cofactors.joint, self._named)
 
     def _points(self, only: Index | None = None) -> Iterator[PointRows]:
         return eliminated_points(self._problem, self._rows, self._named, only=only, groups=self._size)

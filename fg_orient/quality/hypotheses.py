@@ -39,6 +39,8 @@ Index = npt.NDArray[np.intp]
 
 #: Name of the statistic for one degree of freedom, and for more.
 SYMBOLS: Final[dict[str, tuple[str, str]]] = {"baarda": ("w", "T"), "pope": ("tau", "T/m0^2"), "t": ("t", "F")}
+#: Directions below this share of a free observation are not checked by the other observations.
+CHECKED: Final = 1e-6
 _TINY: Final = float(np.finfo(float).tiny)
 #: Relative precision of the remaining v^T v: it is not zero, even if one suspect explains all residuals.
 _ROUNDING: Final = float(np.finfo(float).eps)
@@ -60,6 +62,18 @@ def can_be_tested(d: npt.ArrayLike, redundancy: float | Array, test: str) -> npt
     """Whether d parameters (n,) of an error can be tested: redundancy must remain for the scale if it is estimated."""
     d = np.asarray(d)
     return np.asarray((d > 0) & ((d <= redundancy) if test == "baarda" else (d < redundancy)))
+
+
+def quadratic(v: Array, q: Array) -> tuple[Array, Index, Array]:
+    """``v^T Q^+ v`` (n,), the rank d of Q (n,) and ``Q^+ v`` (n, k), of v (n, k) with cofactors Q (n, k, k)."""
+    size, axes = np.linalg.eigh(q)
+    checked = size > CHECKED
+    along = np.einsum("...ka,...k->...a", axes, v)
+    share = np.where(checked, along / np.where(checked, size, 1.0), 0.0)
+    return (
+        np.sum(along * share, axis=-1), np.asarray(np.sum(checked, axis=-1), np.intp),
+        np.einsum("...ka,...a->...k", axes, share),
+    )  # fmt: skip
 
 
 def statistics(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | Array, test: str) -> Array:

@@ -26,7 +26,6 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised, side_by_side
 from fg_orient.quality import hypotheses
 from fg_orient.quality.covariance import Cofactors
-from fg_orient.quality.suspects import CHECKED
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -55,6 +54,20 @@ class ConsistencyTest:
     dimension: int
     statistic: float | None
     probability: float | None
+
+    @classmethod
+    def of(cls, t: float, d: int, chi2: float, redundancy: float, test: str) -> ConsistencyTest:
+        """Test of T with v^T v and its degrees of freedom; see ``fg_orient.quality.hypotheses``."""
+        given = np.array([t]), np.array([d])
+        if not hypotheses.can_be_tested(given[1], redundancy, test)[0]:
+            return cls(t, 0, None, None)
+        laws = (hypotheses.statistics, hypotheses.probabilities)
+        return cls(t, d, *(float(law(*given, chi2, redundancy, test)[0]) for law in laws))
+
+    def with_freedom(self, freedom: float, test: str) -> ConsistencyTest:
+        """The same test with these degrees of freedom instead of the redundancy."""
+        t, d = self.quadratic, self.dimension
+        return ConsistencyTest.of(t, d, freedom + t, freedom + d, test) if d else self
 
 
 @dataclass(frozen=True)
@@ -123,15 +136,8 @@ def _columns(full: Problem, point: int, rows: Sequence[int], control: bool, susp
 def _judged(v: Array, e: Array, s: Array, chi2: float, redundancy: int, test: str) -> ConsistencyTest:
     """Test in the adjustment with the observations: f increases by their number, v^T v by their sum."""
     residual, weighted = np.linalg.solve(s, v), np.linalg.solve(s, e)
-    size, axes = np.linalg.eigh(e.T @ weighted)
-    checked = size > CHECKED
-    along = axes[:, checked].T @ (e.T @ residual)
-    t, d, f = np.array([along**2 @ (1.0 / size[checked])]), np.array([checked.sum()]), redundancy + len(v)
-    if not hypotheses.can_be_tested(d, f, test)[0]:
-        return ConsistencyTest(float(t[0]), 0, None, None)
-    total = chi2 + float(v @ residual)
-    statistic, p = (law(t, d, total, f, test)[0] for law in (hypotheses.statistics, hypotheses.probabilities))
-    return ConsistencyTest(float(t[0]), int(d[0]), float(statistic), float(p))
+    t, d, _ = hypotheses.quadratic(e.T @ residual, e.T @ weighted)
+    return ConsistencyTest.of(float(t), int(d), chi2 + float(v @ residual), redundancy + len(v), test)
 
 
 def _rows(

@@ -11,10 +11,7 @@ The two coordinates of an image point are tested together (delta of 2 degrees of
 on its direction. In a direction that the other observations do not check r is 0, and no error is detected. (With two
 rays this is the epipolar line: the ground point follows.)
 
-Cofactors of the residuals are ``Q_vv = I - A N^-1 A^T``; the traces are redundancy numbers, and their sum is the
-redundancy (Baarda 1968). Residuals are whitened (divided by their a priori sigmas). The cofactors are formed point by
-point from those of the images (``fg_orient.adjustment.cofactors``), for ground points that extra observations name from
-joint cofactors.
+Residuals and their cofactors: ``fg_orient.quality.residuals``.
 """
 
 from __future__ import annotations
@@ -26,15 +23,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.cofactors import RayCofactors, blocks_of_images, cofactors_of_rays, inverse_roots
-from fg_orient.adjustment.dense import extra_blocks
-from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.rows import image_rows, residuals
-from fg_orient.model.block import ExtraObservation
 from fg_orient.model.distributions import chi_square_limit, chi_square_noncentrality
 from fg_orient.model.errors import InputError
-from fg_orient.quality.covariance import Cofactors
-from fg_orient.quality.elimination import control_residuals, control_rows, named_points
+from fg_orient.quality.residuals import ResidualCofactors
 
 Array = npt.NDArray[np.float64]
 
@@ -112,32 +103,24 @@ class BlockReliability:
         Image points, in the order of ``problem.observations``: line, sample; pixels.
     control : Reliability
         Control points ``np.flatnonzero(problem.observed)``: East, North, Up (X, Y, Z in a local system); m.
-    prior, extra : array, tuple of arrays
-        Redundancy numbers of priors and extra observations; see ``ResidualCofactors``.
-    redundancy_sum : float
-        Sum of all redundancy numbers; apart from rounding the redundancy.
+    cofactors : ResidualCofactors
+        Of all residuals, with the redundancy numbers of priors and extra observations.
     """
 
     alpha: float
     power: float
     image: Reliability
     control: Reliability
-    prior: Array
-    extra: tuple[Array, ...]
-    redundancy_sum: float
+    cofactors: ResidualCofactors
 
 
-def reliability(
-    problem: Problem, state: State, cofactors: ResidualCofactors, *, alpha: float = ALPHA, power: float = POWER
-) -> BlockReliability:
+def reliability(cofactors: ResidualCofactors, *, alpha: float = ALPHA, power: float = POWER) -> BlockReliability:
     """Redundancy numbers, normalised residuals, internal and external reliability of all observations.
 
     Parameters
     ----------
-    problem, state
-        Of a solution, without a loss.
     cofactors : ResidualCofactors
-        Of the solution.
+        Of a solution without a loss.
     alpha, power : float
         Probabilities of the test; 0 < alpha < power < 1.
 
@@ -148,21 +131,19 @@ def reliability(
     """
     if not 0.0 < alpha < power < 1.0:
         raise InputError.of("statistics.power", place="alpha, power", value=f"{alpha}, {power}")
-    o, rays = problem.observations, cofactors.rays
+    problem, rays, w = cofactors.problem, cofactors.rays, cofactors.control_rows
+    o = problem.observations
     sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
     image = _reliability(
-        cofactors.image, residuals(problem, state), sigma, rays.response, rays.points[o.point], rays.on_image, alpha,
+        cofactors.image, cofactors.v_image, sigma, rays.response, rays.points[o.point], rays.on_image, alpha,
         power,
     )  # fmt: skip
-    w = control_rows(problem, np.flatnonzero(problem.observed))
     points, sigma_m = rays.points[problem.observed], 1.0 / np.linalg.norm(w, axis=2)
     control = _reliability(
-        cofactors.control, control_residuals(problem, state), sigma_m, points @ np.swapaxes(w, 1, 2), points,
+        cofactors.control, cofactors.v_control, sigma_m, points @ np.swapaxes(w, 1, 2), points,
         np.full(sigma_m.shape, np.nan), alpha, power,
     )  # fmt: skip
-    return BlockReliability(
-        alpha, power, image, control, cofactors.prior, cofactors.extra, cofactors.redundancy_sum
-    )  # fmt: skip
+    return BlockReliability(alpha, power, image, control, cofactors)  # fmt: skip
 
 
 def _reliability(
@@ -204,105 +185,3 @@ def _in_own_sigmas(points: Array, response: Array) -> Array:
     solved = np.linalg.solve(points[free], response[free])
     out[free] = np.sqrt(np.maximum(np.einsum("nij,nij->nj", response[free], solved), 0.0))
     return out
-
-
-# --- cofactors of residuals -----------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class ResidualCofactors:
-    """Cofactors of the residuals, whitened; prior scale.
-
-    Parameters
-    ----------
-    image : (n, 2, 2) array
-        Blocks of the image points, in the order of ``problem.observations``.
-    control : (m, 3, 3) array
-        Blocks of the control points ``np.flatnonzero(problem.observed)``: East, North, Up.
-    prior : (u,) array
-        Redundancy numbers of the prior observations, in the order of ``problem.image_vector`` (shared unknowns once);
-        empty without priors.
-    extra : tuple of (m_e,) arrays
-        Redundancy numbers of the rows of each extra observation.
-    rays : RayCofactors
-        Cofactors of adjusted image points, points and images.
-    """
-
-    image: Array
-    control: Array
-    prior: Array
-    extra: tuple[Array, ...]
-    rays: RayCofactors
-
-    @property
-    def redundancy_sum(self) -> float:
-        """Sum of all redundancy numbers; apart from rounding ``problem.redundancy``."""
-        blocks = sum(float(np.einsum("nii->", block)) for block in (self.image, self.control))
-        return blocks + sum(float(np.sum(numbers)) for numbers in (self.prior, *self.extra))
-
-
-def residual_cofactors(problem: Problem, state: State, cofactors: Cofactors) -> ResidualCofactors:
-    """Cofactors of all residuals at a solution.
-
-    Parameters
-    ----------
-    problem : Problem
-        Under a loss the problem with the weights at the solution (``fg_orient.adjustment.robust.weighted_problem``).
-    state : State
-        The solution.
-    cofactors : Cofactors
-        Of any backend.
-    """
-    rays = cofactors_of_rays(
-        problem, state, lambda pairs: blocks_of_images(problem, lambda images: cofactors.joint(images, ()), pairs)
-    )
-    if problem.block.extra:
-        _of_named_points(problem, state, cofactors, rays)
-    w = control_rows(problem, np.flatnonzero(problem.observed))
-    return ResidualCofactors(
-        np.eye(2) - rays.fitted,
-        np.eye(3) - w @ rays.points[problem.observed] @ np.swapaxes(w, 1, 2),
-        1.0 - _variances(problem, rays) if problem.block.options.priors else np.zeros(0),
-        tuple(_of_extra(problem, state, cofactors, extra) for extra in problem.block.extra),
-        rays,
-    )
-
-
-def _variances(problem: Problem, rays: RayCofactors) -> Array:
-    """Cofactors (u,) of the image unknowns, shared ones once."""
-    sizes = np.diff(problem.first).tolist()
-    wide = np.concatenate([np.diag(q)[:size] for q, size in zip(rays.images, sizes, strict=True)])
-    return wide if problem.ties is None else wide[problem.ties.place]
-
-
-def _of_named_points(problem: Problem, state: State, cofactors: Cofactors, rays: RayCofactors) -> None:
-    """Replace the cofactors of ground points that extra observations name: more than their rays determines them."""
-    o, rays_of = problem.observations, dict(problem.rows_by_point())
-    for j in named_points(problem):
-        images = tuple(np.unique(o.image[rays_of[j]]).tolist())
-        q = cofactors.joint(images, (j,))
-        first = np.concatenate([[0], np.cumsum([len(problem.parameters[k]) for k in images])])
-        rays.points[j] = q[-3:, -3:]
-        for at, k in enumerate(images):
-            rows = rays_of[j][o.image[rays_of[j]] == k]
-            _, d_image, d_ground = image_rows(problem, state, k, rows, jacobian=True)
-            columns = np.r_[first[at] : first[at + 1], first[-1] : first[-1] + 3]
-            design = np.concatenate([d_image, d_ground], axis=2)
-            effect = q[:, columns] @ np.swapaxes(design, 1, 2)
-            rays.fitted[rows] = design @ effect[:, columns]
-            rays.response[rows] = effect[:, -3:]
-            root = inverse_roots(rays.images[k : k + 1], np.diff(first[at : at + 2]))[0, : first[at + 1] - first[at]]
-            own = root[:, : len(root)] @ effect[:, first[at] : first[at + 1]]
-            rays.on_image[rows] = np.linalg.norm(own, axis=1)
-
-
-def _of_extra(problem: Problem, state: State, cofactors: Cofactors, extra: ExtraObservation) -> Array:
-    """Redundancy numbers of the rows of an extra observation."""
-    _, blocks = extra_blocks(problem, extra, state, jacobian=True)
-    parts: dict[tuple[bool, int], Array] = {}
-    for a, block in blocks:
-        parts[a.is_image, a.index] = parts.get((a.is_image, a.index), 0.0) + block
-    images, points = (tuple(index for is_image, index in parts if is_image is kind) for kind in (True, False))
-    q = cofactors.joint(images, points)
-    design = np.hstack([parts[True, k] for k in images] + [parts[False, j] for j in points])
-    return np.asarray(1.0 - np.einsum("ri,ij,rj->r", design, q, design))

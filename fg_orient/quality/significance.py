@@ -21,12 +21,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.problem import Problem
 from fg_orient.model.distributions import f_tail, holm, t_two_sided
 from fg_orient.model.errors import NoSolutionError
 from fg_orient.model.parameters import term_of
-from fg_orient.quality.covariance import Cofactors
-from fg_orient.quality.freedom import UnknownFreedom
+from fg_orient.quality.residuals import ResidualCofactors
+from fg_orient.quality.variance_components import UnknownFreedom
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -124,27 +124,27 @@ class Significance:
 
 
 def significance(
-    problem: Problem, state: State, cofactors: Cofactors, sigma0: float, *, level: float = LEVEL,
-    freedom: UnknownFreedom | None = None,
-) -> Significance:  # fmt: skip
+    known: ResidualCofactors, sigma0: float, freedom: UnknownFreedom | None, *, level: float = LEVEL
+) -> Significance:
     """Test all unknowns of the images.
 
     Parameters
     ----------
-    problem, state, cofactors
+    known : ResidualCofactors
         Of a solution by any backend, without a loss; NoSolutionError without redundancy.
     sigma0 : float
         m0.
+    freedom : UnknownFreedom or None
+        With estimated variance components: their scale replaces m0 and its degrees of freedom.
     level : float
         Probability of a false alarm among all coefficients.
-    freedom : UnknownFreedom, optional
-        With estimated variance components: their scale replaces m0 and its degrees of freedom.
     """
+    problem = known.problem
     f = problem.redundancy
     if f <= 0:
         raise NoSolutionError.of("statistics.no_redundancy", place=problem.block.name, value=f)
-    x = problem.image_columns(state)
-    q = np.concatenate([np.diag(cofactors.image(k)) for k in range(problem.n_images)])
+    x = problem.image_columns(known.state)
+    q = np.concatenate([np.diag(known.cofactors.image(k)) for k in range(problem.n_images)])
     m0, nu = (sigma0, np.full(len(x), float(f))) if freedom is None else (1.0, freedom.each())
     t = np.abs(x) / (m0 * np.sqrt(q))
     p = t_two_sided(nu, t)
@@ -160,23 +160,20 @@ def significance(
             float(m0 * np.sqrt(q[j]) * scale[j]), float(t[j]), float(p[j]), float(adjusted[j]),
             float(min(q[j], 1.0)) if priors else None, float(nu[j]),
         ))  # fmt: skip
-    groups = tuple(
-        group_test(problem, state, cofactors, sigma0, name, index, freedom=freedom)
-        for name, index in _groups(problem).items()
-    )
+    groups = tuple(group_test(known, sigma0, freedom, name, index) for name, index in _groups(problem).items())
     return Significance(f, level, tuple(coefficients), groups)
 
 
 def group_test(
-    problem: Problem, state: State, cofactors: Cofactors, sigma0: float, name: str, index: Index, *,
-    freedom: UnknownFreedom | None = None,
-) -> GroupTest:  # fmt: skip
-    """F test of the unknowns at these places in ``problem.image_columns``; ``freedom`` as of :func:`significance`."""
+    known: ResidualCofactors, sigma0: float, freedom: UnknownFreedom | None, name: str, index: Index
+) -> GroupTest:
+    """F test of the unknowns at places (d,) in ``problem.image_columns``; others as of :func:`significance`."""
+    problem = known.problem
     images = tuple(np.unique(np.searchsorted(problem.first, index, side="right") - 1).tolist())
     places = np.concatenate([np.arange(problem.first[k], problem.first[k + 1]) for k in images])
     mine = np.searchsorted(places, index)
-    q = cofactors.joint(images, ())[np.ix_(mine, mine)]
-    x, d = problem.image_columns(state)[index], len(index)
+    q = known.cofactors.joint(images, ())[np.ix_(mine, mine)]
+    x, d = problem.image_columns(known.state)[index], len(index)
     m0, f = (sigma0, float(problem.redundancy)) if freedom is None else (1.0, freedom.together(index))
     # scaled to correlations, because unknowns of very different size are tested together
     length = np.sqrt(np.diag(q))

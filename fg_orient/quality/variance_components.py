@@ -15,6 +15,15 @@ groups are too many. Each round requires a new adjustment (``fg_orient.orientati
 Ungrouped observations keep their given sigmas. A component is held if its estimate is not larger than its standard
 deviation: its redundancy is too small. The robust variant uses medians instead of sums. It tolerates gross errors in
 half of a group, if they neither change the solution nor affect other groups.
+
+Degrees of freedom of tests with estimated components: the variance of a suspect's estimated error is a sum of them ::
+
+    Var = sum_j c_j s_j^2,   c_j = tr((E^T R E)^+ E^T R E_j R E) / d,   sum_j c_j = 1
+
+with the variance ``c^T C c``, C the covariance of the s_j^2. Its degrees of freedom are ``nu = 2 / (c^T C c)``
+(Satterthwaite 1946; of mixed models: Fai & Cornelius 1996). T of the suspect is then tested as in
+``fg_orient.quality.hypotheses`` with ``v^T v = f = nu``. The redundancy of the whole block would be too strict, that of
+the suspect's group too lax (docs/variance-components.md).
 """
 
 from __future__ import annotations
@@ -22,29 +31,30 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.problem import Problem, State, participates
-from fg_orient.adjustment.rows import residuals
+from fg_orient.adjustment.problem import participates
 from fg_orient.model.distributions import chi_square_median
-from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.model.options import USUAL_GROUPS
-from fg_orient.quality.covariance import Cofactors
-from fg_orient.quality.elimination import control_residuals
 from fg_orient.quality.group_cofactors import LARGEST, GroupCofactors, cost
+from fg_orient.quality.hypotheses import CHECKED
 from fg_orient.quality.observation_groups import Groups, groups_of
-from fg_orient.quality.reliability import ResidualCofactors, residual_cofactors
+from fg_orient.quality.residuals import ResidualCofactors
+
+if TYPE_CHECKING:
+    from fg_orient.quality.outliers import Suspects
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Method = Literal["helmert", "median"]
 
 METHODS: Final = ("helmert", "median")
-#: A block of residuals with an eigenvalue of its cofactors below this is not checked in all directions.
-CHECKED: Final = 1e-6
+#: Degrees of freedom of a known variance: the F distribution is that of chi-square to 1e-8.
+KNOWN: Final = 1e8
 
 
 @dataclass(frozen=True)
@@ -121,45 +131,38 @@ class VarianceComponents:
         }  # fmt: skip
 
 
-class Residuals:
-    """Whitened residuals of a solution, control points in East, North, Up, with their cofactors and groups.
+@dataclass(frozen=True, eq=False)
+class GroupedResiduals:
+    """Residuals of a solution by any backend, with the groups of its observations.
 
     Parameters
     ----------
-    problem, state, cofactors
-        Of a solution by any backend.
+    known : ResidualCofactors
     groups : Groups
-    known : ResidualCofactors, optional
-        Of the solution, if known.
     """
 
-    def __init__(
-        self, problem: Problem, state: State, cofactors: Cofactors, groups: Groups,
-        known: ResidualCofactors | None = None,
-    ) -> None:  # fmt: skip
-        self._of, self.groups = (problem, state, cofactors), groups
-        self.cofactors = known or residual_cofactors(problem, state, cofactors)
-        self.image, self.control = residuals(problem, state), control_residuals(problem, state)
-        self.prior = problem.image_vector(state) if problem.block.options.priors else np.zeros(0)
+    known: ResidualCofactors
+    groups: Groups
 
     @cached_property
     def labels(self) -> Index:
         """Group of every row: image points, control points, priors, extra observations."""
-        g, problem = self.groups, self._of[0]
+        g, problem = self.groups, self.known.problem
         prior = np.concatenate([*g.prior, np.zeros(0, np.intp)])
         if len(prior) and problem.ties is not None:
             prior = prior[problem.ties.place]  # the prior of a shared unknown is one observation
         n_extra = sum(e.n_residuals for e in problem.block.extra)
         return np.concatenate([
-            np.repeat(g.image[participates(problem.block)], 2), np.tile(g.axes, len(self.control)), prior,
+            np.repeat(g.image[participates(problem.block)], 2), np.tile(g.axes, len(self.known.v_control)), prior,
             np.full(n_extra, -1),
         ]).astype(np.intp)  # fmt: skip
 
     def sums(self) -> tuple[Array, Array, Index]:
         """Sums of squares q, redundancies r and numbers of rows of all groups."""
-        v = np.concatenate([self.image.ravel(), self.control.ravel(), self.prior])
-        blocks = (self.cofactors.image, self.cofactors.control)
-        r = np.concatenate([*(np.einsum("nii->ni", block).ravel() for block in blocks), self.cofactors.prior])
+        known = self.known
+        v = np.concatenate([known.v_image.ravel(), known.v_control.ravel(), known.v_prior])
+        blocks = (known.image, known.control)
+        r = np.concatenate([*(np.einsum("nii->ni", block).ravel() for block in blocks), known.prior])
         rows, size = self.labels[: len(v)], len(self.groups.names)
         named = rows >= 0
         q, total = (np.bincount(rows[named], w[named], size).astype(float) for w in (v**2, r))
@@ -168,26 +171,27 @@ class Residuals:
     @cached_property
     def parts(self) -> GroupCofactors | None:
         """Contributions of the groups to the cofactors; None if the block is too large."""
-        if cost(self._of[0], len(self.groups.names)) > LARGEST:
+        if cost(self.known.problem, len(self.groups.names)) > LARGEST:
             return None
-        return GroupCofactors(*self._of, self.labels, len(self.groups.names))
+        return GroupCofactors(self.known, self.labels, len(self.groups.names))
 
     def medians(self) -> Array:
         """Median of the quadratic form of each group's units over that of chi-square; nan if nothing is checked.
 
         Points with a single image point are left out: their form is the same for image and ground.
         """
-        problem, parts = self._of[0], dict[int, list[float]]()
-        o = problem.observations
+        known, parts = self.known, dict[int, list[float]]()
+        problem, o = known.problem, known.problem.observations
         many = np.bincount(o.point, minlength=len(problem.active)) > 1
-        labels = self.labels[: 2 * len(o)].reshape(-1, 2)
-        for i in np.flatnonzero(many[o.point]):
-            _add(parts, labels[i], self.image[i], self.cofactors.image[i])
-        for i in np.flatnonzero(many[problem.observed]):
-            _add(parts, self.groups.axes, self.control[i], self.cofactors.control[i])
-        prior = self.labels[2 * len(o) + self.control.size :]
-        for label, x, r in zip(prior, self.prior, self.cofactors.prior, strict=False):
-            _add(parts, np.array([label]), np.array([x]), np.array([[r]]))
+        rays, seen = many[o.point], many[problem.observed]
+        image, prior = self.labels[: 2 * len(o)].reshape(-1, 2), self.labels[2 * len(o) + known.v_control.size :]
+        for labels, v, q in (
+            (image[rays], known.v_image[rays], known.image[rays]),
+            (np.tile(self.groups.axes, (int(seen.sum()), 1)), known.v_control[seen], known.control[seen]),
+            (prior[:, None], known.v_prior[:, None], known.prior[:, None, None]),
+        ):
+            for unit in zip(labels, v, q, strict=False):  # extra observations belong to no group
+                _add(parts, *unit)
         return np.array([np.median(parts[g]) if g in parts else np.nan for g in range(len(self.groups.names))])
 
 
@@ -229,13 +233,13 @@ class Round:
 
 
 def one_round(
-    residuals: Residuals, method: Method = "helmert", *, keep: Sequence[bool] = (), judge: bool = True
+    residuals: GroupedResiduals, method: Method = "helmert", *, keep: Sequence[bool] = (), judge: bool = True
 ) -> Round:
     """Estimate the components from one solution.
 
     Parameters
     ----------
-    residuals : Residuals
+    residuals : GroupedResiduals
     method : str
     keep : sequence of bool
         Components that are held in any case.
@@ -302,16 +306,15 @@ def components_of(
 
 
 def variance_components(
-    problem: Problem, state: State, cofactors: Cofactors, *, groups: tuple[str, ...] = USUAL_GROUPS,
-    method: Method = "helmert", known: ResidualCofactors | None = None,
-) -> VarianceComponents:  # fmt: skip
+    known: ResidualCofactors, *, groups: tuple[str, ...] = USUAL_GROUPS, method: Method = "helmert"
+) -> VarianceComponents:
     """Components from one solution by any backend, without a loss; not iterated.
 
-    ``groups``: words of ``observation_groups.GROUPINGS``; ``known``: residual cofactors of the solution, if known.
+    ``groups``: words of ``observation_groups.GROUPINGS``.
     InputError: unknown groups or method.
     """
     require_method(method)
-    residuals = Residuals(problem, state, cofactors, groups_of(problem, groups), known)
+    residuals = GroupedResiduals(known, groups_of(known.problem, groups))
     only = one_round(residuals, method)
     return components_of(residuals.groups, only, only.variance, 1, method)
 
@@ -320,3 +323,103 @@ def require_method(method: str) -> None:
     """Raise InputError for a method that does not exist."""
     if method not in METHODS:
         raise InputError.of("statistics.method", place="method", value=method, known=", ".join(METHODS))
+
+
+# --- degrees of freedom ---------------------------------------------------------------------------
+
+
+def freedoms(residuals: GroupedResiduals, suspects: Sequence[Suspects], components: VarianceComponents) -> Array:
+    """Degrees of freedom (n,) of all suspects; for too many unknowns and groups those of the suspect's group.
+
+    Parameters
+    ----------
+    residuals : GroupedResiduals
+        Of the solution with these components.
+    suspects : sequence of Suspects
+        Of the same solution.
+    components : VarianceComponents
+    """
+    covariance, parts = _covariance(components), residuals.parts
+    out = [np.zeros(0)]
+    for s in suspects:
+        share = _own(residuals, s) if parts is None else parts.shares(s.point, s.rows, s.columns)
+        out.append(_satterthwaite(share, covariance))
+    return np.concatenate(out)
+
+
+def _covariance(components: VarianceComponents) -> Array:
+    """C of all groups; zero for held components, and in the last row and column for ungrouped observations."""
+    names = [c.group for c in components.components]
+    free = [k for k, c in enumerate(components.components) if not c.held]
+    covariance = np.zeros((len(names) + 1, len(names) + 1))
+    covariance[np.ix_(free, free)] = components.covariance
+    return covariance
+
+
+def _satterthwaite(share: Array, covariance: Array) -> Array:
+    """Degrees of freedom (n,) of shares (n, g)."""
+    variance = np.einsum("ng,gh,nh->n", share, covariance, share)
+    return np.asarray(np.minimum(KNOWN, 2.0 / np.maximum(variance, 2.0 / KNOWN)))
+
+
+def _own(residuals: GroupedResiduals, s: Suspects) -> Array:
+    """Shares (n, g) of the groups of the suspects' rows, if the contributions of all groups are not known."""
+    select = np.eye(len(residuals.groups.names) + 1)[residuals.labels]  # -1 is the last
+    share = np.einsum("nm,nmg->ng", np.sum(s.columns**2, axis=2), select[s.rows])
+    return np.asarray(share / share.sum(axis=1, keepdims=True))
+
+
+@dataclass(frozen=True, eq=False)
+class UnknownFreedom:
+    """Degrees of freedom of tests of image unknowns: their variance is a sum of the components, too.
+
+    Cofactors ``Q = sum_j W_j`` (``fg_orient.quality.group_cofactors``), so of unknowns with cofactors ``Q = L L^T``
+    together ``c_j = tr(L^-1 W_j L^-T) / d``.
+
+    Parameters
+    ----------
+    parts : (g, u, u) array
+        W_j of the image unknowns, shared ones once.
+    covariance : (g, g) array
+    free : (w,) int array
+        Row of ``parts`` of each place in ``problem.image_columns``.
+    """
+
+    parts: Array
+    covariance: Array
+    free: Index
+
+    @classmethod
+    def of(cls, known: ResidualCofactors, components: VarianceComponents) -> UnknownFreedom:
+        """Of a solution with these components; NoSolutionError if image unknowns and groups are too many."""
+        problem = known.problem
+        groups = groups_of(problem, problem.block.options.variance_components)
+        parts = GroupedResiduals(known, groups).parts
+        u = problem.n_free_unknowns
+        if parts is None:
+            raise NoSolutionError.of(
+                "statistics.components_large", place=problem.block.name, value=u, groups=len(groups.names)
+            )
+        free = np.arange(u) if problem.ties is None else problem.ties.of
+        return cls(parts.parts, _covariance(components), free)
+
+    def each(self) -> Array:
+        """Degrees of freedom (w,) of every unknown alone, in the order of ``problem.image_columns``."""
+        share = np.einsum("guu->ug", self.parts)
+        return _satterthwaite(share / share.sum(axis=1, keepdims=True), self.covariance)[self.free]
+
+    def together(self, index: Index) -> float:
+        """Degrees of freedom of the F test of unknowns at these places."""
+        mine = self.free[index]
+        parts = self.parts[:, mine[:, None], mine]
+        q = parts.sum(axis=0)
+        length = np.sqrt(np.diag(q))
+        scaled = parts / np.outer(length, length)
+        share = np.einsum("gii->g", np.linalg.solve(q / np.outer(length, length), scaled)) / len(mine)
+        return float(_satterthwaite(share[None], self.covariance)[0])
+
+
+def least_freedom(components: VarianceComponents) -> float:
+    """Degrees of freedom of the least certain component, for observations that were not in the adjustment."""
+    variances = np.diag(components.covariance)
+    return min(KNOWN, 2.0 / float(variances.max())) if len(variances) else KNOWN

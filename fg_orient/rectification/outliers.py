@@ -19,9 +19,8 @@ import numpy.typing as npt
 
 from fg_orient.model.distributions import f_quantile, f_tail
 from fg_orient.model.errors import InputError, NoSolutionError
-from fg_orient.quality.hypotheses import can_be_tested, f_statistics
+from fg_orient.quality.hypotheses import can_be_tested, f_statistics, quadratic
 from fg_orient.quality.rejection import reject
-from fg_orient.quality.suspects import quadratic
 from fg_orient.rectification.arguments import finite, positive
 from fg_orient.rectification.fit import Observations, TransformationFit, fit
 

@@ -67,9 +67,14 @@ def first_view(points_deg: Array, footprints_deg: Sequence[Array]) -> Array | No
     return np.stack([middle - half / km, middle + half / km])
 
 
-def view_of(record: dict[str, Any], points_deg: Array) -> Array | None:
+def view_of(result: Result) -> Array | None:
     """First view of the points of a result; see :func:`first_view`."""
-    return first_view(points_deg, footprints(record))
+    return first_view(result.points.numbers("lon_deg", "lat_deg"), footprints(result.record))
+
+
+def clipped(result: Result) -> bool:
+    """Whether the first view does not show all footprints."""
+    return view_of(result) is not None
 
 
 def footprints(record: dict[str, Any]) -> list[Array]:
@@ -98,7 +103,7 @@ def point_map(result: Result, *, up: bool = False, most: int | None = None) -> C
     rows = _thinned(located, roles[located] == "tie", MAX_POINTS if most is None else most)
     enu = table.numbers("difference_east_m", "difference_north_m", "difference_up_m")
     vectors = np.stack([np.zeros(len(enu)), enu[:, 2]], axis=1) if up else enu[:, :2]
-    view = view_of(result.record, place)
+    view = view_of(result)
     everything = np.vstack([place[rows], *footprints(result.record)]) if view is None else view
     shrink = shrink_at(float(everything[:, 1].min() + everything[:, 1].max()) / 2.0)
     words = "Up errors at control and check points" if up else "Points and horizontal errors"

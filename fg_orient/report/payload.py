@@ -88,7 +88,7 @@ def payload(result: Result) -> Payload | None:
     number[points] = np.arange(len(points))
     drawn = number[of_ray] >= 0
     places = result.points.numbers("lon_deg", "lat_deg")
-    everything, view = np.vstack([places, *footprints(result.record)]), view_of(result.record, places)
+    everything, view = np.vstack([places, *footprints(result.record)]), view_of(result)
     centre = 0.5 * (np.nanmin(everything, axis=0) + np.nanmax(everything, axis=0))
     data = {
         "view": None if view is None else np.round(_kilometres(view, centre), 4).tolist(),

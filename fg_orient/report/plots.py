@@ -21,6 +21,8 @@ Index = npt.NDArray[np.intp]
 #: Most vectors of an image and quantiles of a curve on a page; a paper shows more.
 MAX_VECTORS: Final = 400
 MAX_QUANTILES: Final = 120
+#: Images whose residuals and whose correlations a page shows.
+MAX_PANELS: Final = 16
 #: Singular values are drawn for so many images; the table lists all.
 MAX_IMAGES: Final = 40
 #: Length of a large vector (90 % quantile) as a share of the width of an image.
@@ -182,6 +184,30 @@ def normal_band(n: int, rank: Index) -> tuple[Array, Array, Array]:
     """
     low, middle, high = (normal_quantile(beta_quantile(rank + 1.0, n - rank, p)) for p in (0.025, 0.5, 0.975))
     return low, middle, high
+
+
+def residual_panels(result: Result, summaries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Charts of the images with the largest residuals, in the order of the images.
+
+    Parameters
+    ----------
+    result : Result
+    summaries : list of dict
+        ``Result.residual_summary``.
+
+    Returns
+    -------
+    list of dict
+        ``image``, ``drawings``, and ``words``: number of normalised residuals beyond the axis; "" for none.
+    """
+    worst = {row["image"] for row in sorted(summaries, key=lambda row: -row["max_ratio"])[:MAX_PANELS]}
+    out = []
+    for name in (row["image"] for row in summaries if row["image"] in worst):
+        ratio, tested = result.normalised[0][result.rows[name]], result.normalised[1]
+        beyond = int((np.abs(ratio) > ENDS).sum())
+        charts = residual_vectors(result, name), histogram(ratio, name, tested), quantiles(ratio, name, tested)
+        out.append({"image": name, "drawings": charts, "words": f"{beyond} beyond ±{ENDS:g} σ" if beyond else ""})
+    return out
 
 
 # --- orientation -----------------------------------------------------------------------------------

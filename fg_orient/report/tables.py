@@ -13,6 +13,9 @@ from fg_orient.result.record import Result
 
 Array = npt.NDArray[np.float64]
 
+#: Images, and rows of a table of directions or of coefficients, that the page shows.
+MAX_IMAGES: Final = 40
+MAX_TERMS: Final = 1500
 #: Units that people read more easily: name and factor.
 _READABLE: Final = {"rad": ("µrad", 1e6), "m/s": ("mm/s", 1e3), "m": ("m", 1.0)}
 _DEGREES: Final = ("constant", "linear", "quadratic")
@@ -119,3 +122,18 @@ def largest_residuals(result: Result, count: int = 20) -> dict[str, Any] | None:
     expected = 2.0 * n * float(normal_probability(-3.0))
     return {"rows": rows, "n": n, "beyond": int((size > 3.0).sum()),
             "expected": f"{expected:.1f}" if expected < 10.0 else f"{expected:.0f}"}  # fmt: skip
+
+
+def not_determined(record: dict[str, Any]) -> list[tuple[str, str, str, float | None]]:
+    """Image, direction in words, its holder ("nothing" first, or "its prior") and its singular value.
+
+    Words of unobservable directions may stand for several of them: they have no value of their own.
+    """
+    rows: list[tuple[str, str, str, float | None]] = []
+    for image in record["observability"][:MAX_IMAGES]:
+        name = image["image"]
+        rows += [(name, text.removeprefix(f"image {name}: "), "nothing", None) for text in image["sentences"]]
+        held = image["held_by_the_prior"]
+        values = image["singular_values"][image["determined"] :][: len(held)]
+        rows += [(name, text, "its prior", s) for text, s in zip(held, values, strict=True)]
+    return sorted(rows, key=lambda row: row[2] != "nothing")[:MAX_TERMS]

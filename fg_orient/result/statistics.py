@@ -74,12 +74,12 @@ def reliability_record(solution: Solution) -> dict[str, Any] | None:
     image, control, o = found.image, found.control, solution.problem.observations
     rays = np.bincount(o.point, minlength=len(solution.problem.active))[o.point]
     unchecked = image.not_checkable
-    sums = (image.redundancy, control.redundancy, found.prior,
-            np.concatenate([np.zeros(0), *found.extra]))  # fmt: skip
+    known = found.cofactors
+    sums = (image.redundancy, control.redundancy, known.prior, np.concatenate([np.zeros(0), *known.extra]))
     names = ("image_points", "control_points", "priors", "own_observations")
     return {
         "alpha": found.alpha, "power": found.power, "noncentrality": noncentrality(found.alpha, found.power),
-        "redundancy_sum": found.redundancy_sum,
+        "redundancy_sum": found.cofactors.redundancy_sum,
         "redundancy": {name: float(part.sum()) for name, part in zip(names, sums, strict=True)},
         "least": _least(solution, found),
         "limit_of_checkable": CHECKABLE,

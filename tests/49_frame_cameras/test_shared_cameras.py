@@ -18,7 +18,7 @@ from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 from fg_orient.quality.covariance import Cofactors, cofactors_of
-from fg_orient.quality.reliability import residual_cofactors
+from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameSensor
 from tests.support import dbat
 from tests.support.pinhole import SIGMA, pinhole_block
@@ -113,7 +113,7 @@ def test_a_shared_prior_has_one_redundancy_number(backend: str) -> None:
     assert np.array_equal(design[n:, :z], np.eye(z))
     assert np.count_nonzero(v[n:] != problem.image_vector(estimate.state)) == 0
     expected = 1.0 - np.einsum("ij,jk,ik->i", design, np.linalg.inv(design.T @ design), design)
-    found = residual_cofactors(problem, estimate.state, cofactors)
+    found = ResidualCofactors(problem, estimate.state, cofactors)
     assert found.prior.shape == (4 * 6 + 4,)
     assert found.prior == pytest.approx(expected[n:], abs=1e-6)
     assert np.einsum("nii->ni", found.image).ravel() == pytest.approx(expected[:n], abs=1e-6)
@@ -132,7 +132,7 @@ def test_the_whole_job_names_no_defect_where_an_image_is_held() -> None:
 @pytest.mark.truth
 def test_free_network_of_one_camera_has_seven_motions() -> None:
     solution = fg.adjust(shared(held=False))
-    network = solution.cofactors.network  # type: ignore[union-attr]
+    network = solution.in_datum()
     assert network.datum_defect == 7
     problem = network.problem
     shared_places = np.flatnonzero(~np.concatenate([p.own for p in problem.parameters]))

@@ -21,7 +21,7 @@ from fg_orient.adjustment.loop import gauss_newton
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.names import Role
-from fg_orient.quality.covariance import DenseCofactors, Indeterminate
+from fg_orient.quality.covariance import Indeterminate, dense_cofactors
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.full_statistics import damped_of_numpy, dogleg_of_numpy, step_of_numpy
 from tests.support.observed_parameters import OBSERVED_PARAMETERS
@@ -289,10 +289,10 @@ def test_covariance_is_unavailable_with_a_reason(twin: Block, monkeypatch: pytes
     problem = compiled(twin, eop_set=20, priors=False)
     _, design = assemble(problem, problem.start)
     with pytest.raises(Indeterminate, match="condition of the scaled Jacobian is above 1e\\+12"):
-        DenseCofactors(problem, design)
+        dense_cofactors(problem, design)
     design[:, 3] = 0.0
     with pytest.raises(Indeterminate, match="in no observation"):
-        DenseCofactors(problem, design)
+        dense_cofactors(problem, design)
     monkeypatch.setattr("fg_orient.quality.covariance.CONDITION_LIMIT", 10.0)
     solution = fg.adjust(twin, eop_set=2, priors=False, backend="dense")
     assert solution.status is fg.Status.NOT_TRUSTWORTHY

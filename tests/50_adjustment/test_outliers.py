@@ -13,7 +13,7 @@ from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.model.block import Block, Coordinates
 from fg_orient.model.names import Role
 from fg_orient.quality.outliers import GroupTest
-from fg_orient.quality.reliability import residual_cofactors
+from fg_orient.quality.residuals import ResidualCofactors
 from tests.support.rpc_block import rpc_twin
 
 
@@ -88,7 +88,7 @@ def test_redundancy_numbers_add_up() -> None:
     """The traces of Q of image points and control points, and the shares of the priors, give the redundancy."""
     solution = fg.adjust(all_control())
     assert solution.cofactors is not None
-    found = residual_cofactors(solution.problem, solution.state, solution.cofactors)
+    found = ResidualCofactors(solution.problem, solution.state, solution.cofactors)
     observed = float(np.einsum("nii->", found.image) + np.einsum("nii->", found.control))
     priors = sum(float(np.trace(np.eye(2) - solution.cofactors.image(k))) for k in (0, 1))
     assert observed + priors == pytest.approx(solution.redundancy, rel=1e-8)

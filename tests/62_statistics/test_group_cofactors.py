@@ -12,8 +12,8 @@ from fg_orient.model.block import Block
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality import elimination
 from fg_orient.quality.observation_groups import groups_of
-from fg_orient.quality.suspects import KINDS, suspects
-from fg_orient.quality.variance_components import Residuals
+from fg_orient.quality.outliers import KINDS, suspects
+from fg_orient.quality.variance_components import GroupedResiduals
 from tests.support.frame_above import with_frame_above
 from tests.support.full_statistics import fixed, measured_twice, options, own_observations, turned_design
 
@@ -38,8 +38,8 @@ class Full:
         return cls(np.eye(len(a)) - u @ u.T, effect[: solution.problem.n_free_unknowns])
 
 
-def residuals_of(solution: Solution, groups: tuple[str, ...] = GROUPS) -> Residuals:
-    return Residuals(solution.problem, solution.state, solution.cofactors, groups_of(solution.problem, groups))
+def residuals_of(solution: Solution, groups: tuple[str, ...] = GROUPS) -> GroupedResiduals:
+    return GroupedResiduals(solution.residual_cofactors, groups_of(solution.problem, groups))
 
 
 def assert_equal_to_full_matrix(solution: Solution, groups: tuple[str, ...] = GROUPS) -> None:
@@ -56,7 +56,7 @@ def assert_equal_to_full_matrix(solution: Solution, groups: tuple[str, ...] = GR
         mine = full.unknowns * select[:, j] @ full.unknowns.T
         assert np.abs((own - mine) / scale).max() < TOLERANCE
     for kind in KINDS:
-        for s in suspects(solution.problem, solution.state, solution.cofactors, kind):
+        for s in suspects(solution.residual_cofactors, kind):
             found = parts.shares(s.point, s.rows, s.columns)
             assert found.sum(axis=1)[s.quadratic()[1] > 0] == pytest.approx(1.0, abs=TOLERANCE)
             for k in range(0, len(found), 7):
@@ -107,7 +107,7 @@ def test_unknowns_in_common(twin: Block) -> None:
 @pytest.mark.consistency
 def test_any_division_gives_the_same(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     solution = fg.adjust(grid, backend="schur")
-    found = suspects(solution.problem, solution.state, solution.cofactors)[0]
+    found = suspects(solution.residual_cofactors)[0]
     whole = residuals_of(solution)
     monkeypatch.setattr(elimination, "CHUNK", 3000)  # a few points at once
     parts = residuals_of(solution)

@@ -16,6 +16,7 @@ from fg_orient.model.block import Block
 from fg_orient.model.names import Role
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality.reliability import ALPHA, CHECKABLE, POWER, BlockReliability, noncentrality, reliability
+from fg_orient.quality.residuals import ResidualCofactors
 from tests.support.full_statistics import Full, fixed, measured_twice, options, own_observations
 
 
@@ -43,20 +44,20 @@ def test_noncentrality_is_that_of_baarda() -> None:
 
 @pytest.mark.oracle
 def test_sums_are_the_trace_of_the_full_matrix(grid: Block, solution: Solution, found: BlockReliability) -> None:
-    parts = [found.image.redundancy, found.control.redundancy, found.prior]
+    parts = [found.image.redundancy, found.control.redundancy, found.cofactors.prior]
     share, n, m = np.diag(Full.of(solution.problem, solution.state).residuals), *(2 * len(parts[0]), 3 * len(parts[1]))
     expected = [share[:n].sum(), share[n : n + m].sum(), share[n + m :].sum()]
     assert [float(p.sum()) for p in parts] == pytest.approx(expected, abs=1e-7)
     assert sum(expected) == pytest.approx(solution.redundancy, abs=1e-8)
     own = fg.adjust(own_observations(grid)).reliability()
-    assert own.redundancy_sum == pytest.approx(own_redundancy(own), abs=1e-8)
-    numbers = np.concatenate([found.image.redundancy.ravel(), found.control.redundancy.ravel(), found.prior])
+    assert own.cofactors.redundancy_sum == pytest.approx(own_redundancy(own), abs=1e-8)
+    numbers = np.concatenate([found.image.redundancy.ravel(), found.control.redundancy.ravel(), found.cofactors.prior])
     assert numbers.min() > -1e-9
     assert numbers.max() < 1.0 + 1e-9
 
 
 def own_redundancy(own: BlockReliability) -> float:
-    parts = [own.image.redundancy, own.control.redundancy, own.prior, *own.extra]
+    parts = [own.image.redundancy, own.control.redundancy, own.cofactors.prior, *own.cofactors.extra]
     return sum(float(p.sum()) for p in parts)
 
 
@@ -262,7 +263,7 @@ def test_wrong_weight_is_seen_in_the_test_statistic(solution: Solution) -> None:
     sigma[17] *= 1.2
     wrong = replace(solution.problem, observations=replace(o, sigma_line_px=sigma))
     for problem, right in ((solution.problem, True), (wrong, False)):
-        found = reliability(problem, solution.state, solution.residual_cofactors)
+        found = reliability(ResidualCofactors(problem, solution.state, solution.required_cofactors()))
         bias = found.image.minimal_detectable_bias[17, 0] / o.sigma_line_px[17]
         shown = bias**2 * solution.residual_cofactors.image[17, 0, 0]
         assert bool(np.isclose(shown, noncentrality(), rtol=1e-6)) is right

@@ -16,8 +16,8 @@ from fg_orient.model.block import Block
 from fg_orient.model.names import Role
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality.observation_groups import groups_of
-from fg_orient.quality.reliability import residual_cofactors
-from fg_orient.quality.variance_components import Residuals
+from fg_orient.quality.residuals import ResidualCofactors
+from fg_orient.quality.variance_components import GroupedResiduals
 from tests.support.frame_above import with_frame_above
 from tests.support.full_statistics import Full, fixed, measured_twice, options, own_observations
 
@@ -27,7 +27,7 @@ TOLERANCE = 1e-9
 
 def assert_equal_to_full_matrix(solution: Solution) -> None:
     problem = solution.problem if solution.weights is None else weighted_problem(solution.problem, solution.weights)
-    found = residual_cofactors(problem, solution.state, solution.cofactors)
+    found = ResidualCofactors(problem, solution.state, solution.cofactors)
     full = Full.of(problem, solution.state)
     n, m = len(problem.observations), int(problem.observed.sum())
     for k in range(n):
@@ -106,7 +106,7 @@ def test_shared_priors_and_their_variance_component(twin: Block) -> None:
     design = problem.ties.columns(wide)
     u, _, _ = np.linalg.svd(design / np.linalg.norm(design, axis=0), full_matrices=False)
     full = np.eye(len(v)) - u @ u.T
-    found = residual_cofactors(problem, solution.state, solution.cofactors)
+    found = ResidualCofactors(problem, solution.state, solution.cofactors)
     at = n + 3 * int(problem.observed.sum())
     assert found.prior == pytest.approx(np.diag(full)[at:], abs=TOLERANCE)
     assert found.redundancy_sum == pytest.approx(problem.redundancy, abs=1e-8 * len(v))
@@ -115,10 +115,10 @@ def test_shared_priors_and_their_variance_component(twin: Block) -> None:
     assert len(look) == 4
     groups = groups_of(problem, ("image", "priors"))
     place = groups.names.index("prior look angles")
-    q, r, count = Residuals(problem, solution.state, solution.cofactors, groups).sums()
+    q, r, count = GroupedResiduals(solution.residual_cofactors, groups).sums()
     assert (int(count[place]), r[place]) == (4, pytest.approx(np.diag(full)[look].sum(), abs=TOLERANCE))
     assert q[place] == pytest.approx(float(np.sum(v[look] ** 2)), rel=1e-12)
-    parts = Residuals(problem, solution.state, solution.cofactors, groups).parts
+    parts = GroupedResiduals(solution.residual_cofactors, groups).parts
     assert parts is not None
     assert parts.shared[place, place] == pytest.approx(float(np.sum(full[np.ix_(look, look)] ** 2)), abs=TOLERANCE)
 
@@ -143,5 +143,5 @@ def test_wrong_weights_are_found(grid: Block) -> None:
     wrong = replace(solution.problem, observations=replace(o, sigma_line_px=sigma), records=records)
     start = wrong.start.ground + wrong.origin_m
     wrong = replace(wrong, records=whitened_records(wrong.models, wrong.observations, start, wrong.origin_m))
-    found = residual_cofactors(wrong, solution.state, solution.cofactors)
+    found = ResidualCofactors(wrong, solution.state, solution.cofactors)
     assert abs(found.redundancy_sum - solution.redundancy) > 0.01

@@ -11,8 +11,7 @@ import fg_orient as fg
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError, NoSolutionError, finding
 from fg_orient.quality import prediction
-from fg_orient.quality.outliers import assess_suspects
-from fg_orient.quality.suspects import Kind, suspects
+from fg_orient.quality.outliers import Kind, assess_suspects, suspects
 from tests.support.full_statistics import turned_rows
 from tests.support.linear_twin import linear_twin
 from tests.support.rpc_block import rpc_twin
@@ -154,7 +153,7 @@ def test_what_an_intersection_takes_up_is_not_checked() -> None:
 def test_suspects_of_different_points_are_never_one_class() -> None:
     """The same T and d by chance in another point: told apart by the point, in the tests and in the names."""
     twin = linear_twin()
-    found = suspects(twin.solution.problem, twin.solution.state, twin.solution.cofactors)[0]
+    found = suspects(twin.solution.residual_cofactors)[0]
     one = replace(found, point=np.array([0, 0, 1]), row=np.array([0, 1, 2]), v=10.0 * found.v[[0, 0, 0]],
                   q=found.q[[0, 0, 0]], columns=found.columns[[0, 0, 0]])  # fmt: skip
     tests = assess_suspects(twin.solution.problem, [one], 1e4, level=0.05, test="baarda", control="none")

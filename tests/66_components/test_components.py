@@ -16,10 +16,9 @@ from fg_orient.adjustment.dense import assemble
 from fg_orient.model.block import Block
 from fg_orient.orientation.components import adjust_with_components
 from fg_orient.quality import variance_components as module
-from fg_orient.quality.freedom import freedoms
 from fg_orient.quality.observation_groups import groups_of
-from fg_orient.quality.suspects import suspects
-from fg_orient.quality.variance_components import Residuals
+from fg_orient.quality.outliers import suspects
+from fg_orient.quality.variance_components import GroupedResiduals, freedoms
 from tests.support.full_statistics import turned_design
 from tests.support.planted_errors import planted
 
@@ -258,10 +257,10 @@ def test_medians_withstand_gross_errors() -> None:
 @pytest.mark.oracle
 def test_freedom_of_a_suspect_is_that_of_the_variance_of_its_error(solution: fg.Solution) -> None:
     """c_j = dVar / ds_j^2 of the error estimated with the weights held fixed, from full matrices."""
-    problem, state, cofactors, components = solution.problem, solution.state, solution.cofactors, solution.components
-    assert cofactors is not None and components is not None
-    residuals = Residuals(problem, state, cofactors, groups_of(problem, GROUPS))
-    found = suspects(problem, state, cofactors)
+    problem, state, components = solution.problem, solution.state, solution.components
+    assert components is not None
+    residuals = GroupedResiduals(solution.residual_cofactors, groups_of(problem, GROUPS))
+    found = suspects(solution.residual_cofactors)
     nu = freedoms(residuals, found, components)
     _, a = assemble(problem, state)
     n, row = len(a), 7
@@ -290,7 +289,7 @@ def test_freedom_of_a_suspect_is_that_of_the_variance_of_its_error(solution: fg.
         assert nu[sum(len(x.point) for x in found[:part]) + place] == pytest.approx(
             2.0 / (share @ components.covariance @ share), rel=1e-6
         )
-    whole = suspects(problem, state, cofactors, "points")
+    whole = suspects(solution.residual_cofactors, "points")
     at = int(np.flatnonzero(problem.observed)[3])
     s = next(s for s in whole if at in s.point)
     mine = np.flatnonzero(problem.observations.point == at)

@@ -9,10 +9,9 @@ from scipy.stats import binom
 import fg_orient as fg
 from fg_orient.quality import hypotheses
 from fg_orient.quality import variance_components as module
-from fg_orient.quality.freedom import freedoms
 from fg_orient.quality.observation_groups import groups_of
-from fg_orient.quality.suspects import suspects
-from fg_orient.quality.variance_components import Residuals, variance_components
+from fg_orient.quality.outliers import suspects
+from fg_orient.quality.variance_components import GroupedResiduals, freedoms, variance_components
 from tests.support.full_statistics import turned_design
 from tests.support.planted_errors import planted_large
 
@@ -36,20 +35,20 @@ def alarms(runs: int, seed: int, monkeypatch: pytest.MonkeyPatch) -> dict[str, t
     """
     block = planted_large().draw(np.random.default_rng(seed))
     solution = fg.adjust(block)
-    problem, state, cofactors = solution.problem, solution.state, solution.cofactors
-    assert problem.n_observations > 1500 and cofactors is not None
-    residuals = Residuals(problem, state, cofactors, groups_of(problem, GROUPS))
-    components = variance_components(problem, state, cofactors, groups=GROUPS)
+    problem, known = solution.problem, solution.residual_cofactors
+    assert problem.n_observations > 1500
+    residuals = GroupedResiduals(known, groups_of(problem, GROUPS))
+    components = variance_components(known, groups=GROUPS)
     assert components.exact and not any(c.held for c in components.components) and residuals.parts is not None
-    basis = np.linalg.qr(turned_design(problem, state)).Q
+    basis = np.linalg.qr(turned_design(problem, solution.state)).Q
     draws = np.random.default_rng(seed + 1).standard_normal((runs, len(basis)))
     v = draws - (draws @ basis) @ basis.T
     q = np.stack([np.sum(v[:, residuals.labels == g] ** 2, axis=1) for g in range(len(GROUPS))], axis=1)
     variances = np.linalg.solve(residuals.parts.shared[:-1, :-1], q.T).T
     monkeypatch.setattr(module, "LARGEST", 0)
-    as_too_large = Residuals(problem, state, cofactors, residuals.groups)
+    as_too_large = GroupedResiduals(known, residuals.groups)
     out = {}
-    for s in suspects(problem, state, cofactors, "coordinates"):
+    for s in suspects(known, "coordinates"):
         rows, columns, k = s.rows, s.columns, 3
         share = residuals.parts.shares(s.point[[k]], rows[[k]], columns[[k]])[0, :-1]
         nu = freedoms(residuals, [s], components)[k]

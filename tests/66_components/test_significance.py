@@ -64,7 +64,7 @@ def test_f_of_a_coefficient_is_what_its_removal_costs(twin: Block, backend: str)
     names = ("roll_0", "pitch_0", "yaw_0")
     full = fg.adjust(twin, image_unknowns=names, **options)
     index = places_of(full.problem, lambda name: name == "yaw_0")
-    test = group_test(full.problem, full.state, full.cofactors, full.sigma0, "yaw_0", index)
+    test = group_test(full.residual_cofactors, full.sigma0, None, "yaw_0", index)
     rest = fg.adjust(twin, image_unknowns=names[:2], **options)
     d = full.problem.n_unknowns - rest.problem.n_unknowns
     assert d == test.dimension == 2

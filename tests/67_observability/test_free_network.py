@@ -16,7 +16,7 @@ from fg_orient.adjustment.problem import compile_problem
 from fg_orient.model.names import Role
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality.free_network import datum_step, null_space, s_transform, with_minimal_datum
-from fg_orient.quality.reliability import residual_cofactors
+from fg_orient.quality.residuals import ResidualCofactors
 from tests.support.degenerate_blocks import options, pinhole, pushbroom, rpc, two_pinhole_blocks, with_control
 from tests.support.full_statistics import Full
 
@@ -212,7 +212,7 @@ def test_residual_statistics_do_not_depend_on_the_datum() -> None:
     q = pseudo_inverse(design, design.shape[1] - 7)
     n = len(solution.problem.observations)
     expected = 1.0 - np.einsum("ni,ij,nj->n", design, q, design)
-    found = residual_cofactors(solution.problem, solution.state, solution.cofactors)
+    found = ResidualCofactors(solution.problem, solution.state, solution.cofactors)
     assert np.einsum("nii->ni", found.image).ravel() == pytest.approx(expected[: 2 * n], abs=1e-7)
     assert expected.sum() == pytest.approx(solution.redundancy, abs=1e-6)
 

@@ -22,7 +22,7 @@ from fg_orient.adjustment.parts.pool import Execution
 from fg_orient.adjustment.parts.solve import solve_in_parts
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.schur import SchurBackend
-from fg_orient.quality.covariance import Cofactors, DenseCofactors, GraphCofactors, cofactors_of
+from fg_orient.quality.covariance import Cofactors, GraphCofactors, cofactors_of, dense_cofactors
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.full_statistics import Full
 from tests.support.rpc_block import rpc_twin
@@ -57,7 +57,7 @@ def all_cofactors(problem: Problem, state: State) -> dict[str, Cofactors | Inver
     graph = ExplicitBackend(problem)
     linear = graph.linearise(graph.values(state)).linear
     return {
-        "dense": DenseCofactors(problem, assemble(problem, state)[1]),
+        "dense": dense_cofactors(problem, assemble(problem, state)[1]),
         "graph": GraphCofactors(problem, state, linear, graph.zero),
         "schur": ReducedCofactors(problem, SchurBackend(problem).linearise(state)),
         "numpy": Inverse(problem, state),
@@ -134,5 +134,5 @@ def test_a_wrong_weight_fails_the_check() -> None:
     found = all_cofactors(problem, problem.start)
     _, design = assemble(problem, problem.start)
     design[0] *= 1.0 + 1e-6
-    found["dense"] = DenseCofactors(problem, design)
+    found["dense"] = dense_cofactors(problem, design)
     assert largest_difference(problem, found, 2) > LIMIT

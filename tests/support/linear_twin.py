@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 import fg_orient as fg
-from fg_orient.quality.suspects import Kind, Suspects, suspects
+from fg_orient.quality.outliers import Kind, Suspects, suspects
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.full_statistics import turned_design
 
@@ -33,8 +33,7 @@ class LinearTwin:
         return np.random.default_rng(seed).normal(size=(runs, len(self.basis)))
 
     def suspects(self, kind: Kind = "groups") -> list[Suspects]:
-        assert self.solution.cofactors is not None
-        return suspects(self.solution.problem, self.solution.state, self.solution.cofactors, kind)
+        return suspects(self.solution.residual_cofactors, kind)
 
     def rows(self, found: Suspects) -> np.ndarray:
         """Rows (n, m) of the suspects' residuals among all rows."""
