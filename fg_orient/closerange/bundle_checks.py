@@ -76,19 +76,15 @@ def require_determined(built: Built, rows: NetworkRows) -> None:
         if not (deviation * free > UNDETERMINED).any():
             return
     require_datum(built, rows, unit)
-    raise _open(built, basis @ right[-1], unit)
-
-
-def _open(built: Built, weak: Array, unit: Array) -> InputError:
-    """Refusal that names the unknowns of the weakest direction."""
+    weak = basis @ right[-1]
     share = np.abs(weak) / np.abs(weak).max()
     names = [built.network.labels[k] for k in np.flatnonzero(share >= NAMED)]
     top = int(np.argmax(share))
     terms = (f"{weak[k] * unit[k] / (weak[top] * unit[top]):+.3g} {built.network.labels[k]}"
              for k in np.argsort(-share)[:4])  # fmt: skip
     shown = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
-    return InputError.of("closerange.undetermined", place="bundle", names=shown, direction=" ".join(terms),
-                         limit=UNDETERMINED)  # type: ignore[return-value]  # fmt: skip
+    raise InputError.of("closerange.undetermined", place="bundle", names=shown, direction=" ".join(terms),
+                        limit=UNDETERMINED)  # fmt: skip
 
 
 def require_datum(built: Built, rows: NetworkRows, unit: Array) -> None:

@@ -203,14 +203,20 @@ def bundle_record(
         Warnings on the start values.
     """
     unit = (result.m0 or 1.0) if table.sigma is None else 1.0
+    r, free = result.redundancy_numbers, result.others_redundancy
+    w, _ = _tested(result.others_whitened, unit, free)
     return {
         "kind": "bundle", "backend": result.backend, "m0": result.m0, "redundancy": result.redundancy,
         "iterations": result.iterations, "unknowns": len(result.labels), "photos": _photos(result, which, seen),
         "cameras": [{"camera": c.name, "parameters": _numbers(c)} for c in result.cameras],
         "figures": [{"figure": f.name, "numbers": _numbers(f)} for f in result.figures],
         "points": _points(result, known, of, check), "residuals": _residuals(result, table, unit),
-        "distortion": _distortion(result, table, which), "observations": _others(result, unit),
-        "check": _check(result, check), "reliability": _reliability(result.redundancy_numbers),
+        "distortion": _distortion(result, table, which),
+        "observations": job.rows({"what": result.others, "redundancy": free, "w": w}),
+        "check": _check(result, check), "reliability": {
+            "redundancy_of_images": r.sum(), "mean": r.mean(), "least": r.min(), "alpha": ALPHA, "power": POWER,
+            "limit_of_checkable": CHECKABLE, "n_not_checkable": (r < CHECKABLE).any(axis=1).sum(),
+        },
         "correlations": _correlations(result), "directions": directions(result),
         "history": [{name: getattr(i, name) for name in HISTORY} for i in result.history],
         **as_record([*_findings(result, known, seen, check), *started]),
@@ -228,13 +234,16 @@ def _photos(result: BundleResult, which: Index, seen: Mapping[str, files.Station
         sigma, turns = ([one[n][1] for n in names] for names in (CENTRE, TURNS))
         own = [n for n in one.names if n in NAMES]
         angles = m0 * np.sqrt(result.angle_cofactors[k].diagonal())
-        inner = result.interiors[k]
+        inner, station = result.interiors[k], seen.get(one.name)
+        observed = None if station is None else {
+            "centre_m": station.centre_m, "sigma_m": station.sigma_m, "residual_m": centre - station.centre_m,
+        }  # fmt: skip
         photos.append({
             "photo": one.name, "parameters": _numbers(one, *own) if own else [], "interior": None, "points": [],
             "exterior": job.exterior_record(rotation, centre, turns, sigma) | {"sigma_angles_deg": angles},
             "camera": {"focal": inner.focal, "principal": inner.principal, "corrections": inner.corrections,
                        "y_axis": inner.y_axis},
-            "observed": files.observed_record(seen.get(one.name), centre),
+            "observed": observed,
             "rms": np.sqrt(np.mean(result.residuals[which == k] ** 2, axis=0)),
         })  # fmt: skip
     return photos
@@ -288,17 +297,10 @@ def _residuals(result: BundleResult, table: files.Observed, unit: float) -> list
     })  # fmt: skip
 
 
-def _tested(residual: Array, sigma: Array, redundancy: Array) -> tuple[Array, Array]:
+def _tested(residual: Array, sigma: Array | float, redundancy: Array) -> tuple[Array, Array]:
     """Normalised residuals and minimal detectable biases; nan if the observation is not checked."""
     root = np.sqrt(np.where(redundancy >= CHECKABLE, redundancy, np.nan))
     return residual / (sigma * root), np.sqrt(noncentrality()) * sigma / root
-
-
-def _others(result: BundleResult, unit: float) -> list[job.Record]:
-    """Observations other than image coordinates: name, redundancy number, normalised residual."""
-    r = result.others_redundancy
-    own, _ = _tested(result.others_whitened, np.full(len(r), unit), r)
-    return job.rows({"what": result.others, "redundancy": r, "w": own})
 
 
 def _check(result: BundleResult, check: Mapping[str, Array]) -> job.Record | None:
@@ -310,14 +312,6 @@ def _check(result: BundleResult, check: Mapping[str, Array]) -> job.Record | Non
     measures = compare_points(given, ours, np.zeros(len(rows), bool)).other
     return {"n": len(rows), "rms_mm": measures.rms_mm[:3], "worst_mm": measures.worst_mm,
             "mean_mm": 1e3 * (ours - given).mean(axis=0)}  # fmt: skip
-
-
-def _reliability(r: Array) -> job.Record:
-    """Summary of the redundancy numbers (m, 2)."""
-    return {
-        "redundancy_of_images": r.sum(), "mean": r.mean(), "least": r.min(), "alpha": ALPHA, "power": POWER,
-        "limit_of_checkable": CHECKABLE, "n_not_checkable": (r < CHECKABLE).any(axis=1).sum(),
-    }  # fmt: skip
 
 
 def _correlations(result: BundleResult) -> job.Record:

@@ -178,7 +178,14 @@ def build(
 
     ``begin``: the same bundle with fewer constraints, and the start (u,) of its unknowns.
     """
-    _require_sizes(photos, ids, start, which, of, image)
+    rows = (len(image),)
+    fits = which.shape == rows and of.shape == rows and len(ids) == len(start) and len(photos) > 0
+    if not fits or min(which.min(), of.min()) < 0 or which.max() >= len(photos) or of.max() >= len(ids):
+        raise InputError.of("closerange.bundle", place="photo, point", value=f"shapes {which.shape}, {of.shape}",
+                            expected="one photo and one point of those given for each image point")  # fmt: skip
+    for place, names in (("photos", [p.name for p in photos]), ("ids", list(ids))):
+        if len(set(names)) != len(names):
+            raise InputError.of("closerange.bundle", place=place, value="a name twice", expected="different names")
     origin = start.mean(axis=0)
     extent = float(np.linalg.norm(start - origin, axis=1).max()) or 1.0
     built = Built(tuple(photos), ids, start.copy(), origin, extent)
@@ -203,19 +210,6 @@ def build(
     for constraint in constraints:
         _add_constraint(built, constraint)
     return built
-
-
-def _require_sizes(
-    photos: Sequence[BundlePhoto], ids: tuple[str, ...], start: Array, which: Index, of: Index, image: Array
-) -> None:
-    rows = (len(image),)
-    fits = which.shape == rows and of.shape == rows and len(ids) == len(start) and len(photos) > 0
-    if not fits or min(which.min(), of.min()) < 0 or which.max() >= len(photos) or of.max() >= len(ids):
-        raise InputError.of("closerange.bundle", place="photo, point", value=f"shapes {which.shape}, {of.shape}",
-                            expected="one photo and one point of those given for each image point")  # fmt: skip
-    for place, names in (("photos", [p.name for p in photos]), ("ids", list(ids))):
-        if len(set(names)) != len(names):
-            raise InputError.of("closerange.bundle", place=place, value="a name twice", expected="different names")
 
 
 def camera_steps(names: Sequence[str], reach: float) -> Array:
@@ -292,15 +286,15 @@ def _add_points(built: Built, control: Control, extras: list[Observation]) -> No
     if unknown:
         raise InputError.of("closerange.member", place="control", value=unknown[0], known=", ".join(built.ids[:10]))
     for j, name in enumerate(built.ids):
-        at, sigma = built.start[j], None
+        sigma = None
         if name in control:
             at, sigma = (np.broadcast_to(np.asarray(v, float), (3,)) for v in control[name])
             if not (np.isfinite(at).all() and np.isfinite(sigma).all() and ((sigma > 0.0).all() or not sigma.any())):
                 raise InputError.of("closerange.sigma", place=f"control {name}", value=sigma.tolist())
-            built.start[j] = at if not sigma.any() else built.start[j]
-        if sigma is not None and not sigma.any():
-            built.points.append(at - built.origin)
-            continue
+            if not sigma.any():
+                built.start[j] = at
+                built.points.append(at - built.origin)
+                continue
         k = built.add(Variable(f"point {name}", built.start[j] - built.origin, POINT, True), built.origin)
         built.points.append(k)
         if sigma is not None:
@@ -336,7 +330,7 @@ def _add_constraint(built: Built, constraint: Constraint) -> None:
         base = np.array([built.origin[POINT.index(n.upper())] if n in ("x", "y", "z") else 0.0 for n in figure.names])
         points = [built.points[j] for j in members]
         variable, rows = figure_parts(constraint, figure, len(built.variables), points)
-        built.figure_variables.append(built.add(variable, base + figure.offset))
+        built.figure_variables.append(built.add(variable, base + figure.offset[: len(base)]))
         built.observations += rows
         return
     if constraint.kind == "equal attitude":

@@ -115,12 +115,12 @@ class Figure:
 
     equation: Equation
     record: Array
-    setup: Array
     names: tuple[str, ...]
     start: Array
-    offset: Array
     n_residuals: int
     scale: float = 1.0
+    setup: Array = field(default_factory=lambda: np.zeros((2, 0)))
+    offset: Array = field(default_factory=lambda: np.zeros(6))
 
 
 #: Start of a figure from its points, the constraint and the sigmas of the points.
@@ -135,17 +135,11 @@ def _axes(points: Array, along: int) -> Array:
     return out
 
 
-def _by_values(equation: Equation, record: Array, names: str, start: Array, n_residuals: int, scale: float = 1.0
-               ) -> Figure:  # fmt: skip
-    """Figure whose unknowns are the values of its parameters."""
-    return Figure(equation, record, _NONE, tuple(names.split()), start, np.zeros(len(start)), n_residuals, scale)
-
-
 def _framed(equation: Equation, points: Array, along: int, names: str, n_residuals: int) -> Figure:
     """Plane or line: the record has origin and frame; see :func:`_axes` for ``along``."""
-    frame = _axes(points, along)
+    frame, labels = _axes(points, along), tuple(names.split())
     record = constraints.FIGURE.pack(factor=1.0, place=points.mean(axis=0), normal=frame[0], e_1=frame[1], e_2=frame[2])
-    return _by_values(equation, record, names, np.zeros(len(names.split())), n_residuals)
+    return Figure(equation, record, labels, np.zeros(len(labels)), n_residuals)
 
 
 def _flat_circle(plan: Array) -> tuple[Array, float]:
@@ -161,20 +155,21 @@ def _circle(points: Array, _: Constraint, __: Array | None) -> Figure:
     centre, radius = _flat_circle((points - origin) @ frame[1:].T)
     start = np.concatenate([origin + centre @ frame[1:], [0.0, 0.0, radius]])
     record = circles.CIRCLE_RECORD.pack(factor=1.0, normal=frame[0], e_1=frame[1], e_2=frame[2])
-    return _by_values(circles.CIRCLE, record, "x y z tilt_1 tilt_2 radius", start, 2)
+    return Figure(circles.CIRCLE, record, ("x", "y", "z", "tilt_1", "tilt_2", "radius"), start, 2)
 
 
 def _horizontal_circle(points: Array, _: Constraint, __: Array | None) -> Figure:
     centre, radius = _flat_circle(points[:, :2])
     start = np.array([*centre, points[:, 2].mean(), radius])
-    return _by_values(circles.HORIZONTAL_CIRCLE, np.ones(1), "x y z radius", start, 2)
+    return Figure(circles.HORIZONTAL_CIRCLE, np.ones(1), ("x", "y", "z", "radius"), start, 2)
 
 
 def _sphere(points: Array, c: Constraint, sigma: Array | None) -> Figure:
     priors = {"a": c.observed["radius"]} if "radius" in c.observed else None
     sphere = fit_surface(points, "sphere", priors=priors, sigma_m=sigma).surface
     radius = float(sphere.semi_axes[0])
-    return _by_values(surfaces.SPHERE, np.ones(1), "x y z radius", np.append(sphere.centre, radius), 1, 0.5 / radius)
+    start = np.append(sphere.centre, radius)
+    return Figure(surfaces.SPHERE, np.ones(1), ("x", "y", "z", "radius"), start, 1, 0.5 / radius)
 
 
 def _spheroid(points: Array, c: Constraint, sigma: Array | None) -> Figure:
@@ -184,15 +179,15 @@ def _spheroid(points: Array, c: Constraint, sigma: Array | None) -> Figure:
     a, b = float(semi[(along + 1) % 3]), float(semi[along])
     record = surfaces.RECORD.pack(factor=1.0, centre=centre, rotation=np.eye(3).ravel(), semi_axes=semi)
     setup = np.array([[0.0, 1.0, 2.0, 9.0 + along, 6.0 + along], np.ones(5)])
-    return Figure(surfaces.ELLIPSOID, record, setup, ("x", "y", "z", "a", "b"), np.zeros(5), np.array([*centre, a, b]),
-                  1, 0.5 * min(a, b))  # fmt: skip
+    return Figure(surfaces.ELLIPSOID, record, ("x", "y", "z", "a", "b"), np.zeros(5), 1, 0.5 * min(a, b), setup,
+                  np.array([*centre, a, b]))  # fmt: skip
 
 
 #: Start and observable parameters of each figure.
 FIGURES: Final[dict[str, tuple[_Start, tuple[str, ...]]]] = {
     "plane": (lambda points, _, __: _framed(constraints.PLANE, points, 2, "tilt_1 tilt_2 distance", 1), ()),
     "line": (lambda points, _, __: _framed(constraints.LINE, points, 0, "foot_1 foot_2 slope_1 slope_2", 2), ()),
-    "plumb line": (lambda points, _, __: _by_values(circles.PLUMB_LINE, np.ones(1), "x y", points.mean(axis=0)[:2], 2),
+    "plumb line": (lambda points, _, __: Figure(circles.PLUMB_LINE, np.ones(1), ("x", "y"), points.mean(axis=0)[:2], 2),
                    ()),
     "circle": (_circle, ("radius",)),
     "horizontal circle": (_horizontal_circle, ("radius",)),

@@ -280,7 +280,14 @@ def require_depth(
         return None
     ratio, away = determinant / deviation, ground - ground.mean(axis=0)
     heights = np.linalg.svd(away, full_matrices=False)[2][2]
-    shown = _heights_shown(heights, parameters, cofactors) / unit
+    pick = np.zeros((3, 3, 4))
+    pick[np.arange(3), np.arange(3), :3] = heights  # the matrix times their direction: its third column
+    rows = pick.reshape(3, 12)[:, :11]
+    both, own = cofactors[:11, 11:], cofactors[11:, 11:]
+    given_distortion = cofactors[:11, :11] - both @ np.linalg.solve(own, both.T)
+    column = rows @ parameters
+    # effect of the heights in the image in sigmas, with known distortion: root of a chi-square of three
+    shown = float(np.sqrt(column @ np.linalg.solve(rows @ given_distortion @ rows.T, column))) / unit
     if shown < honest:
         rms = float(np.sqrt(np.mean((away @ heights) ** 2)))
         raise InputError.of("closerange.flat", place="DLT", height=f"{rms:.2g} m",
@@ -289,17 +296,6 @@ def require_depth(
         raise InputError.of("closerange.parallel_noise", place="DLT",
                             value=f"{ratio:.2g} sigmas from parallel, {noise:.3g} needed")  # fmt: skip
     return finding("closerange.nearly_parallel", sigmas=ratio, honest=honest)
-
-
-def _heights_shown(heights: Array, parameters: Array, cofactors: Array) -> float:
-    """Effect of the heights in the image in sigmas, with known distortion: root of a chi-square of three."""
-    pick = np.zeros((3, 3, 4))
-    pick[np.arange(3), np.arange(3), :3] = heights  # the matrix times their direction: its third column
-    rows = pick.reshape(3, 12)[:, :11]
-    both, own = cofactors[:11, 11:], cofactors[11:, 11:]
-    given_distortion = cofactors[:11, :11] - both @ np.linalg.solve(own, both.T)
-    column = rows @ parameters
-    return float(np.sqrt(column @ np.linalg.solve(rows @ given_distortion @ rows.T, column)))
 
 
 def _scaled(recovered: Recovered, m0: float | None, ground: Array, sigma: Array) -> Recovered:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -236,10 +236,3 @@ def _sigmas(table: Table, names: Sequence[str], limit: float = LARGEST) -> Array
         wrong = (values < SMALLEST) | (values > limit)
         table.refuse(wrong, "closerange.sigma_range", name, value=values, least=SMALLEST, limit=limit)
     return out
-
-
-def observed_record(station: Station | None, centre_m: Array) -> dict[str, Any] | None:
-    """Record of an observed centre: value, sigma, adjusted minus observed, m; None without a station."""
-    if station is None:
-        return None
-    return {"centre_m": station.centre_m, "sigma_m": station.sigma_m, "residual_m": centre_m - station.centre_m}

@@ -110,7 +110,15 @@ def finite_rows(rows: Rows, what: str = "") -> Rows:
 def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array], Array] = np.add) -> Minimum:
     """Minimum of the squares of some rows from a start (u,), by Levenberg-Marquardt.
 
-    ``what`` is named in the error; ``moved`` gives the state after a step.
+    Parameters
+    ----------
+    rows : callable
+        Whitened residuals (n,) and their derivatives (n, u) at a state.
+    start : (u,) array
+    what : str
+        Name of the fit, for the error.
+    moved : callable
+        State after a step, from state and step.
 
     Raises
     ------
@@ -249,9 +257,17 @@ class Conditions:
 
 
 def foot_points(conditions: Conditions, points: Array, sigma: Array) -> Array:
-    """Points (n, d) that fulfil the conditions, nearest to given points (n, d) in units of their sigmas (n, d).
+    """Points that fulfil the conditions and are nearest to given points in units of their sigmas.
 
-    nan without a unique nearest point (the centre of a sphere), or if the surface has no point.
+    Parameters
+    ----------
+    conditions : Conditions
+    points, sigma : (n, d) arrays
+
+    Returns
+    -------
+    (n, d) array
+        nan without a unique nearest point (the centre of a sphere), or if the surface has no point.
     """
     square = sigma[:, :, None] * np.broadcast_to(conditions.square, (len(points), *conditions.square.shape[-2:]))
     square = square * sigma[:, None, :]
@@ -265,7 +281,19 @@ def foot_points(conditions: Conditions, points: Array, sigma: Array) -> Array:
 
 
 def weighted_distances(conditions: Conditions, points: Array, sigma: Array) -> tuple[Array, Array]:
-    """Distances (n,) of points from the conditions in sigmas, above 0 where these are positive; foot points (n, d)."""
+    """Distances of points from the conditions in sigmas.
+
+    Parameters
+    ----------
+    conditions : Conditions
+    points, sigma : (n, d) arrays
+
+    Returns
+    -------
+    distances : (n,) array
+        Above 0 where the condition is positive.
+    foot_points : (n, d) array
+    """
     foot = foot_points(conditions, points, sigma)
     side = np.sign(conditions.value(points))
     return np.asarray(side * np.linalg.norm((points - foot) / sigma, axis=1)), foot

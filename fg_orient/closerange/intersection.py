@@ -99,7 +99,8 @@ def intersect_photos(
     n = int(of.max()) + 1
     names = [str(k + 1) for k in range(n)] if ids is None else list(ids)
     _refuse(np.bincount(of, minlength=n) < 2, names, "closerange.one_ray")
-    origin = np.mean([_centre(one) for one in photos], axis=0)
+    shifts = [np.linalg.solve(one.matrix[:, :3], one.matrix[:, 3]) for one in photos]
+    origin = np.mean([one.origin_m - shift for one, shift in zip(photos, shifts, strict=True)], axis=0)
     matrices = np.array([one.about(origin) for one in photos])[which]
     ideal = np.empty_like(measured)
     for k, one in enumerate(photos):
@@ -123,11 +124,6 @@ def _refuse(bad: npt.NDArray[np.bool_], names: Sequence[str], code: str = "close
     """InputError that names the first of the bad points (n,)."""
     if bad.any():
         raise InputError.of(code, place=f"point {names[int(np.argmax(bad))]}", value=f"{bad.sum()} point(s)")
-
-
-def _centre(photo: Photo) -> Array:
-    """Projection centre, m."""
-    return np.asarray(photo.origin_m - np.linalg.solve(photo.matrix[:, :3], photo.matrix[:, 3]))
 
 
 def _start(matrices: Array, ideal: Array, of: Index, n: int, names: Sequence[str]) -> Array:

@@ -193,7 +193,9 @@ def _each_photo(
     kind: str, path: Path, sigma: float | None, output: Output,
     one: Callable[[str, Array, Array, Array | None], tuple[Record, Photo, str]], beside: Sequence[Path] = (),
 ) -> Record:  # fmt: skip
-    """Record of the photos of a table of control points, in its order; errors name the photo.
+    """Record of the photos of a table of control points, in its order, with residuals of all points of a photo.
+
+    Residuals are computed minus measured. Errors name the photo.
 
     ``one`` gives record, photo and its table for a photo file from its name, the ground (n, 3) and image coordinates
     (n, 2) of the control points and their sigmas (n, 2).
@@ -210,7 +212,14 @@ def _each_photo(
             except InputError as error:
                 of = f"photo {name}, " if name else ""
                 raise InputError(*(replace(p, place=f"{of}{p.place}".rstrip(", ")) for p in error.problems)) from None
-            photos.append(record | _photo_points(table, mine, photo))
+            residual, check = photo.project(table.ground[mine]) - table.image[mine], table.check[mine]
+            sigmas = {} if table.sigma is None else {"sigma_{}": table.sigma[mine]}
+            points = rows({
+                "id": [table.ids[k] for k in mine], "role": np.where(check, "check", "control"),
+                "residual_{}": residual, "{}": table.image[mine], "{}_m": table.ground[mine], **sigmas,
+            })  # fmt: skip
+            rms = {"rms": plain_rms(residual[~check]), "check_rms": plain_rms(residual[check])}
+            photos.append(record | rms | {"points": points})
             texts.append(text)
     return finished({"kind": kind, "weights": table.weights, "photos": photos}, path, table, output, texts, beside)
 
@@ -244,17 +253,6 @@ def exterior_record(rotation: Array, centre: Array, turns: Any, sigma: Any) -> R
         "centre_m": centre, "sigma_centre_m": sigma, "rotation": rotation, "sigma_turns_rad": turns,
         "omega_deg": omega, "phi_deg": phi, "kappa_deg": kappa,
     }  # fmt: skip
-
-
-def _photo_points(table: Observed, mine: npt.NDArray[np.intp], photo: Photo) -> Record:
-    """Residuals of all points of a photo, computed minus measured, and their RMS by role."""
-    residual, check = photo.project(table.ground[mine]) - table.image[mine], table.check[mine]
-    sigma = {} if table.sigma is None else {"sigma_{}": table.sigma[mine]}
-    points = rows({
-        "id": [table.ids[k] for k in mine], "role": np.where(check, "check", "control"), "residual_{}": residual,
-        "{}": table.image[mine], "{}_m": table.ground[mine], **sigma,
-    })  # fmt: skip
-    return {"rms": plain_rms(residual[~check]), "check_rms": plain_rms(residual[check]), "points": points}
 
 
 def rows(columns: Mapping[str, Any]) -> list[Record]:

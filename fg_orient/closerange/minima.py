@@ -183,7 +183,24 @@ def held(rows: Rows, state: Array, k: int, value: float, limit: float = np.inf) 
 
     Far from the shape of the points the iteration may need hundreds of steps at squares thousands of times the limit.
     So it need not converge if the squares are below the ``limit`` or stay above it. Without a limit it must converge.
-    None: neither converged nor below the limit nor clearly above it.
+
+    Parameters
+    ----------
+    rows : callable
+        Whitened residuals and their derivatives.
+    state : (u,) array
+        Start.
+    k : int
+        Number of the unknown that is held fixed.
+    value : float
+        Its value.
+    limit : float
+        Of the weighted squares.
+
+    Returns
+    -------
+    Held or None
+        None: neither converged nor below the limit nor clearly above it.
     """
     free = np.arange(len(state)) != k
 
@@ -194,7 +211,10 @@ def held(rows: Rows, state: Array, k: int, value: float, limit: float = np.inf) 
         residual, design = rows(full(part), with_jacobian)
         return residual, design[:, free]
 
-    start, far = _off_ridge(some, state[free]), np.isfinite(limit)
+    start, far = state[free], np.isfinite(limit)
+    if not np.isfinite(some(start, True)[1]).all():
+        # no unique nearest point, as on the axis of a long spheroid: the squares decrease to both sides
+        start = start + ASIDE * np.cos(np.arange(len(start)))  # a different step for each unknown
     backend = RowsBackend(finite_rows(some))
     for _ in range(_ROUNDS if far else 1):
         try:
@@ -210,21 +230,21 @@ def held(rows: Rows, state: Array, k: int, value: float, limit: float = np.inf) 
     return None
 
 
-def _off_ridge(rows: Rows, state: Array) -> Array:
-    """State, moved if a point has no unique nearest point, for example a point on the axis of a long spheroid.
-
-    The squares decrease on both sides of such a state, so it is not a minimum.
-    """
-    if np.isfinite(rows(state, True)[1]).all():
-        return state
-    return np.asarray(state + ASIDE * np.cos(np.arange(len(state))))  # a different step for each unknown
-
-
 def followed(rows: Rows, state: Array, k: int, to: float, limit: float) -> tuple[Array, float] | None:
     """Fit with an unknown held fixed at ``to``, far from a state; each step starts on the line through the last two.
 
-    State (u,) after the first step, which still has the directions near the start, and the weighted squares at the end;
-    None if these may lie on either side of the limit (:func:`held`).
+    Parameters
+    ----------
+    rows, state, k, limit
+        See :func:`held`.
+    to : float
+        Last value of the unknown.
+
+    Returns
+    -------
+    tuple of ((u,) array, float) or None
+        State after the first step, which still has the directions near the start, and weighted squares at the end;
+        None if these may lie on either side of the limit.
     """
     path, squares = [state, state], np.inf
     for part in _WAY:

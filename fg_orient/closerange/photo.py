@@ -85,7 +85,18 @@ class PhotoInterior:
         return np.array([[self.focal, 0.0, x], [0.0, self.sign * self.focal, y], [0.0, 0.0, 1.0]])
 
     def tangents(self, image: Array) -> Array:
-        """Tangents X/Z, Y/Z (n, 2) of measured points, camera axes."""
+        """Tangents of measured points in camera axes.
+
+        Parameters
+        ----------
+        image : (n, 2) array
+            Measured x, y, in the unit of the focal length.
+
+        Returns
+        -------
+        (n, 2) array
+            X/Z, Y/Z.
+        """
         reduced = ideal_points(self.corrections, np.ascontiguousarray(image - self.principal))
         return np.asarray(reduced / self.focal * [1.0, self.sign])
 
@@ -137,7 +148,12 @@ class Photo:
         return np.asarray(ideal_points(self.corrections, given - self.principal) + self.principal)
 
     def measured(self, ideal: Array) -> Array:
-        """Measured coordinates (n, 2) of ideal ones, by Newton.
+        """Measured coordinates of ideal ones, by Newton.
+
+        Parameters
+        ----------
+        ideal : (n, 2) array
+            x, y, in the unit of the image coordinates.
 
         Raises
         ------
@@ -162,7 +178,17 @@ class Photo:
         raise NoSolutionError.of("closerange.fold", place=self.name)
 
     def project(self, ground_m: npt.ArrayLike) -> Array:
-        """Measured image coordinates (n, 2) of ground points; nan behind the camera."""
+        """Measured image coordinates of ground points.
+
+        Parameters
+        ----------
+        ground_m : (n, 3) array
+
+        Returns
+        -------
+        (n, 2) array
+            x, y in their unit; nan behind the camera.
+        """
         ground = as_points(ground_m, 3, "ground") - self.origin_m
         q = ground @ self.matrix[:, :3].T + self.matrix[:, 3]
         with np.errstate(all="ignore"):

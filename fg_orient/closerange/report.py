@@ -82,38 +82,27 @@ def render(record: dict[str, Any]) -> str:
     record : dict
         Of ``dlt``, ``resect``, ``intersect``, ``bundle`` or ``surface``.
     """
-    record = _complete(record)
-    shell = environment(PACKAGE)
-    shell.filters |= {"significant": significant}
-    doubts = problems(record)
-    return shell.get_template("closerange.html.j2").render(
-        r=record, kind=KINDS[record["kind"]], verdict=verdict(record, doubts), problems=doubts, many=MANY,
-        accuracy=_accuracy(record), suspects=suspects(record)[:WORST], **_drawings(record),
-    )  # fmt: skip
-
-
-def _complete(record: dict[str, Any]) -> dict[str, Any]:
-    """Give every kind of record the parts that others have, empty."""
     lists = ("photos", "cameras", "points", "figures", "residuals", "observations", "distortion", "history")
     photo: dict[str, Any] = {"parameters": [], "interior": None, "observed": None}
     photos = [photo | one for one in record.get("photos", [])]
-    return {name: [] for name in lists} | {"check": None} | record | {"photos": photos}
-
-
-def _drawings(record: dict[str, Any]) -> dict[str, Any]:
-    """Drawings and their tables; those that a kind of record does not have are empty."""
-    is_surface = record["kind"] == "surface"
-    farthest = sorted(record["points"], key=lambda p: -abs(p["distance_m"])) if is_surface else []
-    return {
-        "views": deviation_views(record) if is_surface else views_of(scene_of(record)),
-        "histogram": distance_histogram(record) if is_surface else None, "deviations": farthest,
-        "residuals": plots.residual_rows(record), "panels": plots.residual_panels(record),
-        "max_photos": plots.MAX_PHOTOS,
-        "worst": _worst(record), "curves": plots.distortions(record), "heat": _heat(record),
-        "directions": plots.directions_chart(record),
-        "history": iteration_charts(record["history"], "m, rad or camera steps"),
-        "redundancy": redundancy_chart(columns(record["residuals"], "redundancy_x", "redundancy_y"), ("x", "y")),
-    }  # fmt: skip
+    # every kind of record has the parts that others have, empty
+    record = {name: [] for name in lists} | {"check": None} | record | {"photos": photos}
+    shell = environment(PACKAGE)
+    shell.filters |= {"significant": significant}
+    doubts = problems(record)
+    is_surface, points = record["kind"] == "surface", record["points"]
+    return shell.get_template("closerange.html.j2").render(
+        r=record, kind=KINDS[record["kind"]], verdict=verdict(record, doubts), problems=doubts, many=MANY,
+        accuracy=_accuracy(record), suspects=suspects(record)[:WORST],
+        views=deviation_views(record) if is_surface else views_of(scene_of(record)),
+        histogram=distance_histogram(record) if is_surface else None,
+        deviations=sorted(points, key=lambda p: -abs(p["distance_m"])) if is_surface else [],
+        residuals=plots.residual_rows(record), panels=plots.residual_panels(record), max_photos=plots.MAX_PHOTOS,
+        worst=_worst(record), curves=plots.distortions(record), heat=_heat(record),
+        directions=plots.directions_chart(record),
+        history=iteration_charts(record["history"], "m, rad or camera steps"),
+        redundancy=redundancy_chart(columns(record["residuals"], "redundancy_x", "redundancy_y"), ("x", "y")),
+    )  # fmt: skip
 
 
 def _accuracy(record: dict[str, Any]) -> dict[str, Any]:

@@ -108,7 +108,16 @@ def views_of(scene: Scene) -> list[tuple[str, Chart]]:
 
 
 def view(scene: Scene, words: str, across: int, up: int) -> Chart:
-    """One view of points and stations along axes 0 to 2; ``words``: content, for those who do not see it."""
+    """One view of points and stations.
+
+    Parameters
+    ----------
+    scene : Scene
+    words : str
+        Content of the view, for readers who do not see it.
+    across, up : int
+        Axes of the drawing, 0 to 2 for X, Y, Z.
+    """
     axes = [across, up]
     rows = _thinned(scene)
     at, vectors = scene.at[rows][:, axes], scene.difference[rows][:, axes]

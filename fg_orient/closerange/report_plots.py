@@ -74,7 +74,17 @@ def y_down(record: dict[str, Any]) -> dict[str, bool]:
 
 
 def photo_vectors(name: str, rows: list[dict[str, Any]], down: bool) -> Chart:
-    """Residual vectors in a photo with one scale along both axes."""
+    """Residual vectors in a photo with one scale along both axes.
+
+    Parameters
+    ----------
+    name : str
+        Of the photo.
+    rows : list of dict
+        Its image points.
+    down : bool
+        The y axis of the image points down.
+    """
     place, v = columns(rows, "x", "y"), columns(rows, "residual_x", "residual_y")
     drawn = thinned(np.arange(len(rows)), v, MAX_VECTORS)
     low, high = place.min(axis=0), place.max(axis=0)

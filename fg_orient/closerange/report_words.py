@@ -148,16 +148,12 @@ def _look_at(record: dict[str, Any]) -> list[str]:
     out = [f"look at {words}: its residual is {number(w, 1)} times {own}" for w, words in large[:SUSPECTS]]
     if len(large) > SUSPECTS:
         out.append(f"{len(large) - SUSPECTS} more observations to look at are listed with the residuals")
-    return out + _outlying(record)
-
-
-def _outlying(record: dict[str, Any]) -> list[str]:
-    """Sentences on the most suspicious residuals without redundancy numbers: all kinds except the bundle."""
+    # residuals without redundancy numbers: all kinds of results except the bundle
     groups, absolute = _groups(record), record["weights"] == "absolute"
-    large = [one for f, rows in groups for one in outlying(f, rows, LEVEL / len(groups), absolute=absolute)]
-    large.sort(key=lambda one: -one[0])
-    more = [f"{len(large) - SUSPECTS} more residuals stand out like these"] if len(large) > SUSPECTS else []
-    return [text for _, text in large[:SUSPECTS]] + more
+    others = [one for f, rows in groups for one in outlying(f, rows, LEVEL / len(groups), absolute=absolute)]
+    others.sort(key=lambda one: -one[0])
+    more = [f"{len(others) - SUSPECTS} more residuals stand out like these"] if len(others) > SUSPECTS else []
+    return [*out, *(text for _, text in others[:SUSPECTS]), *more]
 
 
 def _groups(record: dict[str, Any]) -> list[tuple[int, list[Residual]]]:
@@ -168,27 +164,25 @@ def _groups(record: dict[str, Any]) -> list[tuple[int, list[Residual]]]:
                 for p in record["points"]]  # fmt: skip
         return [(record["redundancy"], rows)] if record["method"] == "geometric" else []
     if record["kind"] == "intersection":
-        return [(record["redundancy"], _misfits(record))]
+        squares: dict[str, float] = {}
+        for r in record["residuals"]:
+            own = sum((r[f"residual_{a}"] / r.get(f"sigma_{a}", 1.0)) ** 2 for a in "xy")
+            squares[r["id"]] = squares.get(r["id"], 0.0) + own
+        free = {p["id"]: 2 * p["rays"] - 3 for p in record["points"]}
+        # the misfit of the rays of a point, divided by the root of their redundancy
+        rows = [(p["misfit"], math.sqrt(squares[p["id"]] / free[p["id"]]), free[p["id"]],
+                 f"point {p['id']}: the misfit of its rays, {significant(p['misfit'])},")
+                for p in record["points"]]  # fmt: skip
+        return [(record["redundancy"], rows)]
     photos = record["photos"] if record["kind"] in ("dlt", "resection") else []
-    return [(photo["redundancy"], _coordinates(photo["points"], photo["photo"])) for photo in photos]
-
-
-def _misfits(record: dict[str, Any]) -> list[Residual]:
-    """Points with the misfit of their rays, divided by the root of their redundancy."""
-    squares: dict[str, float] = {}
-    for r in record["residuals"]:
-        own = sum((r[f"residual_{a}"] / r.get(f"sigma_{a}", 1.0)) ** 2 for a in "xy")
-        squares[r["id"]] = squares.get(r["id"], 0.0) + own
-    return [(p["misfit"], math.sqrt(squares[p["id"]] / (2 * p["rays"] - 3)), 2 * p["rays"] - 3,
-             f"point {p['id']}: the misfit of its rays, {significant(p['misfit'])},")
-            for p in record["points"]]  # fmt: skip
-
-
-def _coordinates(rows: list[dict[str, Any]], photo: str) -> list[Residual]:
-    """Residuals of image coordinates without check points."""
-    return [(abs(r[f"residual_{a}"]), abs(r[f"residual_{a}"]) / r.get(f"sigma_{a}", 1.0), 1,
-             f"{a} of point {r['id']} in photo {photo or '-'}: its residual, {significant(r[f'residual_{a}'])},")
-            for r in rows for a in "xy" if r.get("role") != "check"]  # fmt: skip
+    return [
+        (photo["redundancy"], [
+            (abs(r[f"residual_{a}"]), abs(r[f"residual_{a}"]) / r.get(f"sigma_{a}", 1.0), 1,
+             f"{a} of point {r['id']} in photo {photo['photo'] or '-'}: its residual, "
+             f"{significant(r[f'residual_{a}'])},")
+            for r in photo["points"] for a in "xy" if r.get("role") != "check"])
+        for photo in photos
+    ]  # fmt: skip
 
 
 def outlying(redundancy: int, residuals: list[Residual], level: float, *, absolute: bool) -> list[tuple[float, str]]:

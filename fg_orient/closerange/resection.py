@@ -132,18 +132,6 @@ def resect(
         raise failures[0]
     first = min(minima, key=attrgetter("weighted_squares"))
     descend(_mirrored((first.rotation, first.centre_m), ground))
-    return _with_rival(minima, ground)
-
-
-def _require_off_line(ground: Array) -> None:
-    """Refuse points so close to a line that the rotation about it is ``UNDETERMINED``, if there is no pose."""
-    along, across = np.linalg.svd(ground - ground.mean(axis=0), compute_uv=False)[:2] / np.sqrt(len(ground))
-    if across * fitting.UNDETERMINED <= along or along == 0.0:
-        raise InputError.of("closerange.line", place="resection", value=f"{across:.2g} m rms across, {along:.2g} along")
-
-
-def _with_rival(minima: list[Resection], ground: Array) -> Resection:
-    """Smallest minimum, with the next different one as its rival if the test does not distinguish them."""
     first, *others = sorted(minima, key=attrgetter("weighted_squares"))
     distance = float(np.linalg.norm(ground - first.centre_m, axis=1).mean())
     for one in others:
@@ -152,6 +140,13 @@ def _with_rival(minima: list[Resection], ground: Array) -> Resection:
             own, squares = first.weighted_squares, one.weighted_squares
             return replace(first, rival=rival_of(own, squares, first.redundancy, one.rotation, one.centre_m))
     return first
+
+
+def _require_off_line(ground: Array) -> None:
+    """Refuse points so close to a line that the rotation about it is ``UNDETERMINED``, if there is no pose."""
+    along, across = np.linalg.svd(ground - ground.mean(axis=0), compute_uv=False)[:2] / np.sqrt(len(ground))
+    if across * fitting.UNDETERMINED <= along or along == 0.0:
+        raise InputError.of("closerange.line", place="resection", value=f"{across:.2g} m rms across, {along:.2g} along")
 
 
 def _mirrored(pose: Pose, ground: Array) -> Pose:
@@ -206,13 +201,17 @@ def _adjusted(
 
 
 def start_poses(ground: Array, tangents: Array) -> list[Pose]:
-    """Start poses from ground points (n, 3) and tangents (n, 2), ordered by their misfit at all points."""
+    """Start poses from ground points (n, 3) and tangents (n, 2), ordered by the median residual of all tangents."""
     poses = list[Pose]()
     for three in map(list, combinations(_spread(tangents), 3)):
         poses += three_point_poses(ground[three], tangents[three])
     if len(ground) >= 6:
         poses += _pose_by_dlt(ground, tangents)
-    misfits = [_misfit(pose, ground, tangents) for pose in poses]
+    misfits = []
+    for rotation, centre in poses:
+        q = (ground - centre) @ rotation.T
+        ahead = bool((q[:, 2] > 0.0).all())
+        misfits.append(float(np.median(np.linalg.norm(q[:, :2] / q[:, 2:] - tangents, axis=1))) if ahead else np.inf)
     order = np.argsort(misfits, kind="stable")
     return [poses[k] for k in order if np.isfinite(misfits[k])]
 
@@ -224,14 +223,6 @@ def _spread(points: Array) -> list[int]:
         apart = np.linalg.norm(points[:, None] - points[chosen], axis=2).min(axis=1)
         chosen.append(int(np.argmax(apart)))
     return chosen
-
-
-def _misfit(pose: Pose, ground: Array, tangents: Array) -> float:
-    """Median distance of computed and given tangents; inf if any point lies behind the camera."""
-    q = (ground - pose[1]) @ pose[0].T
-    if not (q[:, 2] > 0.0).all():
-        return np.inf
-    return float(np.median(np.linalg.norm(q[:, :2] / q[:, 2:] - tangents, axis=1)))
 
 
 def _pose_by_dlt(ground: Array, tangents: Array) -> list[Pose]:

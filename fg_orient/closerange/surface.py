@@ -271,12 +271,11 @@ def models_of(kind: Kind, points: Array, axis: str) -> list[SurfaceModel]:
         raise InputError.of("closerange.kind", place="kind", value=kind, known="sphere, spheroid, ellipsoid, quadric")
     if axis != FREE:
         raise InputError.of("closerange.axis", place="axis", value=axis)
-    return [_spheroid(_odd_one(semi), centre, turn, semi, free=True) for centre, turn, semi in starts or oblate]
-
-
-def _odd_one(semi: Array) -> int:
-    """Semi-axis most different from the other two."""
-    return int(np.argmax([abs(np.log(semi[k] ** 2 / np.prod(np.delete(semi, k)))) for k in range(3)]))
+    out = []
+    for centre, turn, semi in starts or oblate:
+        apart = [abs(np.log(semi[k] ** 2 / np.prod(np.delete(semi, k)))) for k in range(3)]
+        out.append(_spheroid(int(np.argmax(apart)), centre, turn, semi, free=True))
+    return out
 
 
 def _spheroid(k: int, centre: Array, turn: Array, semi: Array, *, free: bool) -> SurfaceModel:

@@ -176,7 +176,12 @@ def fit_surface(
     normalised = (points - offset) / size
     models, observed = models_of(kind, normalised, axis), priors or {}
     unknowns = len(models[0].names) - (kind == "quadric")
-    _require_priors(models[0], observed, method)
+    lengths = [name for name, is_length in zip(models[0].names, models[0].is_length, strict=True) if is_length]
+    for name, (value, spread) in observed.items():
+        possible = abs(value) <= LARGEST and SMALLEST <= spread <= LARGEST and (value > 0.0 or name not in SEMI_AXES)
+        if name not in lengths or method != "geometric" or not possible:
+            raise InputError.of("closerange.prior", place=f"prior {name}", value=f"{value} +- {spread}",
+                                known=", ".join(lengths))  # fmt: skip
     if len(points) + len(observed) < unknowns:
         raise InputError.of("closerange.few", place=kind, value=len(points), least=unknowns - len(observed))
     tried, failures = list[tuple[_Task, fitting.Minimum]](), list[FgOrientError]()
@@ -189,15 +194,6 @@ def fit_surface(
     if not tried:
         raise failures[0]
     return _result(*min(tried, key=lambda one: one[1].squares), method)
-
-
-def _require_priors(model: SurfaceModel, priors: Priors, method: str) -> None:
-    lengths = [name for name, is_length in zip(model.names, model.is_length, strict=True) if is_length]
-    for name, (value, sigma) in priors.items():
-        possible = abs(value) <= LARGEST and SMALLEST <= sigma <= LARGEST and (value > 0.0 or name not in SEMI_AXES)
-        if name not in lengths or method != "geometric" or not possible:
-            raise InputError.of("closerange.prior", place=f"prior {name}", value=f"{value} +- {sigma}",
-                                known=", ".join(lengths))  # fmt: skip
 
 
 def _minimum(task: _Task, method: str) -> fitting.Minimum:
