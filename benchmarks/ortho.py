@@ -96,8 +96,9 @@ def fit_rpc(folder: Path) -> float:
 
     from fg_orient.formats.sensor import read_sensor
     from fg_orient.rpc.fitting import fit_image
+    from fg_orient.rpc.options import FitOptions
 
-    model, record = fit_image(read_sensor(folder / "twin/left.DIM"), (-50.0, 1850.0))
+    model, record = fit_image(read_sensor(folder / "twin/left.DIM"), (-50.0, 1850.0), FitOptions())
     values: dict[str, Any] = {"err_bias": None, "err_rand": None}
     for k, axis in enumerate(("line", "samp", "long", "lat", "height")):
         values |= {f"{axis}_off": float(model.offsets[k]), f"{axis}_scale": float(model.scales[k])}

@@ -35,7 +35,7 @@ def rpc_block() -> fg.Block:
     pixels, rng = np.empty((len(o), 2)), np.random.default_rng(1)
     for k, image in enumerate(block.images):
         fit = fit_sensor(image.sensor, (-200.0, 2200.0))
-        print(f"RPC of image {image.id}: largest error {fit.check_px.largest.max():.1e} px")
+        print(f"RPC of image {image.id}: largest error {np.abs(fit.check_px).max():.1e} px")
         images.append(fg.Image(image.id, RpcSensor(fit.model())))
         rows = o.image == k
         seen = images[k].sensor.project(truth.ecef_m[o.point[rows]], BIAS_PX[k])

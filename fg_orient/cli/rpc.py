@@ -185,10 +185,7 @@ def fit(
         from fg_orient.rpc.virtual_grid import SHAPE
 
         with progress_bar("fitting"):
-            model, record = fit_image(
-                sensor, heights, degree=chosen.degree, denominators=chosen.denominators, shape=grid or SHAPE,
-                seed=chosen.seed, file=str(source),
-            )  # fmt: skip
+            model, record = fit_image(sensor, heights, chosen, grid or SHAPE)
     record |= {"file": str(source), "out": None}
     if out is not None:
         from fg_orient.rpc.files import write_as

@@ -70,7 +70,7 @@ def check_rpc(
         "points": None if points is None else point_residuals(model, points),
         "against": None if against is None else differences(model, against, heights),
     }
-    return {**judged(_doubts(record) + _remarks(record)), **record}
+    return {**judged(_findings(record)), **record}
 
 
 def _heights(model: RpcModel, given: Range | None) -> Range:
@@ -140,13 +140,12 @@ def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any
         The other file is not usable, or the pixels of both do not overlap.
     """
     sensor = read_sensor(other)
-    last = sensor.n_lines - 1.0, getattr(sensor, "last_sample", sensor.n_samples - 1.0)
-    first = getattr(sensor, "first_line", 0.0), getattr(sensor, "first_sample", 0.0)
+    its = ((sensor.first_line, sensor.n_lines - 1.0), (sensor.first_sample, sensor.last_sample))
     mine = (model.validity.line, model.validity.sample)
-    ends = [(max(a, low), min(b, high)) for a, b, (low, high) in zip(first, last, mine, strict=True)]
+    ends = [(max(a, low), min(b, high)) for (a, b), (low, high) in zip(its, mine, strict=True)]
     if any(not low < high for low, high in ends):
-        words = ", ".join(span(pair) for pair in zip(first, last, strict=True))
-        raise InputError.of("rpc.no_overlap", file=other, value=words, mine=", ".join(map(span, mine)))
+        raise InputError.of("rpc.no_overlap", file=other, value=", ".join(map(span, its)),
+                            mine=", ".join(map(span, mine)))  # fmt: skip
     line, sample, height = (np.ascontiguousarray(column) for column in _grid(ends[0], ends[1], heights_m).T)
     ground = ellipsoid.geodetic_array(np.ascontiguousarray(sensor.locate(line, sample, height_m=height)))
     here = np.stack(model.project(np.degrees(ground[:, 0]), np.degrees(ground[:, 1]), ground[:, 2]), axis=1)
@@ -159,8 +158,8 @@ def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any
     }  # fmt: skip
 
 
-def _doubts(record: dict[str, Any]) -> list[Finding]:
-    """Findings that make a model unfit for use."""
+def _findings(record: dict[str, Any]) -> list[Finding]:
+    """Findings on a model; all but the last two kinds make it unfit for use."""
     out, below = [], record["denominators"]
     least = min(below["least_line"], below["least_sample"])
     if below["pole"] is not None:
@@ -177,13 +176,8 @@ def _doubts(record: dict[str, Any]) -> list[Finding]:
     points = record["points"]
     if points is not None and points["outside"]:
         out.append(finding("rpc.points_outside", n=len(points["outside"]), points=points["outside"]))
-    return out
-
-
-def _remarks(record: dict[str, Any]) -> list[Finding]:
-    """Further findings for the user."""
     used = record["extrapolation"].items()
-    out = [finding("rpc.extrapolated", coordinate=name, used=value) for name, value in used if value > EXTRAPOLATED]
+    out += [finding("rpc.extrapolated", coordinate=name, used=value) for name, value in used if value > EXTRAPOLATED]
     low, high = record["validity"]["height_m"]
     if record["heights_m"][0] < low or record["heights_m"][1] > high:
         out.append(finding("rpc.heights_beyond", low=low, high=high))

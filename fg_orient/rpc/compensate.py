@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from factors._contract import Array
 from factors.cameras import rfm
@@ -22,10 +23,11 @@ from factors.cameras.rfm_equation import COMPENSATION, COMPENSATIONS
 from factors.cameras.rfm_project import RANGE
 from fg_orient.model.distributions import f_quantile
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding, judged
+from fg_orient.model.names import Role
 from fg_orient.quality.hypotheses import f_statistics
 from fg_orient.quality.rejection import MOST, reject
 from fg_orient.rpc.points import MeasuredPoints, statistics
-from fg_orient.sensors.rpc import RpcModel, span
+from fg_orient.sensors.rpc import RpcModel
 
 #: Names of the kinds for users and in the equation.
 KINDS: Final = {"shift": "shift", "shift_drift": "drift", "affine": "affine"}
@@ -36,8 +38,6 @@ LEVEL: Final = 0.001
 RANK: Final = 1e-8
 #: Redundancy number below which the other points do not check a coordinate.
 CHECKED: Final = 1e-6
-
-
 #: Largest sigma0, pixels or given sigmas. A larger sigma0 means that the points were not measured in this image.
 LARGEST_SIGMA0: Final = 5.0
 
@@ -236,76 +236,46 @@ def refine(model: RpcModel, measured: MeasuredPoints, kind: str, *, extrapolate:
     """
     model.require_no_pole()
     if not extrapolate:
-        require_inside(model, measured)
-    control, check = measured.take(~measured.check), measured.take(measured.check)
-    fit = compensate(model, control, kind)
-    suspicious, height = _suspicious(model, check, fit), height_dependence(model, fit.points)
+        lon, lat, height_m = measured.ground.T
+        model.require_valid(lon, lat, height_m, measured.ids)
+    check = measured.check
+    fit = compensate(model, measured.take(~check), kind)
+    before, after = residuals(model, measured), residuals(model, measured, fit.values)
+    suspicious = _suspicious(model, measured.take(check), after[check], fit)
+    height, used = height_dependence(model, fit.points), np.isin(measured.ids, fit.points.ids)
+
+    def both(rows: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        return {"before": statistics(before[rows]), "after": statistics(after[rows])}
+
     return {
-        **judged(_doubts(fit) + _remarks(fit, suspicious, height)),
+        **judged(_findings(fit, suspicious, height)),
         "compensation": kind, "terms": fit.terms(), "values_px": fit.values.tolist(),
         "covariance_px2": fit.covariance[np.ix_(fit.codes, fit.codes)].tolist(),
         "sigma0": fit.sigma0, "redundancy": fit.redundancy, "height_dependence": height,
         "outliers": list(fit.outliers),
-        "control": _both(model, fit.points, fit), "check": _both(model, check, fit) if len(check) else None,
+        "control": both(used), "check": both(check) if check.any() else None,
         "leave_one_out": statistics(fit.left_out_px[np.isfinite(fit.left_out_px).all(axis=1)]),
         "check_suspicious": suspicious,
-        "residuals": _residuals(model, measured, fit),
+        "residuals": [
+            {"id": name, "role": str(Role.CHECK if check[k] else Role.CONTROL), "used": bool(used[k]),
+             "before_line_px": float(before[k, 0]), "before_sample_px": float(before[k, 1]),
+             "after_line_px": float(after[k, 0]), "after_sample_px": float(after[k, 1])}
+            for k, name in enumerate(measured.ids)
+        ],
     }  # fmt: skip
 
 
-def require_inside(model: RpcModel, measured: MeasuredPoints) -> None:
-    """Refuse points outside the validity range by name.
-
-    Raises
-    ------
-    InputError
-    """
-    bad = np.flatnonzero(~model.inside(*measured.ground.T))
-    if len(bad):
-        v, (lon, lat, height) = model.validity, measured.ground[bad[0]]
-        raise InputError.of(
-            "rpc.outside", file=model.file, place=f"point {measured.ids[bad[0]]}",
-            value=f"longitude {lon:.6f}, latitude {lat:.6f}, height {height:.1f}; {len(bad)} such point(s)",
-            lon=span(v.lon_deg), lat=span(v.lat_deg), height=span(v.height_m),
-        )  # fmt: skip
-
-
-def _both(model: RpcModel, points: MeasuredPoints, fit: Compensation) -> dict[str, Any]:
-    """Statistics before and after."""
-    before, after = residuals(model, points), residuals(model, points, fit.values)
-    return {"before": statistics(before), "after": statistics(after)}
-
-
-def _suspicious(model: RpcModel, check: MeasuredPoints, fit: Compensation) -> list[str]:
-    """Check points whose residuals the compensation does not explain: F(2, f) of the predicted residuals."""
+def _suspicious(model: RpcModel, check: MeasuredPoints, v: Array, fit: Compensation) -> list[str]:
+    """Check points whose residuals v (n, 2) the compensation does not explain: F(2, f) of the predicted residuals."""
     if not len(check) or fit.redundancy == 0:
         return []
-    a, v = design(model, check, fit.kind), residuals(model, check, fit.values)
-    t = np.zeros(len(check))
+    a, t = design(model, check, fit.kind), np.zeros(len(check))
     for axis in (0, 1):
         codes = np.arange(axis, 2 * a.shape[1], 2)
         q = check.sigma_px[:, axis] ** 2 + np.einsum("ni,ij,nj->n", a, fit.cofactors[np.ix_(codes, codes)], a)
         t += v[:, axis] ** 2 / q
     limit = 2.0 * float(f_quantile(2, fit.redundancy, 1.0 - LEVEL)) * fit.sigma0**2
     return [name for name, bad in zip(check.ids, t > limit, strict=True) if bad]
-
-
-def _residuals(model: RpcModel, measured: MeasuredPoints, fit: Compensation) -> list[dict[str, Any]]:
-    """One record per point: role, whether it was used, residuals before and after."""
-    before, after = residuals(model, measured), residuals(model, measured, fit.values)
-    used = set(fit.points.ids)
-    return [
-        {"id": name, "role": "check" if check else "control", "used": name in used,
-         "before_line_px": float(b[0]), "before_sample_px": float(b[1]),
-         "after_line_px": float(a[0]), "after_sample_px": float(a[1])}
-        for name, check, b, a in zip(measured.ids, measured.check, before, after, strict=True)
-    ]  # fmt: skip
-
-
-def _doubts(fit: Compensation) -> list[Finding]:
-    """Findings that make a compensation unfit for use."""
-    out = [] if fit.complete else [finding("rpc.too_many_left_out", n=len(fit.outliers))]
-    return [*out, finding("rpc.no_fit", sigma0=fit.sigma0)] if fit.sigma0 > LARGEST_SIGMA0 else out
 
 
 def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] | None:
@@ -332,9 +302,12 @@ def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] |
     return {"line_px_per_km": slopes[0], "sample_px_per_km": slopes[1], "statistic": float(statistic)}
 
 
-def _remarks(fit: Compensation, suspicious: list[str], height: dict[str, Any] | None) -> list[Finding]:
-    """Further findings for the user."""
-    out = [
+def _findings(fit: Compensation, suspicious: list[str], height: dict[str, Any] | None) -> list[Finding]:
+    """Findings on a compensation; the first two make it unfit for use."""
+    out = [] if fit.complete else [finding("rpc.too_many_left_out", n=len(fit.outliers))]
+    if fit.sigma0 > LARGEST_SIGMA0:
+        out.append(finding("rpc.no_fit", sigma0=fit.sigma0))
+    out += [
         finding("rpc.gross_error", point=one["id"], line_px=one["error_line_px"], sample_px=one["error_sample_px"],
                 statistic=one["statistic"], limit=one["limit"])
         for one in fit.outliers

@@ -9,17 +9,19 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors._contract import Array
 from fg_orient.model.errors import Finding, InputError, finding, judged
 from fg_orient.model.names import Progress
 from fg_orient.rpc.check import NEAR_ZERO
 from fg_orient.rpc.estimate import SOLVER, fit_linear, fit_true, fit_weighted, require_points
-from fg_orient.rpc.fit import CrossValidation, RfmFit, cross_validate
+from fg_orient.rpc.fit import CrossValidation, RfmFit, cross_validate, rms
 from fg_orient.rpc.form import RfmForm
-from fg_orient.rpc.options import Denominators, FitOptions
+from fg_orient.rpc.options import FitOptions
 from fg_orient.rpc.points import MeasuredPoints, statistics
 from fg_orient.rpc.rfm_points import ControlPoints
 from fg_orient.rpc.select import fit_selected
-from fg_orient.rpc.virtual_grid import SHAPE, Errors, LocatingSensor, fit_sensor
+from fg_orient.rpc.virtual_grid import SHAPE, fit_sensor
+from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.rpc import RpcModel
 
 FOLDS: Final = 10
@@ -118,17 +120,16 @@ def _doubts(fit: RfmFit, validation: CrossValidation | None) -> list[Finding]:
 
 
 def fit_image(
-    sensor: LocatingSensor, heights_m: tuple[float, float], *, degree: int = 3, denominators: Denominators = "separate",
-    shape: tuple[int, int, int] = SHAPE, seed: int = 1, file: str = "",
-) -> tuple[RpcModel, dict[str, Any]]:  # fmt: skip
+    sensor: Sensor, heights_m: tuple[float, float], options: FitOptions, shape: tuple[int, int, int] = SHAPE
+) -> tuple[RpcModel, dict[str, Any]]:
     """Fit to a rigorous model by a virtual grid.
 
     Parameters
     ----------
-    sensor, heights_m, degree, denominators, shape, seed
+    sensor, heights_m, shape
         See :func:`fg_orient.rpc.virtual_grid.fit_sensor`.
-    file : str
-        File of the sensor, for messages.
+    options : FitOptions
+        Degree, denominators and seed.
 
     Returns
     -------
@@ -143,24 +144,24 @@ def fit_image(
     InputError, NoSolutionError
         See :func:`fg_orient.rpc.virtual_grid.fit_sensor`.
     """
-    found = fit_sensor(sensor, heights_m, shape=shape, degree=degree, denominators=denominators, seed=seed)
-    model = found.model(file)
-    least = found.forward.least_denominators
+    degree, denominators = options.degree, options.denominators
+    fit = fit_sensor(sensor, heights_m, shape=shape, degree=degree, denominators=denominators, seed=options.seed)
+    least = fit.forward.least_denominators
     small = float(least.min()) < NEAR_ZERO
     record = {
         **judged([finding("rpc.near_zero", least=least.min())] if small else []),
         "source": "sensor", "degree": degree, "denominators": denominators, "grid": list(shape),
         "heights_m": list(heights_m),
         "least_denominator_line": float(least[0]), "least_denominator_sample": float(least[1]),
-        "fit": _errors(found.fit_px, ("line_px", "sample_px")),
-        "check": _errors(found.check_px, ("line_px", "sample_px")),
-        "image_to_ground": _errors(found.inverse_m, ("east_m", "north_m")),
+        "fit": _errors(fit.fit_px, ("line_px", "sample_px")),
+        "check": _errors(fit.check_px, ("line_px", "sample_px")),
+        "image_to_ground": _errors(fit.inverse_m, ("east_m", "north_m")),
     }  # fmt: skip
-    return replace(model, notes=()), record
+    return replace(fit.model(sensor.file), notes=()), record
 
 
-def _errors(found: Errors, axes: tuple[str, str]) -> dict[str, Any]:
-    out: dict[str, Any] = {"n": found.points}
-    for name, pair in (("rms", found.rms), ("max", found.largest)):
-        out |= {f"{name}_{axis}": float(value) for axis, value in zip(axes, pair, strict=True)}
-    return out
+def _errors(residuals: Array, axes: tuple[str, str]) -> dict[str, Any]:
+    """Number of points, RMS and largest amount of residuals (n, 2) by axis."""
+    figures = {"rms": rms(residuals), "max": np.abs(residuals).max(axis=0)}
+    named = {f"{name}_{axis}": float(v) for name, two in figures.items() for axis, v in zip(axes, two, strict=True)}
+    return {"n": len(residuals), **named}

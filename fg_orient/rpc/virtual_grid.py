@@ -8,20 +8,20 @@ estimate.) The stated errors are those at independent points: pixels and heights
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from factors._contract import Array
 from factors.geometry import ellipsoid
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.model.errors import InputError, finding
 from fg_orient.rpc.estimate import fit_true
-from fg_orient.rpc.fit import RfmFit, rms
+from fg_orient.rpc.fit import RfmFit
 from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.options import Denominators
 from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 
 #: Lines, samples, height layers.
@@ -33,37 +33,6 @@ LEAST: Final = 5
 KAPPA: Final = 1e-12
 #: Independent points per grid point.
 CHECK_SHARE: Final = 1.0
-
-
-class LocatingSensor(Protocol):
-    """A sensor with a size that locates pixels at heights."""
-
-    n_lines: int
-    n_samples: int
-
-    def locate(self, line: npt.ArrayLike, sample: npt.ArrayLike, *, height_m: npt.ArrayLike | None = None) -> Any:
-        """Ground points (N, 3) ECEF m of N pixels at ellipsoidal heights."""
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Errors of a model at points.
-
-    Parameters
-    ----------
-    rms, largest : (2,) array
-        Per axis.
-    points : int
-    """
-
-    rms: Array
-    largest: Array
-    points: int
-
-    @classmethod
-    def of(cls, residuals: Array) -> Errors:
-        """Summarise residuals (n, 2)."""
-        return cls(rms(residuals), np.abs(residuals).max(axis=0), len(residuals))
 
 
 @dataclass(frozen=True)
@@ -79,23 +48,23 @@ class SensorRfm:
         sample, line and height.
     validity : RpcValidity
         Ranges of the grid: pixels, degrees, m.
-    fit_px, check_px : Errors
-        Line and sample, pixels: at the grid, at independent points.
-    inverse_m : Errors
-        Longitude and latitude of the inverse model in metres on the ground, at the same independent points.
+    fit_px, check_px : (n, 2) arrays
+        Residuals of line and sample, pixels: at the grid, at independent points.
+    inverse_m : (n, 2) array
+        Residuals of the inverse model, East and North in metres on the ground, at the same independent points.
     """
 
     forward: RfmFit
     inverse: RfmFit
     validity: RpcValidity
-    fit_px: Errors
-    check_px: Errors
-    inverse_m: Errors
+    fit_px: Array
+    check_px: Array
+    inverse_m: Array
 
     def model(self, file: str = "") -> RpcModel:
         """Model with validity range and inverse coefficients, for projection and files."""
-        errors = [float(value) for value in self.check_px.largest]
-        note = finding("rpc.fitted_to_sensor", errors_px=errors, n=self.check_px.points)
+        errors = np.abs(self.check_px).max(axis=0).tolist()
+        note = finding("rpc.fitted_to_sensor", errors_px=errors, n=len(self.check_px))
         scaling = self.forward.scaling
         return RpcModel(
             scaling.offsets, scaling.scales, self.forward.coefficients, self.validity,
@@ -105,17 +74,17 @@ class SensorRfm:
 
 
 def fit_sensor(
-    sensor: LocatingSensor, heights_m: tuple[float, float], *, shape: tuple[int, int, int] = SHAPE, degree: int = 3,
+    sensor: Sensor, heights_m: tuple[float, float], *, shape: tuple[int, int, int] = SHAPE, degree: int = 3,
     denominators: Denominators = "separate", seed: int = 1,
 ) -> SensorRfm:  # fmt: skip
     """Fit a rational function model to a sensor.
 
     Parameters
     ----------
-    sensor : LocatingSensor
-        A sensor with ``n_lines``, ``n_samples`` and ``locate`` at heights; (0, 0) = centre of the first pixel.
+    sensor : Sensor
+        Its method ``locate`` gives the ground points; (0, 0) = centre of the first pixel.
     heights_m : (float, float)
-        Lowest and highest layer above the ellipsoid.
+        Lowest and highest layer, m above the ellipsoid.
     shape : (int, int, int)
         Lines, samples and layers of the grid, at least 5 each, spaced like Chebyshev nodes: denser at the borders.
     degree, denominators
@@ -135,14 +104,12 @@ def fit_sensor(
         raise InputError.of("rfm.grid", place="virtual grid", value=shape, least=LEAST)
     if not (np.isfinite([low, high]).all() and high > low):
         raise InputError.of("rfm.heights", place="heights", value=f"{low:g}, {high:g}")
-    last = getattr(sensor, "last_line", sensor.n_lines - 1.0), getattr(sensor, "last_sample", sensor.n_samples - 1.0)
-    first = getattr(sensor, "first_line", 0.0), getattr(sensor, "first_sample", 0.0)
-    axes = [_nodes(a, b, n) for a, b, n in zip((*first, low), (*last, high), shape, strict=True)]
+    ends = ((sensor.first_line, sensor.last_line), (sensor.first_sample, sensor.last_sample), heights_m)
+    axes = [_nodes(*end, n) for end, n in zip(ends, shape, strict=True)]
     grid = _located(sensor, *(axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")))
     rng = np.random.default_rng(seed)
     count = int(CHECK_SHARE * len(grid))
-    draws = [rng.uniform(a, b, count) for a, b in zip((*first, low), (*last, high), strict=True)]
-    check = _located(sensor, *draws)
+    check = _located(sensor, *(rng.uniform(*end, count) for end in ends))
     form = RfmForm(degree, denominators)
     with one_blas_thread():  # a second thread does not accelerate small matrices
         forward, inverse = fit_true(grid, form, kappa=KAPPA), fit_true(_exchanged(grid), form, kappa=KAPPA)
@@ -150,9 +117,8 @@ def fit_sensor(
     validity = RpcValidity(*((float(a), float(b)) for a, b in ranges))
     back = inverse.residuals_px(_exchanged(check))
     return SensorRfm(
-        forward, inverse, validity, Errors.of(forward.residuals_px()), Errors.of(forward.residuals_px(check)),
-        Errors.of(_metres(back, check)),
-    )  # fmt: skip
+        forward, inverse, validity, forward.residuals_px(), forward.residuals_px(check), _metres(back, check)
+    )
 
 
 def _nodes(first: float, last: float, count: int) -> Array:
@@ -161,7 +127,7 @@ def _nodes(first: float, last: float, count: int) -> Array:
     return np.asarray(0.5 * (first + last) + 0.5 * (last - first) * nodes / nodes[-1])
 
 
-def _located(sensor: LocatingSensor, line: Array, sample: Array, height_m: Array) -> ControlPoints:
+def _located(sensor: Sensor, line: Array, sample: Array, height_m: Array) -> ControlPoints:
     """Control points of pixels at heights; longitudes continuous across 180 degrees."""
     geodetic = ellipsoid.geodetic_array(np.ascontiguousarray(sensor.locate(line, sample, height_m=height_m)))
     lon, lat = np.degrees(geodetic[:, 0]), np.degrees(geodetic[:, 1])

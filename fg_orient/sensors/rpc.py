@@ -8,6 +8,7 @@ start values only.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -139,17 +140,22 @@ class RpcModel:
         lon, lat, h = same_length(lon_deg, lat_deg, height_m)
         v = self.validity
         lon = lon - 360.0 * np.round((lon - self.offsets[RANGE.lon]) / 360.0)
-        good = (lon >= v.lon_deg[0]) & (lon <= v.lon_deg[1]) & (lat >= v.lat_deg[0]) & (lat <= v.lat_deg[1])
-        return np.asarray(good & (h >= v.height_m[0]) & (h <= v.height_m[1]))
+        ranges = ((lon, v.lon_deg), (lat, v.lat_deg), (h, v.height_m))
+        return np.asarray(np.all([(values >= low) & (values <= high) for values, (low, high) in ranges], axis=0))
 
-    def require_valid(self, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike) -> None:
-        """Raise InputError for ground points outside the validity range; it names the first one and the range."""
+    def require_valid(
+        self, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike, names: Sequence[str] = ()
+    ) -> None:
+        """Raise InputError for ground points outside the validity range; it names the first one and the range.
+
+        ``names`` of the points are for the message; default: their numbers, counted from 1.
+        """
         bad = np.flatnonzero(~self.inside(lon_deg, lat_deg, height_m))
         if len(bad):
             lon, lat, h = (a[bad[0]] for a in same_length(lon_deg, lat_deg, height_m))
             v = self.validity
             raise InputError.of(
-                "rpc.outside", file=self.file, place=f"point {bad[0] + 1}",
+                "rpc.outside", file=self.file, place=f"point {names[bad[0]] if names else bad[0] + 1}",
                 value=f"longitude {lon:.6f}, latitude {lat:.6f}, height {h:.1f}; {len(bad)} such point(s)",
                 lon=span(v.lon_deg), lat=span(v.lat_deg), height=span(v.height_m),
             )  # fmt: skip

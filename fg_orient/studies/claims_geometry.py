@@ -18,8 +18,8 @@ from fg_orient.adjustment.linear.conditioning import diagnose
 from fg_orient.rpc.estimate import fit_linear
 from fg_orient.rpc.form import DEGREES, RfmForm
 from fg_orient.rpc.rfm_points import ControlPoints
-from fg_orient.rpc.virtual_grid import LocatingSensor
 from fg_orient.sensors import initial
+from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.pushbroom import PushbroomSensor, require_pushbroom
 from fg_orient.simulate.zonguldak import zonguldak_block
 from fg_orient.studies.claims import EXACT, Outcome, Study, claim, outcome
@@ -166,13 +166,13 @@ MARGIN_PX = 100.0
 
 
 def rfm_points(
-    sensor: LocatingSensor, seed: int, *, count: int = N_POINTS, noise_px: float = NOISE_PX, stream: int = 0
+    sensor: Sensor, seed: int, *, count: int = N_POINTS, noise_px: float = NOISE_PX, stream: int = 0
 ) -> ControlPoints:
     """Draw control points of a sensor: pixels and heights uniform, noise in line and sample.
 
     Parameters
     ----------
-    sensor : LocatingSensor
+    sensor : Sensor
     seed : int
     count : int
     noise_px : float

@@ -23,6 +23,7 @@ from fg_orient.model.names import Role
 from fg_orient.rpc.compensate import LEVEL, compensate
 from fg_orient.rpc.files import corrected
 from fg_orient.rpc.fitting import fit_image
+from fg_orient.rpc.options import FitOptions
 from fg_orient.rpc.points import MeasuredPoints
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 from fg_orient.sensors.rpc_sensor import RpcSensor
@@ -647,7 +648,7 @@ def test_fit_to_a_sensor(run: Run, file: Path, model: RpcModel, tmp_path: Path) 
 @pytest.mark.behaviour
 def test_independent_points_of_a_sensor_depend_on_the_seed_only(model: RpcModel) -> None:
     sensor = RpcSensor(model)
-    records = [fit_image(sensor, (0.0, 1000.0), degree=2, shape=(6, 6, 5), seed=seed)[1] for seed in (1, 1, 2)]
+    records = [fit_image(sensor, (0.0, 1000.0), FitOptions(degree=2, seed=seed), (6, 6, 5))[1] for seed in (1, 1, 2)]
     assert records[0] == records[1]
     assert records[0]["check"] != records[2]["check"]
 

@@ -14,6 +14,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.parameters import N_EOP, parameter_name
 from fg_orient.rectification.adjusted import read_correction
 from fg_orient.rpc.fitting import fit_image
+from fg_orient.rpc.options import FitOptions
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from tests.support.command import in_process as run
@@ -59,7 +60,7 @@ def test_look_angles_and_small_angles(twin: Twin, tmp_path: Path) -> None:
 @pytest.mark.truth
 def test_compensation_of_an_rpc_image(twin: Twin, tmp_path: Path) -> None:
     """The compensated model moves a projected point by what the names say."""
-    model, _ = fit_image(twin.sensors["left"], (-50.0, 1850.0), file="left.DIM")
+    model, _ = fit_image(twin.sensors["left"], (-50.0, 1850.0), FitOptions())
     sensor = RpcSensor(model)
     found = read_correction(folder(tmp_path, {"line_0": 2.0, "sample_0": -3.0}), sensor, "one")
     ground = sensor.centre_m[None]

@@ -22,6 +22,7 @@ from fg_orient.rectification.ortho_job import rectify_image
 from fg_orient.rectification.ortho_models import PointModel, SensorModel
 from fg_orient.rectification.transformation import Scaling, Transformation, find_model
 from fg_orient.rpc.fitting import fit_image
+from fg_orient.rpc.options import FitOptions
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from fg_orient.sensors.surface import RasterDem
 from fg_orient.simulate.render import RasterOptions
@@ -109,7 +110,7 @@ def test_another_raster_over_the_same_ground_agrees(twin: Twin, tmp_path: Path) 
 @pytest.mark.oracle
 def test_gdal_makes_the_same_map_of_the_same_rpc(twin: Twin, tmp_path: Path) -> None:
     """GDAL's warper with the RPC fitted to the model, same terrain, kernel and grid: grey values agree."""
-    model, _ = fit_image(twin.sensors["left"], (-50.0, 1850.0))
+    model, _ = fit_image(twin.sensors["left"], (-50.0, 1850.0), FitOptions())
     image, dem = tmp_path / "left.tif", twin.dem
     shutil.copy(twin.folder / "left.tif", image)
     values = {"err_bias": None, "err_rand": None}
