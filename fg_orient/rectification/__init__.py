@@ -17,7 +17,7 @@ _HOME = names_of(__name__, {
     "standards": "check_accuracy nmas_limit_m nssda_m",
     "transformation": "Transformation find_model read_transformation",
     "grid": "MapGrid",
-    "areas": "planar_area_m2 perimeter_m",
+    "geometry": "planar_area_m2 perimeter_m",
 })  # fmt: skip
 __all__ = sorted(_HOME)
 __getattr__ = on_first_use(globals(), _HOME)

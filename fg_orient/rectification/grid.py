@@ -1,4 +1,10 @@
-"""Map rasters: their grid, and GeoTIFF files written whole or not at all, window by window."""
+"""Map rasters: their grid and files, and the image pixels of map pixels and heights by interpolation between knots.
+
+At every ``step``-th map pixel the model is evaluated at three heights of the surface. The interpolation between these
+knots is bilinear, and quadratic in the height. The model is evaluated again half-way between knots and at intermediate
+heights. The step is halved while the largest difference inside the image exceeds the limit. The knots are fixed in the
+map, so the pixels do not depend on the size of the windows.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +19,15 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats import atomic
+from fg_orient.geodesy import from_geographic, to_geographic
+from fg_orient.kernels.resampling import KNOT, SCALING
 from fg_orient.model.errors import InputError
-from fg_orient.rectification.arguments import finite, positive
+from fg_orient.rectification.arguments import finite, number, positive
+from fg_orient.rectification.ortho_models import MapModel
+from fg_orient.sensors.surface import RasterDem
 
 Array = npt.NDArray[np.float64]
+
 Bounds = tuple[float, float, float, float]
 
 #: Maximum number of pixels along an axis; with more the resolution has the wrong unit.
@@ -108,3 +119,143 @@ def staged_file(out: Path, *, overwrite: bool) -> Iterator[Path]:
         raise InputError.of("output.unwritable", file=out, option="out")
     with atomic.staged_file(out, place="<out>", suffix=".tif") as temporary:
         yield temporary
+
+
+#: Largest allowed difference from the model, pixels of the image and cells of the DEM.
+ERROR_PX: Final = 0.01
+FIRST_STEP: Final = 64
+LEAST_STEP: Final = 4
+#: Smallest range of heights at which the model is evaluated, m.
+LEAST_RANGE_M: Final = 1.0
+#: Heights at which cubic terms cause the largest errors of a quadratic through three equidistant heights.
+BETWEEN: Final = (-0.57735, 0.57735)
+
+
+class LevelSurface:
+    """Surface of constant height; InputError if the height is not finite."""
+
+    def __init__(self, height_m: float) -> None:
+        number("height", height_m, "m")
+        self.heights_m = np.full((2, 2), height_m)
+        self.path = f"height {height_m:g} m"
+
+    @property
+    def range_m(self) -> tuple[float, float]:
+        """Lowest and highest height."""
+        return float(self.heights_m[0, 0]), float(self.heights_m[0, 0])
+
+
+Surface = RasterDem | LevelSurface
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Knots over a map grid.
+
+    Parameters
+    ----------
+    step : int
+        Map pixels between knots.
+    knots : (M, N, 8) array
+        See ``fg_orient.kernels.resampling``.
+    scaling : (2,) array
+        Offset and scale of heights.
+    error_px : float
+        Largest difference between knots inside the image, pixels of the image or cells of the DEM; nan if the image
+        contains no middle of four knots.
+    """
+
+    step: int
+    knots: Array
+    scaling: Array
+    error_px: float
+
+
+def lattice(grid: MapGrid, model: MapModel, surface: Surface, limits: Array) -> Lattice | None:
+    """Knots whose interpolation error is at most ``ERROR_PX``.
+
+    Parameters
+    ----------
+    grid : MapGrid
+    model : MapModel
+    surface : RasterDem or LevelSurface
+    limits : (4,) array
+        First and last line, first and last sample inside the image.
+
+    Returns
+    -------
+    Lattice or None
+        With a step of ``LEAST_STEP`` the error may be larger. None if no knot is near the image.
+    """
+    low, high = surface.range_m
+    scaling = SCALING.pack(offset=0.5 * (low + high), scale=0.5 * max(high - low, LEAST_RANGE_M))
+    step = FIRST_STEP
+    while True:
+        knots = _knots(grid, model, surface, scaling, step)
+        if not _meets(knots, limits):
+            return None
+        error = _error(grid, model, surface, scaling, step, knots, limits)
+        if error <= ERROR_PX or step <= LEAST_STEP:
+            return Lattice(step, knots, scaling, error)
+        step //= 2
+
+
+def _knots(grid: MapGrid, model: MapModel, surface: Surface, scaling: Array, step: int) -> Array:
+    rows, columns = (np.arange(n // step + 2.0) * step for n in (grid.rows, grid.columns))
+    r, c = (a.ravel() for a in np.meshgrid(rows, columns, indexing="ij"))
+    x, y = grid.centres(r, c)
+    out = np.empty((len(r), KNOT.size))
+    out[:, KNOT.row], out[:, KNOT.column] = _cells(grid, surface, x, y).T
+    heights = (scaling[SCALING.offset] + t * scaling[SCALING.scale] for t in (-1.0, 0.0, 1.0))
+    below, middle, above = (model.pixels(x, y, np.full(len(x), height)) for height in heights)
+    for axis, a, b, c_ in zip((KNOT.line, KNOT.sample), below.T, middle.T, above.T, strict=True):
+        out[:, axis] = np.stack([b, 0.5 * (c_ - a), 0.5 * (a + c_) - b], axis=1)
+    return np.ascontiguousarray(out.reshape(len(rows), len(columns), KNOT.size))
+
+
+def _meets(knots: Array, limits: Array) -> bool:
+    """Whether the pixels between the outermost knots, at all heights, overlap the image."""
+    for (low, high), axis in zip(limits.reshape(2, 2), (KNOT.line, KNOT.sample), strict=True):
+        middle, linear, square = np.moveaxis(knots[..., axis], -1, 0)
+        reach = np.abs(linear) + np.abs(square)
+        first, last = (middle - reach)[np.isfinite(middle)], (middle + reach)[np.isfinite(middle)]
+        if not len(first) or first.min() > high or last.max() < low:
+            return False
+    return True
+
+
+def _cells(grid: MapGrid, surface: Surface, x: Array, y: Array) -> Array:
+    """Row and column (n, 2) of the surface's raster."""
+    if isinstance(surface, LevelSurface):
+        return np.full((len(x), 2), 0.5)
+    lon, lat = to_geographic(grid.crs, x, y)
+    return np.stack(surface.cell(lon, lat), axis=1)
+
+
+def _error(
+    grid: MapGrid, model: MapModel, surface: Surface, scaling: Array, step: int, knots: Array, limits: Array
+) -> float:
+    """Largest difference at the middles of cells inside the image; nan without any."""
+    rows, columns = ((np.arange(n - 1.0) + 0.5) * step for n in knots.shape[:2])
+    r, c = (a.ravel() for a in np.meshgrid(rows, columns, indexing="ij"))
+    x, y = grid.centres(r, c)
+    t = np.take(BETWEEN, (np.arange(len(r)) + np.repeat(np.arange(len(rows)), len(columns))) % 2)
+    k = 0.25 * (knots[:-1, :-1] + knots[1:, :-1] + knots[:-1, 1:] + knots[1:, 1:]).reshape(-1, KNOT.size)
+    polynomials = (k[:, axis].T for axis in (KNOT.line, KNOT.sample))
+    pixels = np.stack([middle + t * (linear + t * square) for middle, linear, square in polynomials], axis=1)
+    first, last = limits.reshape(2, 2).T
+    some = np.flatnonzero(((pixels >= first) & (pixels <= last)).all(axis=1))
+    if not len(some):
+        return np.nan
+    x, y = x[some], y[some]
+    exact = model.pixels(x, y, scaling[SCALING.offset] + t[some] * scaling[SCALING.scale])
+    differences = np.concatenate(
+        [pixels[some] - exact, k[some][:, [KNOT.row, KNOT.column]] - _cells(grid, surface, x, y)], axis=1
+    )
+    return float(np.nanmax(np.abs(differences), initial=0.0))
+
+
+def dem_outline(surface: RasterDem, crs: str) -> tuple[Array, Array]:
+    """Map coordinates of points along and inside the border of a DEM."""
+    x, y = from_geographic(crs, *surface.outline())
+    return x, y

@@ -27,7 +27,7 @@ from fg_orient.report.chart import round_down
 from fg_orient.report.maps import KM_PER_DEGREE, shrink_at
 from fg_orient.result.plain import WORDS, Table, plain
 from fg_orient.result.record import Result, read_result
-from fg_orient.sensors.viewing import polygon_geometry
+from fg_orient.sensors.geometry import polygon_geometry
 
 __all__ = ["export"]
 

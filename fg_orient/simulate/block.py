@@ -23,8 +23,7 @@ from fg_orient.sensors.correction import Correction
 from fg_orient.simulate.files import simulate_to
 from fg_orient.simulate.options import LEAST_CONTROL
 from fg_orient.simulate.options import BlockOptions as BlockOptions
-from fg_orient.simulate.orbit import find_pass
-from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
+from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read, find_pass
 from fg_orient.simulate.simulation import (
     QuickProjection,
     Simulation,

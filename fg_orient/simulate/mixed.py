@@ -30,8 +30,7 @@ from fg_orient.sensors.rpc import RpcModel
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from fg_orient.simulate.files import simulate_to
 from fg_orient.simulate.options import MixedOptions as MixedOptions
-from fg_orient.simulate.orbit import find_pass
-from fg_orient.simulate.scene import Scene, as_read
+from fg_orient.simulate.scene import Scene, as_read, find_pass
 from fg_orient.simulate.simulation import (
     Simulation,
     Truth,

@@ -27,9 +27,8 @@ from fg_orient.model.names import Progress, Role
 from fg_orient.simulate.files import simulate_to
 from fg_orient.simulate.options import PointSet
 from fg_orient.simulate.options import ZonguldakOptions as ZonguldakOptions
-from fg_orient.simulate.orbit import find_pass
 from fg_orient.simulate.render import RasterOptions, write_rasters
-from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
+from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read, find_pass
 from fg_orient.simulate.simulation import (
     Simulation,
     Truth,

@@ -28,7 +28,7 @@ from fg_orient.model.cells import CellKey
 from fg_orient.rpc.estimate import linear_system
 from fg_orient.rpc.fit import RfmFit
 from fg_orient.rpc.form import DEGREES, RfmForm
-from fg_orient.rpc.rfm_points import ControlPoints, Scaling
+from fg_orient.rpc.points import ControlPoints, Scaling
 
 Cells = dict[CellKey, float]
 Progress = Callable[[int, int], None]

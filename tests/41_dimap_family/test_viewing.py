@@ -14,7 +14,7 @@ from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Image
 from fg_orient.sensors.base import OrientedSensor
 from fg_orient.sensors.frame import FrameCamera, FrameSensor
-from fg_orient.sensors.viewing import (
+from fg_orient.sensors.geometry import (
     SIDE,
     View,
     _area_m2,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fg_orient.geodesy import ecef_to_geodetic, geodetic_to_ecef
-from fg_orient.simulate.orbit import EARTH_RATE_RAD_S, GM_M3_S2, HEIGHT_M, MEAN_EARTH_RADIUS_M, CircularPass, find_pass
+from fg_orient.simulate.scene import EARTH_RATE_RAD_S, GM_M3_S2, HEIGHT_M, MEAN_EARTH_RADIUS_M, CircularPass, find_pass
 
 TARGET = geodetic_to_ecef(31.85, 41.3, 0.0)[0]
 

@@ -8,8 +8,7 @@ import pytest
 from fg_orient.sensors.correction import Correction
 from fg_orient.simulate import block as block_module
 from fg_orient.simulate.block import MARGIN_PX, BlockOptions, grid_block
-from fg_orient.simulate.orbit import find_pass
-from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
+from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read, find_pass
 from fg_orient.simulate.simulation import QuickProjection, draw_errors
 from tests.support.published_rays import misses_m
 

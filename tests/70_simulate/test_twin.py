@@ -22,8 +22,7 @@ from fg_orient.sensors import initial
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.projection import pixel_derivative
 from fg_orient.sensors.pushbroom import PushbroomSensor
-from fg_orient.simulate.orbit import find_pass
-from fg_orient.simulate.scene import N_LINES, N_SAMPLES
+from fg_orient.simulate.scene import N_LINES, N_SAMPLES, find_pass
 from fg_orient.simulate.simulation import Truth
 from fg_orient.simulate.zonguldak import MARGIN_PX, N_POINTS, ZonguldakOptions, simulate_zonguldak, zonguldak_block
 from tests.support.published_rays import misses_m, rays

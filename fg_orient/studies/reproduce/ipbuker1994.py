@@ -16,9 +16,18 @@ import numpy as np
 from factors._contract import Array
 from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
-from fg_orient.rectification.areas import mean_spacing_m, pixel_area_m2, planar_area_m2
-from fg_orient.rectification.projections import gauss_krueger, lambert_cylindrical, lambert_polar, project, unproject
-from fg_orient.rectification.scanner import swath_m, total_angle_rad
+from fg_orient.rectification.geometry import (
+    gauss_krueger,
+    lambert_cylindrical,
+    lambert_polar,
+    mean_spacing_m,
+    pixel_area_m2,
+    planar_area_m2,
+    project,
+    swath_m,
+    total_angle_rad,
+    unproject,
+)
 from fg_orient.rectification.standards import effective_resolution_m
 from fg_orient.rectification.study import (
     REPRODUCED_RUNS,
