@@ -20,14 +20,13 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from factors.cameras.plane import RECORD
 from fg_orient.adjustment.dense import RowsBackend, equation_rows
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rectification.arguments import finite, numbers
 from fg_orient.rectification.transformation import Scaling, Transformation, TransformationModel
-
-Array = npt.NDArray[np.float64]
 
 MAX_ITERATIONS: Final = 100
 #: Smallest singular value of the design (columns of unit length) divided by the largest, below which points do not

@@ -139,11 +139,11 @@ def utm(zone: int, *, south: bool = False, ellipsoid: str = "WGS84") -> str:
     return f"+proj=utm +zone={zone} +ellps={ellipsoid}" + (" +south" if south else "")
 
 
-def gauss_krueger(central_meridian_deg: float, *, scale: float = 1.0, ellipsoid: str = HAYFORD) -> str:
-    """Definition of a transverse Mercator projection without false easting; InputError for invalid numbers."""
+def gauss_krueger(central_meridian_deg: float, *, scale: float = 1.0) -> str:
+    """Transverse Mercator projection of Hayford's ellipsoid, no false easting; InputError for invalid numbers."""
     number("central meridian", central_meridian_deg, "degrees")
     positive("scale on the meridian", scale, "units of 1")
-    return f"+proj=tmerc +lat_0=0 +lon_0={central_meridian_deg!r} +k={scale!r} +ellps={ellipsoid}"
+    return f"+proj=tmerc +lat_0=0 +lon_0={central_meridian_deg!r} +k={scale!r} +ellps={HAYFORD}"
 
 
 def lambert_cylindrical(radius_m: float) -> str:

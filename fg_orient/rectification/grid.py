@@ -8,18 +8,14 @@ map, so the pixels do not depend on the size of the windows.
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats import atomic
-from fg_orient.geodesy import from_geographic, to_geographic
+from fg_orient.geodesy import to_geographic
 from fg_orient.kernels.resampling import KNOT, SCALING
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import finite, number, positive
@@ -103,22 +99,6 @@ class MapGrid:
             "crs": self.crs, "transform": corners, "nodata": nodata, "tiled": True, "blockxsize": TILE,
             "blockysize": TILE, "compress": compress, "interleave": "band", "BIGTIFF": "IF_SAFER",
         }  # fmt: skip
-
-
-@contextlib.contextmanager
-def staged_file(out: Path, *, overwrite: bool) -> Iterator[Path]:
-    """Temporary file beside ``out`` that is renamed to it if the block ends without an exception, else removed.
-
-    Raises
-    ------
-    InputError
-        ``out`` exists (without ``overwrite``), or cannot be written.
-    """
-    atomic.require_free_files(out, overwrite=overwrite)
-    if out.is_dir() or not out.absolute().parent.is_dir():
-        raise InputError.of("output.unwritable", file=out, option="out")
-    with atomic.staged_file(out, place="<out>", suffix=".tif") as temporary:
-        yield temporary
 
 
 #: Largest allowed difference from the model, pixels of the image and cells of the DEM.
@@ -253,9 +233,3 @@ def _error(
         [pixels[some] - exact, k[some][:, [KNOT.row, KNOT.column]] - _cells(grid, surface, x, y)], axis=1
     )
     return float(np.nanmax(np.abs(differences), initial=0.0))
-
-
-def dem_outline(surface: RasterDem, crs: str) -> tuple[Array, Array]:
-    """Map coordinates of points along and inside the border of a DEM."""
-    x, y = from_geographic(crs, *surface.outline())
-    return x, y

@@ -15,8 +15,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.formats.atomic import require_free_files, staged_file
 from fg_orient.formats.gdal import rasterio_of
 from fg_orient.formats.sensor import read_sensor
+from fg_orient.geodesy import from_geographic, same_crs
 from fg_orient.kernels.resampling import BILINEAR, CUBIC, LIMITS, NEAREST, REACH, pixel_positions, resample
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Progress
@@ -29,12 +31,10 @@ from fg_orient.rectification.grid import (
     LevelSurface,
     MapGrid,
     Surface,
-    dem_outline,
     lattice,
-    staged_file,
 )
 from fg_orient.rectification.options import OrthoOptions
-from fg_orient.rectification.ortho_models import BORDER, MapModel, SensorModel, point_model
+from fg_orient.rectification.ortho_models import BORDER, MapModel, PointModel, SensorModel
 from fg_orient.rectification.transformation import read_transformation
 from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.surface import RasterDem
@@ -102,7 +102,8 @@ def orthorectify(
         knots = lattice(grid, model, surface, limits)
         if knots is None:
             raise InputError.of("ortho.no_overlap", file=image, what=surface.path)
-        with staged_file(Path(out), overwrite=overwrite) as staged:
+        _require_writable(Path(out), overwrite=overwrite)
+        with staged_file(Path(out), place="<out>", suffix=".tif") as staged:
             target = staged.with_suffix(".work.tif") if chosen.cog else staged
             try:
                 seen, filled = _fill(rasterio, source, target, grid, knots, surface, limits, empty, chosen, progress)
@@ -120,6 +121,13 @@ def orthorectify(
         "bounds": list(grid.bounds), "filled": filled / (grid.rows * grid.columns), "knots": knots.step,
         "error_px": knots.error_px, "resampling": chosen.resampling, "nodata": empty,
     }  # fmt: skip
+
+
+def _require_writable(out: Path, *, overwrite: bool) -> None:
+    """Refuse an existing file (without ``overwrite``), a folder, or a file in a missing folder."""
+    require_free_files(out, overwrite=overwrite)
+    if out.is_dir() or not out.absolute().parent.is_dir():
+        raise InputError.of("output.unwritable", file=out, option="out")
 
 
 def _opened(rasterio: Any, image: str | Path) -> Any:
@@ -174,7 +182,7 @@ def _grid(
         return MapGrid.over(bounds, resolution, crs)
     left, bottom, right, top = _box(x, y)
     if isinstance(surface, RasterDem):
-        west, south, east, north = _box(*dem_outline(surface, crs))
+        west, south, east, north = _box(*from_geographic(crs, *surface.outline()))
         left, bottom, right, top = max(left, west), max(bottom, south), min(right, east), min(top, north)
     if not (left < right and bottom < top):
         raise InputError.of("ortho.no_overlap", place="DEM", what=surface.path)
@@ -329,7 +337,9 @@ def rectify_image(
             raise InputError.of("ortho.points_and_result", option="result")
         transformation = read_transformation(model)
         chosen = _system(crs or transformation.crs, image)
-        geometry = point_model(transformation, chosen)
+        if transformation.crs and not same_crs(transformation.crs, chosen):
+            raise InputError.of("ortho.other_crs", option="crs", fitted=transformation.crs)
+        geometry = PointModel(transformation)
         if not geometry.needs_heights:  # a DEM would only limit the extent of the map
             surface = LevelSurface(0.0)
     if surface is None:

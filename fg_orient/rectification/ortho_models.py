@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.geodesy import ecef_to_geodetic, from_geographic, geodetic_to_ecef, same_crs, to_geographic
+from fg_orient.geodesy import ecef_to_geodetic, from_geographic, geodetic_to_ecef, to_geographic
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.pushbroom import PushbroomSensor
@@ -190,16 +190,3 @@ def solved(map_of: Callable[[Array], Array], wanted: Array, start: Array, scale:
         todo = todo[np.abs(step).max(axis=1) > LAST_STEP * np.maximum(1.0, np.abs(at).max(axis=1))]
     out[todo] = np.nan
     return out
-
-
-def point_model(transformation: Transformation, crs: str) -> PointModel:
-    """Bind a transformation to a map; one without a coordinate system is assumed to have that of the map.
-
-    Raises
-    ------
-    InputError
-        It was fitted in another coordinate system.
-    """
-    if transformation.crs and not same_crs(transformation.crs, crs):
-        raise InputError.of("ortho.other_crs", option="crs", fitted=transformation.crs)
-    return PointModel(transformation)

@@ -149,7 +149,7 @@ def growing_degrees(m0_by_degree: Mapping[int, float], n_points: int) -> tuple[i
     for degree, m0 in m0_by_degree.items():
         positive(f"m0 of degree {degree}", m0, "the target's unit")
     degrees = sorted(m0_by_degree)
-    lacking = without_redundancy(degrees, n_points)
+    lacking = [q for q in degrees if n_points <= terms(q)]  # 2n <= (q + 1)(q + 2)
     if lacking:
         raise InputError.of(
             "rectify.few_points", place=f"degree {lacking[0]}", points=n_points, equations=2 * n_points,
@@ -157,11 +157,6 @@ def growing_degrees(m0_by_degree: Mapping[int, float], n_points: int) -> tuple[i
         )  # fmt: skip
     squares = [m0_by_degree[q] ** 2 * 2 * (n_points - terms(q)) for q in degrees]
     return tuple(q for k, q in enumerate(degrees) if k and squares[k] > min(squares[:k]))
-
-
-def without_redundancy(degrees: Sequence[int], n_points: int) -> tuple[int, ...]:
-    """Degrees for which 2n <= (q + 1)(q + 2)."""
-    return tuple(q for q in degrees if n_points <= terms(q))
 
 
 def admissible_points(m0_by_degree: Mapping[int, float], most: int = 200) -> tuple[int, ...]:

@@ -13,11 +13,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Equation
+from factors._contract import Array, Equation
 from factors.cameras import plane
 from fg_orient.model.errors import InputError
-
-Array = npt.NDArray[np.float64]
 
 SCHEMA: Final = 1
 #: Largest file that can be a transformation.

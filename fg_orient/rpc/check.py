@@ -92,7 +92,7 @@ def denominators(model: RpcModel, ground: Array, heights_m: Range) -> dict[str, 
     if seen.any():
         least = rfm.denominators(model.coefficients, normalised(model, ground[seen])).min(axis=0).tolist()
     try:
-        replace(model, stated_validity=replace(model.validity, height_m=heights_m)).require_no_pole()
+        replace(model, stated_validity=model.validity._replace(height_m=heights_m)).require_no_pole()
     except InputError as error:
         pole = f"{error.problems[0].place} {error.problems[0].value}"
     return {

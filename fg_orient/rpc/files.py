@@ -12,7 +12,6 @@ The denominators are not changed, so there is no new pole.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -141,10 +140,7 @@ def not_kept(model: RpcModel, back: RpcModel) -> list[str]:
         out.append("error estimates")
     if model.direct is not None and back.direct is None:
         out.append("coefficients from image to ground")
-    kept, read = (
-        np.array([v.line, v.sample, v.lon_deg, v.lat_deg, v.height_m]) for v in (model.validity, back.validity)
-    )
-    if not np.allclose(kept, read, rtol=1e-12, atol=1e-9):
+    if not np.allclose(model.validity, back.validity, rtol=1e-12, atol=1e-9):
         out.append("validity range")
     return out
 
@@ -152,23 +148,19 @@ def not_kept(model: RpcModel, back: RpcModel) -> list[str]:
 def describe(file: RpcFile) -> dict[str, Any]:
     """Description of a file: format, pixel count, validity, offsets, scales, notes."""
     m = file.model
-    v = m.validity
     names = ("line_px", "sample_px", "lon_deg", "lat_deg", "height_m")
     return {
         "file": m.file, "format": m.format, "first_pixel": file.first_pixel,
         "n_lines": m.n_lines, "n_samples": m.n_samples,
-        "offsets": _named(names, m.offsets), "scales": _named(names, m.scales),
-        "validity": dict(zip(names, (v.line, v.sample, v.lon_deg, v.lat_deg, v.height_m), strict=True)),
+        "offsets": dict(zip(names, m.offsets.tolist(), strict=True)),
+        "scales": dict(zip(names, m.scales.tolist(), strict=True)),
+        "validity": dict(zip(names, m.validity, strict=True)),
         "validity_stated": m.stated_validity is not None,
         "err_bias_m": m.err_bias_m, "err_rand_m": m.err_rand_m,
         "image_to_ground": m.direct is not None,
         "common_denominator": bool(np.array_equal(m.coefficients[1], m.coefficients[3])),
         "notes": list(map(str, m.notes)),
     }  # fmt: skip
-
-
-def _named(names: Sequence[str], values: Array) -> dict[str, float]:
-    return dict(zip(names, map(float, values), strict=True))
 
 
 #: Chebyshev nodes per axis of normalised coordinates for the fit of a product.
@@ -271,6 +263,4 @@ def _errors(model: RpcModel, values: Array, new: RpcModel) -> dict[str, Any]:
     seen = np.isfinite(lon)
     ground = lon[seen], lat[seen], height[seen]
     d = np.stack(model.project(*ground, values), axis=1) - np.stack(new.project(*ground), axis=1)
-    found = statistics(d)
-    assert found is not None
-    return found
+    return statistics(d) or {}

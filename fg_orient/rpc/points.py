@@ -20,9 +20,7 @@ from factors.cameras.rfm_project import RANGE
 from fg_orient.formats.tables import Faults, Table, read_table
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
-
-#: Coordinates of a point in the order of offsets and scales.
-COORDINATES = ("line", "sample", "longitude", "latitude", "height")
+from fg_orient.sensors.rpc import COORDINATES
 
 
 @dataclass(frozen=True)

@@ -113,11 +113,15 @@ def fit_sensor(
     form = RfmForm(degree, denominators)
     with one_blas_thread():  # a second thread does not accelerate small matrices
         forward, inverse = fit_true(grid, form, kappa=KAPPA), fit_true(_exchanged(grid), form, kappa=KAPPA)
-    ranges = np.stack([grid.columns.min(axis=0), grid.columns.max(axis=0)], axis=1)
-    validity = RpcValidity(*((float(a), float(b)) for a, b in ranges))
+    ranges = zip(grid.columns.min(axis=0).tolist(), grid.columns.max(axis=0).tolist(), strict=True)
     back = inverse.residuals_px(_exchanged(check))
     return SensorRfm(
-        forward, inverse, validity, forward.residuals_px(), forward.residuals_px(check), _metres(back, check)
+        forward,
+        inverse,
+        RpcValidity(*ranges),
+        forward.residuals_px(),
+        forward.residuals_px(check),
+        _metres(back, check),
     )
 
 

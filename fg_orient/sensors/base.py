@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from factors.geometry import ellipsoid
 from fg_orient.model.errors import Finding, InputError, OutOfImage, finding
 from fg_orient.sensors.correction import HeightSurface
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
     from fg_orient.model.block import ImagePoints, Options
     from fg_orient.model.parameters import ImageParameters
     from fg_orient.sensors.metadata import FramePoint
-
-Array = npt.NDArray[np.float64]
 
 
 class ImageModel(ABC):

@@ -11,14 +11,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from factors.geometry import polynomials
 
 if TYPE_CHECKING:
     from fg_orient.sensors.pushbroom import PushbroomSensor
-
-Array = npt.NDArray[np.float64]
 
 
 class HeightSurface(Protocol):

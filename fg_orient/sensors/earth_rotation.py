@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from factors.geometry import interpolation
 from factors.geometry.light import EARTH_RATE_RAD_S
 from fg_orient.model.errors import Finding, InputError, finding
 
-Array = npt.NDArray[np.float64]
 InertialFrame = Literal["GCRS", "EME2000"]
 
 DAY_S: Final = 86_400.0

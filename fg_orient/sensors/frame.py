@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from factors.cameras import frame, frame_camera
 from factors.cameras.frame import FRAME_COLLINEARITY, N_UNKNOWNS, RECORD
 from factors.cameras.frame_camera import CAMERA
@@ -25,8 +26,6 @@ from fg_orient.model.parameters import ImageParameters, require_unknowns
 if TYPE_CHECKING:
     from fg_orient.model.block import ImagePoints, Options
 from fg_orient.sensors.base import ImageModel, Sensor, placed, same_length
-
-Array = npt.NDArray[np.float64]
 
 #: Unknowns of a frame image in the order of their codes (``factors.cameras.frame``).
 UNKNOWNS: Final = (

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from factors.cameras import look
 from factors.geometry import ellipsoid, interpolation, kepler, light, polynomials, rotations
 from fg_orient.model.errors import Finding, InputError
@@ -21,8 +22,6 @@ from fg_orient.sensors.correction import Correction, HeightSurface
 from fg_orient.sensors.metadata import AngleAttitude, GeneralMetadata, QuaternionList, QuaternionPolynomial
 from fg_orient.sensors.pushbroom import LineStates, PushbroomSensor
 from fg_orient.sensors.surface import landed
-
-Array = npt.NDArray[np.float64]
 
 #: Iterations of ground point, distance and line of sight: on slopes the error is 0.3 mm after two, 1e-7 m after three.
 _ROUNDS = 3

@@ -14,8 +14,8 @@ from itertools import combinations, pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from factors.geometry import ellipsoid
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Image
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from fg_orient.model.block import Image, ImagePoints
     from fg_orient.sensors.correction import HeightSurface
     from fg_orient.sensors.metadata import FramePoint
-
-Array = npt.NDArray[np.float64]
 
 Records = list[dict[str, Any]]
 

@@ -14,14 +14,12 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from factors.cameras import look
 from factors.geometry import polynomials
 from fg_orient.model.errors import Finding
 from fg_orient.sensors.earth_rotation import EarthRotation
-
-Array = npt.NDArray[np.float64]
 
 Frame = Literal["ITRF", "GCRS", "EME2000"]
 #: Target frame of attitudes: an orbital frame, or a frame of the Earth or of the stars.

@@ -12,15 +12,14 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from factors.conditions.navigation import ANTENNA_POSITION, ATTITUDE, INERTIAL_ATTITUDE, POSITION
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.model.block import Block, ExtraObservation, Image
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import NAVIGATION, FrameCamera, FrameSensor
 
-Array = npt.NDArray[np.float64]
 Three = tuple[float, float, float]
 
 #: Camera axes (X right, Y down the lines, Z along the view) from body axes, the upper edge of the image being forward.
@@ -102,7 +101,7 @@ def body_attitude(roll_rad: float, pitch_rad: float, heading_rad: float, place_m
     rx = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
     ry = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
     rz = np.array([[ch, -sh, 0.0], [sh, ch, 0.0], [0.0, 0.0, 1.0]])
-    east, north, up = _enu(place_m)
+    east, north, up = enu_axes(place_m)
     return np.asarray(np.column_stack([north, east, -up]) @ rz @ ry @ rx)
 
 
@@ -144,7 +143,7 @@ def _in_strips(fixes: Sequence[Fix]) -> list[tuple[Fix, float, Array]]:
         strip = [other for other in fixes if other.strip == fix.strip]
         first, last = min(f.time_s for f in strip), max(f.time_s for f in strip)
         tau = 2.0 * (fix.time_s - first) / (last - first) - 1.0 if last > first else 0.0
-        out.append((fix, tau, _enu(np.mean([f.position_m for f in strip], axis=0))))
+        out.append((fix, tau, enu_axes(np.mean([f.position_m for f in strip], axis=0))))
     return out
 
 
@@ -175,7 +174,7 @@ def _observations(
     return out
 
 
-def _enu(place_m: Array) -> Array:
+def enu_axes(place_m: Array) -> Array:
     """Axes East, North, Up (3, 3), rows, at a place (3,) ECEF m."""
     lon, lat, _ = ecef_to_geodetic(place_m[None])
     return np.asarray(enu_from_ecef(lon, lat)[0])

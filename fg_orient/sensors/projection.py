@@ -13,9 +13,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import compiled
+from factors._contract import Array, compiled
 from factors._plain import FEW_ARRAYS, plain
 from factors.cameras import pushbroom
 from factors.cameras.pushbroom_record import CURVE, CURVES, N_EOP, RECORD, correction, corrections, observation
@@ -23,8 +22,6 @@ from fg_orient.sensors.correction import Correction
 
 if TYPE_CHECKING:
     from fg_orient.sensors.pushbroom import PushbroomSensor
-
-Array = npt.NDArray[np.float64]
 
 MAX_STEPS = 30
 STEP_PX = 1e-9

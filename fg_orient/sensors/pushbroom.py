@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from factors.cameras import look
 from factors.cameras.pushbroom import LOOK_ANGLE_COLLINEARITY, RECORD
 from factors.geometry import interpolation, light, polynomials, rotations
@@ -43,8 +44,6 @@ from fg_orient.sensors.metadata import (
 
 if TYPE_CHECKING:
     from fg_orient.model.block import ImagePoints, Options
-
-Array = npt.NDArray[np.float64]
 
 #: Smallest plausible field of view; the narrowest known one is 0.015 rad.
 MIN_FIELD_RAD = 1e-4

@@ -11,16 +11,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from factors.cameras import rfm, rfm_project
 from factors.cameras.rfm_project import COMPENSATION, RANGE
 from fg_orient.model.errors import Finding, InputError
 from fg_orient.sensors.base import same_length
 
-Array = npt.NDArray[np.float64]
 Range = tuple[float, float]
 
 COORDINATES = ("line", "sample", "longitude", "latitude", "height")
@@ -35,8 +36,7 @@ OTHER_BRANCH = 2.0
 NO_COMPENSATION = np.zeros(COMPENSATION.size)
 
 
-@dataclass(frozen=True)
-class RpcValidity:
+class RpcValidity(NamedTuple):
     """Ranges in which a model may be used: pixels (0-based), degrees, m."""
 
     line: Range
@@ -117,7 +117,7 @@ class RpcModel:
         if self.stated_validity is not None:
             return self.stated_validity
         low, high = self.offsets - np.abs(self.scales), self.offsets + np.abs(self.scales)
-        ranges = [(float(a), float(b)) for a, b in zip(low, high, strict=True)]
+        ranges = list(zip(low.tolist(), high.tolist(), strict=True))
         for k, n in enumerate((self.n_lines, self.n_samples)):
             if n is not None:
                 ranges[k] = (0.0, n - 1.0)
@@ -138,9 +138,8 @@ class RpcModel:
     def inside(self, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Whether ground points lie in the validity range: (N,)."""
         lon, lat, h = same_length(lon_deg, lat_deg, height_m)
-        v = self.validity
         lon = lon - 360.0 * np.round((lon - self.offsets[RANGE.lon]) / 360.0)
-        ranges = ((lon, v.lon_deg), (lat, v.lat_deg), (h, v.height_m))
+        ranges = zip((lon, lat, h), self.validity[2:], strict=True)
         return np.asarray(np.all([(values >= low) & (values <= high) for values, (low, high) in ranges], axis=0))
 
     def require_valid(
@@ -236,18 +235,13 @@ class RpcModel:
             )  # fmt: skip
 
     def _cube_covers_the_image(self) -> bool:
-        v, slack = self.validity, 1.0 + 1e-9
-        spans = (v.lon_deg, v.lat_deg, v.height_m)
-        return all(
-            max(abs(end - off) for end in span) <= slack * abs(scale)
-            for span, off, scale in zip(spans, self.offsets[RANGE.ground], self.scales[RANGE.ground], strict=True)
-        )
+        ends = np.array(self.validity[2:]).T - self.offsets[RANGE.ground]
+        return bool((np.abs(ends) <= (1.0 + 1e-9) * np.abs(self.scales[RANGE.ground])).all())
 
     def _ground_grid(self) -> Array:
         """Normalised ground points between the corners of the image at several heights: (N, 3)."""
         v = self.validity
-        line = np.array([v.line[0], v.line[0], v.line[1], v.line[1]])
-        sample = np.array([v.sample[0], v.sample[1], v.sample[0], v.sample[1]])
+        line, sample = np.repeat(v.line, 2), np.tile(v.sample, 2)
         t = np.linspace(0.0, 1.0, POLE_GRID)
         u, w = (a.ravel()[:, None] for a in np.meshgrid(t, t))
         layers = []
@@ -256,9 +250,8 @@ class RpcModel:
             image = self._without_compensation(line, sample, NO_COMPENSATION)
             corner = rfm_project.locate(self.coefficients, self.scales, image, z, np.zeros((4, 2)))
             looked_at = [corner] if np.isfinite(corner).all() else []
-            if (
-                not np.abs(corner).max() <= OTHER_BRANCH
-            ):  # a pole prevents the location of a corner: check the whole cube, too
+            if not np.abs(corner).max() <= OTHER_BRANCH:
+                # a pole prevents the location of a corner: check the whole cube, too
                 looked_at.append(np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]))
             for c in looked_at:
                 xy = (1 - w) * ((1 - u) * c[0] + u * c[1]) + w * ((1 - u) * c[2] + u * c[3])

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from factors.cameras.rfm_equation import COMPENSATION, COMPENSATIONS, RATIONAL_FUNCTION, RECORD
 from factors.cameras.rfm_project import RANGE
 from factors.geometry import ellipsoid
@@ -33,8 +34,6 @@ from fg_orient.sensors.surface import on_surface
 
 if TYPE_CHECKING:
     from fg_orient.model.block import ImagePoints, Options
-
-Array = npt.NDArray[np.float64]
 
 #: Distance of the positions of rays up the line of sight: an RPC has no projection centre.
 RAY_START_M = 5e5
@@ -70,10 +69,7 @@ class RpcSensor(Sensor):
         if not poles:
             model.require_no_pole()
         self.model = model
-        (self.first_line, self.last_line), (self.first_sample, self.last_sample) = (
-            model.validity.line,
-            model.validity.sample,
-        )
+        (self.first_line, self.last_line), (self.first_sample, self.last_sample), *_ = model.validity
         self.n_lines = model.n_lines or math.floor(self.last_line) + 1
         self.n_samples = model.n_samples or math.floor(self.last_sample) + 1
         self.notes, self.file = model.notes, model.file

@@ -16,13 +16,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from factors.geometry import ellipsoid
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.correction import HeightSurface
 
 __all__ = ["RasterDem"]
-
-Array = npt.NDArray[np.float64]
 
 #: Largest height difference of a hit and the DEM.
 TOLERANCE_M = 1e-4
@@ -42,6 +41,13 @@ class RasterDem:
     vertical_crs : str, optional
         CRS of the heights, such as ``EPSG:5773`` (EGM96), if the file has none. Without any they are ellipsoidal.
 
+    Attributes
+    ----------
+    heights_m : (rows, columns) array
+        Ellipsoidal heights, nan at nodata.
+    crs : str
+        Horizontal coordinate system as WKT.
+
     Raises
     ------
     InputError
@@ -60,9 +66,9 @@ class RasterDem:
             with rasterio.open(path) as source:
                 if source.crs is None:
                     raise InputError.of("dem.no_crs", file=path)
-                self._heights = source.read(1, masked=True).astype(float).filled(np.nan)
+                self.heights_m = source.read(1, masked=True).astype(float).filled(np.nan)
                 self._pixel_from_crs = ~source.transform
-                self._crs = source.crs.to_wkt()
+                self.crs = str(source.crs.to_wkt())
                 unit = source.units[0] or ""
         except rasterio.RasterioIOError as error:
             raise InputError.of("dem.unreadable", file=path, value=error) from error
@@ -73,16 +79,16 @@ class RasterDem:
         """Add the undulation of a vertical CRS; keep the horizontal CRS."""
         from fg_orient.geodesy import vertical_reference, with_vertical
 
-        stated, axis_unit = vertical_reference(self._crs)
+        stated, axis_unit = vertical_reference(self.crs)
         wrong = [u for u in (axis_unit, unit) if u.strip().lower() not in METRES]
         if wrong:
             raise InputError.of("dem.vertical_unit", file=self.path, value=wrong[0])
         if not (stated or given):
             return
-        self._crs, both = with_vertical(self._crs, given)
+        self.crs, both = with_vertical(self.crs, given)
         if stated and given and vertical_reference(both)[0] != stated:
             raise InputError.of("dem.vertical_crs", file=self.path, value=f"{stated}, not {given}")
-        self._heights += self._undulations(both)
+        self.heights_m += self._undulations(both)
 
     def _undulations(self, crs: str) -> Array:
         """Undulation at the centres of all cells (rows, columns): exact at knots, bilinear between them.
@@ -91,7 +97,7 @@ class RasterDem:
         """
         from fg_orient.geodesy import undulation_m
 
-        t, shape = ~self._pixel_from_crs, self._heights.shape
+        t, shape = ~self._pixel_from_crs, self.heights_m.shape
 
         def exact(row: Array, column: Array) -> Array:
             r, c = (a.ravel() + 0.5 for a in np.meshgrid(row, column, indexing="ij"))
@@ -113,29 +119,19 @@ class RasterDem:
                 return _bilinear(knots, values, [np.arange(float(n)) for n in shape])
             step //= 2
 
-    @property
-    def heights_m(self) -> Array:
-        """Heights (rows, columns), nan at nodata."""
-        return np.asarray(self._heights)
-
-    @property
-    def crs(self) -> str:
-        """Coordinate system as WKT."""
-        return str(self._crs)
-
     def outline(self) -> tuple[Array, Array]:
         """Longitude and latitude (degrees) of points along the border of the raster's cell centres."""
         from fg_orient.geodesy import to_geographic
 
-        rows, columns = self._heights.shape
+        rows, columns = self.heights_m.shape
         r, c = (a.ravel() for a in np.meshgrid(*(np.linspace(0.5, n - 0.5, 9) for n in (rows, columns)), indexing="ij"))
         t = ~self._pixel_from_crs
-        return to_geographic(self._crs, t.a * c + t.b * r + t.c, t.d * c + t.e * r + t.f)
+        return to_geographic(self.crs, t.a * c + t.b * r + t.c, t.d * c + t.e * r + t.f)
 
     @cached_property
     def range_m(self) -> tuple[float, float]:
         """Lowest and highest height of the raster."""
-        return float(np.nanmin(self._heights)), float(np.nanmax(self._heights))
+        return float(np.nanmin(self.heights_m)), float(np.nanmax(self.heights_m))
 
     def cell(self, lon_deg: Array, lat_deg: Array) -> tuple[Array, Array]:
         """Row and column of N points, whole at the centres of cells; nan outside the domain of the CRS.
@@ -147,7 +143,7 @@ class RasterDem:
         """
         from fg_orient.geodesy import from_geographic
 
-        x, y = from_geographic(self._crs, lon_deg, lat_deg)
+        x, y = from_geographic(self.crs, lon_deg, lat_deg)
         t = self._pixel_from_crs
         return np.asarray(t.d * x + t.e * y + t.f - 0.5), np.asarray(t.a * x + t.b * y + t.c - 0.5)
 
@@ -160,13 +156,13 @@ class RasterDem:
             WGS84.
         """
         row, column = self.cell(lon_deg, lat_deg)
-        rows, columns = self._heights.shape
+        rows, columns = self.heights_m.shape
         inside = (row >= 0) & (row <= rows - 1) & (column >= 0) & (column <= columns - 1)
         r = np.clip(np.floor(np.where(inside, row, 0)).astype(int), 0, max(rows - 2, 0))
         c = np.clip(np.floor(np.where(inside, column, 0)).astype(int), 0, max(columns - 2, 0))
         fr, fc = np.where(inside, row - r, 0.0), np.where(inside, column - c, 0.0)
         r1, c1 = np.minimum(r + 1, rows - 1), np.minimum(c + 1, columns - 1)
-        z = self._heights
+        z = self.heights_m
         top = z[r, c] * (1 - fc) + z[r, c1] * fc
         bottom = z[r1, c] * (1 - fc) + z[r1, c1] * fc
         return np.asarray(np.where(inside, top * (1 - fr) + bottom * fr, np.nan))
@@ -267,7 +263,7 @@ def _bracket(p: Array, u: Array, dem: HeightSurface) -> tuple[Array, Array]:
         risen = np.flatnonzero(np.isfinite(peak) & (middle < 0.0))
         peak_level = last[going] + peak * (level[1] - last[going])
         up = _depth(p[going[risen]], u[going[risen]], peak_level[risen], dem)[1] >= 0.0
-        for rays, low in ((middle >= 0.0, level[0]), (_at(risen[up], len(going)), peak_level)):
+        for rays, low in ((middle >= 0.0, level[0]), (np.isin(np.arange(len(going)), risen[up]), peak_level)):
             above[going[rays]], below[going[rays]] = last[going[rays]], low[rays]
         free = (middle < 0.0) & np.isnan(below[going])
         hit = free & (end >= 0.0)
@@ -284,13 +280,6 @@ def _peak(start: Array, middle: Array, end: Array) -> Array:
         x = -0.5 * slope / curve
         # within a centimetre of 0 the depth is computed from the surface
         return np.where((curve < 0.0) & (x > 0.0) & (x < 1.0) & (start + 0.5 * slope * x > -0.01), x, np.nan)
-
-
-def _at(places: npt.NDArray[np.intp], n: int) -> npt.NDArray[np.bool_]:
-    """Mask (n,) of places."""
-    mask = np.zeros(n, bool)
-    mask[places] = True
-    return mask
 
 
 def _cells(p: Array, u: Array, level_m: float, dem: HeightSurface) -> Array:

@@ -41,13 +41,11 @@ from fg_orient.simulate.simulation import (
     roles_in_order,
     with_noise,
 )
-from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG, at_centre
+from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG, IMAGES, at_centre
 
 #: Side of the window and range of heights, m.
 WINDOW_M: Final = 5000.0
 HEIGHT_RANGE_M: Final = (0.0, 500.0)
-#: SPOT-5: mirror angles (degrees), days, half minutes of the day.
-SPOT: Final = ((-18.0, "2004-07-05", 1041), (20.0, "2004-07-06", 1003))
 #: RPC images: pitch angles (degrees), height of the orbit (m), pixels along a side, ground pixel at nadir (m).
 PITCH_DEG: Final = (-12.0, 14.0)
 RPC_ORBIT_M: Final = 694e3
@@ -133,10 +131,10 @@ def _lon_lat_height(n: int, rng: np.random.Generator) -> Array:
 
 def _spot(size: float, rng: np.random.Generator) -> tuple[tuple[PushbroomMetadata, ...], tuple[Correction, ...]]:
     """Metadata with errors of position and attitude (unknowns of the EOP set), and their corrections."""
-    errors = size * draw_errors("prior", rng, len(SPOT))
+    errors = size * draw_errors("prior", rng, len(IMAGES))
     errors[:, 3:6] = 0.0
     metadata = []
-    for k, (mirror_deg, day, half_minutes) in enumerate(SPOT):
+    for k, (_, mirror_deg, day, half_minutes) in enumerate(IMAGES):
         mirror = math.radians(mirror_deg)
         orbit = find_pass(geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0)[0], mirror)
         scene = Scene(f"spot{k + 1}", orbit, mirror, np.datetime64(day), half_minutes, full_look_table=False)

@@ -19,7 +19,7 @@ from factors.conditions.navigation import UNKNOWN
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Block, Image, Options
 from fg_orient.sensors.frame import NAVIGATION, UNKNOWNS, FrameCamera, FrameSensor
-from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitude, with_navigation
+from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitude, enu_axes, with_navigation
 from fg_orient.simulate.options import require
 from fg_orient.simulate.simulation import Simulation, Truth, ground_points, random_streams, roles_in_order, with_noise
 from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG, at_centre
@@ -89,17 +89,9 @@ def strip_block(options: StripOptions | None = None) -> tuple[Block, StripTruth]
     """
     chosen = options or StripOptions()
     streams = random_streams(chosen.seed)
-    n = chosen.strips * chosen.images
     errors = _errors(chosen, streams["orientation"])
-    place, axes = _exposures(chosen)
-    cameras, fixes = [], []
-    for k in range(n):
-        true, camera = _cameras(place[k], axes[k], errors[k])
-        cameras.append((true, camera))
-        strip, number = divmod(k, chosen.images)
-        tau = 2.0 * number / (chosen.images - 1) - 1.0
-        fixes.append((k, strip, number * INTERVAL_S, tau))
-    observed = _fixes(fixes, [true for true, _ in cameras], errors, streams["orientation"])
+    cameras = [_cameras(*exposure) for exposure in zip(*_exposures(chosen), errors, strict=True)]
+    observed = _fixes(chosen, [true for true, _ in cameras], errors, streams["orientation"])
     block, ground = _block(chosen, cameras, streams)
     if chosen.navigation:
         block = with_navigation(block, observed, MOUNTED)
@@ -143,37 +135,27 @@ def _cameras(place_m: Array, body: Array, error: Array) -> tuple[FrameCamera, Fr
     )  # fmt: skip
 
 
-def _fixes(
-    when: list[tuple[int, int, float, float]], cameras: list[FrameCamera], errors: Array,
-    rng: np.random.Generator,
-) -> list[Fix]:  # fmt: skip
+def _fixes(options: StripOptions, cameras: list[FrameCamera], errors: Array, rng: np.random.Generator) -> list[Fix]:
     """Observations on board: truth, errors of strip and mounting, noise."""
     out = []
-    axes = {
-        strip: _enu(np.mean([cameras[j].centre_m for j, other, _, _ in when if other == strip], axis=0))
-        for strip in {strip for _, strip, _, _ in when}
-    }
-    for k, strip, time_s, tau in when:
-        d, camera, enu = errors[k], cameras[k], axes[strip]
+    for k, (camera, d) in enumerate(zip(cameras, errors, strict=True)):
+        strip, number = divmod(k, options.images)
+        first, tau = strip * options.images, 2.0 * number / (options.images - 1) - 1.0
+        enu = enu_axes(np.mean([other.centre_m for other in cameras[first : first + options.images]], axis=0))
         body = camera.rotation.T @ rotated(np.eye(3), d[UNKNOWN.boresight]) @ MOUNTED.camera_from_body
         noise = POSITION_SIGMA_M * rng.standard_normal(3), ATTITUDE_SIGMA_RAD * rng.standard_normal(3)
         wrong = d[UNKNOWN.shift] + tau * d[UNKNOWN.drift] + noise[0]
         turn = d[UNKNOWN.turn] + tau * d[UNKNOWN.turn_drift] + noise[1]
         position = camera.centre_m - body @ (MOUNTED.lever_m + d[UNKNOWN.lever]) + enu.T @ wrong
         out.append(Fix(
-            _name(k), str(strip + 1), time_s, position, POSITION_SIGMA_M, body @ rotated(np.eye(3), turn).T,
-            ATTITUDE_SIGMA_RAD,
+            _name(k), str(strip + 1), number * INTERVAL_S, position, POSITION_SIGMA_M,
+            body @ rotated(np.eye(3), turn).T, ATTITUDE_SIGMA_RAD,
         ))  # fmt: skip
     return out
 
 
 def _name(k: int) -> str:
     return f"image{k + 1:02d}"
-
-
-def _enu(place_m: Array) -> Array:
-    lon, lat, _ = ecef_to_geodetic(place_m[None])
-    return np.asarray(enu_from_ecef(lon, lat)[0])
 
 
 def _block(

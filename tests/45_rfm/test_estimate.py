@@ -143,7 +143,7 @@ def test_a_pole_between_points_is_refused(make: Make) -> None:
 def test_model_projects_like_the_fit(make: Make) -> None:
     points = make(60)
     found = fit_true(points, RfmForm(2))
-    model = found.model(12000, 12000, "made")
+    model = found.model()
     expected = np.array(reference_project(model, *points.ground.T), float)
     np.testing.assert_allclose(model.project(*points.ground.T), expected, atol=1e-8)
     np.testing.assert_allclose(found.project(points.ground), expected, atol=1e-8)

@@ -217,7 +217,7 @@ def test_points_outside_the_validity_are_named(tmp_path: Path) -> None:
     """A model valid up to 300 m: the higher points are named, the adjustment still runs."""
     _, _, models = twin_with_models()
     twin = rpc_twin("shift")
-    low = replace(models[0], stated_validity=replace(models[0].validity, height_m=(-200.0, 300.0)))
+    low = replace(models[0], stated_validity=models[0].validity._replace(height_m=(-200.0, 300.0)))
     images = (Image("left", RpcSensor(low)), twin.block.images[1])
     solution = fg.adjust(replace(twin.block, images=images))
     height = ecef_to_geodetic(solution.ground_m)[2]

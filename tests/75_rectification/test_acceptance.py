@@ -15,7 +15,6 @@ from fg_orient.rectification.study import (
     admissible_points,
     distance_ratios,
     growing_degrees,
-    without_redundancy,
 )
 from fg_orient.rectification.transformation import find_model
 from fg_orient.studies.reproduce.ipbuker1994 import area_ratio, lambert_polar
@@ -184,6 +183,5 @@ def test_table_7_1_given_30_points_marks_one_row() -> None:
 
 @pytest.mark.truth
 def test_table_7_1_given_5_points_refuses_degrees_2_and_3() -> None:
-    assert without_redundancy((1, 2, 3), 5) == (2, 3)
     with pytest.raises(InputError, match="degree 2"):
         growing_degrees(by_degree(TM_5), 5)
