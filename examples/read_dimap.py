@@ -35,9 +35,9 @@ def main() -> int:
     print(f"{meta.n_lines} lines x {meta.n_samples} samples")
     for note in sensor.notes:
         print(f"note: {note}")
-    fit = fit_eop(sensor)
+    _, residuals = fit_eop(sensor)
     print("degree-2 polynomials of the line leave at most:")
-    for name, unit, largest in zip(COMPONENTS, UNITS, fit.largest, strict=True):
+    for name, unit, largest in zip(COMPONENTS, UNITS, abs(residuals).max(axis=0), strict=True):
         print(f"  {name:<5} {largest:.2g} {unit}")
     for row in frame_records(sensor) if meta.frame_points else []:
         print(f"frame point {row['id']}: missed by {row['misfit_m']:.3f} m")

@@ -8,7 +8,7 @@ deviations of the metadata from the published model.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
@@ -71,25 +71,8 @@ class Correction:
 
 # --- EOP polynomials -----------------------------------------------------------------------------
 
-
-@dataclass(frozen=True)
-class EopPolynomials:
-    """Fit of X, Y, Z (m), VX, VY, VZ (m/s), roll, pitch, yaw (rad) over the image.
-
-    Parameters
-    ----------
-    per_tau : (9, 3) array
-        c0, c1, c2 of tau in [-1, 1].
-    per_line : (9, 3) array
-        q0, q1, q2 per line about the same central line.
-    rms, largest : (9,) arrays
-        Residuals metadata minus polynomial at the sampled lines.
-    """
-
-    per_tau: Array
-    per_line: Array
-    rms: Array
-    largest: Array
+#: Number of lines at which the polynomials are fitted.
+EOP_LINES: Final = 601
 
 
 def metadata_eop(sensor: PushbroomSensor, line: Array) -> Array:
@@ -104,14 +87,15 @@ def metadata_eop(sensor: PushbroomSensor, line: Array) -> Array:
     return np.hstack([states.position_m, states.velocity_m_s, angles])
 
 
-def fit_eop(sensor: PushbroomSensor, n_lines: int = 601) -> EopPolynomials:
-    """Fit degree-2 polynomials to the metadata at ``n_lines`` evenly spaced lines that it covers."""
-    line = np.linspace(sensor.first_line, sensor.last_line, n_lines)
-    values = metadata_eop(sensor, line)
-    per_tau, residual = polynomials.fit(polynomials.normalised(line, sensor.n_lines), values, 2)
-    return EopPolynomials(
-        per_tau,
-        per_tau * polynomials.per_line_from_tau(sensor.n_lines),
-        np.sqrt(np.mean(residual**2, axis=0)),
-        np.abs(residual).max(axis=0),
-    )
+def fit_eop(sensor: PushbroomSensor) -> tuple[Array, Array]:
+    """Degree-2 polynomials of X, Y, Z (m), VX, VY, VZ (m/s), roll, pitch, yaw (rad) at evenly spaced lines.
+
+    Returns
+    -------
+    per_tau : (9, 3) array
+        c0, c1, c2 of tau, which is -1 at the first and 1 at the last line of the image.
+    residuals : (N, 9) array
+        Metadata minus polynomial at the N lines.
+    """
+    line = np.linspace(sensor.first_line, sensor.last_line, EOP_LINES)
+    return polynomials.fit(polynomials.normalised(line, sensor.n_lines), metadata_eop(sensor, line), 2)

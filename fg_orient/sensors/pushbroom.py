@@ -408,13 +408,13 @@ class PushbroomModel(ImageModel):
 
     def facts(self) -> dict[str, Any]:
         """Entries of the file, and degree-2 fits of its EOPs (T-Table 4.1): per line, with residuals."""
-        meta, fit = self.sensor.metadata, fit_eop(self.sensor)
-        polynomials = [
-            {"component": COMPONENTS[k], "unit": UNITS[k], "per_line": fit.per_line[k].tolist(),
-             "rms": float(fit.rms[k]), "largest": float(fit.largest[k])}
-            for k in range(len(COMPONENTS))
-        ]  # fmt: skip
+        meta, (per_tau, residuals) = self.sensor.metadata, fit_eop(self.sensor)
+        per_line = per_tau * polynomials.per_line_from_tau(self.sensor.n_lines)
+        rms, largest = np.sqrt(np.mean(residuals**2, axis=0)), np.abs(residuals).max(axis=0)
+        names = zip(COMPONENTS, UNITS, per_line.tolist(), rms.tolist(), largest.tolist(), strict=True)
         return {
             "model": "pushbroom", "mission": meta.mission, "instrument": meta.instrument, "format": meta.format,
-            "metadata_polynomials": polynomials,
+            "metadata_polynomials": [
+                dict(zip(("component", "unit", "per_line", "rms", "largest"), row, strict=True)) for row in names
+            ],
         }  # fmt: skip

@@ -86,9 +86,9 @@ def grid_block(options: BlockOptions | None = None) -> tuple[Block, Truth]:
 def simulate(options: BlockOptions, progress: Progress | None = None) -> Simulation:
     """Draw the block of these options."""
     streams, n = random_streams(options.seed), options.points
-    tell = progress or (lambda done, total, text: None)
-    scenes = _scenes(options, _centres(options), tell)
-    lon_lat_height, visible = _points(options, scenes, streams["points"], tell)
+    report_progress = progress or (lambda done, total, text: None)
+    scenes = _scenes(options, _centres(options), report_progress)
+    lon_lat_height, visible = _points(options, scenes, streams["points"], report_progress)
     control = max(LEAST_CONTROL, round(options.control_share * n))
     check = min(round(options.check_share * n), n - control)
     roles = roles_in_order(np.argsort(streams["roles"].permutation(n)), control, check)
@@ -114,11 +114,11 @@ def _shifted(offset_m: Array) -> Array:
     return np.stack(ecef_to_geodetic(at_centre(np.pad(offset_m, ((0, 0), (0, 1)))))[:2], axis=1)
 
 
-def _scenes(options: BlockOptions, centres: Array, tell: Progress) -> tuple[Scene, ...]:
+def _scenes(options: BlockOptions, centres: Array, report_progress: Progress) -> tuple[Scene, ...]:
     out = []
     width = len(str(len(centres)))
     for k, centre in enumerate(centres):
-        tell(k, len(centres), "orbits")
+        report_progress(k, len(centres), "orbits")
         side = 1.0 if sum(divmod(k, options.columns)) % 2 else -1.0
         mirror = side * math.radians(options.roll_deg)
         orbit = find_pass(centre, mirror)
@@ -128,7 +128,7 @@ def _scenes(options: BlockOptions, centres: Array, tell: Progress) -> tuple[Scen
 
 
 def _points(
-    options: BlockOptions, scenes: tuple[Scene, ...], rng: np.random.Generator, tell: Progress
+    options: BlockOptions, scenes: tuple[Scene, ...], rng: np.random.Generator, report_progress: Progress
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Points in two images or more: longitude, latitude (degrees), height (m), (n, 3); whether in image (m, n)."""
     sensors = [as_read(scene.metadata()) for scene in scenes]
@@ -136,7 +136,7 @@ def _points(
     half = BORDER_M + options.spacing_m * (np.array([options.columns, options.rows]) - 1) / 2.0
     points, visible = np.empty((0, 3)), np.empty((len(scenes), 0), bool)
     while len(points) < options.points:
-        tell(len(points), options.points, "ground points")
+        report_progress(len(points), options.points, "ground points")
         unit = rng.random((options.points + 100, 3))
         lon_lat = _shifted((2.0 * unit[:, :2] - 1.0) * half)
         drawn = np.column_stack([lon_lat, options.max_height_m * unit[:, 2]])

@@ -183,13 +183,8 @@ class Renderer:
         knots = np.stack([middle, 0.5 * (above - below), 0.5 * (above + below) - middle], axis=2)
         self._knots = np.ascontiguousarray(knots.reshape(INTERVALS + 1, INTERVALS + 1, RAY.size))
 
-    def corners(self, line: int, sample: int, rows: int, columns: int) -> Array:
-        """Map coordinates (rows + 1, columns + 1, 2) of pixel corners on the terrain; nan outside it."""
-        t, cell = self._terrain, self._cells(line, sample, rows, columns)
-        x, y = t.left_m + (cell[..., 1] + 0.5) * t.step_m, t.top_m - (cell[..., 0] + 0.5) * t.step_m
-        return np.stack([x, y], axis=-1)
-
-    def _cells(self, line: int, sample: int, rows: int, columns: int) -> Array:
+    def cells(self, line: int, sample: int, rows: int, columns: int) -> Array:
+        """Cells (rows + 1, columns + 1, 2) of the terrain, row and column, at pixel corners; nan outside it."""
         out = np.empty((rows + 1, columns + 1, 2))
         corners(line, sample, self._step, self._knots, self._heights, self._scaling, out)
         return out
@@ -198,7 +193,7 @@ class Renderer:
         """Grey values (rows, columns) of a block; 0 outside the terrain."""
         t, out = self._terrain, np.empty((rows, columns), np.uint8)
         to_map = TO_MAP.pack(x=t.left_m + 0.5 * t.step_m, y=t.top_m - 0.5 * t.step_m, cell=t.step_m)
-        expose(self._cells(line, sample, rows, columns), to_map, t.targets_m, np.array(RADII_M), out)
+        expose(self.cells(line, sample, rows, columns), to_map, t.targets_m, np.array(RADII_M), out)
         return out
 
 

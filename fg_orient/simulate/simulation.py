@@ -171,14 +171,10 @@ def draw_errors(kind: str, rng: np.random.Generator, n_images: int) -> Array:
         out[:, 0:3, 0] = CONSTANT_POSITION_M * sign[:, :3]
         out[:, 6:9, 0] = CONSTANT_ATTITUDE_RAD * sign[:, 3:]
     elif kind == "prior":
-        out = rng.standard_normal((n_images, 9, 3)) * prior_sigmas(Options())
+        usual = Options()
+        sigmas = np.array([usual.position_sigma_m, usual.velocity_sigma_m_s, usual.attitude_sigma_rad])
+        out = rng.standard_normal((n_images, 9, 3)) * np.repeat(sigmas, 3, axis=0)
     return out
-
-
-def prior_sigmas(options: Options) -> Array:
-    """Prior sigmas of the EOP coefficients, (9, 3): m, m/s, rad."""
-    triples = [options.position_sigma_m, options.velocity_sigma_m_s, options.attitude_sigma_rad]
-    return np.repeat(np.array(triples), 3, axis=0)
 
 
 @dataclass(frozen=True)

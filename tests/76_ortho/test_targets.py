@@ -102,7 +102,9 @@ def test_rendered_rays_meet_the_terrain_on_rays_written_apart(twin: Twin) -> Non
     renderer = Renderer(sensor, correction, terrain)
     rng = np.random.default_rng(5)
     corner = rng.integers(1, 11999, (40, 2))
-    ours = np.stack([renderer.corners(line, sample, 0, 0)[0, 0] for line, sample in corner])
+    cells = np.stack([renderer.cells(line, sample, 0, 0)[0, 0] for line, sample in corner])
+    left_top, step = np.array([terrain.left_m, terrain.top_m]), terrain.step_m
+    ours = left_top + (cells[:, ::-1] + 0.5) * [step, -step]
     ground = sensor.locate(*(corner - 0.5).T, dem=twin.dem, correction=correction)
     degrees = np.stack(pyproj.Transformer.from_crs(CRS, "EPSG:4326", always_xy=True).transform(*ours.T))
     heights = twin.dem.height_m(*degrees)
