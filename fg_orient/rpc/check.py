@@ -20,14 +20,12 @@ from fg_orient.model.errors import Finding, InputError, finding, judged
 from fg_orient.rpc.compensate import normalised, residuals
 from fg_orient.rpc.files import RpcFile, describe
 from fg_orient.rpc.points import MeasuredPoints, statistics
-from fg_orient.sensors.rpc import COORDINATES, RpcModel, span
+from fg_orient.sensors.rpc import COORDINATES, NEAR_ZERO, RpcModel, span
 
 Range = tuple[float, float]
 
 #: Lines, samples, heights.
 SHAPE: Final = (11, 11, 5)
-#: Denominator below which it is near zero; in fitted models of satellite images it is 0.9 .. 1.1.
-NEAR_ZERO: Final = 0.1
 #: Largest normalised coordinate inside the domain of the fit; vendors round their scales.
 EXTRAPOLATED: Final = 1.05
 

@@ -33,6 +33,8 @@ POLE_GRID = 11
 #: Limit of normalised ground coordinates: a located corner beyond it lies on another branch of the model, behind a
 #: pole. Real products reach 1.45.
 OTHER_BRANCH = 2.0
+#: Denominator below which it is near zero; in fitted models of satellite images it is 0.9 .. 1.1.
+NEAR_ZERO = 0.1
 NO_COMPENSATION = np.zeros(COMPENSATION.size)
 
 
