@@ -6,17 +6,12 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Status
 from fg_orient.model.options import Options
 from fg_orient.result.plain import read_table
 from fg_orient.result.record import RESULT_FILE, read_record
 from fg_orient.sensors.base import Sensor
-
-Array = npt.NDArray[np.float64]
 
 
 def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:

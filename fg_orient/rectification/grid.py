@@ -15,14 +15,13 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.geodesy import to_geographic
 from fg_orient.kernels.resampling import KNOT, SCALING
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import finite, number, positive
 from fg_orient.rectification.ortho_models import MapModel
 from fg_orient.sensors.surface import RasterDem
-
-Array = npt.NDArray[np.float64]
 
 Bounds = tuple[float, float, float, float]
 

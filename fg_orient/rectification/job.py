@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.formats.atomic import require_free, staged_folder, writing
 from fg_orient.formats.tables import Faults, read_table
@@ -28,8 +28,6 @@ from fg_orient.rectification.record import CONTENTS, record_of, write_folder
 from fg_orient.rectification.study import Cell, design_study
 from fg_orient.rectification.transformation import find_model
 from fg_orient.rpc.points import ids_and_checks
-
-Array = npt.NDArray[np.float64]
 
 
 def rectify_fit(

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.formats.atomic import require_free_files, staged_file
 from fg_orient.formats.gdal import rasterio_of
 from fg_orient.formats.sensor import read_sensor
@@ -38,8 +39,6 @@ from fg_orient.rectification.ortho_models import BORDER, MapModel, PointModel, S
 from fg_orient.rectification.transformation import read_transformation
 from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.surface import RasterDem
-
-Array = npt.NDArray[np.float64]
 
 #: Kernel and its slope a, by name.
 RESAMPLING: Final = {

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.geodesy import ecef_to_geodetic, from_geographic, geodetic_to_ecef, to_geographic
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.base import Sensor
@@ -16,8 +16,6 @@ from fg_orient.simulate.simulation import QuickProjection
 
 if TYPE_CHECKING:
     from fg_orient.rectification.transformation import Transformation
-
-Array = npt.NDArray[np.float64]
 
 #: Number of pixels along each side of an image that give its outline on the map.
 BORDER: Final = 9

@@ -17,6 +17,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.model.distributions import f_quantile, f_tail
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.quality.hypotheses import can_be_tested, f_statistics, quadratic
@@ -24,7 +25,6 @@ from fg_orient.quality.rejection import reject
 from fg_orient.rectification.arguments import finite, positive
 from fg_orient.rectification.fit import Observations, TransformationFit, fit
 
-Array = npt.NDArray[np.float64]
 Rule = Literal["residual", "test"]
 
 #: Probability of a false alarm of each test, as in the bundle adjustment.

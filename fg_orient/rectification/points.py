@@ -14,6 +14,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.formats.tables import Faults, Table, read_table, sha256_of
 from fg_orient.geodesy import crs_kind, from_geographic
 from fg_orient.model.errors import InputError
@@ -22,7 +23,6 @@ from fg_orient.rectification.outliers import Pruning, Rule, prune
 from fg_orient.rectification.transformation import TransformationModel
 from fg_orient.rpc.points import ids_and_checks, positive_numbers
 
-Array = npt.NDArray[np.float64]
 Direction = Literal["image-to-map", "map-to-image"]
 
 DIRECTIONS: Final[tuple[Direction, ...]] = ("image-to-map", "map-to-image")

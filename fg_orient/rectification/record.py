@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.formats.atomic import Contents
 from fg_orient.geodesy import area_of_use, to_geographic
 from fg_orient.model.distributions import f_tail
@@ -26,8 +26,6 @@ from fg_orient.report.chart import INKS, Chart, large, mapped, round_down
 from fg_orient.report.svg import svg
 from fg_orient.report.words import printable, scientific
 from fg_orient.result.plain import dumps
-
-Array = npt.NDArray[np.float64]
 
 SCHEMA: Final = 1
 #: Condition number of the scaled design beyond which the points hardly determine a transformation: 50 times the median

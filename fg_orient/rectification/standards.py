@@ -21,8 +21,6 @@ from fg_orient.rectification.arguments import number, positive
 from fg_orient.rectification.fit import plain_rmse
 from fg_orient.rectification.options import AccuracyOptions
 
-Array = npt.NDArray[np.float64]
-
 INCH_M: Final = 0.0254
 #: NMAS at map scale: at 1:20 000 and smaller, and at larger scales.
 NMAS_SMALL_M: Final = INCH_M / 50.0

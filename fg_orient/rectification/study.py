@@ -17,13 +17,12 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import finite, positive, whole
 from fg_orient.rectification.fit import Observations, fit, plain_rmse
 from fg_orient.rectification.outliers import pair_distances
 from fg_orient.rectification.transformation import find_model
-
-Array = npt.NDArray[np.float64]
 
 RUNS: Final = 400
 #: Number of runs of a reproduction.

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.model.block import Image, ImagePoints
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.base import Sensor
-
-Array = npt.NDArray[np.float64]
 
 #: Smallest angle between rays that give a point.
 MIN_CONVERGENCE_DEG = 0.1

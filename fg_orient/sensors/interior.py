@@ -13,10 +13,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import Array
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL, FrameCamera
-
-Array = npt.NDArray[np.float64]
 
 #: Points per side of the image in a conversion.
 GRID: Final = 41
