@@ -6,7 +6,7 @@ The types are read when the program runs, so annotations are not postponed here.
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from fg_orient.model.declaration import Group, Names, documented, option, require_allowed
+from fg_orient.model.declaration import Checked, Group, Names, documented, option
 
 MODEL: Final = Group("Model")
 WEIGHTS: Final = Group("Weights")
@@ -19,15 +19,12 @@ RELATIVE: Final = "without it weights are relative, and m0 is that standard devi
 
 @documented
 @dataclass(frozen=True, kw_only=True)
-class ImageOptions:
+class ImageOptions(Checked):
     """Weights of image points."""
 
     sigma: float | None = option(
         None, WEIGHTS, f"Default standard deviation of image coordinates, in their unit; {RELATIVE}.", within=SIZES,
     )
-
-    def __post_init__(self) -> None:
-        require_allowed(self)
 
 
 @documented
@@ -58,7 +55,7 @@ class BundleOptions(ImageOptions):
 
 @documented
 @dataclass(frozen=True, kw_only=True)
-class SurfaceOptions:
+class SurfaceOptions(Checked):
     """Options of the fit of a surface."""
 
     axis: Literal["x", "y", "z", "free"] = option("y", MODEL, "Axis of a spheroid.")
@@ -68,6 +65,3 @@ class SurfaceOptions:
     sigma_m: float | None = option(
         None, WEIGHTS, f"Default standard deviation of coordinates; {RELATIVE}.", unit="m", within=SIZES,
     )
-
-    def __post_init__(self) -> None:
-        require_allowed(self)

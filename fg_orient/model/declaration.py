@@ -199,6 +199,13 @@ def require_allowed(record: Any) -> None:
         )  # fmt: skip
 
 
+class Checked:
+    """Base of dataclasses of options: the values of a record are checked when it is made."""
+
+    def __post_init__(self) -> None:
+        require_allowed(self)
+
+
 def require_declared(names: Iterable[str], caller: str, *records: type) -> None:
     """Raise TypeError for a name that no record declares, with the most similar name."""
     known = declared(*records)

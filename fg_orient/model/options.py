@@ -6,7 +6,7 @@ The types are read when the program runs, so annotations are not postponed here.
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from fg_orient.model.declaration import Group, Names, Three, documented, option, require_allowed
+from fg_orient.model.declaration import Checked, Group, Names, Three, documented, option
 from fg_orient.model.names import ALL_SETS, EOP_SETS
 
 CheckPoints = Literal["use", "exclude"]
@@ -35,7 +35,7 @@ TESTS: Final = Group("Gross errors and statistics", "adjustment", "outliers.md")
 
 @documented
 @dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Choices of one adjustment: values of the project file, replaced by those of the command line."""
 
     # fmt: off
@@ -211,13 +211,10 @@ class Options:
     )
     # fmt: on
 
-    def __post_init__(self) -> None:
-        require_allowed(self)
-
 
 @documented
 @dataclass(frozen=True)
-class Reading:
+class Reading(Checked):
     """Choices of reading a project file; the block that is read has no trace of them."""
 
     # fmt: off
@@ -230,6 +227,3 @@ class Reading:
         "error", ADJUSTMENT, "Refuse check and tie points with a single image point, or drop them."
     )
     # fmt: on
-
-    def __post_init__(self) -> None:
-        require_allowed(self)

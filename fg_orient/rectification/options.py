@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from fg_orient.model.declaration import Group, Names, documented, option, require_allowed
+from fg_orient.model.declaration import Checked, Group, Names, documented, option, require_allowed
 from fg_orient.model.errors import InputError
 
 FIT: Final = Group("Transformation")
@@ -22,7 +22,7 @@ _CRS: Final = "Projected coordinate system of the map, EPSG:n."
 
 @documented
 @dataclass(frozen=True)
-class PointOptions:
+class PointOptions(Checked):
     """Options of a fit of a transformation to points."""
 
     model: str | None = option(
@@ -42,21 +42,15 @@ class PointOptions:
     )
     prune_by: Literal["residual", "test"] = option("residual", FIT, "Worst point by its residual or by the F test.")
 
-    def __post_init__(self) -> None:
-        require_allowed(self)
-
 
 @documented
 @dataclass(frozen=True)
-class StudyOptions:
+class StudyOptions(Checked):
     """Options of a study of numbers of control points and degrees."""
 
     layouts: int = option(30, STUDY, "Random choices of the points.", within=(1, math.inf))
     seed: int = option(1, STUDY, "Seed of these choices.", within=(0, math.inf))
     crs: str | None = option(None, STUDY, _CRS)
-
-    def __post_init__(self) -> None:
-        require_allowed(self)
 
 
 @documented
@@ -85,7 +79,7 @@ class AccuracyOptions:
 
 @documented
 @dataclass(frozen=True)
-class OrthoOptions:
+class OrthoOptions(Checked):
     """Options of a map raster."""
 
     resampling: Literal["nearest", "bilinear", "cubic", "cubic-sharp"] = option(
@@ -97,6 +91,3 @@ class OrthoOptions:
     window: int = option(
         1024, ORTHO, "Edge of the windows in map pixels. The result does not depend on it.", within=(1, math.inf),
     )
-
-    def __post_init__(self) -> None:
-        require_allowed(self)

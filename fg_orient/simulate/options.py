@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from fg_orient.model.declaration import Group, Three, documented, option, require_allowed
+from fg_orient.model.declaration import Checked, Group, Three, documented, option, require_allowed
 from fg_orient.model.errors import InputError
 
 PointSet = Literal["H-0", "H-10", "H-20", "H-30", "H-40", "G-A", "G-B", "G-C"]
@@ -30,7 +30,7 @@ _GROUND_NOISE: Final = "Sigmas East, North, Up of the noise of control and check
 
 @documented
 @dataclass(frozen=True)
-class ZonguldakOptions:
+class ZonguldakOptions(Checked):
     """Options of the twin.
 
     Points, roles, errors of the metadata, image noise and ground noise come from independent streams of the seed.
@@ -57,9 +57,6 @@ class ZonguldakOptions:
         "-1.6e-4,-7.2e-4,9e-4 (after an equals sign where the first is negative).", within=(-1e-2, 1e-2), unit="rad",
     )
     ground_noise_m: Three = option((0.06, 0.06, 1.0), NOISE, _GROUND_NOISE, within=(0.0, 100.0), unit="m")
-
-    def __post_init__(self) -> None:
-        require_allowed(self)
 
 
 @documented
