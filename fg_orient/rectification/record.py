@@ -224,7 +224,7 @@ def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write a CSV table of rows with the same keys; None and nan are empty cells."""
     with path.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(rows[0])
+        writer.writerow(next(iter(rows)))  # the keys
         for row in rows:
             values = ["" if v is None or v != v else str(v).lower() if isinstance(v, bool) else v for v in row.values()]
             writer.writerow(values)
