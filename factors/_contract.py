@@ -6,14 +6,12 @@ An equation is one pure scalar kernel::
 
 ``record`` (d,) holds the constants of one observation, by the names of ``factors.records``, ``setup`` (2, k) what
 all observations of a group have in common, ``x_i`` (k_i,) the unknowns, all float64 in C order.
-``value`` (m,) is the whitened residual, ``jacobian_i`` (m, k_i) its derivative. With
-``want`` False the Jacobians are (0, 0) arrays; the value never depends on ``want``.
+``value`` (m,) is the whitened residual, ``jacobian_i`` (m, k_i) its derivative. With ``want`` False the Jacobians are
+(0, 0) arrays; the value never depends on ``want``.
 ``residual(record, setup, x_1, ...)`` gives the value alone and accepts complex unknowns,
 so that every Jacobian can be checked by complex step. What is called for each observation is compiled with numba:
 ``fill`` of an equation of image points, ``residual``, or the kernel itself (:func:`compiled`). A kernel that takes
-many records at once is plain numpy.
-
-Factors and batches call the same kernel. Observations run along axis 0.
+many records at once is plain numpy. Factors and batches call the same kernel. Observations run along axis 0.
 """
 
 from __future__ import annotations
@@ -48,6 +46,11 @@ class Example:
     record: Array
     setup: Array
     unknowns: tuple[Array, ...]
+
+
+def no_example(_rng: np.random.Generator) -> Example:
+    """Stand for the example of an equation that is made from data."""
+    raise NotImplementedError
 
 
 @dataclass(frozen=True)

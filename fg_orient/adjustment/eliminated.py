@@ -29,12 +29,13 @@ from factors._contract import NotFiniteError
 from factors.conditions.control import POINT
 from fg_orient.adjustment.point_groups import PointGroup, best_cuts, square_root, vector_parts
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.robust import FixedWeights, Robust
+from fg_orient.adjustment.robust import FixedWeights, Weighing
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.schur_structure import Small, Tile
 from fg_orient.kernels.batch_pairs import gather_blocks, gather_gradients
 from fg_orient.kernels.batch_points import ROOT
+from fg_orient.model.errors import NoSolutionError
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -97,15 +98,17 @@ class Elimination:
     def __init__(self, problem: Problem, threads: int | None = None) -> None:
         size = np.diff(problem.first).astype(np.int64)
         self.problem = problem
-        self.cuts = np.zeros(0, np.int64)
+        cuts = np.zeros(0, np.int64)
 
         def fences(first: Small, image: Small) -> Index:
-            self.cuts = best_cuts(first, image, size)
-            return self.cuts
+            nonlocal cuts
+            cuts = best_cuts(first, image, size)
+            return cuts
 
         self.backend = SchurBackend(problem, threads, fences=fences)
+        #: Part of the free unknowns of each vector, by its number.
         self.parts = dict(vector_parts(problem))
-        self.groups = self._grouped()
+        self.groups = self._grouped(cuts)
         #: Names of points that could not be intersected at the last evaluation, by group.
         self.impossible: dict[int, str] = {}
         self._free = problem.image_vector(problem.start)
@@ -116,10 +119,10 @@ class Elimination:
         self._far = True
         self._name = object()  # owner of the buffers; this object itself there would be a reference cycle
 
-    def _grouped(self) -> tuple[PointGroup, ...]:
-        """Groups of the chunks, and the slots of their blocks."""
+    def _grouped(self, cuts: Index) -> tuple[PointGroup, ...]:
+        """Groups of the chunks between cuts, and the slots of their blocks."""
         s, problem = self.backend.structure, self.problem
-        begins = np.searchsorted(s.chunk_places, self.cuts)
+        begins = np.searchsorted(s.chunk_places, cuts)
         chunks = np.append(begins, len(s.chunk_places) - 1)
         slot_chunk = np.searchsorted(s.slot_begin, np.arange(len(s.slot_own)), side="right") - 1
         slot_block = np.empty(len(s.slot_own), np.int64)
@@ -128,11 +131,11 @@ class Elimination:
         order = np.lexsort((np.arange(len(slot_block)), slot_block, slot_group))
         key = slot_group[order] * len(s.block_row) + slot_block[order]
         entry, begin = np.unique(key, return_index=True)
-        self._slots = s.block_slots.dtype.type(0) + order.astype(s.block_slots.dtype)
+        self._slots = order.astype(s.block_slots.dtype)
         self._begin = np.append(begin, len(order)).astype(np.int64)
-        self._block = entry % len(s.block_row)
+        block = entry % len(s.block_row)
         entries = np.searchsorted(entry // len(s.block_row), np.arange(len(chunks)))
-        self._row, self._column = s.block_row[self._block], s.block_column[self._block]
+        self._row, self._column = s.block_row[block], s.block_column[block]
         out = []
         for g in range(len(chunks) - 1):
             lo, hi = int(chunks[g]), int(chunks[g + 1])
@@ -150,7 +153,7 @@ class Elimination:
             ))  # fmt: skip
         return tuple(out)
 
-    def hold_weights(self, robust: Robust | None, state: State) -> None:
+    def hold_weights(self, robust: Weighing | None, state: State) -> None:
         """Give the rows the weights of a loss at a state, until the next call; the cost there is that of the loss.
 
         Elsewhere the cost is not below the loss's. The weights are held because a redescending loss gives a point
@@ -167,8 +170,9 @@ class Elimination:
         b.control = self.problem.control_records.copy()
         observed = backend.structure.observed
         b.control[observed, POINT.whitening] *= np.sqrt(control)[:, None]
-        rest = robust.image.costs(np.sqrt(image_squares)) - 0.5 * image * image_squares
-        rest_control = robust.control.costs(np.sqrt(control_squares)) - 0.5 * control * control_squares
+        cost, control_cost = robust.costs(image_squares, control_squares)
+        rest = cost - 0.5 * image * image_squares
+        rest_control = control_cost - 0.5 * control * control_squares
         place = np.flatnonzero(backend.structure.free == 2)
         for g, group in enumerate(self.groups):
             inside = (place >= group.places[0]) & (place < group.places[1])
@@ -178,6 +182,12 @@ class Elimination:
         """Rows of all groups where they were evaluated last; each must have been evaluated."""
         assert all(rows is not None for rows in self._rows)
         return tuple(rows for rows in self._rows if rows is not None)
+
+    def require_possible(self) -> None:
+        """Raise NoSolutionError if the rays of a point did not intersect at the last evaluation."""
+        if self.impossible:
+            why = next(iter(self.impossible.values()))
+            raise NoSolutionError.of("adjust.broken_down", place=self.problem.block.name, why=why)
 
     def release(self) -> None:
         """Give the buffers to other users of the backend: all groups are computed again afterwards."""
@@ -303,25 +313,20 @@ class Elimination:
     def _intersect(self, groups: Sequence[int], state: State) -> set[int]:
         """Intersect the points of groups with the images held; the groups that could be, eliminated."""
         self.impossible = {g: why for g, why in self.impossible.items() if g not in groups}
-        left = list(groups)
-        while left:
-            try:
-                self._newton(left, state)
-                return set(left)
-            except (NotFiniteError, NotIntersected, Singular):
-                left = self._without_impossible(left, state)
-        return set()
+        try:
+            self._newton(groups, state)
+            return set(groups)
+        except (NotFiniteError, NotIntersected, Singular):
+            return {g for g in groups if self._is_possible(g, state)}
 
-    def _without_impossible(self, groups: Sequence[int], state: State) -> list[int]:
-        """Groups whose points can be intersected; the others are recorded."""
-        good = []
-        for g in groups:
-            try:
-                self._newton([g], state)
-                good.append(g)
-            except (NotFiniteError, NotIntersected, Singular) as error:
-                self.impossible[g] = str(error)
-        return good
+    def _is_possible(self, g: int, state: State) -> bool:
+        """Whether the points of a group can be intersected; if not, the reason is recorded."""
+        try:
+            self._newton([g], state)
+        except (NotFiniteError, NotIntersected, Singular) as error:
+            self.impossible[g] = str(error)
+            return False
+        return True
 
     def _newton(self, groups: Sequence[int], state: State) -> None:
         """Newton's steps of the points of groups until all are intersected; the last elimination is in the buffers.

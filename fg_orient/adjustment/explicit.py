@@ -7,7 +7,6 @@ first, then images: the Schur complement as an ordering) and retracts; ``fg_orie
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,6 +22,7 @@ from factors.split import Split
 from fg_orient.adjustment.image_models import groups
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.native import NativeObservation
+from fg_orient.adjustment.point_groups import vector_parts
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust, ScaledLoss, squares
 from fg_orient.model.block import ExtraObservation
@@ -47,10 +47,8 @@ def shared_key(g: int) -> int:
 
 def vector_keys(problem: Problem) -> list[tuple[int, slice]]:
     """GTSAM vectors of the images, with their parts of ``Problem.image_vector``; none of length zero."""
-    first, m = problem.first if problem.ties is None else problem.ties.part, problem.n_images
-    keys = [image_key(k) if k < m else shared_key(k - m) for k in range(len(first) - 1)]
-    parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(first)]
-    return [(key, part) for key, part in zip(keys, parts, strict=True) if part.stop > part.start]
+    m = problem.n_images
+    return [(image_key(n) if n < m else shared_key(n - m), part) for n, part in vector_parts(problem)]
 
 
 def image_unknown(problem: Problem, k: int) -> int | Split | Array:

@@ -7,9 +7,8 @@ Gauss-Newton, Levenberg-Marquardt or Dogleg solve this graph (:mod:`fg_orient.ad
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import gtsam
 import numpy as np
@@ -32,19 +31,41 @@ from fg_orient.adjustment.schur import SchurSystem
 from fg_orient.model.block import ExtraObservation
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
 
 
-def named_points(problem: Problem) -> npt.NDArray[np.bool_]:
-    """Unknown ground points (N,) that extra observations name."""
-    named = np.zeros(len(problem.active), bool)
-    for extra in problem.block.extra:
-        for argument in problem.extra_arguments(extra):
-            if not argument.is_image and argument.constant is None:
-                named[argument.index] = True
-    return named
+def group_factor(elimination: Elimination, g: int, keys: Mapping[int, int], label: str) -> gtsam.CustomFactor:
+    """Factor of group g; it refers to the elimination alone, as a reference to the graph would keep that for ever.
+
+    Parameters
+    ----------
+    elimination : Elimination
+    g : int
+    keys : mapping
+        GTSAM key of each vector of unknowns by its number, see :func:`point_groups.vector_parts`.
+    label : str
+        Names the group in messages.
+    """
+    vectors = [(keys[n], part) for n, part in elimination.parts.items()]
+    own = [keys[n] for n in elimination.groups[g].vectors]
+
+    def everything(values: gtsam.Values) -> Array:
+        free = np.full(vectors[-1][1].stop, np.nan)
+        for key, part in vectors:
+            if values.exists(key):
+                free[part] = values.atVector(key)
+        return free
+
+    def evaluate(values: gtsam.Values, accepted: bool) -> tuple[Array, Array]:
+        x = np.concatenate([values.atVector(key) for key in own])
+        rows = elimination.rows(g, x, lambda: everything(values), accepted=accepted)
+        return rows.error, rows.jacobian
+
+    sizes = [part.stop - part.start for key, part in vectors if key in own]
+    return eliminated_factor(own, sizes, evaluate, label=label)
 
 
-def _divided(problem: Problem, named: npt.NDArray[np.bool_]) -> tuple[Problem, Problem | None]:
+def _divided(problem: Problem, points: Index) -> tuple[Problem, Problem | None]:
     """Problem of the points to eliminate, and that of the named points with all that is not a group, if there are any.
 
     Raises
@@ -52,8 +73,10 @@ def _divided(problem: Problem, named: npt.NDArray[np.bool_]) -> tuple[Problem, P
     InputError
         No point is left to eliminate.
     """
-    if not named.any():
+    if not len(points):
         return problem, None
+    named = np.zeros(len(problem.active), bool)
+    named[points] = True
     ray = named[problem.observations.point]
     return _part(problem, ~ray, ~named, ()), _part(problem, ray, named, problem.block.extra)
 
@@ -81,10 +104,10 @@ class GraphBackend:
     name = "graph"
 
     def __init__(self, problem: Problem, threads: int | None = None) -> None:
-        self.problem, named = problem, named_points(problem)
+        self.problem = problem
         #: Ground points that are variables of the graph.
-        self.points = np.flatnonzero(named)
-        reduced, explicit = _divided(problem, named)
+        self.points = np.array(problem.named_points(), np.int64)
+        reduced, explicit = _divided(problem, self.points)
         self.elimination = Elimination(reduced, threads)
         self.robust: Robust | None = None
         self._vectors = vector_keys(problem)
@@ -98,42 +121,19 @@ class GraphBackend:
             for extra in problem.block.extra:
                 self.others.add(extra_factor(extra, problem))
         self.graph = gtsam.NonlinearFactorGraph()
-        for g in range(len(self.elimination.groups)):
-            self.graph.add(self._factor(g))
+        keys = dict(zip(self.elimination.parts, [key for key, _ in self._vectors], strict=True))
+        for g, group in enumerate(self.elimination.groups):
+            images = ", ".join(problem.block.images[k].id for k in group.images[:3].tolist())
+            self.graph.add(group_factor(self.elimination, g, keys, f"group {g} (images {images} ...)"))
         self.graph.push_back(self.others)
         self.ordering = self.graph.orderingCOLAMD()
 
-    def _factor(self, g: int) -> gtsam.CustomFactor:
-        """Factor of a group; it does not refer to this object, which would keep the graph alive for ever."""
-        elimination, vectors = self.elimination, self._vectors
-        group = elimination.groups[g]
-        own = {part.start for n, part in elimination.parts.items() if n in group.vectors}
-        keys = [key for key, part in vectors if part.start in own]
-        sizes = [part.stop - part.start for _, part in vectors if part.start in own]
-        n_unknowns = vectors[-1][1].stop
-
-        def everything(values: Any) -> Array:
-            free = np.full(n_unknowns, np.nan)
-            for key, part in vectors:
-                if values.exists(key):
-                    free[part] = values.atVector(key)
-            return free
-
-        def evaluate(values: Any, accepted: bool) -> tuple[Array, Array]:
-            x = np.concatenate([values.atVector(key) for key in keys])
-            rows = elimination.rows(g, x, lambda: everything(values), accepted=accepted)
-            return rows.error, rows.jacobian
-
-        images = ", ".join(self.problem.block.images[k].id for k in group.images[:3].tolist())
-        return eliminated_factor(keys, sizes, evaluate, label=f"group {g} (images {images} ...)")
-
     def factors_of_point(self, j: int) -> list[gtsam.NonlinearFactor]:
-        """Factor of the group that holds the rays of ground point j."""
-        s = self.elimination.backend.structure
-        place = int(np.flatnonzero(s.number == j)[0])
+        """Factor of the group that holds the rays of ground point j; none for a point without rays."""
+        place = np.flatnonzero(self.elimination.backend.structure.number == j)
         return [
             self.graph.at(g) for g, group in enumerate(self.elimination.groups)
-            if group.places[0] <= place < group.places[1]
+            if ((place >= group.places[0]) & (place < group.places[1])).any()
         ]  # fmt: skip
 
     def values(self, state: State) -> gtsam.Values:
@@ -157,10 +157,6 @@ class GraphBackend:
             state.ground[j] = values.atPoint3(point_key(j))
         return state
 
-    def rows(self) -> tuple[GroupRows, ...]:
-        """Rows of all groups where they were evaluated last."""
-        return self.elimination.last_rows()
-
     def linear_model(self, rows: Sequence[GroupRows], before: gtsam.Values, after: gtsam.Values) -> tuple[float, float]:
         """Cost after a step as the linear model of the groups predicts it, and the gradient of everything along it.
 
@@ -171,8 +167,7 @@ class GraphBackend:
         cost = sum(own.cost_along(move) for own, move in zip(rows, moves, strict=True))
         along = sum(float(own.error @ (own.jacobian @ move)) for own, move in zip(rows, moves, strict=True))
         gradient, delta = self.others.linearize(before).gradientAtZero(), before.localCoordinates(after)
-        keys = {key for n in range(self.others.size()) for key in self.others.at(n).keys()}
-        along += sum(float(gradient.at(key) @ delta.at(key)) for key in sorted(keys))
+        along += sum(float(gradient.at(key) @ delta.at(key)) for key in self.others.keyVector())
         return cost + float(self.others.error(after)), along
 
     def squares(self, state: State) -> tuple[Array, Array]:

@@ -17,17 +17,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from factors.graph import eliminated_factor
 from fg_orient.adjustment.eliminated import Elimination
-from fg_orient.adjustment.point_groups import vector_parts
+from fg_orient.adjustment.graph import group_factor
+from fg_orient.adjustment.point_groups import vector_names
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.model.errors import InputError, NoSolutionError
+from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
@@ -37,11 +37,6 @@ RELINEARISE: Final = 2e-3
 WILDFIRE: Final = 1e-9
 #: Repetitions of an update until the solution counts as not found.
 MAX_REPEATS: Final = 30
-
-
-def image_name(image_id: str) -> str:
-    """Name of the vector of an image's own unknowns."""
-    return f"image:{image_id}"
 
 
 @dataclass(eq=False)
@@ -65,11 +60,9 @@ class LocalGroup:
     slots: list[int] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
-        problem = self.problem
-        self.elimination = Elimination(problem, threads=1)
-        names = [image_name(image.id) for image in problem.block.images]
-        names += [] if problem.ties is None else [f"shared:{shared}" for shared in problem.ties.ids]
-        self.vectors = tuple((names[n], part) for n, part in vector_parts(problem))
+        self.elimination = Elimination(self.problem, threads=1)
+        names = vector_names(self.problem)
+        self.vectors = tuple((names[n], part) for n, part in self.elimination.parts.items())
 
     def sizes(self) -> dict[str, int]:
         """Length of each vector."""
@@ -89,9 +82,7 @@ class LocalGroup:
         free = self._free(unknowns)
         for g, group in enumerate(self.elimination.groups):
             self.elimination.rows(g, free[group.free], lambda: free, accepted=True)
-        if self.elimination.impossible:
-            why = next(iter(self.elimination.impossible.values()))
-            raise NoSolutionError.of("adjust.broken_down", place=self.problem.block.name, why=why)
+        self.elimination.require_possible()
 
     def normal(self, unknowns: Mapping[str, Array]) -> Array:
         """Reduced normal matrix (n, n) of all vectors of the group."""
@@ -108,35 +99,10 @@ class LocalGroup:
 
     def factors(self, key: Callable[[str], int]) -> list[gtsam.CustomFactor]:
         """Factors of the points; they do not refer to this object, which would keep the graph alive for ever."""
-        elimination, every = self.elimination, [(key(name), part) for name, part in self.vectors]
-        out = []
-        for g, group in enumerate(elimination.groups):
-            numbers = {elimination.parts[n].start for n in group.vectors}
-            own = [(k, part) for k, part in every if part.start in numbers]
-            out.append(_factor(elimination, g, every, own))
-        return out
-
-
-def _factor(
-    elimination: Elimination, g: int, every: Sequence[tuple[int, slice]], own: Sequence[tuple[int, slice]]
-) -> gtsam.CustomFactor:
-    """Factor of the group g of an elimination, between the vectors ``own`` among ``every``."""
-    keys = [key for key, _ in own]
-
-    def everything(values: Any) -> Array:
-        free = np.full(every[-1][1].stop, np.nan)
-        for key, part in every:
-            if values.exists(key):
-                free[part] = values.atVector(key)
-        return free
-
-    def evaluate(values: Any, accepted: bool) -> tuple[Array, Array]:
-        x = np.concatenate([values.atVector(key) for key in keys])
-        rows = elimination.rows(g, x, lambda: everything(values), accepted=accepted)
-        return rows.error, rows.jacobian
-
-    images = ", ".join(image.id for image in elimination.problem.block.images[:3])
-    return eliminated_factor(keys, [part.stop - part.start for _, part in own], evaluate, label=f"group of {images}")
+        elimination = self.elimination
+        keys = {n: key(name) for n, (name, _) in zip(elimination.parts, self.vectors, strict=True)}
+        images = ", ".join(image.id for image in self.problem.block.images[:3])
+        return [group_factor(elimination, g, keys, f"group of {images}") for g in range(len(elimination.groups))]
 
 
 class IncrementalGraph:

@@ -16,7 +16,7 @@ pi) in 1, 2 and 3 dimensions.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -147,22 +147,27 @@ class CycleResult(NamedTuple):
 def cycles_on_arrays(
     problem: Problem, callback: Callback
 ) -> Callable[[tuple[Array, ...], CycleResult | None], CycleResult]:
-    """Weighted least squares on the Schur backend for :func:`reweight`.
+    """Weighted least squares on the graph of images or the Schur backend for :func:`reweight`.
 
     The problem is compiled once, which takes many times as long as the two or three iterations of a cycle. The weights
     multiply the rows, like the weights of a loss. ``callback`` receives each iteration.
     """
+    from fg_orient.adjustment.graph import GraphBackend
+    from fg_orient.adjustment.optimisers import GTSAM_OPTIMIZERS
     from fg_orient.adjustment.schur import SchurBackend
 
-    backend, options = SchurBackend(problem), problem.block.options
-    structure = backend.structure
+    options = problem.block.options
+    as_graph = options.backend == "graph"
+    backend: Any = GraphBackend(problem) if as_graph else SchurBackend(problem)
+    optimise = (GTSAM_OPTIMIZERS if as_graph else OPTIMIZERS)[options.optimizer]
+    structure = backend.elimination.backend.structure if as_graph else backend.structure
 
     def fit(groups: tuple[Array, ...], last: CycleResult | None) -> CycleResult:
         weights = weights_of(problem, groups)
         backend.robust = FixedWeights(weights.image[structure.row], weights.control[structure.observed])
         start: Carried[State] = Carried(problem.start if last is None else last.state)
         with one_blas_thread():
-            result = OPTIMIZERS[options.optimizer](backend, start, options.max_iterations, callback)
+            result = optimise(backend, start, options.max_iterations, callback)
         return CycleResult(result.state, 2.0 * result.error)
 
     return fit

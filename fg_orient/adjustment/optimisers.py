@@ -83,7 +83,7 @@ class _Run:
     def iterate(self) -> _Step:
         """Run one iteration."""
         backend, here = self._backend, self.state
-        rows, before = backend.rows(), self.values
+        rows, before = backend.elimination.last_rows(), self.values
         self.optimizer.iterate()
         # a copy: the values of an optimiser are gone after its next iteration
         self.values, self.error = gtsam.Values(self.optimizer.values()), float(self.optimizer.error())

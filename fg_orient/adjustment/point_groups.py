@@ -25,6 +25,12 @@ RETURNED: Final = 1e-3
 STRONG: Final = 1e-5
 
 
+def vector_names(problem: Problem) -> list[str]:
+    """Names "image:ID" and "shared:ID" of the vectors of unknowns, by number; those of length zero included."""
+    names = [f"image:{image.id}" for image in problem.block.images]
+    return names + ([] if problem.ties is None else [f"shared:{shared}" for shared in problem.ties.ids])
+
+
 def vector_parts(problem: Problem) -> list[tuple[int, slice]]:
     """Number of each vector of image unknowns (images, then ids of shared unknowns) and its part of the free unknowns.
 
@@ -104,7 +110,8 @@ def square_root(matrix: Array, gradient: Array, twice_cost: float) -> tuple[Arra
 
     The pivoted Cholesky factor leaves out pivots that are rounding, and with them up to 1e-7 of the gradient. Row n
     returns this rest r to the gradient: its error is a part t of the cost that the images cannot change, its Jacobian
-    ``r / t``, which adds no more than 1e-14 to the matrix.
+    ``r / t``, which adds ``r r^T / t^2`` to the matrix: with S scaled to a unit diagonal, at most
+    ``2 RETURNED^2``.
 
     Parameters
     ----------

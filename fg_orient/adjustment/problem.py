@@ -261,11 +261,10 @@ class Problem:
         block, o = self.block, self.observations
         return f"image {block.images[o.image[row]].id}, point {block.points.ids[o.point[row]]}"
 
-    def rows_by_point(self) -> list[tuple[int, npt.NDArray[np.intp]]]:
-        """Ground points in ascending order with their rows of ``observations``."""
-        order = np.argsort(self.observations.point, kind="stable")
-        points, starts = np.unique(self.observations.point[order], return_index=True)
-        return list(zip(points.tolist(), np.split(order, starts[1:]), strict=True))
+    def named_points(self) -> list[int]:
+        """Numbers of the unknown ground points that extra observations name, ascending."""
+        arguments = (a for extra in self.block.extra for a in self.extra_arguments(extra))
+        return sorted({a.index for a in arguments if not a.is_image and a.constant is None})
 
     def extra_arguments(self, extra: ExtraObservation) -> list[ExtraArgument]:
         """Arguments of an extra observation; points that are not unknowns are constants.

@@ -91,9 +91,12 @@ class Robust:
 
     def weigh(self, image_squares: Array, control_squares: Array) -> tuple[Array, Array, float]:
         """See :class:`Weighing`."""
-        image, control = np.sqrt(image_squares), np.sqrt(control_squares)
-        cost = float(np.sum(self.image.costs(image)) + np.sum(self.control.costs(control)))
-        return self.image.weights(image), self.control.weights(control), cost
+        cost = float(sum(np.sum(costs) for costs in self.costs(image_squares, control_squares)))
+        return self.image.weights(np.sqrt(image_squares)), self.control.weights(np.sqrt(control_squares)), cost
+
+    def costs(self, image_squares: Array, control_squares: Array) -> tuple[Array, Array]:
+        """See :class:`Weighing`."""
+        return self.image.costs(np.sqrt(image_squares)), self.control.costs(np.sqrt(control_squares))
 
 
 class Weighing(Protocol):
@@ -101,6 +104,10 @@ class Weighing(Protocol):
 
     def weigh(self, image_squares: Array, control_squares: Array) -> tuple[Array, Array, float]:
         """Weights of image points (n,) and control points (m,) from their squared norms, and the cost of both."""
+        ...
+
+    def costs(self, image_squares: Array, control_squares: Array) -> tuple[Array, Array]:
+        """Costs of image points (n,) and control points (m,)."""
         ...
 
 
@@ -118,6 +125,10 @@ class FixedWeights:
         """See :class:`Weighing`."""
         cost = 0.5 * float(np.vdot(self.image, image_squares) + np.vdot(self.control, control_squares))
         return self.image, self.control, cost
+
+    def costs(self, image_squares: Array, control_squares: Array) -> tuple[Array, Array]:
+        """See :class:`Weighing`."""
+        return 0.5 * self.image * image_squares, 0.5 * self.control * control_squares
 
 
 @dataclass(frozen=True)

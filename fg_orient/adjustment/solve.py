@@ -165,9 +165,7 @@ def eliminates_points(problem: Problem) -> bool:
         return False
     if schur_possible(block):
         return True
-    arguments = [a for extra in block.extra for a in problem.extra_arguments(extra)]
-    named = {a.index for a in arguments if not a.is_image and a.constant is None}
-    return options.loss == NONE and len(named) < len(np.unique(problem.observations.point))
+    return options.loss == NONE and len(problem.named_points()) < len(np.unique(problem.observations.point))
 
 
 def require_possible(options: Options) -> None:
@@ -332,8 +330,9 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
         estimate = solved(groups, None if last is None else last.state, record)
         return CycleResult(estimate.state, estimate.chi2)
 
+    on_arrays = plain.backend != "dense" and schur_possible(problem.block) and eliminates_points(own)
     cycles = reweight(
-        cycles_on_arrays(own, record) if plain.backend == "schur" else fit, lambda f: norms_at(problem, f.state),
+        cycles_on_arrays(own, record) if on_arrays else fit, lambda f: norms_at(problem, f.state),
         lambda f: math.sqrt(f.chi2 / max(problem.redundancy, 1)), RULES[options.loss], DIMENSIONS,
     )  # fmt: skip
     end = solved(cycles.weights, cycles.fit.state, None)

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 WORKING = ("fg_orient.orientation.run", "fg_orient.adjustment.schur", "fg_orient.report", "fg_orient.formats.schema",
            "fg_orient.formats.metadata.dimap", "fg_orient.sensors.projection", "jinja2")  # fmt: skip
 #: Names of the optimisers in sentences.
-OPTIMIZER = {"gauss-newton": "Gauss-Newton", "levenberg-marquardt": "Levenberg-Marquardt", "dogleg": "Dogleg"}
 #: Modules of one backend.
 OF_BACKEND = {
     "graph": ("gtsam", "fg_orient.adjustment.explicit", "fg_orient.quality.covariance"),
@@ -121,7 +120,7 @@ def show(record: dict[str, Any]) -> None:
     from fg_orient.report.words import orientation_words
 
     low, high = record["sigma0_interval_99_9"]
-    whose = f" of GTSAM's {OPTIMIZER[record['optimizer']]}" if record["backend"] == "graph" else ""
+    whose = f" of GTSAM's {record['optimizer'].title()}" if record["backend"] == "graph" else ""
     say(f"{record['status'].replace('_', ' ')} after {record['iterations']} iterations{whose}")
     say(f"{record['n_image_points']} image points, {record['n_unknowns']} unknowns, redundancy {record['redundancy']}")
     tested = f"99.9 % interval {number(low)} .. {number(high)}" if low is not None else "not tested"

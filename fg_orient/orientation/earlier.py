@@ -24,7 +24,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Argument, Equation, Example
+from factors._contract import Argument, Equation, no_example
 from fg_orient.adjustment.image_models import image_models, local_origin
 from fg_orient.adjustment.problem import Problem, State, participates
 from fg_orient.model.block import Block, Coordinates, ExtraObservation
@@ -310,10 +310,7 @@ def _observation(
         *x, want = x_and_want
         return residual(record, setup, *x), *(blocks if want else (np.empty((0, 0)),) * len(blocks))
 
-    def example(_rng: np.random.Generator) -> Example:
-        raise NotImplementedError("a prior has no example")
-
     arguments = tuple(_ARGUMENTS[name.partition(":")[0]] for name in names)
-    equation = Equation(label, kernel, residual, arguments, example, "Helmert 1880: blocks")
+    equation = Equation(label, kernel, residual, arguments, no_example, "Helmert 1880: blocks")
     record = np.concatenate([rows.ravel(), value, right])  # identifies the observation in a checkpoint
     return ExtraObservation(equation, tuple(names), record, np.zeros((0, 0)), len(rows), label)

@@ -105,24 +105,28 @@ class FactorGraph:
         return {key: name for name, key in self._names().items()}[key]
 
     def factors(self, name: str) -> list[Any]:
-        """Factors of an image or a shared id, or those that hold the rays of a ground point."""
-        problem = self.prepared.problem
-        place = problem.block.find(name)
-        if place is not None and place[0] == "point" and name not in self._names():
-            return list(self._backend.factors_of_point(place[1]))
+        """Factors of an image, a shared id or a ground point; of an eliminated point the factor that holds its rays.
+
+        Raises
+        ------
+        InputError
+            There is no such name, or no factor has it as a variable or among its eliminated points.
+        """
+        place = self.prepared.problem.block.find(name)
+        if self.points == "eliminated" and place is not None and place[0] == "point" and name not in self._names():
+            if held := self._backend.factors_of_point(place[1]):
+                return list(held)
         key = self.key(name)
         return [f for f in (self.graph.at(n) for n in range(self.graph.size())) if key in f.keys()]
 
     def _names(self) -> dict[str, int]:
         """Key of each variable by its name."""
         from fg_orient.adjustment.explicit import point_key, vector_keys
+        from fg_orient.adjustment.point_groups import vector_names, vector_parts
 
         problem = self.prepared.problem
-        names = [f"image:{image.id}" for image in problem.block.images]
-        names += [] if problem.ties is None else [f"shared:{shared}" for shared in problem.ties.ids]
-        parts = problem.first if problem.ties is None else problem.ties.part
-        present = [name for name, n in zip(names, np.diff(parts), strict=True) if n]
-        out = dict(zip(present, [key for key, _ in vector_keys(problem)], strict=True))
+        names, numbers = vector_names(problem), [n for n, _ in vector_parts(problem)]
+        out = {names[n]: key for n, (key, _) in zip(numbers, vector_keys(problem), strict=True)}
         points = self._backend.points if self.points == "eliminated" else np.flatnonzero(problem.active)
         return out | {f"point:{problem.block.points.ids[j]}": point_key(j) for j in points.tolist()}
 
@@ -139,6 +143,8 @@ class FactorGraph:
         begin = working_clock()
         with one_blas_thread():
             error, state = float(self.graph.error(values)), self._state(values)
+            if self.points == "eliminated":
+                self._backend.elimination.require_possible()
             gradient, step = self._gradient(values)
             linear = self._linear(values, state)
         converged = gradient <= REMAINING

@@ -322,10 +322,8 @@ class Incremental:
 
     def _names_of(self, block: Block, k: int) -> list[str]:
         """Names of the vectors of an image."""
-        from fg_orient.adjustment.incremental import image_name
-
         parameters = self._models[k].parameters
-        own = [image_name(block.images[k].id)] if parameters.own.any() else []
+        own = [f"image:{block.images[k].id}"] if parameters.own.any() else []
         return own + [f"shared:{parameters.shared[j]}" for j in np.flatnonzero(~parameters.own).tolist()]
 
     def _names(self, block: Block, images: Mask) -> list[str]:

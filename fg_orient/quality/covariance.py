@@ -31,7 +31,6 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.errors import InputError
-from fg_orient.quality.elimination import named_points
 
 if TYPE_CHECKING:
     import gtsam
@@ -183,7 +182,7 @@ class GraphCofactors(ReducedCofactors):
     ) -> None:
         import gtsam
 
-        named = len(named_points(problem))
+        named = len(problem.named_points())
         self._marginals, self._named, self._linear = gtsam.Marginals(linear, zero), bool(named), linear
         self._inverts = named > MANY_POINTS and problem.n_unknowns <= INVERTED
         super().__init__(problem, SummedSystem(state, lambda damping: self))

@@ -80,12 +80,6 @@ class PointRows:
         return np.asarray(self.design @ mine @ np.swapaxes(self.design, 1, 2))
 
 
-def named_points(problem: Problem) -> list[int]:
-    """Unknown ground points that extra observations name."""
-    arguments = (a for extra in problem.block.extra for a in problem.extra_arguments(extra))
-    return sorted({a.index for a in arguments if not a.is_image and a.constant is None})
-
-
 def control_rows(problem: Problem, points: Index) -> Array:
     """Whitened rows (m, 3, 3) of control points in East, North, Up, with the weights of a loss: orthogonal to W."""
     w = problem.control_weights(points)
@@ -211,7 +205,7 @@ def reduced_rows(problem: Problem, rows: Rows, state: State | None = None) -> Ar
         Include the extra observations at this state. The points that they name are eliminated at the end, by a QR with
         pivoting: these points need not be determined.
     """
-    named = [] if state is None else named_points(problem)
+    named = [] if state is None else problem.named_points()
     z, extra = problem.n_free_unknowns, () if state is None else extra_rows(problem, state, named)
     with one_blas_thread():
         out = _compressed(chain(eliminated_points(problem, rows, named), extra), z + 3 * len(named))

@@ -32,7 +32,6 @@ from fg_orient.quality.elimination import (
     eliminated_points,
     extra_rows,
     free_cofactors,
-    named_points,
     single_rows,
 )
 from fg_orient.quality.hypotheses import CHECKED
@@ -47,7 +46,7 @@ LARGEST: Final = 2**26
 
 def cost(problem: Problem, n_groups: int) -> int:
     """Elements of the matrices of :class:`GroupCofactors`: one per group, and one of ungrouped observations."""
-    return (n_groups + 1) * (problem.n_free_unknowns + 3 * len(named_points(problem))) ** 2
+    return (n_groups + 1) * (problem.n_free_unknowns + 3 * len(problem.named_points())) ** 2
 
 
 class GroupCofactors:
@@ -65,7 +64,7 @@ class GroupCofactors:
     def __init__(self, known: ResidualCofactors, labels: Index, n_groups: int) -> None:
         self._problem, self._state = problem, state = known.problem, known.state
         self._labels, self._size = np.where(labels < 0, n_groups, labels), n_groups + 1
-        self._named, self._rows = named_points(problem), linearised(problem, state)
+        self._named, self._rows = problem.named_points(), linearised(problem, state)
         self._q = free_cofactors(problem, known.cofactors.joint, self._named)
 
     def _points(self, only: Index | None = None) -> Iterator[PointRows]:

@@ -30,7 +30,7 @@ from fg_orient.adjustment.rows import linearised
 from fg_orient.model.errors import InputError
 from fg_orient.quality import hypotheses
 from fg_orient.quality.covariance import Cofactors
-from fg_orient.quality.elimination import PointRows, eliminated_points, free_cofactors, named_points
+from fg_orient.quality.elimination import PointRows, eliminated_points, free_cofactors
 from fg_orient.quality.observation_groups import groups_of
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.variance_components import GroupedResiduals, VarianceComponents, freedoms
@@ -385,7 +385,7 @@ def _whole_points(known: ResidualCofactors) -> list[Suspects]:
     """Ground points with all their image points and their coordinates, those with the same number of rows together."""
     problem, cofactors = known.problem, known.cofactors
     v = np.concatenate([known.v_image.ravel(), known.v_control.ravel()])
-    rays, named = linearised(problem, known.state), named_points(problem)
+    rays, named = linearised(problem, known.state), problem.named_points()
     whole = free_cofactors(problem, cofactors.joint, named) if problem.n_image_unknowns <= WHOLE_LIMIT else None
     by_size: dict[int, list[tuple[Index, Index, Array]]] = {}
     for part in eliminated_points(problem, rays, named, groups=1):

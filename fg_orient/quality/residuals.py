@@ -23,7 +23,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows, residuals
 from fg_orient.model.block import ExtraObservation
 from fg_orient.quality.covariance import Cofactors
-from fg_orient.quality.elimination import control_residuals, control_rows, named_points
+from fg_orient.quality.elimination import control_residuals, control_rows
 
 Array = npt.NDArray[np.float64]
 
@@ -106,21 +106,21 @@ class ResidualCofactors:
             return self.cofactors.joint(images, ())
 
         rays = cofactors_of_rays(self.problem, self.state, lambda pairs: blocks_of_images(self.problem, joint, pairs))
-        if named := named_points(self.problem):
+        if named := self.problem.named_points():
             self._correct_named_points(rays, named)
         return rays
 
     def _correct_named_points(self, rays: RayCofactors, named: list[int]) -> None:
         """Replace the cofactors of ground points that extra observations name: more than their rays determines them."""
-        problem = self.problem
-        o, rays_of = problem.observations, dict(problem.rows_by_point())
+        problem, o = self.problem, self.problem.observations
         for j in named:
-            images = tuple(np.unique(o.image[rays_of[j]]).tolist())
+            own_rays = np.flatnonzero(o.point == j)
+            images = tuple(np.unique(o.image[own_rays]).tolist())
             q = self.cofactors.joint(images, (j,))
             first = np.concatenate([[0], np.cumsum([len(problem.parameters[k]) for k in images])])
             rays.points[j] = q[-3:, -3:]
             for at, k in enumerate(images):
-                rows = rays_of[j][o.image[rays_of[j]] == k]
+                rows = own_rays[o.image[own_rays] == k]
                 _, d_image, d_ground = image_rows(problem, self.state, k, rows, jacobian=True)
                 columns = np.r_[first[at] : first[at + 1], first[-1] : first[-1] + 3]
                 design = np.concatenate([d_image, d_ground], axis=2)

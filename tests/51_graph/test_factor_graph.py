@@ -78,6 +78,24 @@ def test_names_and_keys_lead_to_each_other(twin: Block) -> None:
         graph.key(point)
     with pytest.raises(InputError, match="no variable in the graph"):
         graph.key("image:none")
+    control = next(f"point:{twin.points.ids[j]}" for j in np.flatnonzero(explicit.prepared.problem.observed))
+    known = twin.points.known
+    held = replace(twin, points=replace(twin.points, known=replace(
+        known, fixed=~np.isnan(known.ecef_m[:, 0]), sigma_enu_m=np.full_like(known.sigma_enu_m, np.nan)
+    )))  # fmt: skip
+    assert len(fg.factor_graph(held).factors(control)) == 1
+    with pytest.raises(InputError, match="no variable in the graph"):
+        fg.factor_graph(held, points="explicit").factors(control)
+
+
+@pytest.mark.behaviour
+def test_rays_that_do_not_intersect_at_given_values_are_named(twin: Block) -> None:
+    graph = fg.factor_graph(twin)
+    values, key = graph.values, graph.key("image:left")
+    far = gtsam.Values(values)
+    far.update(key, values.atVector(key) + 1e6)
+    with pytest.raises(fg.NoSolutionError):
+        graph.solution(far)
 
 
 @pytest.mark.behaviour
