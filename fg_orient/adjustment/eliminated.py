@@ -18,6 +18,7 @@ halved. A group with a point that cannot be intersected has the cost :data:`IMPO
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -27,7 +28,7 @@ import numpy.typing as npt
 
 from factors._contract import NotFiniteError
 from factors.conditions.control import POINT
-from fg_orient.adjustment.point_groups import PointGroup, best_cuts, square_root, vector_parts
+from fg_orient.adjustment.point_groups import PointGroup, numbers_of_groups, square_root, vector_parts
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import FixedWeights, Weighing
 from fg_orient.adjustment.schur import SchurBackend
@@ -45,8 +46,8 @@ Index = npt.NDArray[np.int64]
 INTERSECTED: Final = 1e-6
 #: Largest step of the images, in prior sigmas, after which the predicted points are expected to be intersected.
 SMALL_STEP: Final = 1e-4
-#: Newton decrement, in sigmas, after which the next step is expected to reach :data:`INTERSECTED`.
-NEARLY: Final = 1e-3
+#: Newton decrement, in sigmas, from which a step is not tested: it cannot increase the cost by more than rounding.
+SAFE: Final = 1e-4
 #: Steps of the points until a group counts as impossible.
 MAX_STEPS: Final = 40
 #: Newton decrement, in sigmas, up to which a point that no step improves is at the intersection, but for rounding.
@@ -98,17 +99,18 @@ class Elimination:
     def __init__(self, problem: Problem, threads: int | None = None) -> None:
         size = np.diff(problem.first).astype(np.int64)
         self.problem = problem
-        cuts = np.zeros(0, np.int64)
+        begins = np.zeros(0, np.int64)
 
-        def fences(first: Small, image: Small) -> Index:
-            nonlocal cuts
-            cuts = best_cuts(first, image, size)
-            return cuts
+        def grouping(first: Small, image: Small) -> Index:
+            nonlocal begins
+            number = numbers_of_groups(first, image, size)
+            begins = np.cumsum(np.bincount(number)) - np.bincount(number)
+            return number
 
-        self.backend = SchurBackend(problem, threads, fences=fences)
+        self.backend = SchurBackend(problem, threads, grouping=grouping)
         #: Part of the free unknowns of each vector, by its number.
         self.parts = dict(vector_parts(problem))
-        self.groups = self._grouped(cuts)
+        self.groups = self._grouped(begins)
         #: Names of points that could not be intersected at the last evaluation, by group.
         self.impossible: dict[int, str] = {}
         self._free = problem.image_vector(problem.start)
@@ -117,13 +119,13 @@ class Elimination:
         self._rows: list[GroupRows | None] = [None] * len(self.groups)
         self._excess = np.zeros(len(self.groups))
         self._far = True
+        self._shrink = 1.0  # factor by which the last step of the points shortened the largest decrement
         self._name = object()  # owner of the buffers; this object itself there would be a reference cycle
 
-    def _grouped(self, cuts: Index) -> tuple[PointGroup, ...]:
-        """Groups of the chunks between cuts, and the slots of their blocks."""
+    def _grouped(self, begins: Index) -> tuple[PointGroup, ...]:
+        """Groups by their first places, and the slots of their blocks."""
         s, problem = self.backend.structure, self.problem
-        begins = np.searchsorted(s.chunk_places, cuts)
-        chunks = np.append(begins, len(s.chunk_places) - 1)
+        chunks = np.append(np.searchsorted(s.chunk_places, begins), len(s.chunk_places) - 1)
         slot_chunk = np.searchsorted(s.slot_begin, np.arange(len(s.slot_own)), side="right") - 1
         slot_block = np.empty(len(s.slot_own), np.int64)
         slot_block[s.block_slots] = np.repeat(np.arange(len(s.block_row)), np.diff(s.block_begin))
@@ -329,52 +331,70 @@ class Elimination:
         return True
 
     def _newton(self, groups: Sequence[int], state: State) -> None:
-        """Newton's steps of the points of groups until all are intersected; the last elimination is in the buffers.
-
-        Pairs of rays, which cost most, are summed only where the points are expected to be intersected.
-        """
-        s, b, near = self.backend.structure, self.backend.buffers, not self._far
-        places = np.concatenate([np.arange(*self.groups[g].places) for g in groups])
+        """Newton's steps of the points of groups until all are intersected; the last elimination is in the buffers."""
+        s, places = self.backend.structure, np.concatenate([np.arange(*self.groups[g].places) for g in groups])
         number = s.number[places]
         last_cost: Array | None = None
-        last_ground = state.ground[number].copy()
+        last_ground, largest = state.ground[number], math.inf
         step = np.zeros((len(s.number), 3))
+        near = not self._far
         for _ in range(MAX_STEPS):
-            self._eliminate(groups, state, pairs=near)
-            decrement = _decrements(b.root[places], b.gradient[places])
+            self._eliminate(groups, state, near=near)
+            decrement, before = self._decrements(places), largest
             largest = float(decrement.max(initial=0.0))
+            if before < math.inf:
+                self._shrink = min(largest / before, 1.0)
             if largest <= INTERSECTED:
-                if near:
-                    return
-                near = True
-                continue
-            near = largest <= NEARLY
-            cost = self._point_costs(state)[places]
-            worse = np.zeros(len(places), bool)
-            if last_cost is not None:
-                worse = (cost > last_cost * (1.0 + 1e-12)) & (decrement > INTERSECTED)
+                break
             self._substitute(groups, np.zeros(len(self._free)), step)
             here = state.ground[number]
             ahead = here + step[places]
-            ahead[worse] = 0.5 * (here[worse] + last_ground[worse])
-            last_ground = np.where(worse[:, None], last_ground, here)
-            last_cost = cost if last_cost is None else np.where(worse, last_cost, cost)
+            if largest > SAFE or last_cost is not None:
+                cost = self._point_costs(state)[places]
+                if last_cost is not None:
+                    worse = (cost > last_cost * (1.0 + 1e-12)) & (decrement > INTERSECTED)
+                    ahead[worse] = 0.5 * (here[worse] + last_ground[worse])
+                    here, cost = np.where(worse[:, None], last_ground, here), np.where(worse, last_cost, cost)
+                last_cost, last_ground = cost, here
             state.ground[number] = ahead
-        if largest > STALLED:
-            name = self.problem.block.points.ids[int(number[int(decrement.argmax())])]
-            raise NotIntersected(f"the rays of point {name} do not intersect near its last position")
-        self._eliminate(groups, state)
+            near = largest * self._shrink <= INTERSECTED
+        else:
+            if largest > STALLED:
+                name = self.problem.block.points.ids[int(number[int(decrement.argmax())])]
+                raise NotIntersected(f"the rays of point {name} do not intersect near its last position")
+            self._eliminate(groups, state, near=near)
+        self._sum(groups, state, near=near)
 
-    def _eliminate(self, groups: Sequence[int], state: State, *, pairs: bool = True) -> None:
-        """Rows, point blocks and, with ``pairs``, sums of groups at a state."""
+    def _eliminate(self, groups: Sequence[int], state: State, *, near: bool) -> None:
+        """Rows and point blocks of groups at a state.
+
+        Rows that are not kept are used for the sums of pairs, which cost most, if the points are ``near`` the
+        intersection.
+        """
         backend, s, b = self.backend, self.backend.structure, self.backend.buffers
         wide = s.widened(state.image)
         b.owner = self._name
         for tile, lo, hi in self._ranges(groups):
+            pairs = near and not tile.kept
             backend.workers.run(
                 backend.stages.chunks, s.cost[lo : hi + 1], b.rows(tile), state, wide, 0.0, b, pairs, start=lo
             )  # fmt: skip
             b.held = b.held if tile.kept else None
+
+    def _sum(self, groups: Sequence[int], state: State, *, near: bool) -> None:
+        """Sums of the pairs of rays of eliminated groups; ``near``: of the kept rows only, the others are done."""
+        backend, s, b = self.backend, self.backend.structure, self.backend.buffers
+        for tile, lo, hi in self._ranges(groups):
+            if tile.kept:
+                backend.workers.run(backend.stages.pairs, s.cost[lo : hi + 1], b.rows(tile), b, start=lo)
+        rest = [tile for tile in s.tiles if not tile.kept]
+        if rest and not near:
+            self._eliminate(groups, state, near=True)
+
+    def _decrements(self, places: Index) -> Array:
+        """Newton decrements (n,) of points in sigmas: roots of twice the decrease that a Newton step predicts."""
+        b = self.backend.buffers
+        return np.asarray(np.sqrt(_squares(b.root[places], b.gradient[places])))
 
     def _point_costs(self, state: State) -> Array:
         """Half the sum of squares (P,) of the rays and the control equations of each point."""
@@ -414,8 +434,8 @@ class Elimination:
             value = b.value[slice(*group.points)]
             inside = slice(*np.searchsorted(place, group.places))
             at = slice(*group.places)
-            u = _roots_times(b.root[at], b.gradient[at])
-            total = float(np.vdot(value, value) + control[inside].sum() - np.vdot(u, u)) + 2.0 * self._excess[g]
+            points = control[inside].sum() - _squares(b.root[at], b.gradient[at]).sum()
+            total = float(np.vdot(value, value) + points) + 2.0 * self._excess[g]
             self._rows[g] = GroupRows(free[group.free].copy(), *square_root(matrix, own, total))
 
     def _matrix(self, group: PointGroup, blocks: Array) -> Array:
@@ -432,16 +452,11 @@ class Elimination:
         return out
 
 
-def _roots_times(root: Array, gradient: Array) -> Array:
-    """R g (n, 3) of points."""
-    r, g = root, gradient
-    return np.stack([
-        r[:, ROOT.r00] * g[:, 0],
-        r[:, ROOT.r10] * g[:, 0] + r[:, ROOT.r11] * g[:, 1],
-        r[:, ROOT.r20] * g[:, 0] + r[:, ROOT.r21] * g[:, 1] + r[:, ROOT.r22] * g[:, 2],
-    ], axis=1)  # fmt: skip
-
-
-def _decrements(root: Array, gradient: Array) -> Array:
-    """Newton decrement (n,) of points in sigmas: the root of twice the decrease that a Newton step predicts."""
-    return np.asarray(np.sqrt(np.sum(_roots_times(root, gradient) ** 2, axis=1)))
+def _squares(root: Array, gradient: Array) -> Array:
+    """Squares (n,) of R g of points: twice the decrease that a Newton step predicts."""
+    r, g = root.T, gradient.T
+    return np.asarray(
+        (r[ROOT.r00] * g[0]) ** 2
+        + (r[ROOT.r10] * g[0] + r[ROOT.r11] * g[1]) ** 2
+        + (r[ROOT.r20] * g[0] + r[ROOT.r21] * g[1] + r[ROOT.r22] * g[2]) ** 2
+    )

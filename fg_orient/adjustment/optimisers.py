@@ -3,7 +3,8 @@
 Between two iterations a record is written, a checkpoint kept, and an interrupt can end the run. GTSAM's own tests for
 the end compare costs; they are replaced by the rule of :mod:`fg_orient.adjustment.loop` on the scaled step, which
 resolves the solution to rounding. Levenberg-Marquardt and Dogleg reject steps whose decrease is below the rounding of
-the cost; Gauss-Newton steps follow them. Gauss-Newton that raises the cost continues as Levenberg-Marquardt.
+the cost, and try several before they give up; Gauss-Newton steps follow their first short step. Gauss-Newton that
+raises the cost continues as Levenberg-Marquardt.
 
 The whitened gradient of the last linearisation, ``sqrt(g^T S^-1 g)``, is the length of the remaining Gauss-Newton step
 in units of the standard deviation of the solution. An end with more than :data:`REMAINING` of it is not converged.
@@ -47,6 +48,8 @@ Array = npt.NDArray[np.float64]
 REMAINING: Final = 1e-3
 #: Control of the Gauss-Newton steps that follow the damped ones.
 FINAL: Final = 0.0
+#: Step of Levenberg-Marquardt or Dogleg, in prior sigmas, that Gauss-Newton steps follow.
+SHORT: Final = 0.1
 #: Relative increase of the cost that is more than rounding.
 RISE: Final = 1e-9
 #: First damping of Levenberg-Marquardt in prior sigmas, first radius of Dogleg.
@@ -131,7 +134,7 @@ def _optimise(
     final = carried.control == FINAL  # before an interrupt, as the next
     changed = kind == "gauss-newton" and not (math.isnan(carried.control) or final)
     first = "levenberg-marquardt" if changed else "gauss-newton" if final else kind
-    run = _begin(first, backend, carried.state, carried.control)
+    run, tried = _begin(first, backend, carried.state, carried.control), False
     for _ in course.remaining(max_iterations):
         carried, before, here, control = course.carried, run.error, run.state, run.control
         step, newton = run.iterate(), run.kind == "gauss-newton"
@@ -139,6 +142,10 @@ def _optimise(
         course.assess(
             before, math.inf if rises else run.error, step, 0.0 if math.isnan(control) else control, always=not rises
         )  # fmt: skip
+        if rises and final and run.kind != kind and not tried:  # a short step was not the last but one
+            run, final, tried = _begin(kind, backend, here, math.nan), False, True
+            course.go_on(control=run.control, rejected=carried.rejected + 1)
+            continue
         if rises:
             if final or not newton:
                 return course.end(here, before, False, finding("loop.no_step"))
@@ -153,6 +160,10 @@ def _optimise(
                 return _end(course, backend, run, step, changed=changed)
             run, final = _begin("gauss-newton", backend, run.state, math.nan), True
             course.go_on(state=run.state, control=FINAL, previous=math.inf, rejected=0)
+            continue
+        if not newton and not tried and step.length < SHORT and backend.robust is None:
+            run, final = _Run("gauss-newton", backend, run.values, math.nan), True
+            course.go_on(state=run.state, control=FINAL, previous=step.length, rejected=0)
             continue
         course.go_on(state=run.state, control=FINAL if final else run.control, previous=step.length, rejected=0)
         if backend.robust is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +16,12 @@ from fg_orient.adjustment.schur_structure import Small
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 
 #: Work of a group that does not depend on its size, in multiplications: calls, and small matrices.
 OVERHEAD: Final = 1_500_000
+#: Sets of images that are compared with each other; neighbours of more sets are joined before.
+MOST_SETS: Final = 2000
 #: Share of the unchanged part of the error up to which the rest of the gradient is returned, see :func:`square_root`.
 RETURNED: Final = 1e-3
 #: Pivot of the factor, its rows scaled to length one, that is kept whatever rounding says.
@@ -74,35 +77,71 @@ class PointGroup:
     entries: tuple[int, int]
 
 
-def runs_of_first_images(first: Small, image: Small) -> Index:
-    """Places at which a new pair of first and last image begins, in the order of the structure."""
-    ends = np.stack([image[first[:-1]], image[first[1:] - 1]])
-    return np.concatenate([[0], 1 + np.flatnonzero((ends[:, 1:] != ends[:, :-1]).any(axis=0))])
+def numbers_of_groups(first: Small, image: Small, size: Index) -> Index:
+    """Number of the group of each ground point, from 0 in the order of the points.
 
+    Points that the same images see belong together. Two groups are joined where the predicted work becomes less: that
+    of a group with n unknowns is that of its matrix in GTSAM, ``n^3``, and :data:`OVERHEAD`. One group for all is the
+    result where all images see points together.
 
-def best_cuts(first: Small, image: Small, size: Index) -> Index:
-    """Places that begin the groups: neighbouring runs are joined where the predicted work becomes less.
-
-    The work of a group with n unknowns is that of its matrix in GTSAM, ``n^3``, and :data:`OVERHEAD`; one group for all
-    is the result where all images see points together.
+    Parameters
+    ----------
+    first : (P + 1,) int array
+        First image point of each ground point, and the end of the last.
+    image : (N,) int array
+        Image of each image point.
+    size : (M,) int array
+        Unknowns of each image.
     """
-    places = runs_of_first_images(first, image)
-    rays = np.append(first[places], first[-1])
-    seen = [frozenset(np.unique(image[a:b]).tolist()) for a, b in itertools.pairwise(rays)]
+    label = np.random.default_rng(0).integers(1 << 62, size=len(size), dtype=np.uint64)
+    code = np.add.reduceat(label[image], first[:-1])  # equal for points with the same images
+    of_set = _in_order(code)
+    bunch = of_set // (int(of_set.max()) // MOST_SETS + 1)
+    seen = np.zeros((int(bunch.max()) + 1, len(size)), bool)
+    seen[np.repeat(bunch, np.diff(first)), image] = True
+    sets = np.unique(seen, axis=0)
+    groups = _joined(sets[np.count_nonzero(_contains(sets, sets), axis=0) == 1], size)
+    work = np.where(_contains(groups, seen), (groups @ size)[:, None], np.inf)
+    return _in_order(work.argmin(axis=0)[bunch])
 
-    def work(images: frozenset[int]) -> float:
-        return float(size[list(images)].sum()) ** 3 + OVERHEAD
 
-    groups: list[tuple[int, frozenset[int], float]] = []
-    for place, images in zip(places.tolist(), seen, strict=True):
-        groups.append((place, images, work(images)))
-        while len(groups) > 1:
-            (begin, before, cost), (_, own, more) = groups[-2:]
-            together = before | own
-            if work(together) > cost + more:
-                break
-            groups[-2:] = [(begin, together, work(together))]
-    return np.array([place for place, _, _ in groups], np.int64)
+def _contains(groups: Mask, sets: Mask) -> Mask:
+    """Whether each group (G, M) contains each set (S, M)."""
+    return np.asarray((~groups).astype(np.float32) @ sets.T.astype(np.float32) == 0.0)
+
+
+def _in_order(label: npt.NDArray[Any]) -> Index:
+    """Numbers from 0 in place of labels (P,), in the order of their first occurrence."""
+    _, begin, number = np.unique(label, return_index=True, return_inverse=True)
+    rank = np.empty(len(begin), np.int64)
+    rank[np.argsort(begin)] = np.arange(len(begin))
+    return rank[number]
+
+
+def _joined(sets: Mask, size: Index) -> Mask:
+    """Sets of images (G, M), no two of which would take less work as one, from sets (S, M), none within another."""
+
+    def gains(k: int) -> Array:
+        """Work (S,) that is saved where set k is joined with each other one."""
+        together = (sets | sets[k]) @ size
+        saved = work + work[k] - (together.astype(float) ** 3 + OVERHEAD)
+        saved[k] = -np.inf
+        return np.where(left, saved, -np.inf)
+
+    left = np.ones(len(sets), bool)
+    work = (sets @ size).astype(float) ** 3 + OVERHEAD
+    gain = np.array([gains(k) for k in range(len(sets))])
+    while True:
+        a, b = np.unravel_index(int(gain.argmax()), gain.shape)
+        if gain[a, b] <= 0.0:
+            return sets[left]
+        sets[a] |= sets[b]
+        inside = left & ~(sets & ~sets[a]).any(axis=1)
+        inside[a] = False
+        left[inside], work[a] = False, float(sets[a] @ size) ** 3 + OVERHEAD
+        gain[inside], gain[:, inside] = -np.inf, -np.inf
+        gain[a] = gains(int(a))
+        gain[:, a] = gain[a]
 
 
 def square_root(matrix: Array, gradient: Array, twice_cost: float) -> tuple[Array, Array]:

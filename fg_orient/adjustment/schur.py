@@ -24,7 +24,7 @@ from fg_orient.adjustment.robust import Weighing
 from fg_orient.adjustment.runtime import Index, Workers
 from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
 from fg_orient.adjustment.schur_stages import Buffers, ImageExtras, Stages, TileRows
-from fg_orient.adjustment.schur_structure import SERIAL_LIMIT, Fences, Structure, Tile, compile_structure
+from fg_orient.adjustment.schur_structure import SERIAL_LIMIT, Grouping, Structure, Tile, compile_structure
 from fg_orient.kernels.batch_pairs import gather_blocks, gather_gradients, image_gradients
 from fg_orient.kernels.batch_points import control_squares, move, product, scale_rows
 from fg_orient.model.errors import InputError
@@ -291,8 +291,8 @@ class SchurBackend:
     reduced : str
         "dense", "banded": Cholesky factor of the reduced matrix or of its band; "graph": GTSAM on its blocks; "auto":
         by size.
-    fences : callable, optional
-        Places at which a chunk must begin.
+    grouping : callable, optional
+        Number of the group of each ground point; a chunk holds points of one group.
 
     Raises
     ------
@@ -303,14 +303,14 @@ class SchurBackend:
     name = "schur"
 
     def __init__(
-        self, problem: Problem, threads: int | None = None, reduced: str = "auto", fences: Fences | None = None
+        self, problem: Problem, threads: int | None = None, reduced: str = "auto", grouping: Grouping | None = None
     ) -> None:
         if not schur_possible(problem.block):
             value = "extra observations name ground points or several images"
             raise InputError.of("adjust.schur", option="backend", value=value)
         if reduced not in REDUCED:
             raise ValueError(f"reduced = {reduced!r}: one of {', '.join(REDUCED)}")
-        self.problem, self.structure = problem, compile_structure(problem, fences)
+        self.problem, self.structure = problem, compile_structure(problem, grouping)
         available = min(MAX_THREADS, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else MAX_THREADS)
         automatic = available if len(problem.observations) >= SERIAL_LIMIT else 1
         self.workers = Workers(automatic if threads is None else threads)

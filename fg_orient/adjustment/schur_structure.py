@@ -22,6 +22,7 @@ from fg_orient.adjustment.schur_reduced import Pattern
 from fg_orient.kernels import batch_sort
 from fg_orient.kernels.batch import Columns, batch
 from fg_orient.kernels.batch_pairs import widen
+from fg_orient.kernels.batch_rows import Flags
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -165,13 +166,13 @@ class Structure:
         return out
 
 
-#: Places at which a chunk must begin, from the image points of the places and their images.
-Fences = Callable[[Small, Small], Index]
+#: Number (P,) of the group of each ground point, from its first image point and the images of all image points.
+Grouping = Callable[[Small, Small], Index]
 
 
-def compile_structure(problem: Problem, fences: Fences | None = None) -> Structure:
-    """Sort and index a problem."""
-    row, image, point, first = _sorted(problem)
+def compile_structure(problem: Problem, grouping: Grouping | None = None) -> Structure:
+    """Sort and index a problem; the points of a group follow each other, and its chunks are its own."""
+    row, image, point, first, fence = _sorted(problem, grouping)
     number = point[first[:-1]]
     free = np.where(problem.active[number], np.where(problem.observed[number], 2, 1), 0).astype(np.int8)
     image_groups = _groups(problem, image)
@@ -185,9 +186,6 @@ def compile_structure(problem: Problem, fences: Fences | None = None) -> Structu
         wide[g.images, :k], scale[g.images, :k] = g.columns.wide, g.columns.scale
         _write_basis(problem, row, g, basis)
     numbers = int(n_basis.max() * n_components.max()) ** 2
-    fence = np.zeros(len(free), np.int8)
-    if fences is not None:
-        fence[fences(first, image)] = 1
     pieces, chunks, slots = _chunks(first, image, free, fence, problem.n_images, numbers)
     chunk_places = np.append(pieces[chunks[:-1], 1], len(number)).astype(np.int32)
     pairs = np.append(pieces[1:, 4], _entries(pieces)) - pieces[:, 4]
@@ -198,8 +196,8 @@ def compile_structure(problem: Problem, fences: Fences | None = None) -> Structu
     )  # fmt: skip
 
 
-def _sorted(problem: Problem) -> tuple[Small, Small, Small, Small]:
-    """Row, image and ground point of the sorted image points, and the first of each ground point.
+def _sorted(problem: Problem, grouping: Grouping | None) -> tuple[Small, Small, Small, Small, Flags]:
+    """Row, image and ground point of the sorted image points, first of each ground point, flags of those of new groups.
 
     Image points by ground point, ground points by first and last image, number of rays and all their images: rays that
     two images share lie in few runs of memory, and points seen in the same images follow each other.
@@ -216,7 +214,13 @@ def _sorted(problem: Problem) -> tuple[Small, Small, Small, Small]:
     row, sorted_image, sorted_point = other, np.empty(n, np.int32), np.empty(n, np.int32)
     points = np.lexsort((code[:seen], key[:seen]))
     batch_sort.arrange(points, start, order, image, point, row, sorted_image, sorted_point, first)
-    return row, sorted_image, sorted_point, first
+    fence = np.zeros(seen, np.int8)
+    if grouping is not None:
+        group = grouping(first, sorted_image)
+        places = np.argsort(group, kind="stable")
+        fence[1:] = np.diff(group[places]) != 0
+        batch_sort.arrange(points[places], start, order, image, point, row, sorted_image, sorted_point, first)
+    return row, sorted_image, sorted_point, first, fence
 
 
 def _groups(problem: Problem, image: Small) -> tuple[Group, ...]:
