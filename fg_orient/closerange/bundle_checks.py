@@ -27,7 +27,7 @@ HARD: Final = 1e6
 HELD: Final = 1e-9
 #: Conditions with this share of the largest misclosure are named.
 CONFLICTING: Final = 0.1
-#: Distance of two points, relative to the start, below which conditions have merged them.
+#: Conditions have merged two points if their distance, relative to the start, is smaller.
 MERGED: Final = 1e-3
 _STEPS: Final = 300
 #: Relative change of squares and unknowns, and gradient, at rounding level.
@@ -57,8 +57,8 @@ def require_determined(built: Built, rows: NetworkRows) -> None:
     """Refuse unknowns that the rows do not determine.
 
     Hard conditions allow a space of motions Z. The singular values of J Z, with unknowns in units of the accuracy of
-    their observations, measure how well the observations determine the unknowns. The unit of a figure is that of its
-    points. The error names the open motions of the coordinate system; without any, the unknowns and the direction.
+    their observations, measure how well the observations determine the unknowns. A figure has the unit of its points.
+    The error names undetermined motions of the coordinate system; otherwise the unknowns and the direction.
     """
     unit = built.units(rows)
     border = rows.border * unit

@@ -34,7 +34,7 @@ Index = npt.NDArray[np.intp]
 Stage = Callable[[str, int], None]
 Known = Mapping[str, tuple[Array, Array]]
 
-#: Correlations above this are listed; how many of them, and of weak directions.
+#: Limit of listed correlations; number of listed correlations and of weak directions.
 HIGH: Final = 0.9
 LISTED: Final = 40
 #: Fields of an iteration.

@@ -64,7 +64,16 @@ class Built:
     figure_variables: list[int] = field(default_factory=list)
 
     def add(self, variable: Variable, offset: Array, steps: Array | None = None) -> int:
-        """Number of an added variable. Its values are offset + steps (default 1) times unknowns."""
+        """Add a variable and return its number.
+
+        Parameters
+        ----------
+        variable : Variable
+        offset : (k,) array
+            Values for users are ``offset + steps * unknowns``.
+        steps : (k,) array, optional
+            By default 1.
+        """
         self.variables.append(variable)
         self.steps_of.append(np.ones(len(offset)) if steps is None else steps)
         self.offset_of.append(offset)
@@ -115,7 +124,7 @@ class Built:
         return out
 
     def units(self, rows: NetworkRows) -> Array:
-        """Accuracy (u,) of each unknown from one image observation; for a figure that of its points."""
+        """Accuracy (u,) of each unknown from one image observation; a figure has the accuracy of its points."""
         seen = rows.design[: 2 * self.n_images]
         count = np.maximum(np.count_nonzero(seen, axis=0), 1)
         length = np.linalg.norm(seen, axis=0) / np.sqrt(count)

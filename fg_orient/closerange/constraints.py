@@ -18,7 +18,7 @@ from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-#: Kinds with their smallest number of members; those of photos last.
+#: Kinds with their smallest number of members; kinds between photos are last.
 LEAST: Final = {
     "distance": 2, "parallel": 4, "plane": 3, "line": 2, "plumb line": 1, "circle": 3, "horizontal circle": 3,
     "sphere": 4, "spheroid": 5, "base": 2, "equal attitude": 2,
@@ -225,7 +225,17 @@ def require_one_value(constraints: Sequence[Constraint]) -> None:
 def figure_parts(
     constraint: Constraint, figure: Figure, k: int, points: Sequence[int | Array]
 ) -> tuple[Variable, list[Observation]]:
-    """Variable number ``k`` of a figure; observations of the points on it and of its parameters."""
+    """Variable of a figure, and observations of its points and parameters.
+
+    Parameters
+    ----------
+    constraint : Constraint
+    figure : Figure
+    k : int
+        Number of the variable.
+    points : sequence of int or (3,) array
+        Numbers of the variables of the points, or held coordinates.
+    """
     hard = constraint.sigma is None
     record = figure.record.copy()
     record[constraints.FIGURE.factor] *= 1.0 / (constraint.sigma or 1.0) * figure.scale

@@ -45,7 +45,7 @@ CLOSE_TO_PLANE: Final = 0.1
 #: Movement of the centre of the distortion that ends its search, divided by the extent of the image.
 SETTLED: Final = 1e-9
 _STEP: Final = 1e-30
-#: Probability of a projection centre that is more than ``ALLOWED`` of its standard deviations off.
+#: Probability that the error of a projection centre exceeds ``ALLOWED`` standard deviations.
 LEVEL: Final = 1e-3
 ALLOWED: Final = 5.0
 

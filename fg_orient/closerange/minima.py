@@ -31,17 +31,17 @@ Array = npt.NDArray[np.float64]
 RIVAL_LEVEL: Final = 0.05
 #: Two minima are the same if directions differ by less (rad), and centres by less of the object's distance.
 SAME: Final = 1e-5
-#: Bend from which an error of two standard deviations, one of 20, moves another combination by its standard deviation.
+#: Limit of the bend: two standard deviations, which one error in 20 exceeds, move another combination by one.
 BENT: Final = 0.25
-#: Error probability of an interval; where squares grow as a parabola the decision does not depend on it.
+#: Error probability of an interval. If the squares grow as a parabola, the decision does not depend on it.
 LEVEL: Final = 1e-3
-#: Factor by which sigmas of points may be too small (a real surface is not a spheroid) without changing the decision;
-#: more where the residuals show it. Noise of f sigmas gains at most f^2 times a chi-square of one degree of freedom
-#: where points do not determine a semi-axis. m0 of a redundancy of one or two is too uncertain to replace the sigmas.
+#: The sigmas of points may be too small by this factor without a change of the decision: a real surface is not a
+#: spheroid. A larger m0 replaces the factor; with a redundancy of one or two, m0 alone is too uncertain. If points do
+#: not determine a semi-axis, noise of f sigmas reduces the squares by at most f^2 times a chi-square of one.
 OPTIMISTIC: Final = 5.0
-#: Parts of the distance at which the fit is followed.
+#: Fractions of the distance at which the fit is repeated.
 _WAY: Final = (1 / 64, 1 / 8, 1.0)
-#: Steps of normalised unknowns from a state where derivatives are not defined.
+#: Change of normalised unknowns if derivatives are not defined.
 ASIDE: Final = 1e-5
 #: Iterations of a fit far away, and number of repetitions while it still decreases towards the limit.
 _ROUND: Final = 50

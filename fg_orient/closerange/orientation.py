@@ -38,7 +38,7 @@ _ROLLS: Final = (
     *(np.array([[0.0, -s, 0.0], [s, 0.0, 0.0], [0.0, 0.0, 1.0]]) for s in (1, -1)),
 )
 LEAST_ABSOLUTE: Final = 3
-#: Message of points on a line, which do not determine the rotation about it.
+#: Code and place of the error for points on a line, which do not determine the rotation about it.
 ON_A_LINE: Final = ("closerange.line", "absolute orientation")
 
 

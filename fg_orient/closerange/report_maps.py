@@ -22,7 +22,7 @@ TALLEST: Final = 480.0
 MARGIN: Final = 40.0
 #: Length of a large ellipse or vector (90 % quantile) as a share of the width.
 SHARE: Final = 0.035
-#: The same, at most, as a share of the distance between neighbours, and at least, as a share of the width.
+#: Largest such length as a share of the distance between neighbours; smallest as a share of the width.
 _APART: Final = 0.6
 SHORTEST: Final = 0.007
 #: More points than this are thinned, new ones first.
@@ -149,7 +149,7 @@ def view(scene: Scene, words: str, across: int, up: int) -> Chart:
 
 
 def _frame(words: str, places: Array, across: int, up: int) -> Chart:
-    """Empty view with a bar of its scale."""
+    """View without points, with a scale bar."""
     chart = mapped(words, places, tallest=TALLEST, margin=MARGIN)
     chart.x, chart.y = replace(chart.x, words=f"{AXES[across]}, m"), replace(chart.y, words=f"{AXES[up]}, m")
     chart.title = words

@@ -19,7 +19,7 @@ from fg_orient.report.words import printable
 Array = npt.NDArray[np.float64]
 Charts = Sequence[Chart | None]
 
-#: Photos and cameras that are drawn on a page; photos on paper, those with the most image points.
+#: Number of photos and cameras on a page; number of photos on paper, those with the most image points.
 MAX_PHOTOS: Final = 16
 FEW_PHOTOS: Final = 6
 #: Vectors of one photo.

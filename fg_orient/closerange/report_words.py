@@ -83,7 +83,7 @@ def m0_words(record: dict[str, Any]) -> tuple[str, str]:
 
 
 def _assessed(record: dict[str, Any]) -> list[tuple[float | None, str, str]]:
-    """The m0 of the adjustment or of each photo, with the kind of its sentence and the sentence."""
+    """m0 of the adjustment or of each photo, kind (good, warn) and text of its sentence."""
     parts = [record] if "m0" in record else record["photos"]
     names = [f"{part['photo'] or 'photo'}: " if len(parts) > 1 else "" for part in parts]
     texts = [m0_words(record | part) for part in parts]

@@ -27,7 +27,7 @@ LEAST: Final = 4
 SPREAD: Final = 6
 #: Starts that are iterated, the best ones of all.
 TRIED: Final = 4
-#: Message of points that do not determine a photo; the sigma of a point is that of its image at the object's distance.
+#: Code and place of the error for points that do not determine a photo.
 REFUSED: Final = ("closerange.pose", "resection")
 
 

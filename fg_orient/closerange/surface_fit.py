@@ -281,7 +281,7 @@ def _require_steep(task: _Task, base: tuple[Array, float] | None, k: int) -> Non
 
 
 def _tangent(model: SurfaceModel, x: Array) -> Array:
-    """Free directions (u, f) of the unknowns: all, but for quadrics only those that change ratios."""
+    """Free directions (u, f) of the unknowns: all; for quadrics only changes of the ratios of coefficients."""
     if model.kind != "quadric":
         return np.eye(len(x))
     return np.asarray(np.linalg.svd(x[None])[2][1:].T)
