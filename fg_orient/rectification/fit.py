@@ -84,7 +84,18 @@ class Observations:
         cls, source: npt.ArrayLike, target: npt.ArrayLike, sigma: npt.ArrayLike | None = None,
         ids: Sequence[str] | None = None,
     ) -> Observations:  # fmt: skip
-        """Observations of array-likes; sigmas 1 and ids 1 to n by default.
+        """Observations of array-likes.
+
+        Parameters
+        ----------
+        source : (n, 2) or (n, 3) array_like
+            Coordinates in the source system.
+        target : (n, 2) array_like
+            Coordinates in the target system.
+        sigma : float, (2,) or (n, 2) array_like, optional
+            Standard deviations of the target coordinates, in their unit; default 1.
+        ids : sequence of n str, optional
+            Default: 1 to n.
 
         Raises
         ------

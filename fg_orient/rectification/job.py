@@ -124,7 +124,7 @@ def _of_folder(path: Path) -> tuple[Array, str]:
         raise InputError.of("rectify.result", file=path) from None
     if chosen:
         raise InputError.of("rectify.pruned", file=path, value=f"{len(pruning['dropped'])} point(s) left out")
-    return differences, "check points" if check else "control points, which say less: there are no check points"
+    return differences, "check points" if check else "control points, because there are no check points"
 
 
 def study_points(path: Path, counts: Sequence[int], degrees: Sequence[int], options: StudyOptions) -> tuple[Cell, ...]:

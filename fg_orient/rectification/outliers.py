@@ -58,7 +58,18 @@ class PointTests:
 
 
 def point_tests(fitted: TransformationFit) -> PointTests:
-    """Test every control point."""
+    """Test every control point against all others.
+
+    Parameters
+    ----------
+    fitted : TransformationFit
+        Adjusted transformation of n control points.
+
+    Returns
+    -------
+    PointTests
+        Arrays (n,), estimated gross errors (n, 2) in the unit of the target.
+    """
     t, d, whitened = quadratic(fitted.whitened, fitted.residual_cofactors)
     error, free = -whitened * fitted.points.sigma, fitted.redundancy - d
     usable = can_be_tested(d, fitted.redundancy, "t")

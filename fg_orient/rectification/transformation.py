@@ -249,7 +249,12 @@ class Transformation:
 
 
 def read_transformation(path: Path) -> Transformation:
-    """Read ``transformation.json`` of a result folder, or the folder.
+    """Read ``transformation.json``.
+
+    Parameters
+    ----------
+    path : Path
+        The file, or the result folder of ``rectify fit`` that contains it.
 
     Raises
     ------

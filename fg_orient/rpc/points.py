@@ -209,6 +209,11 @@ class MeasuredPoints:
 def read_measured(path: Path) -> MeasuredPoints:
     """Read a CSV file of measured points.
 
+    Parameters
+    ----------
+    path : Path
+        Lines and samples in pixels, longitudes and latitudes in degrees (WGS84), ellipsoidal heights in m.
+
     Raises
     ------
     InputError

@@ -365,9 +365,9 @@ def nested(reduced: Reduced) -> Selection:
 def uss(reduced: Reduced) -> Selection:
     """Significant coefficients of those that do not duplicate a better one.
 
-    In the order of their correlation with the residuals of the affine model, a coefficient is taken if its correlation
-    with each coefficient taken before is at most 0.9. Then the least significant one is dropped until all are
-    significant.
+    In the order of their correlation with the residuals of the affine model, a coefficient is accepted if its
+    correlation with each coefficient accepted before is at most 0.9. Then the least significant coefficient is dropped
+    until all are significant.
     """
     unit = reduced.design / np.linalg.norm(reduced.design, axis=0)
     correlation = np.abs(unit.T @ unit)

@@ -60,9 +60,10 @@ def nearest_points(
 
     Returns
     -------
-    points_m : (n_points, 3) array, nan for points with fewer than two rays or parallel ones
-    convergence_deg : (n_points,) array, the largest angle between any two rays of the point
-        (0 = parallel, or fewer than two rays)
+    points_m : (n_points, 3) array
+        ECEF; nan for points with fewer than two rays or with parallel rays.
+    convergence_deg : (n_points,) array
+        Largest angle between any two rays of the point; 0 for parallel rays and for fewer than two rays.
     """
     normal = np.eye(3) - direction[:, :, None] * direction[:, None, :]
     n = np.zeros((n_points, 3, 3))

@@ -68,7 +68,7 @@ class LineStates:
 
 
 def _extended(source: AngleAttitude | QuaternionList, seconds: Array) -> AngleAttitude | QuaternionList:
-    """Attitudes with the last rate held for ``seconds`` (2,) before and after their list."""
+    """Attitudes, extrapolated with the last rate by ``seconds`` (2,) before and after their list."""
     if not seconds.any():
         return source
     if isinstance(source, AngleAttitude):

@@ -4,8 +4,8 @@ The intersection is the first hit from above (docs/equations.md 5). Iterating he
 converge behind a ridge. Every ray is therefore followed from the highest DEM value downwards, from one line between
 cell centres to the next, because a bilinear surface has its edges there. The first change of sign, at an edge or at
 the peak of a cell, is bisected. Heights of a raster without vertical CRS are ellipsoidal. Heights with a vertical CRS
-are converted to ellipsoidal ones once, by PROJ and its geoid grids; a missing grid and units other than the metre are
-refused.
+are converted once to ellipsoidal heights, by PROJ and its geoid grids. A missing grid is refused, and so are units
+other than the metre.
 """
 
 from __future__ import annotations
@@ -37,9 +37,11 @@ class RasterDem:
 
     Parameters
     ----------
-    path : path of any raster that rasterio reads, geographic or projected CRS, heights in m.
+    path : path
+        Raster that rasterio reads, with a geographic or projected CRS and heights in m.
     vertical_crs : str, optional
-        CRS of the heights, such as ``EPSG:5773`` (EGM96), if the file has none. Without any they are ellipsoidal.
+        CRS of the heights, such as ``EPSG:5773`` (EGM96), if the file has none. Heights without a vertical CRS are
+        ellipsoidal.
 
     Attributes
     ----------

@@ -78,7 +78,19 @@ def simulate_block(
 
 
 def grid_block(options: BlockOptions | None = None) -> tuple[Block, Truth]:
-    """Block in memory as reading its files gives it, and its truth."""
+    """Grid block in memory.
+
+    Parameters
+    ----------
+    options : BlockOptions, optional
+
+    Returns
+    -------
+    block : Block
+        As read from the files of the block.
+    truth : Truth
+        True ground points (ECEF, m), pixels without noise, corrections of the metadata.
+    """
     simulation = simulate(options or BlockOptions())
     return simulation.block(), simulation.truth
 

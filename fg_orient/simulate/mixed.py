@@ -78,7 +78,19 @@ OPTIONS: Final = Options(
 
 
 def mixed_block(options: MixedOptions | None = None) -> tuple[Block, Truth]:
-    """Block in memory as reading its files gives it, and its truth."""
+    """Mixed block in memory.
+
+    Parameters
+    ----------
+    options : MixedOptions, optional
+
+    Returns
+    -------
+    block : Block
+        As read from the files of the block.
+    truth : Truth
+        True ground points (ECEF, m), pixels without noise, corrections of each sensor in its own form.
+    """
     simulation = simulate(options or MixedOptions())
     return simulation.block(), simulation.truth
 

@@ -115,7 +115,19 @@ def simulate_zonguldak(
 
 
 def zonguldak_block(options: ZonguldakOptions | None = None) -> tuple[Block, Truth]:
-    """Twin in memory: the block that reading its files gives, and its truth."""
+    """Twin in memory.
+
+    Parameters
+    ----------
+    options : ZonguldakOptions, optional
+
+    Returns
+    -------
+    block : Block
+        As read from the files of the twin.
+    truth : Truth
+        True ground points (ECEF, m), pixels without noise, corrections of the metadata.
+    """
     simulation = simulate(options or ZonguldakOptions())
     return simulation.block(), simulation.truth
 
