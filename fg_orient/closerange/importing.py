@@ -18,7 +18,7 @@ from fg_orient.closerange.files import photo_text
 from fg_orient.closerange.job import rows
 from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
-from fg_orient.formats.exchange.dbat import read_centres, read_control
+from fg_orient.formats.exchange.photomodeler import read_centres, read_control
 from fg_orient.formats.frame_model import FrameModel
 from fg_orient.formats.registry import Settings, format_named
 from fg_orient.model.errors import InputError

@@ -40,15 +40,12 @@ def staged_file(path: str | os.PathLike[str], *, place: str = "", suffix: str = 
     target = Path(path)
     temporary = target.with_name(f".{target.name[:200]}.{secrets.token_hex(4)}.tmp{suffix}")
     try:
-        yield temporary
-        temporary.replace(target)
-    except BaseException as error:
+        with writing(path, option="", place=place):
+            yield temporary
+            temporary.replace(target)
+    except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink()
-        if isinstance(error, OSError):
-            raise InputError.of(
-                "output.unwritable", file=os.fspath(path), place=place, value=error.strerror or error
-            ) from error
         raise
 
 
@@ -59,9 +56,7 @@ def write_bytes(path: str | os.PathLike[str], data: bytes, *, durable: bool = Tr
     no permission, disk full) leaves no part of the file.
     """
     with staged_file(path) as temporary:
-        # O_EXCL: never through a foreign link; the umask restricts 0o666
-        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
-        with os.fdopen(descriptor, "wb") as stream:
+        with temporary.open("xb") as stream:  # never through a foreign link
             stream.write(data)
             stream.flush()
             if durable:
@@ -154,12 +149,13 @@ def require_free_files(*files: Path | None, overwrite: bool, option: str = "out"
 
 
 @contextlib.contextmanager
-def writing(out: str | Path) -> Iterator[None]:
+def writing(out: str | os.PathLike[str], *, option: str = "out", place: str = "") -> Iterator[None]:
     """Convert an OSError into an InputError that names the output; for short blocks that only write."""
     try:
         yield
     except OSError as error:
-        raise InputError.of("output.unwritable", file=out, option="out", value=error.strerror or error) from error
+        value = error.strerror or error
+        raise InputError.of("output.unwritable", file=out, option=option, place=place, value=value) from error
 
 
 @contextlib.contextmanager

@@ -25,7 +25,7 @@ from fg_orient.model.errors import Finding, InputError
 from fg_orient.model.names import Role
 
 if TYPE_CHECKING:
-    from fg_orient.formats.scenes import Scene
+    from fg_orient.formats.points import Scene
     from fg_orient.formats.schema import ObservationsEntry, PointsEntry
 
 #: Options of ``convert`` in messages, and the corresponding entries of a project.

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.exchange import dbat, photomodeler
+from fg_orient.formats.exchange import photomodeler
 from fg_orient.formats.exchange.photomodeler import read_photomodeler, read_points_2d
 from fg_orient.formats.registry import Settings
 from fg_orient.model.errors import InputError
@@ -117,7 +117,7 @@ def both(folder: Path, marks: str = MARKS, control: str = CONTROL) -> tuple[Path
 
 @pytest.mark.behaviour
 def test_marks_and_control_points_of_dbat(tmp_path: Path) -> None:
-    survey = dbat.FORMAT.read(both(tmp_path), Settings("EPSG:32633"))  # type: ignore[misc]
+    survey = photomodeler.DBAT.read(both(tmp_path), Settings("EPSG:32633"))  # type: ignore[misc]
     assert (survey.crs, survey.ids, survey.images) == ("EPSG:32633", ("2", "8", "9", "03"), ("1", "2"))
     assert survey.roles == (Role.CONTROL,) * 3 + (Role.TIE,)
     assert survey.fixed.tolist() == [False, True, False, False]
@@ -128,7 +128,7 @@ def test_marks_and_control_points_of_dbat(tmp_path: Path) -> None:
     rows = zip(o.image, o.point, o.line, o.sample, o.sigma_line_px, strict=True)
     assert list(rows) == [(0, 0, 20.25, 10.5, 0.1), (0, 3, 21.0, 11.0, 0.2), (1, 0, 6.0, 5.0, 0.1)]
     other = MARKS.replace("Image id, OP id, x, y, sxy", "id, image, y, x, sxy")
-    exchanged = dbat.FORMAT.read(both(tmp_path, other)[:1], Settings())  # type: ignore[misc]
+    exchanged = photomodeler.DBAT.read(both(tmp_path, other)[:1], Settings())  # type: ignore[misc]
     assert (exchanged.images, exchanged.ids) == (("2", "03"), ("1", "2"))
     assert exchanged.observed.line.tolist() == [10.5, 11.0, 5.0]
 
@@ -153,7 +153,7 @@ def test_faults_of_dbat_files_name_their_line(old: str, new: str, code: str, pla
     assert old in MARKS + CONTROL
     files = both(tmp_path, MARKS.replace(old, new, 1), CONTROL.replace(old, new, 1))
     with pytest.raises(InputError) as error:
-        dbat.FORMAT.read(files, Settings())  # type: ignore[misc]
+        photomodeler.DBAT.read(files, Settings())  # type: ignore[misc]
     (found,) = error.value.problems
     assert (found.code, found.place) == (code, place)
 
@@ -201,9 +201,9 @@ def test_published_examples_of_dbat_are_read(real_data: Path, tmp_path: Path) ->
         script / "sxb": (script / "sxb/measurements/markpts.txt", "sxb-control.txt", 5, 16),
     }
     for folder, (marks, control, n_images, n_control) in counts.items():
-        survey = dbat.FORMAT.read((marks, folder / "reference" / control), Settings())  # type: ignore[misc]
+        survey = photomodeler.DBAT.read((marks, folder / "reference" / control), Settings())  # type: ignore[misc]
         assert len(survey.images) == n_images
         assert survey.roles.count(Role.CONTROL) == n_control
         assert np.isfinite(survey.sigma_enu_m[:n_control]).all()
-    found = dbat.FORMAT.read((roma,), Settings())  # type: ignore[misc]
+    found = photomodeler.DBAT.read((roma,), Settings())  # type: ignore[misc]
     assert (len(found.images), len(found.ids)) == (60, 26321)

@@ -15,9 +15,7 @@ from __future__ import annotations
 
 import bz2
 import gzip
-import hashlib
 import math
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,11 +28,11 @@ from scipy.spatial.transform import Rotation
 from factors.cameras import frame_camera
 from fg_orient.formats.atomic import require_free_files, write_bytes
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.exchange.text import TextLines, whole
+from fg_orient.formats.exchange.text import TextLines, read_packed, whole
 from fg_orient.formats.exchange.ties import model_survey
 from fg_orient.formats.frame_model import FrameModel, Pose, frame_block
 from fg_orient.formats.registry import TIES_ONLY, Format, Settings
-from fg_orient.formats.tables import finite
+from fg_orient.formats.tables import finite, sha256_of
 from fg_orient.model.block import Block, Source
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.frame import HALF_TURN, IDEAL_TO_MEASURED, ORTHONORMAL, away_from_rotation, not_a_rotation
@@ -93,27 +91,14 @@ def read_bal(path: str | Path, *, keep_behind: bool = True) -> Block:
         The file cannot be read, is truncated or damaged: with the line of the first fault.
     """
     path = Path(path)
-    raw, sha256 = _read(path)
-    model = frame_model_of(_parse(raw, path.name), from_middle=True)
-    source = Source(str(path), sha256)
+    model = frame_model_of(read_bal_data(path), from_middle=True)
+    source = Source(str(path), sha256_of(path))
     return frame_block(model, path.name, (source,), unknowns=UNKNOWN, keep_behind=keep_behind)
 
 
 def read_bal_data(path: str | Path) -> BalData:
     """Read the numbers of a file into arrays; errors as in :func:`read_bal`."""
-    return _parse(_read(Path(path))[0], Path(path).name)
-
-
-def _read(path: Path) -> tuple[bytes, str]:
-    """Content of a file, decompressed if its first bytes are those of gzip or bzip2, and the SHA-256 of the file."""
-    try:
-        raw = path.read_bytes()
-        sha256 = hashlib.sha256(raw).hexdigest()
-        if raw[:2] == b"\x1f\x8b":
-            return gzip.decompress(raw), sha256
-        return (bz2.decompress(raw) if raw[:3] == b"BZh" else raw), sha256
-    except (OSError, EOFError, ValueError, zlib.error) as error:
-        raise InputError.of("bal.unreadable", file=path.name, value=error) from None
+    return _parse(read_packed(Path(path), "bal.unreadable"), Path(path).name)
 
 
 def _parse(raw: bytes, file: str) -> BalData:

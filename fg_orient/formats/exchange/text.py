@@ -5,7 +5,10 @@ Numbers are written with the fewest digits that read back to the same double.
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import re
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
@@ -215,3 +218,17 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError.of("output.unwritable", file=folder, value=error.strerror or error) from None
+
+
+def read_packed(path: Path, code: str) -> bytes:
+    """Content of a file, decompressed if its first bytes are those of gzip or bzip2.
+
+    InputError with this ``code`` if it cannot be read.
+    """
+    try:
+        raw = path.read_bytes()
+        if raw[:2] == b"\x1f\x8b":
+            return gzip.decompress(raw)
+        return bz2.decompress(raw) if raw[:3] == b"BZh" else raw
+    except (OSError, EOFError, ValueError, zlib.error) as error:
+        raise InputError.of(code, file=path.name, value=error) from None

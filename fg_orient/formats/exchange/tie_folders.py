@@ -19,8 +19,6 @@ are centres of pixels according to MicMac's description; tie points alone cannot
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -30,7 +28,7 @@ import numpy.typing as npt
 
 from fg_orient.formats.atomic import write_bytes, write_lines
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.exchange.text import TextLines, make_folder, require_once
+from fg_orient.formats.exchange.text import TextLines, make_folder, read_packed, require_once
 from fg_orient.formats.exchange.ties import matched_survey, pairs_of, tie_survey
 from fg_orient.formats.registry import TIES_ONLY, Format, Holds, Settings
 from fg_orient.model.errors import InputError
@@ -53,10 +51,7 @@ def read_match(path: str | Path) -> tuple[Array, Array]:
     InputError if the file cannot be read, is truncated, or is not of this layout.
     """
     path = Path(path)
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError.of("ties.unreadable", file=path.name, value=error.strerror or error) from None
+    raw = read_packed(path, "ties.unreadable")
     counts = np.frombuffer(raw[:16], "<u8") if len(raw) >= 16 else np.empty(0, np.uint64)
     if len(counts) < 2 or counts[0] != counts[1] or int(counts.sum()) * RECORD.itemsize > len(raw) - 16:
         raise InputError.of("match.layout", file=path.name, place="counts", value=counts.tolist())
@@ -178,10 +173,7 @@ def read_image(path: str | Path) -> tuple[Array, npt.NDArray[np.int64]]:
     """
     path = Path(path)
     try:
-        raw = path.read_bytes()
-        text = (gzip.decompress(raw) if raw[:2] == b"\x1f\x8b" else raw).decode("utf-8-sig")
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError.of("ties.unreadable", file=path.name, value=error) from None
+        text = read_packed(path, "ties.unreadable").decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError.of("ties.not_text", file=path.name, place=f"byte {error.start}") from None
     lines = TextLines(path, text.replace("\r\n", "\n").rstrip("\n"))
