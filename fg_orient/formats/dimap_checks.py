@@ -75,7 +75,25 @@ def image_size(root: XmlNode, layout: Layout) -> tuple[int, int]:
 def metadata(
     root: XmlNode, layout: Layout, size: tuple[int, int], epoch: np.datetime64, timing: LineTiming, **others: Any
 ) -> PushbroomMetadata:
-    """Metadata with state vectors and frame points of the file, and with the ``others``."""
+    """Metadata with the elements that all versions of DIMAP have.
+
+    Parameters
+    ----------
+    root : XmlNode
+    layout : Layout
+    size : (int, int)
+        Lines and samples.
+    epoch : datetime64
+        Day from which times count.
+    timing : LineTiming
+    **others
+        Further fields of the record.
+
+    Returns
+    -------
+    PushbroomMetadata
+        With state vectors (ECEF, m and m/s) and frame points.
+    """
     corners = _frame_points(root.maybe(layout.frame), layout)
     if corners and layout.height_m is None:
         others["frame_note"] = finding("image.frame_without_heights")

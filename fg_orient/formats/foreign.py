@@ -21,7 +21,7 @@ from fg_orient.formats.points import PLAUSIBLE_SIGMA_PX, ObservationFile, PointF
 from fg_orient.formats.registry import Holds, Settings, format_named
 from fg_orient.formats.tables import Faults, did_you_mean, sha256_of, sigma_remarks
 from fg_orient.model.block import Coordinates, GroundPoints, ImagePoints
-from fg_orient.model.errors import Finding, InputError
+from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 
 if TYPE_CHECKING:
@@ -43,11 +43,14 @@ class Table:
     paths : tuple of Path
         The file, or both files of a format that has two.
     entry : PointsEntry or ObservationsEntry
+    project : str
+        Project file, for messages.
     """
 
     name: str
     paths: tuple[Path, ...]
     entry: PointsEntry | ObservationsEntry
+    project: str
 
     @property
     def path(self) -> Path:
@@ -59,14 +62,14 @@ class Table:
         """Absolute paths when the project was read: the files may be read again from another working directory."""
         return tuple(path.absolute() for path in self.paths)
 
-    def read(self, project: str, faults: Faults) -> Survey | None:
+    def read(self, faults: Faults) -> Survey | None:
         """Read the file; None, with the faults noted, if it is unusable. Messages name entries of the project."""
-        entry = self.entry
+        entry, place = self.entry, f"{self.name}.format"
         try:
-            format_ = format_named(entry.format, place=f"{self.name}.format")
+            format_ = format_named(entry.format, place=place)
             needed = Holds.GROUND if self.name == "points" else Holds.IMAGE
             if format_.read is None or needed not in format_.holds:
-                raise InputError.of("project.format", place=f"{self.name}.format", value=entry.format, what=needed)
+                raise InputError.of("project.format", place=place, value=entry.format, what=needed)
             for path in self.absolute:
                 if not path.exists():
                     raise InputError.of("project.missing_file", place=f"{self.name}.file", value=path.name,
@@ -78,23 +81,22 @@ class Table:
                 height_m=getattr(entry, "height_m", None), check=getattr(entry, "check", ()),
             )  # fmt: skip
         except InputError as error:
-            faults.take(*(self._in_project(p, project) for p in error.problems))
+            named = dict(zip(map(str, self.absolute), map(str, self.paths), strict=True))
+            for p in error.problems:
+                place = f"{self.name}.{_ENTRIES.get(p.option, p.option)}" if p.option else p.place
+                file = named.get(p.file, p.file) or self.project
+                faults.take(replace(p, file=file, option="", place=place, names=_ENTRIES))
             return None
 
-    def _in_project(self, fault: Finding, project: str) -> Finding:
-        place = f"{self.name}.{_ENTRIES.get(fault.option, fault.option)}" if fault.option else fault.place
-        named = dict(zip(map(str, self.absolute), map(str, self.paths), strict=True))
-        return replace(fault, file=named.get(fault.file, fault.file) or project, option="", place=place, names=_ENTRIES)
 
-
-def read_foreign_points(table: Table, project: str, faults: Faults, scenes: list[Scene]) -> PointFile | None:
+def read_foreign_points(table: Table, faults: Faults, scenes: list[Scene]) -> PointFile | None:
     """Read ground points; None, with the faults noted, if the file is unusable.
 
-    ``project`` is the project file, for messages; ``scenes`` are the footprints of the images.
+    ``scenes`` are the footprints of the images.
     """
 
     def parse(faults: Faults) -> Survey | None:
-        survey = table.read(project, faults)
+        survey = table.read(faults)
         if survey is None:
             return None
         _require_whole(survey, faults)
@@ -116,15 +118,14 @@ def _require_whole(survey: Survey, faults: Faults) -> None:
 
 
 def read_foreign_observations(
-    table: Table, project: str, sizes: Mapping[str, tuple[int, int] | None] | None, points: PointFile | None,
-    faults: Faults,
+    table: Table, sizes: Mapping[str, tuple[int, int] | None] | None, points: PointFile | None, faults: Faults
 ) -> tuple[ObservationFile, PointFile] | None:  # fmt: skip
     """Read image points of known ground points; other points of the file become tie points.
 
     None, with the faults noted, if anything is wrong; parameters as in
     :func:`fg_orient.formats.points.read_observations`.
     """
-    survey = table.read(project, faults)
+    survey = table.read(faults)
     if survey is None or sizes is None or points is None:
         return None
     image = _images(survey, list(sizes), table.entry, faults)
@@ -134,12 +135,12 @@ def read_foreign_observations(
     points = _with_ties(points, survey)
     place = {name: k for k, name in enumerate(points.points.ids)}
     o, row = survey.observed, np.array([place[name] for name in survey.ids], np.intp)
-    found = ImagePoints(image[o.image], row[o.point], o.line, o.sample, o.sigma_line_px, o.sigma_sample_px)
+    measured = ImagePoints(image[o.image], row[o.point], o.line, o.sample, o.sigma_line_px, o.sigma_sample_px)
     sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
     remarks = sigma_remarks(
         "remark.sigma_image", faults.file, sigma, PLAUSIBLE_SIGMA_PX, lambda k: f"point {survey.ids[o.point[k]]}"
     )
-    return ObservationFile(table.path, sha256_of(*table.absolute), found, remarks), points
+    return ObservationFile(table.path, sha256_of(*table.absolute), measured, remarks), points
 
 
 def _images(

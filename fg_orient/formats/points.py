@@ -241,7 +241,15 @@ def _id(row: Row) -> str:
 
 
 def located(survey: Survey, faults: Faults) -> tuple[Coordinates, Operation | None]:
-    """Coordinates in ECEF and the operation, on which only control points decide."""
+    """Coordinates of a survey in ECEF.
+
+    Returns
+    -------
+    Coordinates
+        (n, 3) m; nan for points without coordinates.
+    Operation or None
+        Only control points decide on it.
+    """
     ecef, operation = np.full_like(survey.coordinates, np.nan), None
     rows = np.flatnonzero(np.isfinite(survey.coordinates).all(axis=1))
     if len(rows):

@@ -175,7 +175,7 @@ def _navigated(block: Block, project: ProjectFile, folder: Path, file: str) -> B
 
 
 def _read_toml(path: Path, overrides: Mapping[str, object]) -> ProjectFile:
-    from fg_orient.formats.schema import validate
+    from fg_orient.formats.schema import ProjectFile, validate
 
     require_declared(overrides, "read_project", Options, Reading)
     content = parse_toml(path)
@@ -184,10 +184,10 @@ def _read_toml(path: Path, overrides: Mapping[str, object]) -> ProjectFile:
             table = content.setdefault(_table_of(name), {})
             if isinstance(table, dict):
                 table[name] = value
-    checked = validate(content, str(path))
-    if isinstance(checked, tuple):
-        raise InputError(*(_blame(p, overrides) for p in checked))
-    return checked
+    try:
+        return validate(content, str(path), ProjectFile)
+    except InputError as error:
+        raise InputError(*(_blame(p, overrides) for p in error.problems)) from None
 
 
 def _table_of(name: str) -> str:
@@ -256,7 +256,7 @@ def _tables(
         if project.points.format == OWN:
             points = read_points(point_path, project.points.crs or "", point_faults, scenes)
         else:
-            points = read_foreign_points(_foreign(project, folder, "points"), file, point_faults, scenes)
+            points = read_foreign_points(_foreign(project, folder, file, "points"), point_faults, scenes)
     # names are checked only against lists without faults: no faults that follow from other faults
     sizes = {name: (i.sensor.n_lines, i.sensor.n_samples) if i is not None else None for name, i in images.items()}
     known_images = sizes if len(sizes) == len(project.images) else None
@@ -266,8 +266,8 @@ def _tables(
         ids = sound.points.ids if sound is not None else None
         observations = read_observations(observation_path, known_images, ids, observation_faults)
     else:
-        table = _foreign(project, folder, "observations")
-        both = read_foreign_observations(table, file, known_images, sound, observation_faults)
+        table = _foreign(project, folder, file, "observations")
+        both = read_foreign_observations(table, known_images, sound, observation_faults)
         observations, points = both or (None, points)
     # both tables may name the same file of another program: its faults are listed once
     problems = dict.fromkeys((*crs_problems, *point_faults.problems, *observation_faults.problems))
@@ -281,7 +281,7 @@ def _scenes(images: Mapping[str, Image | None], tables: Sequence[Path]) -> list[
     return [Scene.from_footprint(image.id, image.sensor.footprint()) for image in images.values() if image is not None]
 
 
-def _foreign(project: ProjectFile, folder: Path, name: str) -> Table:
+def _foreign(project: ProjectFile, folder: Path, file: str, name: str) -> Table:
     """Files of another program's table; the tables of a format with two files name one file each."""
     entry = project.points if name == "points" else project.observations
     paths: tuple[Path, ...] = (folder / entry.file,)
@@ -293,7 +293,7 @@ def _foreign(project: ProjectFile, folder: Path, name: str) -> Table:
         if project.points.accept_unverified:
             given["accept_unverified"] = True
         entry = entry.model_copy(update=given)
-    return Table(name, paths, entry)
+    return Table(name, paths, entry, file)
 
 
 def _entry_problems(project: ProjectFile, file: str) -> list[Finding]:

@@ -151,14 +151,6 @@ class ProjectFile(Table):
         return {name: values[name] for name in declared(record)}
 
 
-def validate(content: dict[str, Any], file: str) -> ProjectFile | tuple[Finding, ...]:
-    """Project of a parsed TOML file, or all faults with place and remedy."""
-    try:
-        return ProjectFile.model_validate(content)
-    except ValidationError as error:
-        return problems_of(error, file, ProjectFile)
-
-
 def read_toml(path: str | Path, model: type[Model]) -> Model:
     """Read a TOML file as a pydantic model.
 
@@ -167,23 +159,30 @@ def read_toml(path: str | Path, model: type[Model]) -> Model:
     InputError
         The file cannot be read, or all faults of it.
     """
+    return validate(parse_toml(Path(path)), str(path), model)
+
+
+def validate(content: dict[str, Any], file: str, model: type[Model]) -> Model:
+    """Make a pydantic model of a parsed TOML file.
+
+    Raises
+    ------
+    InputError
+        All faults, with place and remedy.
+    """
     try:
-        return model.model_validate(parse_toml(Path(path)))
-    except ValidationError as error:
-        raise InputError(*problems_of(error, str(path), model)) from None
-
-
-def problems_of(error: ValidationError, file: str, root: type[BaseModel]) -> tuple[Finding, ...]:
-    """All faults of a file that is not a valid ``root``, with place and remedy."""
+        return model.model_validate(content)
+    except ValidationError as caught:
+        error = caught
     places: dict[str, Finding] = {}
     details = error.errors(include_url=False, include_context=False)
     for detail in details:
         loc = detail["loc"]
         if detail["type"] == "too_short" and any(o["loc"][: len(loc)] == loc and o["loc"] != loc for o in details):
             continue  # an array counts as short if its items have faults
-        fault = _problem(detail["type"], loc, detail["input"], file, root)
+        fault = _problem(detail["type"], loc, detail["input"], file, model)
         places.setdefault(fault.place, fault)  # a union reports one fault per member
-    return tuple(places.values())
+    raise InputError(*places.values())
 
 
 def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str, root: type[BaseModel]) -> Finding:

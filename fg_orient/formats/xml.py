@@ -104,12 +104,12 @@ class XmlNode:
         """Element at ``path``, or None."""
         node = self
         for name in path.split("/"):
-            found = list(node.element.iterchildren(name))
-            if not found:
+            nodes = list(node.element.iterchildren(name))
+            if not nodes:
                 return None
-            if len(found) > 1:
-                raise XmlNode(found[1], self.file).fault("xml.doubled", f"{len(found)} times")
-            node = XmlNode(found[0], self.file)
+            if len(nodes) > 1:
+                raise XmlNode(nodes[1], self.file).fault("xml.doubled", f"{len(nodes)} times")
+            node = XmlNode(nodes[0], self.file)
         return node
 
     def one(self, path: str) -> XmlNode:
@@ -123,19 +123,31 @@ class XmlNode:
         """All elements at ``path``; only its last step may repeat."""
         *steps, last = path.split("/")
         parent = self.one("/".join(steps)) if steps else self
-        found = [XmlNode(e, self.file) for e in parent.element.iterchildren(last)]
-        if len(found) < at_least:
-            raise parent.fault("xml.too_few", f"{len(found)} {last}", element=last, at_least=at_least)
-        return found
+        nodes = [XmlNode(e, self.file) for e in parent.element.iterchildren(last)]
+        if len(nodes) < at_least:
+            raise parent.fault("xml.too_few", f"{len(nodes)} {last}", element=last, at_least=at_least)
+        return nodes
 
     def children(self) -> Iterator[XmlNode]:
         """Child elements (no comments) in file order."""
         return (XmlNode(e, self.file) for e in self.element.iterchildren("*"))
 
     def table(self, tag: str, columns: Mapping[str, tuple[Quantity, float, float]], at_least: int = 1) -> Array:
-        """Numbers (n, k) of the elements ``tag``, in SI units; ``columns`` are quantity and range of their children.
+        """Numbers of the elements ``tag``, one row each.
 
         Plain elements are read at once, in a sixth of the time that others take, which are read one by one.
+
+        Parameters
+        ----------
+        tag : str
+        columns : mapping of str to (Quantity, low, high)
+            Children, with the range of their values.
+        at_least : int
+
+        Returns
+        -------
+        (n, k) array
+            SI units.
         """
         quantities, low, high = zip(*columns.values(), strict=True)
         values = self._plain_numbers(tag, tuple(columns))
@@ -173,7 +185,11 @@ class XmlNode:
 
     def number(self, quantity: Quantity = PURE, low: float = -math.inf, high: float = math.inf) -> float:
         """Finite number in the SI unit of ``quantity``, inside [low, high]."""
-        return self._checked(self._parse(self.text()) * self._factor(quantity), quantity, low, high)
+        value = self._parse(self.text()) * self._factor(quantity)
+        if not low <= value <= high or not math.isfinite(value):
+            si = next(unit for unit, factor in quantity.factors.items() if factor == 1.0)
+            raise self.fault("xml.out_of_range", self.text(), low=low, high=high, unit="" if si == "1" else f" {si}")
+        return value
 
     def integer(self, low: int, high: int) -> int:
         """Whole number inside [low, high]."""
@@ -229,13 +245,6 @@ class XmlNode:
         if name not in quantity.factors:
             raise self.fault("xml.unit", unit or "empty", quantity=quantity.name, known=", ".join(quantity.factors))
         return quantity.factors[name]
-
-    def _checked(self, value: float, quantity: Quantity, low: float, high: float) -> float:
-        if not low <= value <= high or not math.isfinite(value):
-            si = next(unit for unit, factor in quantity.factors.items() if factor == 1.0)
-            unit = "" if si == "1" else f" {si}"
-            raise self.fault("xml.out_of_range", self.text(), low=low, high=high, unit=unit)
-        return value
 
 
 def element(name: str, content: Any) -> etree._Element:

@@ -149,7 +149,23 @@ def to_ecef_with_operation(
 
 
 def geodetic_to_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike) -> Array:
-    """Transform WGS84 longitude, latitude (degrees), ellipsoidal height (m) of N points to (N, 3) ECEF m."""
+    """Transform WGS84 geodetic coordinates to ECEF.
+
+    Parameters
+    ----------
+    lon_deg, lat_deg, height_m : (N,) array_like
+        Longitude, latitude, ellipsoidal height.
+
+    Returns
+    -------
+    (N, 3) array
+        ECEF coordinates in m.
+
+    Raises
+    ------
+    InputError
+        A coordinate is not finite.
+    """
     given = np.stack([np.atleast_1d(np.asarray(a, float)) for a in (lon_deg, lat_deg, height_m)], axis=1)
     require_finite("EPSG:4979", given, given, None)
     # one operation for all places: it is not searched for each time
@@ -184,10 +200,18 @@ def ecef_to_geodetic(xyz_m: npt.ArrayLike) -> tuple[Array, Array, Array]:
 
 
 def from_geographic(crs: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> tuple[Array, Array]:
-    """Transform WGS84 longitude, latitude (N,) degrees to horizontal coordinates (N,) of a raster's CRS.
+    """Transform WGS84 longitude and latitude to horizontal coordinates of a raster's CRS.
 
-    The CRS is WKT or an EPSG code; its vertical part is ignored. The result has the units of the CRS; it is nan outside
-    its domain.
+    Parameters
+    ----------
+    crs : str
+        WKT or EPSG code; its vertical part is ignored.
+    lon_deg, lat_deg : (N,) array_like
+
+    Returns
+    -------
+    x, y : (N,) arrays
+        In the units of the CRS; nan outside its domain.
 
     Raises
     ------
@@ -255,9 +279,18 @@ def with_vertical(crs: str, vertical: str) -> tuple[str, str]:
 
 
 def undulation_m(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
-    """Height of the zero level of a compound CRS above the WGS84 ellipsoid at N points, m (N,).
+    """Height of the zero level of a compound CRS above the WGS84 ellipsoid.
 
-    ``x`` and ``y`` (N,) are easting and northing, or longitude and latitude, in units of the CRS.
+    Parameters
+    ----------
+    crs : str
+    x, y : (N,) array_like
+        Easting and northing, or longitude and latitude, in units of the CRS.
+
+    Returns
+    -------
+    (N,) array
+        m.
 
     Raises
     ------
@@ -274,9 +307,16 @@ def undulation_m(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
 
 
 def enu_from_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
-    """Rotations (N, 3, 3) that turn an ECEF vector into East, North, Up at N places.
+    """Rotations that turn an ECEF vector into East, North, Up.
 
-    Rows are the unit vectors of East, North and Up in ECEF, Up along the ellipsoid normal.
+    Parameters
+    ----------
+    lon_deg, lat_deg : (N,) array_like
+
+    Returns
+    -------
+    (N, 3, 3) array
+        Rows are the unit vectors of East, North and Up in ECEF, Up along the ellipsoid normal.
     """
     lon, lat = np.broadcast_arrays(*(np.radians(np.atleast_1d(np.asarray(a, float))) for a in (lon_deg, lat_deg)))
     sl, cl, sp, cp = np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat)

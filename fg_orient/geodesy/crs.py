@@ -53,34 +53,34 @@ def epsg_code(text: str) -> str:
     proj = offline_pyproj()
     code = _CODE.fullmatch(words)
     try:
-        found = proj.CRS.from_user_input(f"EPSG:{code[1]}" if code else words)
+        crs = proj.CRS.from_user_input(f"EPSG:{code[1]}" if code else words)
     except proj.exceptions.CRSError:
         return ""
     if code:
         return f"EPSG:{code[1]}"
-    found = _without_null_shift(found)
-    parts = found.sub_crs_list or [found if len(found.axis_info) < 3 or found.to_epsg() else found.to_2d()]
+    crs = _without_null_shift(crs)
+    parts = crs.sub_crs_list or [crs if len(crs.axis_info) < 3 or crs.to_epsg() else crs.to_2d()]
     codes = [_code_of(_without_null_shift(part)) for part in parts]
     return "" if None in codes else f"EPSG:{'+'.join(map(str, codes))}"
 
 
-def _without_null_shift(found: CRS) -> CRS:
+def _without_null_shift(crs: CRS) -> CRS:
     """CRS that a file binds to WGS84 by a shift of zero, as ``TOWGS84[0,0,0,0,0,0,0]``; other CRS are unchanged."""
-    if not found.is_bound or found.source_crs is None or found.coordinate_operation is None:
-        return found
-    shift = found.coordinate_operation.towgs84  # empty for a grid of shifts
-    return found.source_crs if shift and not any(shift) else found
+    if not crs.is_bound or crs.source_crs is None or crs.coordinate_operation is None:
+        return crs
+    shift = crs.coordinate_operation.towgs84  # empty for a grid of shifts
+    return crs.source_crs if shift and not any(shift) else crs
 
 
-def _code_of(found: CRS) -> int | None:
+def _code_of(crs: CRS) -> int | None:
     """EPSG number of a horizontal CRS: the stated number, else that of the CRS that PROJ finds equal."""
-    stated = found.to_json_dict().get("id", {})
+    stated = crs.to_json_dict().get("id", {})
     if stated.get("authority") == "EPSG":
         return int(stated["code"])
-    datum = found.datum
+    datum = crs.datum
     if datum is not None and datum.name.lower().startswith(_NO_DATUM):
         return None  # PROJ takes every datum of this ellipsoid as equal, even several hundred metres away
-    number: int | None = found.to_epsg(min_confidence=_CONFIDENCE)
+    number: int | None = crs.to_epsg(min_confidence=_CONFIDENCE)
     return number
 
 

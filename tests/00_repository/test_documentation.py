@@ -59,8 +59,7 @@ def test_project_file_of_the_readme_is_valid(repository: Path) -> None:
     from fg_orient.formats.schema import ProjectFile, validate
 
     (text,) = blocks(repository / "README.md", "toml")
-    project = validate(tomllib.loads(text), "README.md")
-    assert isinstance(project, ProjectFile), project
+    project = validate(tomllib.loads(text), "README.md", ProjectFile)
     assert [image.id for image in project.images] == ["left", "right"]
 
 

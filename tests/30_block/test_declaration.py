@@ -50,8 +50,7 @@ def read(values: dict[str, dict[str, Any]]) -> dict[str, Any]:
         "schema": 1, "name": "n", "images": [{"id": "a", "metadata": "a.DIM"}],
         "points": {"file": "p", "crs": "EPSG:4979"}, "observations": {"file": "o"}, **values,
     }  # fmt: skip
-    found = validate(content, "project.toml")
-    assert isinstance(found, ProjectFile), found
+    found = validate(content, "project.toml", ProjectFile)
     return found.values_of(Options) | found.values_of(Reading)
 
 
@@ -166,9 +165,12 @@ from tests.support.command import in_process
 from fg_orient.formats.schema import ProjectFile, validate
 content = {"schema": 1, "name": "n", "images": [{"id": "a", "metadata": "a"}],
            "points": {"file": "p", "crs": "EPSG:4979"}, "observations": {"file": "o"}, "adjustment": {"further": 4}}
-print(validate(content, "f").values_of(fg.Options)["further"])
+print(validate(content, "f", ProjectFile).values_of(fg.Options)["further"])
 content["adjustment"]["further"] = 10
-print(*validate(content, "f"))
+try:
+    validate(content, "f", ProjectFile)
+except fg.InputError as error:
+    print(*error.problems)
 print(" ".join(in_process("adjust", "--help").stdout.split()).count("A further option; default: 3."))
 for call in (fg.Options, lambda **more: fg.adjust(fg.Block("b", (), None, None, None), **more)):
     try:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from fg_orient.formats.schema import Adjustment, Orientation, validate
+from fg_orient.formats.schema import Adjustment, Orientation, ProjectFile, validate
 from fg_orient.model.block import Coordinates
 from fg_orient.model.declaration import declared
 from fg_orient.model.errors import Finding, InputError
@@ -64,8 +64,9 @@ def test_the_project_file_has_the_same_bounds(name: str, value: object) -> None:
         "schema": 1, "name": "n", "images": [{"id": "a", "metadata": "a.DIM"}],
         "points": {"file": "p", "crs": "EPSG:4979"}, "observations": {"file": "o"}, table: {name: value},
     }  # fmt: skip
-    found = validate(content, "project.toml")
-    assert isinstance(found, tuple)
+    with pytest.raises(fg.InputError) as error:
+        validate(content, "project.toml", ProjectFile)
+    found = error.value.problems
     assert [(p.place, declared(Options)[name].expected in p.remedy) for p in found] == [(f"{table}.{name}", True)]
     assert isinstance(found[0], Finding)
 

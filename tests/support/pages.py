@@ -189,8 +189,7 @@ def check_toml(fence: Fence) -> None:
     except tomllib.TOMLDecodeError as error:
         raise AssertionError(f"{fence.page}:{fence.line}: {error}") from error
     if {"images", "points", "observations"} <= set(data):
-        found = validate(data, fence.page)
-        assert isinstance(found, ProjectFile), f"{fence.page}:{fence.line}: {found}"
+        validate(data, f"{fence.page}:{fence.line}", ProjectFile)
 
 
 def run_page(

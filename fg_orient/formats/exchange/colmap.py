@@ -63,9 +63,22 @@ def interior_of(
 ) -> Interior:  # fmt: skip
     """Camera of COLMAP as an interior orientation.
 
-    ``model`` is a name as in cameras.txt, ``size`` width and height in px, ``parameters`` are in COLMAP's order;
-    ``file`` and ``place`` are for messages. InputError if the model or a parameter has no counterpart, the number of
-    parameters is wrong, or a value is impossible.
+    Parameters
+    ----------
+    model : str
+        Name as in cameras.txt.
+    size : (int, int)
+        Width and height, px.
+    parameters : sequence of float
+        In COLMAP's order, px.
+    name : str
+    file, place : str
+        For messages.
+
+    Raises
+    ------
+    InputError
+        The model or a parameter has no counterpart, the number of parameters is wrong, or a value is impossible.
     """
     if model not in MODELS:
         raise InputError.of("colmap.model", file=file, place=place, value=model, known=", ".join(MODELS))
@@ -88,10 +101,16 @@ def interior_of(
 
 
 def parameters_of(interior: Interior) -> tuple[str, tuple[float, ...], float]:
-    """Camera for COLMAP: the smallest sufficient model, its parameters, and the largest error in px.
+    """Camera for COLMAP by the smallest sufficient model.
 
-    The error is 0 unless the polynomial leads from measured to ideal coordinates: then a polynomial of the other
-    direction is fitted (``fg_orient.sensors.interior.converted``).
+    Returns
+    -------
+    model : str
+    parameters : tuple of float
+        In COLMAP's order, px.
+    error_px : float
+        Largest error. It is 0 unless the polynomial leads from measured to ideal coordinates: then a polynomial of the
+        other direction is fitted (``fg_orient.sensors.interior.converted``).
     """
     fitted = converted(interior, IDEAL_TO_MEASURED)
     own = fitted.interior

@@ -37,10 +37,24 @@ def read_survey(
     paths: Sequence[Path], format_: Format, settings: Settings, *, accept_unverified: bool = False,
     scenes: Sequence[Scene] = (),
 ) -> tuple[Survey, tuple[Finding, ...]]:  # fmt: skip
-    """Read and check the files of a format; the result is the survey with remarks.
+    """Read and check the files of a format.
 
-    ``settings`` supply information that the files lack. ``accept_unverified``: read a format whose reader was never
-    tried on a file of its program. ``scenes``: footprints of the images; points far from all of them are refused.
+    Parameters
+    ----------
+    paths : sequence of Path
+    format_ : Format
+    settings : Settings
+        Information that the files lack.
+    accept_unverified : bool
+        Read a format whose reader was never tried on a file of its program.
+    scenes : sequence of Scene
+        Footprints of the images; points far from all of them are refused.
+
+    Returns
+    -------
+    Survey
+    tuple of Finding
+        Remarks.
 
     Raises
     ------
@@ -72,7 +86,19 @@ def filled(
     survey: Survey, *, sigma_ground_m: Three | None = None, sigma_image_px: Two | None = None,
     height_m: float | None = None, check: Sequence[str] = (),
 ) -> Survey:  # fmt: skip
-    """Survey with given values where its file has none, and the points ``check``, with coordinates, as check points."""
+    """Survey with given values where its file has no values.
+
+    Parameters
+    ----------
+    survey : Survey
+    sigma_ground_m : (3,) floats, optional
+        Standard deviations East, North, Up.
+    sigma_image_px : (2,) floats, optional
+        Standard deviations of line and sample.
+    height_m : float, optional
+    check : sequence of str
+        Points with coordinates that become check points.
+    """
     known = survey.located
     roles = list(survey.roles)
     for name in check:
@@ -93,10 +119,24 @@ def filled(
 def write_survey(
     survey: Survey, paths: Sequence[Path], format_: Format, settings: Settings, *, overwrite: bool = False
 ) -> tuple[tuple[Path, ...], tuple[Finding, ...]]:
-    """Write a survey in a format; the result is the written files and a finding per kind of lost information.
+    """Write a survey in a format.
 
-    ``paths`` are one name, or one for each file of the format. ``settings.crs`` is the CRS of the output; "" keeps that
-    of the survey, unless the format requires another.
+    Parameters
+    ----------
+    survey : Survey
+    paths : sequence of Path
+        One name, or one for each file of the format.
+    format_ : Format
+    settings : Settings
+        ``crs`` is the CRS of the output; "" keeps that of the survey, unless the format requires another.
+    overwrite : bool
+
+    Returns
+    -------
+    tuple of Path
+        Written files.
+    tuple of Finding
+        One for each kind of lost information.
 
     Raises
     ------

@@ -174,18 +174,13 @@ def _labels(chunk: XmlNode, group: str, name: str) -> dict[str, str]:
 def _row(node: XmlNode) -> Row:
     """Attributes of an element as a record."""
     cells = {str(name): str(value).strip() for name, value in node.element.attrib.items()}
-    return Row(_line(node), cells)
-
-
-def _line(node: XmlNode) -> int:
-    """Line of an element in its file."""
     line: Any = node.element.sourceline
-    return int(line or 0)
+    return Row(int(line or 0), cells)
 
 
 def _take(gathered: Gathering, marker: XmlNode) -> None:
     """Take a marker: with coordinates a control or check point, else a tie point."""
-    label, line = marker.element.get("label", ""), _line(marker)
+    label, line = marker.element.get("label", ""), _row(marker).line
     node = marker.maybe("reference")
     row = Row(line, {}) if node is None else _row(node)
     if not all(name in row.cells for name in _XYZ):

@@ -30,8 +30,15 @@ def tie_survey(
 ) -> Survey:  # fmt: skip
     """Survey of tie points.
 
-    ``image`` and ``point`` (n,) are positions in ``images`` and ``ids``; ``line`` and ``sample`` (n,) are pixels, (0,
-    0) being the centre of the first one.
+    Parameters
+    ----------
+    images, ids : sequences of str
+        Images and points.
+    image, point : (n,) int arrays
+        Positions in ``images`` and ``ids``.
+    line, sample : (n,) arrays
+        Pixels; (0, 0) is the centre of the first pixel.
+    notes : sequence of Finding
     """
     none = np.full((len(ids), 3), np.nan)
     sigma = np.full(len(line), np.nan)
@@ -44,9 +51,20 @@ def tie_survey(
 def matched_survey(
     images: Sequence[str], image: Index, line: Array, sample: Array, matches: Index, notes: Sequence[Finding] = ()
 ) -> Survey:
-    """Make the survey of matched keypoints; see :func:`fg_orient.formats.exchange.ties.join`.
+    """Survey of matched keypoints.
 
-    Tie points are named by numbers from 1; those with two places in one image are left out, and a note counts them.
+    Tie points are named by numbers from 1. Those with two places in one image are left out, and a note counts them.
+
+    Parameters
+    ----------
+    images : sequence of str
+    image : (n,) int array
+        Position of each keypoint in ``images``.
+    line, sample : (n,) arrays
+        Pixels; (0, 0) is the centre of the first pixel.
+    matches : (m, 2) int array
+        Rows of matched keypoints.
+    notes : sequence of Finding
     """
     (k, track), conflicts = join(image, line, sample, matches)
     n = int(track.max(initial=-1)) + 1
@@ -55,10 +73,17 @@ def matched_survey(
 
 
 def pairs_of(image: Index, point: Index) -> dict[tuple[int, int], Index]:
-    """Pairs of images that show the same points, with the rows (k, 2) of both image points of each.
+    """Pairs of images that show the same points.
 
-    ``image`` and ``point`` (n,) are those of each row; a point occurs once in an image. The pairs are sorted by first
-    and second image, the first one being smaller.
+    Parameters
+    ----------
+    image, point : (n,) int arrays
+        Image and point of each row; a point occurs once in an image.
+
+    Returns
+    -------
+    dict of (int, int) to (k, 2) int array
+        Rows of both image points by first and second image, the first one being smaller; sorted.
     """
     order = np.lexsort((image, point))
     p, parts = point[order], []

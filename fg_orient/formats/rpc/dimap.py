@@ -27,11 +27,10 @@ from fg_orient.formats.rpc.fields import (
     RpcFields,
     printed,
     texts_of,
-    validity,
 )
 from fg_orient.formats.xml import XmlNode, element, read_xml
 from fg_orient.model.errors import Finding, InputError, finding
-from fg_orient.sensors.rpc import RpcModel
+from fg_orient.sensors.rpc import RpcModel, RpcValidity
 
 Array = npt.NDArray[np.float64]
 
@@ -135,12 +134,17 @@ def _with_domain(model: RpcModel, ranges: XmlNode, names: tuple[str, str], first
     for ours, tag in (("lon", "LON"), ("lat", "LAT")):
         ends = [ground.one(f"{end}_{tag}").number() for end in ("FIRST", "LAST")]
         domain[ours] = (min(ends), max(ends))
-    notes = model.notes
-    lon, lat = float(model.offsets[RANGE.lon]), float(model.offsets[RANGE.lat])
+    notes, (lon, lat) = model.notes, model.offsets[[RANGE.lon, RANGE.lat]].tolist()
     if not _holds(domain, lon, lat) and _holds(domain, lat, lon):
         domain["lon"], domain["lat"] = domain["lat"], domain["lon"]
         notes += (finding("rpc.domain_exchanged"),)
-    whole = replace(model, stated_validity=validity(model.offsets, model.scales, domain))
+    # pixels are cut to offset -+ scale: a model fitted to a part of the image is good there only
+    low, high = ((model.offsets + sign * np.abs(model.scales)).tolist() for sign in (-1.0, 1.0))
+    line, sample = (
+        (max(domain[name][0], low[k]), min(domain[name][1], high[k])) for k, name in enumerate(("line", "sample"))
+    )
+    stated = RpcValidity(line, sample, domain["lon"], domain["lat"], (low[4], high[4]))
+    whole = replace(model, stated_validity=stated)
     return replace(whole, notes=notes + _contradiction(whole))
 
 

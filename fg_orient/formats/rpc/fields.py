@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -22,7 +22,7 @@ from factors.cameras.rfm_project import RANGE
 from fg_orient.formats.registry import read_bytes
 from fg_orient.formats.tables import NUMBER
 from fg_orient.model.errors import InputError
-from fg_orient.sensors.rpc import RpcModel, RpcValidity
+from fg_orient.sensors.rpc import RpcModel
 
 Array = npt.NDArray[np.float64]
 
@@ -166,19 +166,6 @@ def texts_of(model: RpcModel, first_pixel: float = FIRST_PIXEL) -> dict[str, str
     values |= {f"{stem}_COEFF": row for stem, row in zip(POLYNOMIALS, model.coefficients, strict=True)}
     values |= zip(ERRORS, (model.err_bias_m, model.err_rand_m), strict=True)
     return {name: printed(np.atleast_1d(value)) for name, value in values.items() if value is not None}
-
-
-def validity(model_offsets: Array, model_scales: Array, domain: Mapping[str, tuple[float, float]]) -> RpcValidity:
-    """Ranges of a model with stated domains of "line", "sample" (0-based) and "lon", "lat".
-
-    Pixels are cut to offset -+ scale: a model fitted to a part of the image is good there only.
-    """
-    low, high = model_offsets - np.abs(model_scales), model_offsets + np.abs(model_scales)
-    line, sample = (
-        (max(domain[name][0], float(low[k])), min(domain[name][1], float(high[k])))
-        for k, name in enumerate(("line", "sample"))
-    )
-    return RpcValidity(line, sample, domain["lon"], domain["lat"], (float(low[4]), float(high[4])))
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
