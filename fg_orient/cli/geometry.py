@@ -237,18 +237,11 @@ def _pixel(text: str) -> tuple[float, float]:
 
 def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[list[str], list[Array]]:
     """Ids and numeric columns of a CSV file, the last is ``optional``; InputError lists all faults of the file."""
-    import numpy as np
+    from fg_orient.formats.tables import read_numbers
 
-    from fg_orient.formats.tables import Faults, number, read_table
-
-    faults = Faults(str(path))
     layouts = [("id", *names), *([("id", *names, optional)] if optional else [])]
-    read = read_table(path, layouts, faults)
-    wanted = (*names, optional) if optional and read is not None and optional in read.columns else names
-    rows = read.rows if read is not None else ()
-    columns = [np.array([number(row, name, faults) for row in rows]) for name in wanted]
-    faults.raise_if_any()
-    return [row.cells["id"] for row in rows], columns
+    values, table = read_numbers(path, layouts, ("id",))
+    return list(table.cells["id"]), list(values.T)
 
 
 def _publish(

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from factors.cameras.image_corrections import NAMES
 from fg_orient.closerange.photo import Photo, PhotoInterior, rotation_from_aerial
 from fg_orient.formats.closerange import LARGEST, SMALLEST
-from fg_orient.formats.tables import Faults, Table, read_table, sha256_of
+from fg_orient.formats.tables import Table, require_table, sha256_of
 from fg_orient.model.errors import InputError
 from fg_orient.rpc.points import checks
 
@@ -111,7 +111,7 @@ def read_ground_points(path: Path, sigma_m: float | None = None) -> Observed:
 
 
 def _read(path: Path, layouts: list[tuple[str, ...]], default: float | None) -> Observed:
-    table = _table(path, layouts)
+    table = require_table(path, layouts)
     columns, names = table.columns, [own for own in (SIGMA_IMAGE, SIGMA_GROUND) if own[0] in table.columns]
     image = _numbers(table, IMAGE if "x" in columns else ())
     ground = _numbers(table, GROUND if "x_m" in columns else ())
@@ -123,24 +123,8 @@ def _read(path: Path, layouts: list[tuple[str, ...]], default: float | None) -> 
     table.refuse_repeated(keys, "rectify.id_twice", "id", value=lambda row: " in photo ".join(
         filter(None, (row.cells["id"], row.cells.get("photo")))))  # fmt: skip
     check = checks(table)
-    _require_valid(table, path)
+    table.require_valid()
     return Observed(tuple(table.cells["id"]), photos, image, ground, sigma, check, sha256_of(path))
-
-
-def _table(path: Path, layouts: list[tuple[str, ...]]) -> Table:
-    """Table of a file; InputError if it cannot be read."""
-    faults = Faults(str(path))
-    table = read_table(path, layouts, faults)
-    faults.raise_if_any()
-    assert table is not None  # else there is an error
-    return table
-
-
-def _require_valid(table: Table, path: Path) -> None:
-    """Raise InputError with the errors of all records that were refused."""
-    faults = Faults(str(path))
-    table.report(faults)
-    faults.raise_if_any()
 
 
 def _numbers(table: Table, names: Sequence[str]) -> Array:
@@ -216,7 +200,7 @@ def read_stations(path: Path) -> dict[str, Station]:
     sigma_x_deg, sigma_y_deg, sigma_z_deg.
     """
     place = ("photo", *GROUND, *SIGMA_GROUND)
-    table = _table(path, [place, (*place, *ANGLES, *SIGMA_TURNS)])
+    table = require_table(path, [place, (*place, *ANGLES, *SIGMA_TURNS)])
     names = table.cells["photo"]
     table.refuse([not name for name in names], "table.cell_empty", "photo")
     table.refuse_repeated(names, "closerange.station_twice", "photo")
@@ -225,7 +209,7 @@ def read_stations(path: Path) -> dict[str, Station]:
         angles = np.radians(table.numbers(*ANGLES)).tolist()
         turns = np.radians(_sigmas(table, SIGMA_TURNS, _LARGEST_TURN_DEG))
         columns += [np.array([rotation_from_aerial(*row) for row in angles]), turns]
-    _require_valid(table, path)
+    table.require_valid()
     return {name: Station(*rows) for name, *rows in zip(names, *columns, strict=True)}
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.tables import Faults, read_numbers, sha256_of
+from fg_orient.formats.tables import read_numbers, sha256_of
 from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind, to_ecef
 from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitude
 
@@ -40,12 +40,10 @@ def read_navigation(path: Path, crs: str) -> tuple[tuple[Fix, ...], str]:
     position = ("image", "strip", "time_s", *place, *POSITION_SIGMAS)
     layouts = [position, (*position, *ANGLES, *ANGLE_SIGMAS)]
     values, table = read_numbers(path, layouts, ("image", "strip"))
-    faults, columns = Faults(str(path)), layouts[-1][2:]
-    for name, column in zip(columns, values.T, strict=False):
+    for name, column in zip(layouts[-1][2:], values.T, strict=False):
         if name.startswith("sigma_"):
             table.refuse(column <= 0.0, "navigation.sigma", name)
-    table.report(faults)
-    faults.raise_if_any()
+    table.require_valid()
     ecef = to_ecef(crs, *values[:, 1:4].T)
     ids = zip(table.cells["image"], table.cells["strip"], strict=True)
     return tuple(_fix(i, s, v, at) for (i, s), v, at in zip(ids, values, ecef, strict=True)), sha256_of(path)

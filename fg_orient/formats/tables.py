@@ -119,11 +119,14 @@ class Table:
         Text of the records in file order, by column.
     lines : (n,) int array
         Line number of each record in the file, from 1.
+    file : str
+        Name of the file, for messages.
     """
 
     columns: tuple[str, ...]
     cells: dict[str, Sequence[str]]
     lines: npt.NDArray[np.int64]
+    file: str
     _refused: list[tuple[Index, str, str, dict[str, Any]]] = field(default_factory=list)
 
     def __len__(self) -> int:
@@ -132,11 +135,6 @@ class Table:
     def row(self, k: int) -> Row:
         """One record."""
         return Row(int(self.lines[k]), {name: self.cells[name][k] for name in self.columns})
-
-    @property
-    def rows(self) -> tuple[Row, ...]:
-        """All records, each made anew: for small tables."""
-        return tuple(self.row(k) for k in range(len(self)))
 
     def where(self, column: str, text: str) -> Mask:
         """Records (n,) whose cell is this text."""
@@ -206,6 +204,12 @@ class Table:
             faults.count(code, max(0, len(rows) - MAX_FAULTS))
         self._refused.clear()
 
+    def require_valid(self) -> None:
+        """Raise InputError with the refused records, if there are any."""
+        faults = Faults(self.file)
+        self.report(faults)
+        faults.raise_if_any()
+
 
 def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> Table | None:
     """Read a CSV file that has the columns of one of several layouts.
@@ -240,26 +244,44 @@ def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> 
     kept, by_column = _records(numbers[start:], lines[start:], names, faults)
     if not kept and not faults:
         faults.add("table.no_records", place=f"line {first}")
-    return Table(names, by_column, np.array(kept, np.int64))
+    return Table(names, by_column, np.array(kept, np.int64), str(path))
+
+
+def require_table(path: Path, layouts: Sequence[Sequence[str]]) -> Table:
+    """Read a CSV file as :func:`read_table` does; InputError with its faults if it is unusable."""
+    faults = Faults(str(path))
+    table = read_table(path, layouts, faults)
+    faults.raise_if_any()
+    assert table is not None  # else there is a fault
+    return table
 
 
 def read_numbers(path: Path, layouts: Sequence[Sequence[str]], words: Sequence[str] = ()) -> tuple[Array, Table]:
-    """Numbers (n, k) of a CSV file in the order of its layout, columns of ``words`` left out; and the table.
+    """Read numbers of a CSV file.
+
+    Parameters
+    ----------
+    path : Path
+    layouts : sequence of sequences of str
+        As in :func:`read_table`.
+    words : sequence of str
+        Columns of text.
+
+    Returns
+    -------
+    (n, k) array
+        The other columns in the order of the layout.
+    Table
 
     Raises
     ------
     InputError
         All faults of the file.
     """
-    faults = Faults(str(path))
-    table = read_table(path, layouts, faults)
-    faults.raise_if_any()
-    assert table is not None  # else there is a fault
+    table = require_table(path, layouts)
     layout = next(one for one in layouts if set(one) == set(table.columns))
-    columns = [name for name in layout if name not in words]
-    values = table.numbers(*columns)
-    table.report(faults)
-    faults.raise_if_any()
+    values = table.numbers(*(name for name in layout if name not in words))
+    table.require_valid()
     return values, table
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from factors._contract import Array
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.formats.atomic import require_free, staged_folder, writing
-from fg_orient.formats.tables import Faults, read_table
+from fg_orient.formats.tables import require_table
 from fg_orient.model.errors import InputError
 from fg_orient.model.installation import versions
 from fg_orient.rectification.options import PointOptions, StudyOptions
@@ -98,15 +98,11 @@ def read_differences(path: Path) -> tuple[Array, str]:
 def _of_table(path: Path) -> Array:
     measured, true = ("easting_m", "northing_m"), ("true_easting_m", "true_northing_m")
     residual = ("residual_easting_m", "residual_northing_m")
-    faults = Faults(str(path))
-    table = read_table(path, [("id", *measured, *true), ("id", *residual)], faults)
-    faults.raise_if_any()
-    assert table is not None  # else there is a fault
+    table = require_table(path, [("id", *measured, *true), ("id", *residual)])
     names = residual if residual[0] in table.columns else (*measured, *true)
     values = table.numbers(*names)
     ids_and_checks(table)
-    table.report(faults)
-    faults.raise_if_any()
+    table.require_valid()
     return values if len(names) == 2 else values[:, :2] - values[:, 2:]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Array
-from fg_orient.formats.tables import Faults, Table, read_table, sha256_of
+from fg_orient.formats.tables import Table, require_table, sha256_of
 from fg_orient.geodesy import crs_kind, from_geographic
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.fit import Observations, TransformationFit, fit, plain_rmse, require_redundancy
@@ -85,13 +85,10 @@ def read_map_points(path: Path, crs: str = "") -> MapPoints:
     """
     if crs and crs_kind(crs) != "projected":
         raise InputError.of("rectify.crs_not_projected", option="crs", value=crs)
-    faults = Faults(str(path))
-    table = read_table(path, _layouts(), faults)
-    geographic = table is not None and GEOGRAPHIC[0] in table.columns
+    table = require_table(path, _layouts())
+    geographic = GEOGRAPHIC[0] in table.columns
     if geographic and not crs:
-        faults.add("rectify.no_crs", option="crs")
-    faults.raise_if_any()
-    assert table is not None  # else there is a fault
+        raise InputError.of("rectify.no_crs", file=path, option="crs")
     heights = ("height_m",) if "height_m" in table.columns else ()
     image = table.numbers(*IMAGE)
     ground = table.numbers(*(GEOGRAPHIC if geographic else MAP), *heights)
@@ -99,8 +96,7 @@ def read_map_points(path: Path, crs: str = "") -> MapPoints:
         positive_numbers(table, names) if names[0] in table.columns else None for names in (SIGMA_MAP, SIGMA_IMAGE)
     ]
     ids, check = ids_and_checks(table)
-    table.report(faults)
-    faults.raise_if_any()
+    table.require_valid()
     if geographic:
         ground[:, :2] = _projected(path, crs, table, ground)
     return MapPoints(ids, check, image, ground, sigmas[0], sigmas[1], crs, sha256_of(path))

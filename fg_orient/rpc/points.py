@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from factors._contract import Array
 from factors.cameras.rfm_project import RANGE
-from fg_orient.formats.tables import Faults, Table, read_table
+from fg_orient.formats.tables import Table, require_table
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 from fg_orient.sensors.rpc import COORDINATES
@@ -219,11 +219,8 @@ def read_measured(path: Path) -> MeasuredPoints:
     InputError
         All errors of the file: columns, numbers, roles, ids used twice, invalid coordinates.
     """
-    faults = Faults(str(path))
     layouts = [(*COLUMNS, *role, *sigmas) for role in ((), ("role",)) for sigmas in ((), _SIGMAS)]
-    table = read_table(path, layouts, faults)
-    faults.raise_if_any()
-    assert table is not None  # else there is a fault
+    table = require_table(path, layouts)
     values = table.numbers(*COLUMNS[1:])
     lon, lat = np.abs(values[:, 2:4]).T
     swapped = (lon <= 90.0) & (lat <= 180.0)
@@ -232,8 +229,7 @@ def read_measured(path: Path) -> MeasuredPoints:
     table.refuse(lon > 180.0, "points.longitude", "lon_deg")
     ids, check = ids_and_checks(table)
     sigma = positive_numbers(table, _SIGMAS) if _SIGMAS[0] in table.columns else np.ones((len(table), 2))
-    table.report(faults)
-    faults.raise_if_any()
+    table.require_valid()
     return MeasuredPoints(ids, check, values[:, :2], values[:, 2:], sigma)
 
 

@@ -19,11 +19,15 @@ def read(tmp_path: Path, data: bytes | str, columns=(("id", "x_m"),)):
     return read_table(path, columns, faults), faults
 
 
+def rows_of(table):
+    return [table.row(k) for k in range(len(table))]
+
+
 @pytest.mark.behaviour
 def test_byte_order_mark_crlf_comments_and_blank_lines(tmp_path):
     table, faults = read(tmp_path, b"\xef\xbb\xbf# made by hand\r\nid,x_m\r\n\r\n 01 , 2.5\r\n#7,8\r\n,,\r\n1,3\r\n")
     assert not faults and table is not None
-    assert [(row.line, row.cells) for row in table.rows] == [
+    assert [(row.line, row.cells) for row in rows_of(table)] == [
         (4, {"id": "01", "x_m": "2.5"}),
         (7, {"id": "1", "x_m": "3"}),
     ]
@@ -33,14 +37,14 @@ def test_byte_order_mark_crlf_comments_and_blank_lines(tmp_path):
 def test_columns_in_any_order_quotes_and_empty_trailing_cells(tmp_path):
     table, faults = read(tmp_path, 'x_m,id,\n1,"a,b",\n2,"say ""x""",,\n')
     assert not faults and table is not None
-    assert [row.cells["id"] for row in table.rows] == ["a,b", 'say "x"']
+    assert [row.cells["id"] for row in rows_of(table)] == ["a,b", 'say "x"']
 
 
 @pytest.mark.behaviour
 def test_faults_are_counted_beyond_the_first_twenty(tmp_path):
     table, faults = read(tmp_path, "id,x_m\n" + "a,oops\n" * 50)
     assert table is not None
-    for row in table.rows:
+    for row in rows_of(table):
         number(row, "x_m", faults)
     assert len(faults.problems) == MAX_FAULTS + 1
     assert faults.problems[-1].code == "table.more_faults" and faults.problems[-1].value == "30 more"
@@ -80,5 +84,5 @@ def test_anything_else_is_refused(text):
 @given(st.binary(max_size=200))
 def test_no_bytes_whatever_break_the_reader(tmp_path_factory, data):
     table, faults = read(tmp_path_factory.mktemp("t"), data)
-    assert (table is not None and table.rows) or faults
+    assert (table is not None and len(table)) or faults
     assert all("\n" not in str(p) and p.remedy for p in faults.problems)
