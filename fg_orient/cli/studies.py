@@ -110,7 +110,8 @@ def reproduce(
 
 def _show_reproduction(found: Reproduction, out: Path) -> None:
     """Print the assessments by table, the claims and the path of the report."""
-    from fg_orient.studies.reproduce.html import LEGEND, verdict
+    from fg_orient.studies.reproduce.html import verdict
+    from fg_orient.studies.reproduce.verdict import LEGEND
 
     words = verdict(found)
     say(words["title"])

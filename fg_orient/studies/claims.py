@@ -18,13 +18,11 @@ from typing import Any
 import numpy as np
 
 from factors._contract import Array
-from fg_orient.adjustment.linear.registry import solvers
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.parts.study import study
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from fg_orient.studies.switches import TEXT, Switches
-from fg_orient.studies.two_stage import Kind, TwoStage
-from fg_orient.studies.two_stage_results import PreAdjustment, TwoStageResult
+from fg_orient.studies.two_stage import TwoStage
 
 #: Synthetic block of the published experiments: 1 px of image noise, look angles bent by 3 microrad.
 TWIN = ZonguldakOptions(point_set="H-10", image_noise_px=1.0, distortion_rad=3e-6)
@@ -42,11 +40,6 @@ EXACT = ("pivot_inverse", "gauss_inverse", "cholesky_inverse", "gauss_eliminatio
          "cholesky_elimination")  # fmt: skip
 
 
-def published_solvers() -> tuple[str, ...]:
-    """Names of the solvers of Terlemezoğlu 2019, Tikhonov rules included."""
-    return tuple(name for name, solver in solvers().items() if solver.published)
-
-
 class Study:
     """The published procedure on the synthetic block of one seed.
 
@@ -62,8 +55,8 @@ class Study:
     def __init__(self, seed: int, switches: Switches = TEXT, twin: ZonguldakOptions | None = None) -> None:
         self.seed, self.switches = seed, switches
         self.twin = twin or (TWIN if switches == TEXT else AS_RUN_TWIN)
-        self.bundle, self.pre_adjust = cache(self._bundle), cache(self._pre_adjust)
-        self.variant = cache(self._variant)  # the same seed with another point set or image noise
+        self.bundle = cache(lambda *what: self.two_stage.bundle(*what))
+        self.pre_adjust = cache(lambda *what: self.two_stage.pre_adjust(*what))
 
     def options(self, **changes: object) -> ZonguldakOptions:
         """Options of the block of this seed, with these changes."""
@@ -78,15 +71,6 @@ class Study:
         """The procedure on the block as published: H-10, 1 px."""
         return self.procedure()
 
-    def _variant(self, point_set: str = "H-10", noise_px: float = 1.0) -> TwoStage:
-        return self.procedure(point_set=point_set, image_noise_px=noise_px)
-
-    def _bundle(self, eop_set: int | None, kind: Kind, solver: str, iterations: int = 1) -> TwoStageResult:
-        return self.two_stage.bundle(eop_set, kind, solver, iterations)
-
-    def _pre_adjust(self, image: int, eop_set: int, solver: str) -> PreAdjustment:
-        return self.two_stage.pre_adjust(image, eop_set, solver)
-
     def control_jacobian(self, eop_set: int) -> Array:
         """Jacobian A (r, u) of step 2 of the first image, raw units."""
         design, _ = self.pre_adjust(0, eop_set, EXACT[-2]).system.require_design("A")
@@ -95,7 +79,7 @@ class Study:
     @cached_property
     def icp_without_eop(self) -> tuple[Array, Array]:
         """Check-point RMSE (3,) of the bundle with held EOPs, and of the intersection before it."""
-        return self._bundle(None, 1, EXACT[-2]).accuracy.icp_rmse, self.two_stage.look_only().icp_rmse
+        return self.bundle(None, 1, EXACT[-2]).accuracy.icp_rmse, self.two_stage.look_only().icp_rmse
 
 
 MET_AT = 0.9
@@ -105,9 +89,8 @@ Z_95 = 1.959963984540054
 
 @dataclass(frozen=True)
 class Outcome:
-    """One claim on one seed: ``holds``, the parts that do not hold, and its figures by name."""
+    """One claim on one seed: the parts that do not hold, and its figures by name."""
 
-    holds: bool
     failed: tuple[str, ...]
     figures: dict[str, float]
 
@@ -153,7 +136,12 @@ class ClaimResult:
 def outcome(checks: dict[str, bool], **figures: float) -> Outcome:
     """Outcome of several parts, from the name of a part to True if it holds."""
     failed = tuple(name for name, holds in checks.items() if not holds)
-    return Outcome(not failed, failed, {name: float(value) for name, value in figures.items()})
+    return Outcome(failed, {name: float(value) for name, value in figures.items()})
+
+
+def or_inf(value: float) -> float:
+    """Value of a figure; inf without a result, so that no upper bound is met."""
+    return float(value) if math.isfinite(value) else math.inf
 
 
 def wilson(passed: int, of: int) -> tuple[float, float]:
@@ -214,8 +202,7 @@ def run_claims(
     report = (lambda done, of, _: callback(done, of)) if callback else None
     task = partial(_assessed, chosen, switches)
     results = study(task, list(seeds), callback=report)
-    outcomes = [[Outcome(o["holds"], tuple(o["failed"]), o["figures"]) for o in of_seed] for of_seed in results]
-    return [_summary(claim, [row[k] for row in outcomes]) for k, claim in enumerate(chosen)]
+    return [_summary(claim, [of_seed[k] for of_seed in results]) for k, claim in enumerate(chosen)]
 
 
 def _assessed(claims: Sequence[Claim], switches: Switches, seed: int) -> list[dict[str, Any]]:
@@ -225,12 +212,12 @@ def _assessed(claims: Sequence[Claim], switches: Switches, seed: int) -> list[di
         return [asdict(claim.assess(at)) for claim in claims]
 
 
-def _summary(claim: Claim, outcomes: list[Outcome]) -> ClaimResult:
-    passed, of = sum(o.holds for o in outcomes), len(outcomes)
-    failures = Counter(name for o in outcomes for name in o.failed)
+def _summary(claim: Claim, outcomes: list[dict[str, Any]]) -> ClaimResult:
+    passed, of = sum(not o["failed"] for o in outcomes), len(outcomes)
+    failures = Counter(name for o in outcomes for name in o["failed"])
     reason = "; ".join(f"{name}: not in {count} of {of}" for name, count in failures.items())
     figures = {}
-    for name in outcomes[0].figures:
-        values = np.array([o.figures[name] for o in outcomes])
+    for name in outcomes[0]["figures"]:
+        values = np.array([o["figures"][name] for o in outcomes])
         figures[name] = (float(values.min()), float(np.median(values)), float(values.max()))
     return ClaimResult(claim.id, claim.text, passed, of, wilson(passed, of), passed >= MET_AT * of, reason, figures)

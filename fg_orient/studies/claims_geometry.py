@@ -22,7 +22,7 @@ from fg_orient.sensors import initial
 from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.pushbroom import PushbroomSensor, require_pushbroom
 from fg_orient.simulate.zonguldak import zonguldak_block
-from fg_orient.studies.claims import EXACT, Outcome, Study, claim, outcome
+from fg_orient.studies.claims import EXACT, Outcome, Study, claim, or_inf, outcome
 from fg_orient.studies.tables_spot6 import CRAMER, METHODS, Run
 
 REFERENCE = EXACT[4]
@@ -145,14 +145,14 @@ def _c5(study: Study) -> Outcome:
 @claim("C6", "check-point RMSE is proportional to the image noise")
 def _c6(study: Study) -> Outcome:
     full = study.bundle(1, 1, REFERENCE).accuracy.icp_rmse
-    half = study.variant(noise_px=0.5).bundle(1, 1, REFERENCE).accuracy.icp_rmse
+    half = study.procedure(image_noise_px=0.5).bundle(1, 1, REFERENCE).accuracy.icp_rmse
     ratio = float(np.linalg.norm(half) / np.linalg.norm(full))
     return outcome({"0.4-0.6": 0.4 <= ratio <= 0.6}, ratio=ratio)
 
 
 @claim("C7", "control in half of the columns: RMSE >= 1.5 x that of H-20; half of the lines: close to it")
 def _c7(study: Study) -> Outcome:
-    h20, ga, gb = (study.variant(point_set=s).bundle(None, 1, REFERENCE).accuracy.icp_max
+    h20, ga, gb = (study.procedure(point_set=s).bundle(None, 1, REFERENCE).accuracy.icp_max
                    for s in ("H-20", "G-A", "G-B"))  # fmt: skip
     checks = {"half of the columns >= 1.5": ga >= 1.5 * h20, "half of the lines within 2": 0.5 <= gb / h20 <= 2.0}
     return outcome(checks, h20_m=h20, ga_m=ga, gb_m=gb, ga_ratio=ga / h20, gb_ratio=gb / h20)
@@ -205,15 +205,13 @@ def _runs(study: Study) -> dict[tuple[int, bool], Run]:
 
 def _image_rms(run: Run, method: str) -> float:
     """RMS of the true image residuals, both axes; inf without a solution."""
-    value = run.true_m0_px(run.solution(method).x)
     share = run.system.redundancy / (2.0 * len(run.points))
-    return value * share**0.5 if np.isfinite(value) else np.inf
+    return or_inf(run.true_m0_px(run.solution(method).x) * share**0.5)
 
 
 def _m0(run: Run, method: str) -> float:
     """Accuracy m0 of the linear form; inf without a solution."""
-    value = run.m0_px(run.solution(method).x)
-    return value if np.isfinite(value) else np.inf
+    return or_inf(run.m0_px(run.solution(method).x))
 
 
 @claim("C17", "raw RFM: rank deficient in every degree, about 10/18/20 of 14/38/78")

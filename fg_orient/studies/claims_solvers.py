@@ -8,21 +8,12 @@ import numpy.typing as npt
 from factors._contract import Array
 from factors.cameras.pushbroom import RECORD
 from fg_orient.adjustment.linear.conditioning import singular_values
-from fg_orient.adjustment.linear.registry import attempt
+from fg_orient.adjustment.linear.registry import attempt, solvers
 from fg_orient.adjustment.linear.system import unit_columns
 from fg_orient.model.names import VELOCITY
 from fg_orient.model.parameters import eop_codes
-from fg_orient.studies.claims import (
-    EXACT,
-    ILL_CONDITIONED,
-    TARGET_M,
-    WITH_VELOCITY,
-    Outcome,
-    Study,
-    claim,
-    outcome,
-    published_solvers,
-)
+from fg_orient.studies import claims
+from fg_orient.studies.claims import EXACT, ILL_CONDITIONED, WITH_VELOCITY, Outcome, Study, claim, or_inf, outcome
 
 PIVOT, PLAIN, PSEUDO = "gauss_partial_pivot_elimination", "gauss_elimination", "moore_penrose_inverse"
 CRAMER = "cramer_inverse"
@@ -31,9 +22,9 @@ HARMLESS = (1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12)
 WILD_M = 100.0
 #: Check-point changes below this limit do not matter.
 SAME_ICP_M = 0.5
-#: Directions with smaller singular values of the column-scaled Jacobian are dead.
+#: Directions with smaller singular values of the column-scaled Jacobian have no effect on the conditions.
 DEAD = 1e-9
-#: Number of living directions per set.
+#: Number of directions with an effect, by EOP set.
 LIVING = {5: 5, 13: 14, 17: 11, 19: 8, 20: 20}
 
 
@@ -49,14 +40,13 @@ def _icp_change(study: Study, eop_set: int, solver: str, iterations: int = 1) ->
 def _icp_changes(study: Study, eop_set: int, solver: str, iterations: int = 1) -> tuple[float, float]:
     """Changes relative to the bundle with fixed EOPs and relative to the intersection before it."""
     rmse = study.bundle(eop_set, 1, solver, iterations).accuracy.icp_rmse
-    held, before = (float(np.abs(rmse - without).max()) for without in study.icp_without_eop)
-    return held if np.isfinite(held) else np.inf, before if np.isfinite(before) else np.inf
+    held, before = (or_inf(np.abs(rmse - without).max()) for without in study.icp_without_eop)
+    return held, before
 
 
 def _gcp(study: Study, eop_set: int, solver: str) -> float:
     """Largest axis of the control-point RMSE; inf without a result."""
-    value = study.bundle(eop_set, 1, solver).accuracy.gcp_max
-    return value if np.isfinite(value) else np.inf
+    return or_inf(study.bundle(eop_set, 1, solver).accuracy.gcp_max)
 
 
 def _solutions(study: Study, eop_set: int) -> dict[str, Array]:
@@ -148,8 +138,9 @@ def _c10(study: Study) -> Outcome:
 @claim("C11", "one iteration, type 1: sets 1-4, 6-12 below 5 m at control points with all solvers but Cramer")
 def _c11(study: Study) -> Outcome:
     """Cramer's inverse is excluded, because the thesis uses it for step 2 only."""
-    worst = {s: max(_gcp(study, s, name) for name in published_solvers() if name != CRAMER) for s in HARMLESS}
-    checks = {f"set {s}": value < TARGET_M for s, value in worst.items()}
+    names = [name for name, solver in solvers().items() if solver.published and name != CRAMER]
+    worst = {s: max(_gcp(study, s, name) for name in names) for s in HARMLESS}
+    checks = {f"set {s}": value < claims.TARGET_M for s, value in worst.items()}
     return outcome(checks, worst_m=max(worst.values()), cramer_m=max(_gcp(study, s, CRAMER) for s in (6, 7, 8)))
 
 
@@ -183,7 +174,7 @@ def _c14(study: Study) -> Outcome:
         gcp = max(_gcp(study, s, name) for s in ILL_CONDITIONED)
         changes = [_icp_changes(study, s, name) for s in ILL_CONDITIONED]
         change, held = max(min(pair) for pair in changes), max(pair[0] for pair in changes)
-        checks |= {f"{short}: control points": gcp < TARGET_M, f"{short}: check points": change < SAME_ICP_M}
+        checks |= {f"{short}: control points": gcp < claims.TARGET_M, f"{short}: check points": change < SAME_ICP_M}
         figures |= {f"{short}_gcp_m": gcp, f"{short}_icp_change_m": change, f"{short}_icp_change_held_m": held}
     return outcome(checks, **figures)
 
@@ -197,7 +188,7 @@ def _c15(study: Study) -> Outcome:
             kappa = study.bundle(eop_set, 1, name).solution.kappa
             gcp = _gcp(study, eop_set, name)
             checks[f"{short} of set {eop_set} tiny"] = kappa is not None and kappa < 1e-8
-            checks[f"{short} does not cure set {eop_set}"] = not gcp < TARGET_M
+            checks[f"{short} does not cure set {eop_set}"] = not gcp < claims.TARGET_M
             figures |= {f"{short}_kappa_{eop_set}": np.nan if kappa is None else kappa, f"{short}_gcp_{eop_set}_m": gcp}
     return outcome(checks, **figures)
 

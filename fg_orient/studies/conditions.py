@@ -118,6 +118,7 @@ class Conditions:
         """The same points and look angles with the EOPs of other conditions, row by row."""
         return other.with_look(self.look_rad).with_ground(self.approximate_m)
 
+    @np.errstate(all="ignore")  # large corrections overflow: see Linearised.is_finite
     def linearise(self, codes: tuple[int, ...], eop: Array) -> Linearised:
         """Evaluate the conditions and their derivatives.
 
@@ -128,10 +129,6 @@ class Conditions:
         eop : (M, k) array
             Their corrections per image: m, m/s, rad, per line and per line squared.
         """
-        with np.errstate(all="ignore"):  # large corrections overflow: see is_finite
-            return self._linearised(codes, eop)
-
-    def _linearised(self, codes: tuple[int, ...], eop: Array) -> Linearised:
         k, n = len(codes), len(self.records)
         setup = np.ascontiguousarray(np.stack([np.array(codes + LOOK_CODES, float), np.ones(k + 2)]))
         out, zero = np.empty((n, 2, k + 6)), np.zeros(3)
@@ -143,11 +140,10 @@ class Conditions:
             records[:, RECORD.mounting] = states.mounting
         for i in range(n):
             pushbroom.fill(records, i, setup, unknowns[self.image[i]], zero, out[i], True)
-        b = np.stack([out[:, 0, k + 2], out[:, 1, k + 1]], axis=1)
-        design, ground = out[:, :, 1 : k + 1].copy(), out[:, :, k + 3 :].copy()
+        design, b = out[:, :, 1 : k + 1].copy(), np.stack([out[:, 0, k + 2], out[:, 1, k + 1]], axis=1)
         if states is not None and k:
             design = self._program_derivatives(codes, states)
-        return Linearised(out[:, :, 0].copy(), design, ground, b)
+        return Linearised(out[:, :, 0].copy(), design, out[:, :, k + 3 :].copy(), b)
 
     def _states(self, codes: tuple[int, ...], eop: Array) -> States:
         """Corrected EOPs of each row."""

@@ -25,25 +25,21 @@ from fg_orient.model.cells import CellKey
 from fg_orient.model.names import COMPONENTS, EOP_SETS, Role
 from fg_orient.model.parameters import N_EOP, eop_codes
 from fg_orient.simulate.zonguldak import CHECK_COUNT
+from fg_orient.studies import tables_twin
 from fg_orient.studies.claims import ILL_CONDITIONED
 from fg_orient.studies.switches import TEXT, Switches
-from fg_orient.studies.tables_twin import (
-    LEAST_SQUARES,
-    PUBLISHED_COMPONENTS,
-    Cells,
-    Progress,
-    collect,
-    labels,
-    rmse_cells,
-    twin,
-)
+from fg_orient.studies.tables_twin import LEAST_SQUARES, Cells, labels, twin
 from fg_orient.studies.two_stage import Kind, TwoStage
 
 #: Points of the SPOT-6 scene (T sect. 4.3.1).
 SPOT6_POINTS = 99
 #: Sets in the tables of Terlemezoğlu (2019).
 PUBLISHED_SETS = tuple(number for number in EOP_SETS if number <= 20)
-COUNTED_SETS = (1, *ILL_CONDITIONED)
+#: EOP set of each table of the series 4.3-4.9, 4.10-4.16 and 4.17-4.23.
+_SETS = (1, *ILL_CONDITIONED)
+SET_OF = {f"4.{first + k}": number for first in (3, 10, 17) for k, number in enumerate(_SETS)}
+#: Tables that as run follow a step 1 that ends at rounding (assumption, see the module docstring).
+STEP_1_CLOSED = frozenset(SET_OF)
 
 
 def counts(run: TwoStage) -> Cells:
@@ -66,7 +62,7 @@ def _equations(run: TwoStage) -> Cells:
         CellKey("eq4.2", stage="bundle", quantity="n_observations"): 2 * len(block.observations),
         CellKey("eq4.5", stage="rfm", quantity="n_observations"): 2 * SPOT6_POINTS,
     }
-    for number in COUNTED_SETS:
+    for number in _SETS:
         system = run.pre_adjust(0, number, LEAST_SQUARES).system
         out[CellKey("eq4.3", str(number), "pre-adjustment", quantity="n_unknowns")] = len(system)
         unknowns = len(block.images) * len(eop_codes(number)) + 3 * len(run.check_ids)
@@ -78,10 +74,8 @@ def _equations(run: TwoStage) -> Cells:
 
 def _sets() -> Cells:
     """Polynomial degree of each EOP, size of each EOP set, position of each member."""
-    per_component = N_EOP // len(COMPONENTS)
-    out: Cells = {
-        CellKey("4.1", quantity="degree", parameter=name): float(per_component - 1) for name in PUBLISHED_COMPONENTS
-    }
+    degree, names = float(N_EOP // len(COMPONENTS) - 1), tables_twin.PUBLISHED_COMPONENTS
+    out: Cells = {CellKey("4.1", quantity="degree", parameter=name): degree for name in names}
     for number in PUBLISHED_SETS:
         out[CellKey("4.2", str(number), quantity="n_unknowns")] = float(len(eop_codes(number)))
         for place, name in enumerate(labels(number), start=1):
@@ -104,13 +98,6 @@ def _text(run: TwoStage) -> Cells:
     return {CellKey("text", quantity=key): float(value) for key, value in values.items()}
 
 
-#: EOP set of each table of three series.
-_SETS = (1, *ILL_CONDITIONED)
-CONDITIONS_OF = {f"4.{3 + k}": number for k, number in enumerate(_SETS)}
-CONDITIONING_OF = {f"4.{10 + k}": number for k, number in enumerate(_SETS)}
-CORRECTIONS_OF = {f"4.{17 + k}": number for k, number in enumerate(_SETS)}
-#: Tables that as run follow a step 1 that ends at rounding (assumption, see the module docstring).
-STEP_1_CLOSED = frozenset(CONDITIONS_OF) | frozenset(CONDITIONING_OF) | frozenset(CORRECTIONS_OF)
 #: Solvers of tables 4.17-4.23.
 SOLVERS = (
     "cramer_inverse", "pivot_inverse", "gauss_inverse", "moore_penrose_inverse", "cholesky_inverse",
@@ -136,7 +123,7 @@ TYPES: tuple[Kind, ...] = (1, 2)
 
 def compute(
     tables: Collection[str], seeds: Sequence[int], *, as_run: bool | Switches = False,
-    progress: Progress | None = None,
+    progress: tables_twin.Progress | None = None,
 ) -> dict[CellKey, Array]:  # fmt: skip
     """Compute the cells of some tables.
 
@@ -163,19 +150,11 @@ def compute(
             closed = twin(seed, as_run=run.switches.without("test_after"))
         out = counts(run)
         for table in tables:
-            out |= _table(closed if table in STEP_1_CLOSED else run, table)
+            make = _MAKERS.get(table)
+            out |= make(closed if table in STEP_1_CLOSED else run, table) if make else {}
         return out
 
-    return collect(one_run, seeds, progress)
-
-
-def _table(run: TwoStage, table: str) -> Cells:
-    """Cells of one table of adjustments; empty for other tables."""
-    kinds: tuple[tuple[Collection[str], Callable[[TwoStage, str], Cells]], ...] = (
-        (CONDITIONS_OF, _conditions), (CONDITIONING_OF, _conditioning), (CORRECTIONS_OF, _corrections),
-        (SOLVER_OF, _bundles), (("s4.2.2",), _correlations),
-    )  # fmt: skip
-    return next((make(run, table) for members, make in kinds if table in members), {})
+    return tables_twin.collect(one_run, seeds, progress)
 
 
 def _conditions(run: TwoStage, table: str) -> Cells:
@@ -183,7 +162,7 @@ def _conditions(run: TwoStage, table: str) -> Cells:
 
     These numbers depend on the solver only, and the source does not name it: each has one value per solver.
     """
-    number = CONDITIONS_OF[table]
+    number = SET_OF[table]
     out: dict[CellKey, list[float]] = {}
     for method in SOLVERS:
         stages = PRE_STAGES if method in _NOT_FOR_BUNDLES else (*PRE_STAGES, "bundle")
@@ -222,18 +201,12 @@ def _condition_values(system: LinearSystem, x: Array, residual: Array) -> dict[s
 
 def _conditioning(run: TwoStage, table: str) -> Cells:
     """Order, rank, determinant and three condition numbers of A^T A."""
-    number = CONDITIONING_OF[table]
+    number = SET_OF[table]
     out: Cells = {}
     for stage, system, _, _ in _solved(run, number, LEAST_SQUARES, (*PRE_STAGES, "bundle")):
-        key = CellKey(table, str(number), stage)
-        matrix = diagnose(system)
         formed = math.nan if run.switches == TEXT else norm_condition(system, LEAST_SQUARES)
-        norm = matrix.cond_norm if math.isnan(formed) else formed
-        values = {
-            "matrix_order": matrix.order, "rank": matrix.rank, "det": _double(matrix.det_sign, matrix.log10_det),
-            "cond_norm": norm, "cond_spectral": matrix.cond_spectral, "cond_hadamard": matrix.cond_hadamard,
-        }  # fmt: skip
-        out |= {key._replace(quantity=name): float(value) for name, value in values.items()}
+        other = {} if math.isnan(formed) else {"cond_norm": formed}
+        out |= tables_twin.conditioning_cells(CellKey(table, str(number), stage), diagnose(system), **other)
     return out
 
 
@@ -249,15 +222,9 @@ def norm_condition(system: LinearSystem, solver: str) -> float:
     return float(np.linalg.norm(system.normal) * np.linalg.norm(inverse))
 
 
-def _double(sign: float, log10: float) -> float:
-    """Determinant as a double: 0 or inf outside its range."""
-    with np.errstate(under="ignore", over="ignore"):
-        return float(sign * np.float64(10.0) ** log10)
-
-
 def _corrections(run: TwoStage, table: str) -> Cells:
     """EOP corrections dP of the pre-adjustment of the left image, solver by solver; per line and line squared."""
-    number = CORRECTIONS_OF[table]
+    number = SET_OF[table]
     out: Cells = {}
     for method in SOLVERS:
         dp = run.pre_adjust(0, number, method).dP
@@ -277,7 +244,7 @@ def _bundles(run: TwoStage, table: str) -> Cells:
             errors = bundle.accuracy
             if kind == 1 and table in WITHOUT_BUNDLE and run.switches != TEXT:
                 errors = run.step_two_only(number, SOLVER_OF[table])
-            out |= rmse_cells(key, errors.gcp_rmse, errors.icp_rmse)
+            out |= tables_twin.rmse_cells(key, errors.gcp_rmse, errors.icp_rmse)
             if bundle.solution.kappa is not None:
                 out[key._replace(quantity="kappa")] = float(bundle.solution.kappa)
     return out
@@ -311,3 +278,10 @@ def _correlations(run: TwoStage, table: str) -> Cells:
         key._replace(parameter=f"{names[i]} {names[j]}"): float(abs(cofactors[i, j]) / (sigma[i] * sigma[j]))
         for i, j in combinations(range(len(names)), 2)
     }
+
+
+#: Tables of adjustments to the functions that make their cells.
+_MAKERS: dict[str, Callable[[TwoStage, str], Cells]] = {
+    **{f"4.{k}": _conditions for k in range(3, 10)}, **{f"4.{k}": _conditioning for k in range(10, 17)},
+    **{f"4.{k}": _corrections for k in range(17, 24)}, **dict.fromkeys(SOLVER_OF, _bundles), "s4.2.2": _correlations,
+}  # fmt: skip

@@ -29,9 +29,8 @@ from fg_orient.rpc.estimate import linear_system
 from fg_orient.rpc.fit import RfmFit
 from fg_orient.rpc.form import DEGREES, RfmForm
 from fg_orient.rpc.points import ControlPoints, Scaling
+from fg_orient.studies.tables_twin import AXES, Cells, Progress, collect, conditioning_cells
 
-Cells = dict[CellKey, float]
-Progress = Callable[[int, int], None]
 #: Printed kappas by method and degree, for Table 4.45.
 Kappas = Mapping[tuple[str, int], float]
 
@@ -51,7 +50,6 @@ WITH_PRINTED_KAPPA: Final = "4.45 printed kappa"
 TRUE_M0: Final = "m0_true"
 #: Permutations, seeds 1 to 50.
 PERMUTATIONS: Final = 50
-AXES: Final = ("x", "y")
 _AS_IT_IS: Final = Scaling(np.zeros(5), np.ones(5))
 
 
@@ -154,16 +152,15 @@ def compute(
         Cell to values (1 + permutations,), the order of the file first; nan where a solver broke down.
     """
     chosen = [table for table in TABLES if table in tables]
-    values: dict[CellKey, list[float]] = {}
-    runs = permutations + 1 if chosen else 0
-    for seed in range(runs):
+
+    def one_run(seed: int) -> Cells:
         ordered = points if seed == 0 else points.take(np.random.default_rng(seed).permutation(len(points)))
+        out: Cells = {}
         for degree in degrees:
-            for key, value in _cells(chosen, ordered, degree, kappas or {}).items():
-                values.setdefault(key, []).append(value)
-        if progress is not None:
-            progress(seed + 1, runs)
-    return {key: np.array(of_cell) for key, of_cell in values.items()}
+            out |= _cells(chosen, ordered, degree, kappas or {})
+        return out
+
+    return collect(one_run, range(permutations + 1 if chosen else 0), progress)
 
 
 def _cells(tables: Sequence[str], points: ControlPoints, degree: int, kappas: Kappas) -> Cells:
@@ -204,7 +201,7 @@ def _conditions(run: Run, table: str) -> Cells:
     out: Cells = {}
     with np.errstate(over="ignore", invalid="ignore"):
         misfit = np.abs(run.system.normal @ x - run.system.rhs)
-        for axis, v in zip(AXES, run.residuals_px(x), strict=True):
+        for axis, v in zip(AXES[:2], run.residuals_px(x), strict=True):
             values = {
                 "n_observations": 2.0 * len(run.points), "n_unknowns": float(len(x)), "sum_residual": float(v.sum()),
                 "sum_squared_residual": float(v @ v),
@@ -218,19 +215,16 @@ def _conditions(run: Run, table: str) -> Cells:
 def _conditioning(run: Run, table: str) -> Cells:
     """Order, rank, determinant and three condition numbers of A^T A, as run."""
     normal = run.system.normal
-    diagnosis = diagnose(run.system)
     with np.errstate(all="ignore"):
         try:
             cond_norm = float(np.linalg.norm(normal, 2) * np.linalg.norm(np.linalg.inv(normal), 2))
         except np.linalg.LinAlgError:
             cond_norm = math.inf
         eigenvalues = eigh(normal, lower=False, eigvals_only=True)
-        values = {
-            "matrix_order": float(diagnosis.order), "rank": float(diagnosis.rank),
-            "det": float(diagnosis.det_sign * np.float64(10.0) ** diagnosis.log10_det), "cond_norm": cond_norm,
-            "cond_spectral": float(eigenvalues[-1] / eigenvalues[0]), "cond_hadamard": diagnosis.cond_hadamard,
-        }  # fmt: skip
-    return {_key(table, run, quantity=name): value for name, value in values.items()}
+        cond_spectral = float(eigenvalues[-1] / eigenvalues[0])
+    return conditioning_cells(
+        _key(table, run), diagnose(run.system), cond_norm=cond_norm, cond_spectral=cond_spectral
+    )  # fmt: skip
 
 
 def _coefficients(run: Run, table: str) -> Cells:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 
 from factors._contract import Array
+from fg_orient.adjustment.linear.conditioning import Conditioning
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.model.cells import CellKey
 from fg_orient.model.names import COMPONENTS, EOP_SETS
@@ -50,6 +51,17 @@ def rmse_cells(key: CellKey, gcp_rmse: Array, icp_rmse: Array) -> Cells:
         for axis, value in zip(AXES, values, strict=True):
             out[key._replace(point_role=role, quantity=f"rmse_{axis}")] = float(value)
     return out
+
+
+def conditioning_cells(key: CellKey, matrix: Conditioning, **other: float) -> Cells:
+    """Order, rank, determinant and three condition numbers of A^T A; ``other`` replaces some of them."""
+    with np.errstate(under="ignore", over="ignore"):  # 0 or inf outside the range of a double
+        det = matrix.det_sign * np.float64(10.0) ** matrix.log10_det
+    values = {
+        "matrix_order": matrix.order, "rank": matrix.rank, "det": det, "cond_norm": matrix.cond_norm,
+        "cond_spectral": matrix.cond_spectral, "cond_hadamard": matrix.cond_hadamard,
+    } | other  # fmt: skip
+    return {key._replace(quantity=name): float(value) for name, value in values.items()}
 
 
 def collect(

@@ -32,15 +32,10 @@ from fg_orient.model.names import Role
 from fg_orient.model.parameters import eop_codes, eop_set_number
 from fg_orient.sensors import initial
 from fg_orient.studies import conditions
+from fg_orient.studies import two_stage_results as results
 from fg_orient.studies.conditions import Conditions, Linearised
 from fg_orient.studies.switches import Switches, switches_of
-from fg_orient.studies.two_stage_results import (
-    AxisErrors,
-    LookAngles,
-    PreAdjustment,
-    TwoStageResult,
-    from_two_rays,
-)
+from fg_orient.studies.two_stage_results import AxisErrors, PreAdjustment, TwoStageResult
 
 Index = npt.NDArray[np.intp]
 LookModel = Literal["angles", "corrections"]
@@ -135,7 +130,7 @@ class TwoStage:
         return at.with_orbit(self._polynomials if rows is None else self._polynomials.take(rows))
 
     @cached_property
-    def look(self) -> LookAngles:
+    def look(self) -> results.LookAngles:
         """Step 1 of all images: adjusted look angles."""
         rows, none = self._control_rows, np.zeros((len(self.block.images), 0))
         at = self.start.take(rows)
@@ -155,7 +150,7 @@ class TwoStage:
         self._predict_check_angles(adjusted)
         v = adjusted - self.start.look_rad
         remaining = float(np.abs(lin.value).max())
-        return LookAngles(adjusted, v, cycles, remaining, float(np.sqrt(np.mean(v[rows] ** 2))))
+        return results.LookAngles(adjusted, v, cycles, remaining, float(np.sqrt(np.mean(v[rows] ** 2))))
 
     def _predict_check_angles(self, adjusted_rad: Array) -> None:
         """Fill the rows of check points from the degree-2 polynomial in the column, image by image."""
@@ -308,30 +303,34 @@ class TwoStage:
         if kind not in (1, 2) or iterations < 1:
             raise InputError.of("classical.bundle", place="bundle", value=f"kind {kind}, {iterations} iterations")
         codes = () if eop_set is None else _codes(eop_set)
-        eop = self._no_eop(len(codes))
+        at, eop = self.pre_adjusted, self._no_eop(len(codes))
+        v, system, solution = np.zeros((len(at.image), 2)), None, LinearSolution(np.zeros(0))
         if kind == 2 and eop_set is not None:
             steps = [self.pre_adjust(k, eop_set, solver) for k in range(len(self.block.images))]
             eop = np.array([step.dP for step in steps])
-            broken = [step.solution for step in steps if step.solution.failure]
-            if broken:
-                return self._broken(codes, broken[0])
-        at = self.pre_adjusted
-        v, system, solution = np.zeros((len(at.image), 2)), None, LinearSolution(np.zeros(0))
-        if kind == 2:
+            solution = next((step.solution for step in steps if step.solution.failure), solution)
+        if kind == 2 and not solution.failure:
             at = self._with_check_points(at, self._intersect(self._smooth(at), codes, eop))
-        for k in range(iterations):
+        broken, k = bool(solution.failure), 0
+        while not broken and k < iterations:
             lin = self._bundle_conditions(at, codes, eop, first=k == 0)
             if not lin.is_finite:
-                return self._broken(codes, LinearSolution(np.zeros(0), failure=LEFT), system)
+                solution, broken = LinearSolution(np.zeros(0), failure=LEFT), True
+                break
             at, eop, step_v, system, solution = self._iterate(at, lin, eop, solver)
-            if solution.failure or not np.isfinite(eop).all() or not np.isfinite(at.approximate_m).all():
-                return self._broken(codes, solution, system)
-            v = v + step_v
-        ground = self._intersect(self._smooth(at), codes, eop, metadata_position=self.switches.metadata_positions)
-        ground[self._check] = self._by_point(at)[self._check]
-        if not np.isfinite(ground[self._assessed]).all():
-            return self._broken(codes, solution, system)
-        return self._result(system, solution, v[:, ::-1].ravel(), eop, ground)
+            v, k = v + step_v, k + 1
+            broken = bool(solution.failure) or not (np.isfinite(eop).all() and np.isfinite(at.approximate_m).all())
+        ground = np.full((len(self.block.points.ids), 3), np.nan)
+        if not broken:
+            ground = self._intersect(self._smooth(at), codes, eop, metadata_position=self.switches.metadata_positions)
+            ground[self._check] = self._by_point(at)[self._check]
+            broken = not np.isfinite(ground[self._assessed]).all()
+        failure = (solution.failure or "the result is not finite") if broken else ""
+        if broken:
+            v, eop, ground = 0.0 * v + np.nan, 0.0 * eop + np.nan, 0.0 * ground + np.nan
+        n_unknowns = eop.size + 3 * len(self._check)
+        residuals = v[:, ::-1].ravel()
+        return TwoStageResult(system, solution, residuals, eop, self._errors(ground), v.size, n_unknowns, failure)
 
     def _bundle_conditions(self, at: Conditions, codes: tuple[int, ...], eop: Array, *, first: bool) -> Linearised:
         """Misclosures and derivatives of one iteration; in the first, misclosures may be those of other EOPs."""
@@ -363,35 +362,19 @@ class TwoStage:
     def _system(self, at: Conditions, lin: Linearised) -> LinearSystem | None:
         """Whitened design of the bundle; no system without unknowns."""
         n, k, n_images = len(at.image), lin.eop.shape[2], len(self.block.images)
-        column = {int(j): n_images * k + 3 * c for c, j in enumerate(self._check)}
         u = n_images * k + 3 * len(self._check)
         if not u:
             return None
         design = np.zeros((n, 2, u))
-        for row in range(n):
-            first = int(at.image[row]) * k
-            design[row, :, first : first + k] = lin.eop[row]
-            start = column.get(int(at.point[row]))
-            if start is not None:
-                design[row, :, start : start + 3] = lin.ground[row]
+        for column in range(k):
+            design[np.arange(n), :, at.image * k + column] = lin.eop[:, :, column]
+        rows = np.flatnonzero(np.isin(at.point, self._check))
+        first = n_images * k + 3 * np.searchsorted(self._check, at.point[rows])
+        for axis in range(3):
+            design[rows, :, first + axis] = lin.ground[rows, :, axis]
         weight = 1.0 / np.abs(lin.look)  # M = B B^T is diagonal
         whitened = (design * weight[:, :, None]).reshape(2 * n, u)
         return LinearSystem.from_design(whitened, -(lin.value * weight).ravel())
-
-    def _result(
-        self, system: LinearSystem | None, solution: LinearSolution, v: Array, eop: Array, ground_m: Array,
-        failure: str = "",
-    ) -> TwoStageResult:  # fmt: skip
-        n_unknowns = eop.size + 3 * len(self._check)
-        return TwoStageResult(system, solution, v, eop, self._errors(ground_m), len(v), n_unknowns, failure)
-
-    def _broken(
-        self, codes: tuple[int, ...], solution: LinearSolution, system: LinearSystem | None = None
-    ) -> TwoStageResult:
-        """A bundle without result."""
-        v, ground = np.full(2 * len(self.start.image), np.nan), np.full((len(self.block.points.ids), 3), np.nan)
-        eop = np.full((len(self.block.images), len(codes)), np.nan)
-        return self._result(system, solution, v, eop, ground, solution.failure or "the result is not finite")
 
     # --- geometry ----------------------------------------------------------------------------
 
@@ -419,7 +402,7 @@ class TwoStage:
         with np.errstate(all="ignore"):  # large corrections overflow: such points are nan
             centre, direction = at.rays(codes, eop, metadata_position=metadata_position, look_sign=look_sign)
             if len(self.block.images) == 2:
-                return from_two_rays(centre, direction, at.image, at.point, n, midpoint=self.switches.midpoint)
+                return results.from_two_rays(centre, direction, at.image, at.point, n, midpoint=self.switches.midpoint)
             return initial.nearest_points(centre, direction, at.point, n)[0]
 
     @cached_property

@@ -24,8 +24,7 @@ from fg_orient.studies.comparison import folder as comparison_folder
 from fg_orient.studies.comparison import plots
 from fg_orient.studies.comparison import report as heat
 from fg_orient.studies.comparison.model import COLUMNS, Comparison
-from fg_orient.studies.comparison.report import render, three_digits
-from fg_orient.studies.comparison.words import ranges, verdict
+from fg_orient.studies.comparison.report import ranges, render, three_digits, verdict
 
 FIGURES = {
     "heatmap_control.svg", "heatmap_check.svg", "conditions.svg", "spectra.svg", "l_curves.svg", "seconds.svg",
@@ -184,10 +183,10 @@ def test_heat_maps_and_outcomes_are_the_rows(comparison: Comparison, written: tu
         else:
             assert (cell.kind[0] == "b") == (row.check_rmse_m <= comparison.target_m)
             assert cell.text == chart.short(row.check_rmse_m)
-    assert [name for _, name, _ in heat.STEPS] == [kind for kind, _ in heat.steps(5.0)]
+    assert [name for _, name in heat.STEPS] == [kind for kind, _ in heat.steps(5.0)]
     assert dict(heat.steps(5.0)) | {"b1": "≤ 5 m", "o3": "> 500 m"} == dict(heat.steps(5.0))
     page = (written[0] / "report.html").read_text("utf-8")
-    for key, sign, words, meaning in heat.OUTCOMES:
+    for key, (sign, words, meaning) in heat.OUTCOMES.items():
         assert f"<b>{sign} {counted[key]}</b> {words}<span>{meaning}</span>" in page
 
 

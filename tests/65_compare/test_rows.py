@@ -17,7 +17,7 @@ from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from fg_orient.studies.comparison import engines
 from fg_orient.studies.comparison.compare import compare, ground_sampling_m, reached
 from fg_orient.studies.comparison.model import COLUMNS, LARGEST_CONDITION, Comparison, Row, Spectrum, groups
-from fg_orient.studies.comparison.words import verdict
+from fg_orient.studies.comparison.report import verdict
 from fg_orient.studies.two_stage import TwoStage
 
 AXES = ("x", "y", "z")
@@ -99,7 +99,7 @@ def test_difference_is_measured(twin: Block, comparison: Comparison) -> None:
         graph = fg.adjust(twin, eop_set=2, backend="graph")
     moved = replace(graph, state=replace(graph.state, image=graph.state.image + 0.25, ground=graph.state.ground - 3.0))
     with one_blas_thread():
-        row = engines.Adjustments(twin, 2, None).dense("qr", moved)
+        row = engines.Adjustments(twin, 2).dense("qr", moved)
     assert row.difference_sigmas == pytest.approx(0.25, abs=1e-9)
     assert row.difference_m == pytest.approx(3.0, abs=1e-7)
 

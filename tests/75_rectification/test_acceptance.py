@@ -9,7 +9,7 @@ import pytest
 
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.fit import Observations, fit
-from fg_orient.rectification.geometry import pixel_area_sigma_m2, project, space_oblique_mercator
+from fg_orient.rectification.geometry import lambert_polar, pixel_area_sigma_m2, project, space_oblique_mercator
 from fg_orient.rectification.study import (
     RUNS,
     admissible_points,
@@ -17,7 +17,7 @@ from fg_orient.rectification.study import (
     growing_degrees,
 )
 from fg_orient.rectification.transformation import find_model
-from fg_orient.studies.reproduce.ipbuker1994 import area_ratio, lambert_polar
+from fg_orient.studies.reproduce.ipbuker1994 import area_ratio
 from fg_orient.studies.reproduce.reproduction import Row
 from tests.support.coasts import simulate_pixel_areas_m2, synthetic_outline
 

@@ -14,13 +14,12 @@ from fg_orient.model.cells import CellKey
 from fg_orient.report.svg import svg
 from fg_orient.studies.published.tables import load
 from fg_orient.studies.reproduce.folder import reproduce_to
-from fg_orient.studies.reproduce.html import grid, l_curves
+from fg_orient.studies.reproduce.html import grid, l_curves, scatter
 from fg_orient.studies.reproduce.reproduction import Row, reproduce
-from fg_orient.studies.reproduce.scatter import scatter
 
 
 def row(key: CellKey, published: float = 1.0, reproduced: float = 1.0, verdict: str = "equal") -> Row:
-    return Row(key.table, str(key), published, reproduced, 0.0, 0.0, verdict, "", f"{published:g}", "m", "")
+    return Row(key, published, reproduced, 0.0, 0.0, verdict, "", f"{published:g}", "m", "")
 
 
 @pytest.mark.behaviour
@@ -28,20 +27,19 @@ def row(key: CellKey, published: float = 1.0, reproduced: float = 1.0, verdict: 
 def test_grids_lose_no_cell(name: str) -> None:
     """Each published cell of each table stands in its grid once, below its own solver or set."""
     printed = load(name)
-    keys = {(c.key.table, str(c.key)): c.key for c in printed.cells}
     drawn = 0
     for table in printed.titles:
         rows = [row(c.key) for c in printed.cells if c.key.table == table]
-        found = grid(rows, keys)
+        found = grid(rows)
         if found is None:
-            assert len({keys[table, r.cell].method for r in rows} - {""}) < 2
+            assert len({r.key.method for r in rows} - {""}) < 2
             continue
         drawn += 1
         cells = [cell for _, line in found.rows for cell in line if cell is not None]
         assert sorted(map(id, cells)) == sorted(map(id, rows)), table
         for _, line in found.rows:
             for column, cell in zip(found.columns, line, strict=True):
-                key = None if cell is None else keys[table, cell.cell]
+                key = None if cell is None else cell.key
                 if key is not None and key.method and not column.startswith("set "):
                     assert key.method.replace("_", " ") == column
     assert drawn > 1 or name == "topan2010"
@@ -82,7 +80,7 @@ def test_kappas_of_the_tables_stand_on_their_l_curves(tmp_path: Path) -> None:
     found, _ = reproduce_to("terlemezoglu2019", tmp_path / "out", tables="4.25,4.27", n_seeds=1, claims=False)
     assert sorted(found.curves) == [5, 13, 15, 17, 19, 20]
     drawn = l_curves(found)
-    kappas = {found.keys[r.table, r.cell]: r for r in found.rows if found.keys[r.table, r.cell].quantity == "kappa"}
+    kappas = {r.key: r for r in found.rows if r.key.quantity == "kappa"}
     for one in drawn:
         own = {k: r for k, r in kappas.items() if (k.eop_set, k.pre_adjustment_type) == (str(one["eop_set"]), "1")}
         by_rule = {rule["rule"]: rule["kappa"] for rule in one["rules"]}

@@ -6,9 +6,10 @@ import functools
 import hashlib
 import math
 import pickle
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, replace
 from functools import partial
+from itertools import count, product
 from pathlib import Path
 from typing import Any
 
@@ -21,18 +22,9 @@ from fg_orient.adjustment.parts.study import study
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import ALL_SETS, EOP_SETS, Progress, Role
+from fg_orient.studies.comparison import model
 from fg_orient.studies.comparison.engines import Adjustments, Published
-from fg_orient.studies.comparison.model import (
-    BACKENDS,
-    GRAPH_SOLVER,
-    SELECTIONS,
-    TYPES,
-    Comparison,
-    Curve,
-    Direction,
-    Row,
-    Spectrum,
-)
+from fg_orient.studies.comparison.model import SELECTIONS, Comparison, Row
 
 
 def compare(
@@ -40,8 +32,8 @@ def compare(
     *,
     eop_sets: str | int | Iterable[int | str] = ALL_SETS,
     solvers: str | Iterable[str] = "all",
-    backends: str | Iterable[str] = BACKENDS,
-    types: str | int | Iterable[int | str] = TYPES,
+    backends: str | Iterable[str] = model.BACKENDS,
+    types: str | int | Iterable[int | str] = model.TYPES,
     as_run: bool = False,
     look_polynomial: int | None = None,
     target_m: float | None = None,
@@ -95,68 +87,45 @@ def compare(
     engines, kinds = SELECTIONS["backends"](backends), SELECTIONS["types"](types)
     _require_control(block)
     target = SELECTIONS["target_m"](ground_sampling_m(block) if target_m is None else target_m)
-    plan = _Plan(engines, names, kinds, as_run, look_polynomial, target)
-    if workers <= 1 and cluster is None and folder is None:
-        run = _Run(len(numbers) * plan.per_set, plan, callback)
-        run.take(block, numbers)
-    else:
-        run = _shared(block, plan, numbers, workers, cluster, folder, callback)
     degree = block.options.look_polynomial if look_polynomial is None else look_polynomial
-    return Comparison(
-        block=replace(block, options=replace(block.options, look_polynomial=degree)), rows=tuple(run.rows),
-        spectra=tuple(run.spectra), directions=tuple(run.directions), curves=tuple(run.curves),
-        target_m=target, eop_sets=numbers, solvers=names, backends=engines, types=kinds,
-        as_run=as_run, seconds=working_clock() - start,
-        labels={GRAPH_SOLVER: "GTSAM"} | {name: known_solvers()[name].label for name in names},
+    plan = Comparison(
+        replace(block, options=replace(block.options, look_polynomial=degree)), (), (), target, numbers, names, engines,
+        kinds, as_run, 0.0,
+        {model.GRAPH_SOLVER: "GTSAM"} | {name: known_solvers()[name].label for name in names},
     )  # fmt: skip
+    per_set = sum({"faithful": len(kinds) * len(names), "dense": len(names), "graph": 1}[one] for one in engines)
+    done, total = count(1), per_set * len(numbers)
 
-
-@dataclass(frozen=True)
-class _Plan:
-    """Adjustments of each set."""
-
-    engines: tuple[str, ...]
-    names: tuple[str, ...]
-    kinds: tuple[int, ...]
-    as_run: bool
-    look_polynomial: int | None
-    target_m: float
-
-    @property
-    def per_set(self) -> int:
-        """Adjustments of one set."""
-        count = {"faithful": len(self.kinds) * len(self.names), "dense": len(self.names), "graph": 1}
-        return sum(count[e] for e in self.engines)
-
-
-def _shared(
-    block: Block, plan: _Plan, numbers: tuple[int, ...], workers: int, cluster: Any, folder: str | Path | None,
-    callback: Progress | None,
-) -> _Run:  # fmt: skip
-    """Rows and spectra of all sets, each a case of a study."""
-
-    def report(done: int, of: int, number: int) -> None:
+    def of_row(row: Row) -> None:
+        kind = f" type {row.type}" if row.type else ""
+        what = f"set {row.eop_set} {row.eop_set_name}, {row.backend}{kind}, {row.solver}"
         if callback:
-            callback(done * plan.per_set, of * plan.per_set, f"set {number} {EOP_SETS[number].name}")
+            callback(next(done), total, what)
 
+    def of_set(sets: int, _: int, number: int) -> None:
+        if callback:
+            callback(sets * per_set, total, f"set {number} {EOP_SETS[number].name}")
+
+    alone = workers <= 1 and cluster is None and folder is None
     results = study(
-        partial(_one_set, block, plan), list(numbers), workers=workers, cluster=cluster, folder=folder,
-        key=_key(block, plan), callback=report,
+        partial(_one_set, plan, of_row if alone else None), list(numbers), workers=workers, cluster=cluster,
+        folder=folder, key="" if folder is None else _key(plan), callback=None if alone else of_set,
     )  # fmt: skip
-    run = _Run(len(numbers) * plan.per_set, plan, None)
-    for of_set in results:
-        run.rows += [Row(**{**row, "notes": tuple(row["notes"])}) for row in of_set["rows"]]
-        run.spectra += [Spectrum(**spectrum) for spectrum in of_set["spectra"]]
-        run.directions += [Direction(**direction) for direction in of_set["directions"]]
-        run.curves += [Curve.from_dict(curve) for curve in of_set["curves"]]
-    return run
+    return replace(
+        plan, seconds=working_clock() - start,
+        rows=tuple(Row(**row | {"notes": tuple(row["notes"])}) for one in results for row in one["rows"]),
+        spectra=tuple(model.Spectrum(**spectrum) for one in results for spectrum in one["spectra"]),
+        directions=tuple(model.Direction(**direction) for one in results for direction in one["directions"]),
+        curves=tuple(model.Curve.from_dict(curve) for one in results for curve in one["curves"]),
+    )  # fmt: skip
 
 
-def _key(block: Block, plan: _Plan) -> str:
+def _key(plan: Comparison) -> str:
     """Digest of the inputs of the rows of a set."""
+    block, selections = plan.block, (plan.solvers, plan.backends, plan.types, plan.as_run, plan.target_m)
     o, known = block.observations, block.points.known
     points = block.points.ids, block.points.roles
-    digest = hashlib.sha256(repr((plan, block.options, block.sources, points)).encode())
+    digest = hashlib.sha256(repr((selections, block.options, block.sources, points)).encode())
     digest.update(pickle.dumps(block.images))
     arrays = (o.line, o.sample, o.sigma_line_px, o.sigma_sample_px, known.ecef_m, known.sigma_enu_m)
     for array in (o.image, o.point, known.fixed, *arrays):
@@ -164,59 +133,37 @@ def _key(block: Block, plan: _Plan) -> str:
     return digest.hexdigest()
 
 
-def _one_set(block: Block, plan: _Plan, number: int) -> dict[str, Any]:
-    """Rows and spectra of one set, as plain values for a study."""
-    run = _Run(plan.per_set, plan, None)
-    run.take(block, (number,))
-    parts: dict[str, list[Any]] = {
-        "rows": run.rows, "spectra": run.spectra, "directions": run.directions, "curves": run.curves,
-    }  # fmt: skip
+def _one_set(plan: Comparison, report: Callable[[Row], None] | None, number: int) -> dict[str, Any]:
+    """Rows, spectra, directions and curves of one set, as plain values for a study."""
+    rows: list[Row] = []
+
+    def add(row: Row) -> None:
+        rows.append(replace(row, reached=reached(row, plan.target_m)))
+        if report is not None:
+            report(row)
+
+    # each row opens the check points after its own adjustment, but their file is read only once
+    withheld = replace(plan.block.withheld, reader=functools.cache(plan.block.withheld.reader))
+    block = replace(plan.block, withheld=withheld)
+    parts: dict[str, list[Any]] = {"rows": rows, "spectra": [], "directions": [], "curves": []}
+    with one_blas_thread():
+        if "faithful" in plan.backends:
+            published = Published(block, number, plan.as_run)
+            for kind, name in product(plan.types, plan.solvers):
+                add(published.run(kind, name))
+            parts["spectra"] += published.spectra
+            parts["curves"] += published.curves
+        if set(plan.backends) & {"dense", "graph"}:
+            engine = Adjustments(block, number)
+            # the graph is the reference of the dense adjustments and precedes them
+            solution, row = engine.graph() if "graph" in plan.backends else (None, None)
+            for name in plan.solvers if "dense" in plan.backends else ():
+                add(engine.dense(name, solution))
+            if row is not None:
+                add(row)
+            parts["spectra"] += engine.spectra
+            parts["directions"] += engine.directions
     return {name: [asdict(one) for one in part] for name, part in parts.items()}
-
-
-class _Run:
-    """Collects rows and their explanations, compares them with the target and reports progress."""
-
-    def __init__(self, total: int, plan: _Plan, callback: Progress | None) -> None:
-        self.rows: list[Row] = []
-        self.spectra: list[Spectrum] = []
-        self.directions: list[Direction] = []
-        self.curves: list[Curve] = []
-        self._total, self._plan, self._target, self._callback = total, plan, plan.target_m, callback
-
-    def take(self, block: Block, numbers: Iterable[int]) -> None:
-        """Run some sets; the graph, reference of the dense adjustments, precedes them."""
-        plan = self._plan
-        # each row opens the check points after its own adjustment, but their file is read only once
-        block = replace(block, withheld=replace(block.withheld, reader=functools.cache(block.withheld.reader)))
-        with one_blas_thread():
-            published = Published(block, plan.as_run) if "faithful" in plan.engines else None
-            for number in numbers:
-                for kind in plan.kinds:
-                    if published is None:
-                        break
-                    for name in plan.names:
-                        self._add(published.run(number, kind, name))
-                    self.spectra += published.spectra.get((number, kind), ())
-                    self.curves += [published.curves[number, kind]] if (number, kind) in published.curves else []
-                if set(plan.engines) & {"dense", "graph"}:
-                    self._adjust(Adjustments(block, number, plan.look_polynomial))
-
-    def _adjust(self, engine: Adjustments) -> None:
-        solution, row = engine.graph() if "graph" in self._plan.engines else (None, None)
-        for name in self._plan.names if "dense" in self._plan.engines else ():
-            self._add(engine.dense(name, solution))
-        if row:
-            self._add(row)
-        self.spectra += engine.spectra
-        self.directions += engine.directions
-
-    def _add(self, row: Row) -> None:
-        self.rows.append(replace(row, reached=reached(row, self._target)))
-        if self._callback:
-            kind = f" type {row.type}" if row.type else ""
-            what = f"set {row.eop_set} {EOP_SETS[row.eop_set].name}, {row.backend}{kind}, {row.solver}"
-            self._callback(len(self.rows), self._total, what)
 
 
 def reached(row: Row, target_m: float) -> bool:

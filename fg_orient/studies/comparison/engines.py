@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -71,54 +72,56 @@ def _reason_to_leave_out(solver: str, order: int, *, iterated: bool) -> str:
 
 
 class Published:
-    """The published two-stage procedure, one-iteration bundle.
+    """The published two-stage procedure with one EOP set, one-iteration bundle.
 
     Parameters
     ----------
     block : Block
+    eop_set : int
     as_run : bool
         As the authors' program works.
     """
 
-    def __init__(self, block: Block, as_run: bool) -> None:
-        self.failure, self.spectra = "", dict[tuple[int, int], tuple[Spectrum, Spectrum]]()
-        self.curves = dict[tuple[int, int], Curve]()
+    def __init__(self, block: Block, eop_set: int, as_run: bool) -> None:
+        self.eop_set, self.failure = eop_set, ""
+        self.spectra, self.curves = list[Spectrum](), list[Curve]()
         try:
             self.stage = TwoStage(block, as_run=as_run)
-            self.n_images, self.n_check = len(block.images), len(self.stage.check_ids)
-            _ = self.stage.pre_adjusted  # all sets use step 1: its time is not that of the first set
+            self.order = len(block.images) * len(eop_codes(eop_set)) + 3 * len(self.stage.check_ids)
+            _ = self.stage.pre_adjusted  # its time is not that of the first solver
         except FgOrientError as error:
             self.failure = one_line(error)
 
-    def run(self, eop_set: int, kind: int, solver: str) -> Row:
-        """Adjust with one set, type and solver."""
-        make: dict[str, Any] = {"eop_set": eop_set, "solver": solver, "backend": "faithful", "kind": kind}
+    def run(self, kind: int, solver: str) -> Row:
+        """Adjust with one type and solver."""
+        new = partial(row, self.eop_set, solver, "faithful", kind)
         if self.failure:
-            return row(**make, failure=self.failure)
-        order = self.n_images * len(eop_codes(eop_set)) + 3 * self.n_check
-        reason = _reason_to_leave_out(solver, order, iterated=False)
-        if reason:
-            return row(**make, failure=reason, left_out=True, order=order)
+            return new(failure=self.failure)
+        if reason := _reason_to_leave_out(solver, self.order, iterated=False):
+            return new(failure=reason, left_out=True, order=self.order)
         start = working_clock()
         try:
             with np.errstate(all="ignore"):  # large corrections overflow; the result is then reported as failed
-                bundle = self.stage.bundle(eop_set, cast(Kind, kind), solver)
+                bundle = self.stage.bundle(self.eop_set, cast(Kind, kind), solver)
         except FgOrientError as error:
-            return row(**make, failure=one_line(error))
-        return row(**make, seconds=working_clock() - start, **self._values(bundle, eop_set, kind))
+            return new(failure=one_line(error))
+        return new(seconds=working_clock() - start, **self._values(bundle, kind))
 
-    def _values(self, bundle: TwoStageResult, eop_set: int, kind: int) -> dict[str, Any]:
+    def _values(self, bundle: TwoStageResult, kind: int) -> dict[str, Any]:
+        """Columns of a row; the spectra and the L-curve of a type are those of its first solver."""
+        kappa, system = bundle.solution.kappa, f"published {kind}"
         values: dict[str, Any] = {
             "failure": bundle.failure, "iterations": 1, "order": bundle.n_unknowns, "notes": bundle.solution.notes,
-            "kappa": np.nan if bundle.solution.kappa is None else bundle.solution.kappa,
+            "kappa": np.nan if kappa is None else kappa,
         }  # fmt: skip
         if bundle.system is not None:
             design, _ = bundle.system.require_design("spectrum")
-            pair = spectra_of(design, eop_set, f"published {kind}")
-            self.spectra.setdefault((eop_set, kind), pair)
+            pair = spectra_of(design, self.eop_set, system)
+            if all(other.system != system for other in self.spectra):
+                self.spectra += pair
             values |= _conditioning(*pair, len(design))
-            if bundle.solution.kappa is not None and (eop_set, kind) not in self.curves:
-                self.curves[eop_set, kind] = Curve(eop_set, kind, l_curve_of(bundle.system))
+            if kappa is not None and all(other.type != kind for other in self.curves):
+                self.curves.append(Curve(self.eop_set, kind, l_curve_of(bundle.system)))
         if not bundle.failure:
             redundancy = bundle.n_observations - bundle.n_unknowns
             values["m0_rad"] = float(np.sqrt(bundle.v @ bundle.v / redundancy)) if redundancy > 0 else np.nan
@@ -139,8 +142,6 @@ class Adjustments:
     ----------
     block : Block
     eop_set : int
-    look_polynomial : int or None
-        Replaces the degree of the block, unless None.
 
     Raises
     ------
@@ -148,12 +149,9 @@ class Adjustments:
         The block cannot be adjusted with any set.
     """
 
-    def __init__(self, block: Block, eop_set: int, look_polynomial: int | None) -> None:
-        self.block, self.eop_set, self.look_polynomial = block, eop_set, look_polynomial
-        degree = block.options.look_polynomial if look_polynomial is None else look_polynomial
-        self.problem = compile_problem(
-            replace(block, options=replace(block.options, eop_set=eop_set, look_polynomial=degree))
-        )
+    def __init__(self, block: Block, eop_set: int) -> None:
+        self.block, self.eop_set = replace(block, options=replace(block.options, eop_set=eop_set)), eop_set
+        self.problem = compile_problem(self.block)
         self.spectra: tuple[Spectrum, ...] = ()
         self.directions = directions_of(self.problem)
         self.matrix: dict[str, Any] = {"order": self.problem.n_unknowns}
@@ -193,21 +191,18 @@ class Adjustments:
         )  # fmt: skip
 
     def _run(self, solver: str, backend: str, options: dict[str, Any]) -> tuple[Solution | None, Row]:
+        new = partial(row, self.eop_set, solver, backend, **self.matrix)
         try:
             with np.errstate(all="ignore"):  # a step with a singular matrix may overflow; the loop then reports it
-                solution = adjust(self.block, eop_set=self.eop_set, look_polynomial=self.look_polynomial, **options)
+                solution = adjust(self.block, **options)
         except FgOrientError as error:
-            return None, row(self.eop_set, solver, backend, failure=one_line(error), **self.matrix)
-        seconds = solution.seconds.structure + solution.seconds.solve
+            return None, new(failure=one_line(error))
+        new = partial(new, iterations=solution.iterations, seconds=solution.seconds.structure + solution.seconds.solve)
         if solution.status is Status.NOT_CONVERGED:
-            values: dict[str, Any] = {"failure": solution.reason, "iterations": solution.iterations, "seconds": seconds}
-            return None, row(self.eop_set, solver, backend, **values, **self.matrix)
-        values = {**_accuracy("control", solution.accuracy.control), **_accuracy("check", solution.accuracy.check)}
+            return None, new(failure=solution.reason)
+        accuracy = _accuracy("control", solution.accuracy.control) | _accuracy("check", solution.accuracy.check)
         notes = (solution.reason,) if solution.status is Status.NOT_TRUSTWORTHY else ()
-        return solution, row(
-            self.eop_set, solver, backend, sigma0=solution.sigma0, iterations=solution.iterations, seconds=seconds,
-            notes=notes, **values, **self.matrix,
-        )  # fmt: skip
+        return solution, new(sigma0=solution.sigma0, notes=notes, **accuracy)
 
 
 def directions_of(compiled: Problem) -> tuple[Direction, ...]:

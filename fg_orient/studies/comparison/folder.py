@@ -19,8 +19,7 @@ from fg_orient.result.provenance import provenance
 from fg_orient.studies.comparison import plots
 from fg_orient.studies.comparison.compare import compare
 from fg_orient.studies.comparison.model import COLUMNS, SELECTIONS, Comparison
-from fg_orient.studies.comparison.report import render
-from fg_orient.studies.comparison.words import summaries, verdict
+from fg_orient.studies.comparison.report import render, summaries, verdict
 
 SCHEMA_VERSION: Final = 1
 #: Contents of a comparison folder.

@@ -241,6 +241,16 @@ def groups(rows: Sequence[Row]) -> dict[tuple[str, int | None, str], list[Row]]:
     return dict(sorted(out.items(), key=lambda item: (BACKENDS.index(item[0][0]), item[0][1] or 0)))
 
 
+def tried(comparison: Comparison) -> dict[tuple[str, int | None, str], list[Row | None]]:
+    """Rows by EOP set of each backend, type and solver of which any adjustment was tried; None for a missing row."""
+    out: dict[tuple[str, int | None, str], list[Row | None]] = {}
+    for key, rows in groups(comparison.rows).items():
+        if not all(row.left_out for row in rows):
+            by_set = {row.eop_set: row for row in rows}
+            out[key] = [by_set.get(number) for number in comparison.eop_sets]
+    return out
+
+
 T = TypeVar("T")
 
 
@@ -259,12 +269,12 @@ def _once(chosen: Iterable[T], option: str, given: object) -> tuple[T, ...]:
     return out
 
 
-def _chosen(given: Any, members: Mapping[str, Sequence[T]], option: str, code: str, **known: str) -> tuple[T, ...]:
+def _chosen(given: Any, members: Mapping[str, Sequence[T]], option: str, code: str) -> tuple[T, ...]:
     """Members of the words of a selection; each once. InputError with this code for an unknown word."""
     words = _words(given)
     for word in words:
         if word not in members:
-            raise InputError.of(code, option=option, value=word, **known)
+            raise InputError.of(code, option=option, value=word, known=", ".join(members))
     return _once((member for word in words for member in members[word]), option, given)
 
 
@@ -284,14 +294,12 @@ def solver_names(given: str | Iterable[str]) -> tuple[str, ...]:
     """Names of the solvers in "all", "published", "svd,qr" or a list of names; each once."""
     known = registry.solvers()
     groups = {"all": list(known), "published": [name for name, one in known.items() if one.published]}
-    members = {name: [name] for name in known} | groups
-    return _chosen(given, members, "solvers", "linear.solver", known=", ".join(known))
+    return _chosen(given, {name: [name] for name in known} | groups, "solvers", "linear.solver")
 
 
 def backend_names(given: str | Iterable[str]) -> tuple[str, ...]:
     """Names of the backends in "faithful,graph" or a list, in the order of ``BACKENDS``."""
-    members = {name: [name] for name in BACKENDS}
-    chosen = _chosen(given, members, "backends", "adjust.backend", known=", ".join(BACKENDS))
+    chosen = _chosen(given, {name: [name] for name in BACKENDS}, "backends", "adjust.backend")
     return tuple(sorted(chosen, key=BACKENDS.index))
 
 

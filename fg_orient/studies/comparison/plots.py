@@ -17,7 +17,7 @@ from fg_orient.adjustment.linear.registry import solver
 from fg_orient.model.names import EOP_SETS
 from fg_orient.report.chart import BLUE, GREY, INK, ORANGE, SERIES, Axis, Chart, broad, decades, limits_of, short
 from fg_orient.report.paper import STYLE, available, file_of, new_figure, panels_of
-from fg_orient.studies.comparison.model import LARGEST_CONDITION, Comparison, groups
+from fg_orient.studies.comparison.model import LARGEST_CONDITION, Comparison, groups, tried
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,19 +74,14 @@ def row_name(comparison: Comparison, backend: str, kind: int | None, solver: str
 
 def _heat_map(comparison: Comparison, role: str) -> Figure | None:
     """EOP set x solver: RMSE relative to the target; failed adjustments hatched."""
-    grouped = {k: rows for k, rows in groups(comparison.rows).items() if not all(r.left_out for r in rows)}
-    sets = comparison.eop_sets
-    values = np.full((len(grouped), len(sets)), np.nan)
-    failed = np.zeros(values.shape, bool)
-    for i, rows in enumerate(grouped.values()):
-        for row in rows:
-            j = sets.index(row.eop_set)
-            values[i, j], failed[i, j] = getattr(row, f"{role}_rmse_m"), bool(row.failure)
+    grouped, sets = tried(comparison), comparison.eop_sets
+    values = [[math.nan if r is None else getattr(r, f"{role}_rmse_m") for r in rows] for rows in grouped.values()]
+    failed = [[r is not None and bool(r.failure) for r in rows] for rows in grouped.values()]
     if not np.isfinite(values).any():
         return None
     figure = new_figure(2.9 + 0.36 * max(len(sets), 13), 1.3 + 0.235 * len(grouped))
     axes = figure.add_subplot()
-    image = _coloured(axes, values, failed, comparison.target_m)
+    image = _coloured(axes, np.array(values), np.array(failed), comparison.target_m)
     axes.set_xticks(range(len(sets)), [str(n) for n in sets])
     axes.set_yticks(range(len(grouped)), [row_name(comparison, *key) for key in grouped])
     axes.set_xlabel("EOP set")

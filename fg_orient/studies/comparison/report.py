@@ -1,10 +1,10 @@
-"""HTML report of a comparison, in the template of all reports, with heat maps as tables of numbers."""
+"""HTML report of a comparison, with heat maps as tables of numbers, and its result in sentences."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -12,31 +12,26 @@ from fg_orient.model.errors import sentences
 from fg_orient.report.chart import INK, short
 from fg_orient.report.page import environment
 from fg_orient.report.paper import PAPER
-from fg_orient.studies.comparison.model import GRAPH_SOLVER, LARGEST_CONDITION, Comparison, Direction, Row, groups
+from fg_orient.studies.comparison.model import (
+    GRAPH_SOLVER,
+    LARGEST_CONDITION,
+    Comparison,
+    Direction,
+    Row,
+    groups,
+    tried,
+)
 from fg_orient.studies.comparison.plots import row_name
-from fg_orient.studies.comparison.words import ranges, summaries, verdict
 
 #: Upper ends of the steps, as multiples of the target, and their classes: blue at the target, orange beyond.
-STEPS: Final = (
-    (0.01, "b3", "to 1 % of the target"),
-    (0.1, "b2", "to a tenth"),
-    (1.0, "b1", "to the target"),
-    (10.0, "o1", "to ten times the target"),
-    (100.0, "o2", "to a hundred times"),
-    (math.inf, "o3", "beyond"),
-)
-#: Outcomes of an adjustment: key, sign, words and meaning.
-OUTCOMES: Final = (
-    ("reached", "✓", "at the target", "RMSE of the worst ECEF axis at most the target, at control and check points"),
-    ("missed", "✗", "misses the target", "a solution, but an RMSE beyond the target"),
-    (
-        "failed",
-        "–",
-        "without solution",
-        "the solver broke down or the iteration did not converge; reasons below",
-    ),
-    ("left_out", "·", "not tried", "too costly or without meaning for this backend; reasons below"),
-)
+STEPS: Final = ((0.01, "b3"), (0.1, "b2"), (1.0, "b1"), (10.0, "o1"), (100.0, "o2"), (math.inf, "o3"))
+#: Outcomes of an adjustment: sign, words and meaning.
+OUTCOMES: Final = {
+    "reached": ("✓", "at the target", "RMSE of the worst ECEF axis at most the target, at control and check points"),
+    "missed": ("✗", "misses the target", "a solution, but an RMSE beyond the target"),
+    "failed": ("–", "without solution", "the solver broke down or the iteration did not converge; reasons below"),
+    "left_out": ("·", "not tried", "too costly or without meaning for this backend; reasons below"),
+}
 
 
 @dataclass(frozen=True)
@@ -58,7 +53,7 @@ def outcome(row: Row) -> str:
 def counts(comparison: Comparison) -> dict[str, int]:
     """Number of adjustments by outcome."""
     outcomes = [outcome(row) for row in comparison.rows]
-    return {key: outcomes.count(key) for key, *_ in OUTCOMES}
+    return {key: outcomes.count(key) for key in OUTCOMES}
 
 
 def heat_map(comparison: Comparison, role: str) -> list[tuple[str, bool, list[Cell]]]:
@@ -68,11 +63,8 @@ def heat_map(comparison: Comparison, role: str) -> list[tuple[str, bool, list[Ce
     """
     out: list[tuple[str, bool, list[Cell]]] = []
     before: tuple[str, int | None] | None = None
-    for key, rows in groups(comparison.rows).items():
-        if all(row.left_out for row in rows):
-            continue
-        by_set = {row.eop_set: row for row in rows}
-        cells = [_cell(by_set.get(n), role, comparison.target_m) for n in comparison.eop_sets]
+    for key, rows in tried(comparison).items():
+        cells = [_cell(row, role, comparison.target_m) for row in rows]
         out.append((row_name(comparison, *key), before not in (None, key[:2]), cells))
         before = key[:2]
     return out if any(cell.kind[0] in "bo" for _, _, cells in out for cell in cells) else []
@@ -86,51 +78,15 @@ def _cell(row: Row | None, role: str, target_m: float) -> Cell:
     value = float(getattr(row, f"{role}_rmse_m"))
     if not math.isfinite(value):
         return Cell("untried", "·", f"no {role} points")
-    kind = next(name for limit, name, _ in STEPS if value <= limit * target_m)
+    kind = next(name for limit, name in STEPS if value <= limit * target_m)
     return Cell(kind, short(value), f"set {row.eop_set} {row.eop_set_name}: {value:.4g} m")
 
 
 def steps(target_m: float) -> Sequence[tuple[str, str]]:
     """Classes and words of the steps, for a legend; in metres."""
-    limits = [0.0, *(limit * target_m for limit, _, _ in STEPS)]
-    return [
-        (name, f"> {low:.3g} m" if math.isinf(high) else f"≤ {high:.3g} m")
-        for (_, name, _), low, high in zip(STEPS, limits[:-1], limits[1:], strict=True)
-    ]
-
-
-#: Heading and explanation of each heat map; the folder also contains their drawings, for papers.
-HEAT_MAPS: Final = {
-    "control": (
-        "Control points",
-        "RMSE of the worst ECEF axis, metres. Blue is at the target, orange beyond, hatched without solution. The "
-        "published procedure holds control points fixed and intersects them again with its own orientation and look "
-        "angles; dense and graph adjust them with their standard deviations.",
-    ),
-    "check": (
-        "Check points",
-        "The same at check points. In the published procedure they absorb what the orientation gets wrong.",
-    ),
-}
-#: Heading and explanation of each drawing.
-CAPTIONS: Final = {
-    "conditions.svg": (
-        "Condition numbers",
-        "Of N = A\u1d40A, as the square of A's. At the upper line the smallest singular value of A is rounding.",
-    ),
-    "spectra.svg": (
-        "Singular values",
-        "Of the design matrix A, beside the largest. A drop to 1e−15 is a direction that the data do not show: a "
-        "silent one. The table of directions names them where dense or graph were asked for.",
-    ),
-    "l_curves.svg": (
-        "L-curves",
-        "Of the published bundle: norm of the solution over norm of the residuals for all κ, with the choices of the "
-        "Tikhonov solvers. A good κ lies where the curve bends; unknowns are in m, m/s and rad together, so that κ and "
-        "the curve depend on these units.",
-    ),
-    "seconds.svg": ("Run times", "Wall clock of one adjustment, statistics left out."),
-}
+    words = [f"≤ {limit * target_m:.3g} m" for limit, _ in STEPS[:-1]]
+    words.append(f"> {STEPS[-2][0] * target_m:.3g} m")
+    return [(name, text) for (_, name), text in zip(STEPS, words, strict=True)]
 
 
 def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[str, str]) -> str:
@@ -139,23 +95,18 @@ def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[s
 
     shell = environment()
     shell.filters |= {"short": three_digits, "ranges": ranges}
-    drawn = [
-        (name, *CAPTIONS[name], Markup(inline(figures[name], name.partition(".")[0]))) for name in CAPTIONS
-        if name in figures
-    ]  # fmt: skip
-    heats = [(f"heat-{role}", *words, heat_map(comparison, role)) for role, words in HEAT_MAPS.items()]
-    heats = [shown for shown in heats if shown[-1]]
+    drawn = {name.partition(".")[0]: text for name, text in figures.items() if not name.startswith("heatmap")}
     names = {row.eop_set: row.eop_set_name for row in comparison.rows}
-    sets = {number: (name, _lines(comparison, number)) for number, name in names.items()}
     condition_heads, conditions = _conditions(comparison)
-    directions = _directions(comparison)
     parts = (("failures", "Without solution", False), ("left-out", "Not tried", True))
-    reasons = [(id_, title, rows) for id_, title, left_out in parts if (rows := _reasons(comparison, left_out))]
     return shell.get_template("compare.html.j2").render(
-        r=record, verdict=verdict(comparison), problems=sentences(record), figures=drawn, heats=heats,
-        summaries=summaries(comparison), sets=sets, conditions=conditions, reasons=reasons,
-        condition_heads=condition_heads, directions=directions, outcomes=OUTCOMES, counts=counts(comparison),
-        steps=steps(comparison.target_m),
+        r=record, verdict=verdict(comparison), problems=sentences(record), counts=counts(comparison),
+        figures={name: Markup(inline(text, name)) for name, text in drawn.items()}, outcomes=OUTCOMES,
+        heats={role: rows for role in ("control", "check") if (rows := heat_map(comparison, role))},
+        summaries=summaries(comparison), steps=steps(comparison.target_m), conditions=conditions,
+        condition_heads=condition_heads, directions=_directions(comparison),
+        sets={number: (name, _lines(comparison, number)) for number, name in names.items()},
+        reasons=[(id_, title, why) for id_, title, left in parts if (why := _reasons(comparison, left))],
     )  # fmt: skip
 
 
@@ -180,11 +131,10 @@ def inline(svg: str, name: str) -> str:
 
 def _lines(comparison: Comparison, eop_set: int) -> list[dict[str, Any]]:
     """Rows of one set with name and outcome."""
-    words = {key: (sign, name) for key, sign, name, _ in OUTCOMES}
     return [
         row.as_dict()
         | {"name": row_name(comparison, row.backend, row.type, row.solver)}
-        | dict(zip(("sign", "outcome"), words[outcome(row)], strict=True))
+        | dict(zip(("sign", "outcome"), OUTCOMES[outcome(row)][:2], strict=True))
         for row in comparison.select(eop_set=eop_set)
     ]
 
@@ -226,3 +176,136 @@ def _reasons(comparison: Comparison, left_out: bool) -> list[tuple[str, int, lis
             key = re.sub(r"[0-9.e+-]+", "#", text)
             by_text.setdefault(key, (text, []))[1].append(row.eop_set)
     return [(text, len(sets), sorted(set(sets))) for text, sets in by_text.values()]
+
+
+# --- result in words ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Results of one solver of one backend and type over the EOP sets.
+
+    Parameters
+    ----------
+    backend, type, solver, label : str, int or None, str, str
+    tried, solved, reached : int
+        Numbers of EOP sets.
+    missed : tuple of int
+        Sets that were tried and do not reach the target.
+    unsolved : tuple of int
+        Sets that were tried and have no solution.
+    worst_control_m, worst_check_m : float
+        Largest RMSE of the sets with a solution; nan without any.
+    """
+
+    backend: str
+    type: int | None
+    solver: str
+    label: str
+    tried: int
+    solved: int
+    reached: int
+    missed: tuple[int, ...]
+    unsolved: tuple[int, ...]
+    worst_control_m: float
+    worst_check_m: float
+
+
+def summaries(comparison: Comparison) -> list[Summary]:
+    """One line per backend, type and solver."""
+    return [_summary(key, rows, comparison.labels.get(key[2], key[2])) for key, rows in groups(comparison.rows).items()]
+
+
+def _summary(key: tuple[str, int | None, str], rows: Sequence[Row], label: str) -> Summary:
+    tried = [r for r in rows if not r.left_out]
+    solved = [r for r in tried if not r.failure]
+    return Summary(
+        *key, label, len(tried), len(solved), sum(r.reached for r in tried),
+        tuple(r.eop_set for r in tried if not r.reached), tuple(r.eop_set for r in tried if r.failure),
+        _largest(r.control_rmse_m for r in solved), _largest(r.check_rmse_m for r in solved),
+    )  # fmt: skip
+
+
+def _largest(values: Iterable[float]) -> float:
+    return max((v for v in values if math.isfinite(v)), default=math.nan)
+
+
+def verdict(comparison: Comparison) -> dict[str, Any]:
+    """Outcome of the comparison: ``kind`` (good, warn, bad), ``title`` and ``text``, a list of sentences."""
+    lines, total = summaries(comparison), len(comparison.eop_sets)
+    tried = [line for line in lines if line.tried]
+    sentences = [f"The graph (GTSAM): {_reached(line, total)}." for line in lines if line.backend == "graph"]
+    dense = [line for line in tried if line.backend == "dense"]
+    sentences += _of_solvers("Dense matrices (scaled, iterated)", comparison, dense)
+    for kind in comparison.types:
+        published = [line for line in tried if line.backend == "faithful" and line.type == kind]
+        sentences += _of_solvers(f"The published procedure, type {kind}", comparison, published)
+    sentences += _remarks(comparison, lines)
+    best = max(lines, key=lambda line: (line.backend == "graph", line.reached), default=None)
+    if best is None or not any(line.solved for line in lines):
+        return {"kind": "bad", "title": "No adjustment has a solution", "text": sentences}
+    name = {"graph": "the graph", "dense": "dense matrices", "faithful": "the published procedure"}[best.backend]
+    title = f"With {name}, {_of(best.reached, total)} EOP sets are at the target of {comparison.target_m:.3g} m"
+    return {"kind": "good" if best.reached == total else "warn", "title": title, "text": sentences}
+
+
+def _of(count: int, total: int) -> str:
+    return f"all {total}" if count == total else f"{count or 'none'} of {total}"
+
+
+def _reached(line: Summary, total: int) -> str:
+    """Number of sets at the target; the other sets, the worst RMSE, and the sets without solution."""
+    text = f"{_of(line.reached, total)} sets at the target"
+    if not line.missed:
+        return text
+    which = f", not {ranges(line.missed)}" if line.reached else ""
+    values = {"control": line.worst_control_m, "check": line.worst_check_m}
+    worst = ", ".join(f"{role} {value:.3g} m" for role, value in values.items() if math.isfinite(value))
+    facts = [f"worst: {worst}"] if line.solved > line.reached and worst else []
+    if line.solved < line.tried:
+        facts.append(f"without solution: {'all' if not line.solved else ranges(line.unsolved)}")
+    return f"{text}{which} ({'; '.join(facts)})" if facts else f"{text}{which}"
+
+
+def ranges(values: Iterable[int]) -> str:
+    """Write whole numbers as ranges: 1, 5-8."""
+    runs: list[list[int]] = []
+    for value in sorted(set(values)):
+        if runs and value == runs[-1][-1] + 1:
+            runs[-1].append(value)
+        else:
+            runs.append([value])
+    return ", ".join(str(r[0]) if len(r) == 1 else f"{r[0]}-{r[-1]}" for r in runs)
+
+
+def _of_solvers(name: str, comparison: Comparison, lines: list[Summary]) -> list[str]:
+    """Sentence on the sets at the target with every solver, with some solvers and with none."""
+    if not lines:
+        return []
+    sets = comparison.eop_sets
+    if len({(s.reached, s.missed) for s in lines}) == 1:
+        solvers = "1 solver" if len(lines) == 1 else f"each of {len(lines)} solvers"
+        return [f"{name}: {_reached(lines[0], len(sets))}, with {solvers}."]
+    always = sum(all(n not in s.missed for s in lines) for n in sets)
+    never = [n for n in sets if all(n in s.missed for s in lines)]
+    best = max(s.reached for s in lines)
+    names = "; ".join(s.label for s in lines if s.reached == best)
+    text = f"{name}: {_of(always, len(sets))} sets at the target with every solver"
+    text += f"; the others depend on the solver, most with {names} ({_of(best, len(sets))})"
+    return [f"{text}; with none: {ranges(never)}." if never else f"{text}."]
+
+
+def _remarks(comparison: Comparison, lines: list[Summary]) -> list[str]:
+    """Sentences on differences between backends, missing check points and adjustments that were not tried."""
+    out = []
+    sigmas = _largest(r.difference_sigmas for r in comparison.rows)
+    if math.isfinite(sigmas):
+        metres = _largest(r.difference_m for r in comparison.rows)
+        out.append(f"Dense and graph differ by at most {sigmas:.1e} prior sigmas and {metres:.1e} m.")
+    if any(s.solved for s in lines) and not any(math.isfinite(s.worst_check_m) for s in lines):
+        out.append("There are no check points: the target is judged at control points alone, which says little.")
+    left_out = [r for r in comparison.rows if r.left_out]
+    if left_out:
+        names = dict.fromkeys(f"{r.backend} {comparison.labels.get(r.solver, r.solver)}" for r in left_out)
+        out.append(f"Not tried ({len(left_out)} rows; each says why): {'; '.join(names)}.")
+    return out

@@ -12,7 +12,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
@@ -74,15 +74,6 @@ class PublishedTables:
     sha256: dict[str, str]
 
 
-class _Entry(NamedTuple):
-    """A line of the index: a table, its file, and the number of its cells in this file."""
-
-    table: str
-    file: str
-    cells: int
-    title: str
-
-
 def load(source: str, folder: Path | None = None) -> PublishedTables:
     """Read the tables of a publication.
 
@@ -99,22 +90,23 @@ def load(source: str, folder: Path | None = None) -> PublishedTables:
         Unknown source; a missing, damaged or incomplete file: the error names file, line and reason.
     """
     require_source(source)
-    where = _HERE / source if folder is None else _folder_of(source, folder)
+    where = _HERE / source if folder is None else folder / source if (folder / source).is_dir() else folder
+    if not where.is_dir():
+        raise InputError.of("published.folder", file=folder, option="published")
     with (_HERE / source / "index.csv").open(encoding="utf-8", newline="") as stream:
-        index = [_Entry(r["table"], r["file"], int(r["cells"]), r["title"]) for r in csv.DictReader(stream)]
+        index = list(csv.DictReader(stream))
+    places: dict[CellKey, tuple[Path, str]] = {}
     cells: list[PublishedCell] = []
     sha256: dict[str, str] = {}
-    places: dict[CellKey, tuple[str, str]] = {}
-    for name in dict.fromkeys(entry.file for entry in index):
-        counts = {entry.table: entry.cells for entry in index if entry.file == name}
+    for name in dict.fromkeys(entry["file"] for entry in index):
+        counts = {entry["table"]: int(entry["cells"]) for entry in index if entry["file"] == name}
         of_file, sha256[name] = _read(where / name, counts, places)
         cells += of_file
     if folder is not None:  # a copy may contain other values, but no other addresses
         own = {cell.key for cell in load(source).cells}
-        for key, (file, place) in places.items():
-            if key not in own:
-                raise InputError.of("published.unknown_cell", file=file, place=place, value=f"table {key.table} {key}")
-    titles = {entry.table: entry.title for entry in index}
+        for key, (file, place) in ((key, at) for key, at in places.items() if key not in own):
+            raise InputError.of("published.unknown_cell", file=file, place=place, value=f"table {key.table} {key}")
+    titles = {entry["table"]: entry["title"] for entry in index}
     order = list(titles)
     return PublishedTables(source, titles, tuple(sorted(cells, key=lambda c: order.index(c.key.table))), sha256)
 
@@ -131,15 +123,8 @@ def require_source(source: str) -> None:
         raise InputError.of("published.source", place="SOURCE", value=source, known=", ".join(SOURCES))
 
 
-def _folder_of(source: str, folder: Path) -> Path:
-    chosen = folder / source if (folder / source).is_dir() else folder
-    if not chosen.is_dir():
-        raise InputError.of("published.folder", file=folder, option="published")
-    return chosen
-
-
 def _read(
-    path: Path, counts: dict[str, int], places: dict[CellKey, tuple[str, str]]
+    path: Path, counts: dict[str, int], places: dict[CellKey, tuple[Path, str]]
 ) -> tuple[list[PublishedCell], str]:
     """Cells of a file and its SHA-256.
 
@@ -166,9 +151,10 @@ def _read(
             known = ", ".join(counts)
             raise InputError.of("published.table", file=path, place=place, value=cell.key.table, known=known)
         if cell.key in places:
-            first = ", ".join(places[cell.key]).removeprefix(f"{path.parent}/")
+            file, line = places[cell.key]
+            first = f"{file.name}, {line}"
             raise InputError.of("published.twice", file=path, place=place, value=str(cell.key), first=first)
-        places[cell.key] = str(path), place
+        places[cell.key] = path, place
         cells.append(cell)
     present = Counter(cell.key.table for cell in cells)
     for table, count in counts.items():

@@ -44,7 +44,6 @@ GRID_MM: Final = 0.001
 RUNS: Final = 200
 #: Largest printed rounding of differences of coordinates with four decimals, cm.
 ROUNDED_CM: Final = 0.011
-SINGLE: Final = f"three standard deviations of {RUNS} runs in single precision (the program's is not known)"
 #: A row of a table by its name, or a point by its number.
 Row = int | str
 
@@ -59,14 +58,14 @@ def points_of(values: Values, table: str, quantities: Sequence[str], points: Seq
 
 
 def cells_of(
-    table: str, quantities: Sequence[str], points: Sequence[Row], numbers: npt.ArrayLike, remark: str,
+    table: str, quantities: Sequence[str], points: Sequence[Row], numbers: npt.ArrayLike,
     half: npt.ArrayLike = np.nan,
 ) -> Cells:  # fmt: skip
     """Cells of some points (or other rows) of a table from numbers (n, k) with spreads of a size ``half``."""
     shape = len(points), len(quantities)
     pairs = np.reshape(numbers, shape), np.broadcast_to(half, shape)
     return {
-        row_key(table, _name(row), q): Recomputed.around(pairs[0][i, j], pairs[1][i, j], remark)
+        row_key(table, _name(row), q): Recomputed.around(pairs[0][i, j], pairs[1][i, j])
         for i, row in enumerate(points)
         for j, q in enumerate(quantities)
     }
@@ -113,8 +112,7 @@ def comparator(values: Values) -> Array:
 def comparator_cells(values: Values) -> Cells:
     """Appendix 1: comparator coordinates that follow from the printed refined ones."""
     back = comparator(values)[np.array(CONTROL) - 1]
-    remark = "the refined coordinates taken back to the grid of 1 um"
-    return cells_of("ek1.comparator", COMPARATOR, CONTROL, back, remark)
+    return cells_of("ek1.comparator", COMPARATOR, CONTROL, back)
 
 
 def refined_cells(values: Values) -> Cells:
@@ -123,8 +121,7 @@ def refined_cells(values: Values) -> Cells:
     sides = zip(PHOTOS, np.hsplit(raw, 2), strict=True)
     out = np.hstack([_as_program(interior(values, photo), side) for photo, side in sides])
     step = np.spacing(raw.astype(np.float32)).astype(float)
-    remark = "the P2 term of z doubled, as the program does; spread: one step of single precision of the raw coordinate"
-    return cells_of("ek1.refined", REFINED, CONTROL, out, remark, step)
+    return cells_of("ek1.refined", REFINED, CONTROL, out, step)
 
 
 def _intersected(photos: Sequence[Photo], image: Array, *, reweighted: bool = False) -> Intersection:
@@ -168,10 +165,9 @@ def point_cells(values: Values) -> Cells:
     spread = 3.0 * np.std(_single_precision(values), axis=0)
     others = [k for k in POINTS if k not in CONTROL]
     rows = np.array(others) - 1
-    out = cells_of("ek1.points", PHOTO, others, _refined_points(values)[rows], SINGLE, spread[rows])
+    out = cells_of("ek1.points", PHOTO, others, _refined_points(values)[rows], spread[rows])
     difference = 100.0 * (points_of(values, "ek1.points", GEODETIC) - points_of(values, "ek1.points", PHOTO))
-    remark = "the coordinates beside it, which have four decimals"
-    return out | cells_of("ek1.points", DIFFERENCE, POINTS, difference, remark, ROUNDED_CM)
+    return out | cells_of("ek1.points", DIFFERENCE, POINTS, difference, ROUNDED_CM)
 
 
 def dlt_photos(values: Values, distortion: Sequence[str] = ()) -> list[DltFit]:
@@ -195,23 +191,16 @@ def dlt_parameter_cells(values: Values) -> Cells:
     for fit, photo in zip(dlt_photos(values), PHOTOS, strict=True):
         matrix = fit.photo.about(np.zeros(3)) * np.array([[1e-3], [1e-3], [1.0]])
         half = points_of(values, "ek2.dlt", [f"{name}_std" for name in names], [photo])
-        remark = "spread: the printed standard deviation; 11 parameters here, 16 there"
-        out |= cells_of("ek2.dlt", names, [photo], (matrix / matrix[2, 3]).ravel()[:11], remark, half)
-        for key in (row_key("ek2.dlt", photo, name) for name in ("L4", "L8")):
-            remark = "ten times the printed number: with that the projection gives 0.032 m for 0.124 m"
-            out[key] = replace(out[key], remark=remark)
+        out |= cells_of("ek2.dlt", names, [photo], (matrix / matrix[2, 3]).ravel()[:11], half)
         r = fit.recovered
         omega, phi, kappa = (angle / GON for angle in ayhan_from_rotation(r.rotation))
         assert r.sigma is not None
         angle = r.sigma["turn_x"] / GON, r.sigma["turn_y"] / GON, r.sigma["turn_z"] / GON
+        quantities = ("xo_mm", "zo_mm", "c_mm", "omega_gon", "phi_gon", "kappa_gon")
         # kappa there is that of the x axis (eq. 43), here that of the y axis
-        for name, value, sigma in (
-            ("xo_mm", r.principal[0], r.sigma["x0"]), ("zo_mm", r.principal[1], r.sigma["y0"]),
-            ("c_mm", 0.5 * (r.cx + r.cy), r.sigma["cx"]), ("omega_gon", -omega, angle[0]),
-            ("phi_gon", phi, angle[1]), ("kappa_gon", kappa - r.skew / GON, angle[2]),
-        ):  # fmt: skip
-            remark = "spread: our standard deviation" + ("; of the other sense of rotation" if name[0] == "o" else "")
-            out[row_key("ek2.dlt", photo, name)] = Recomputed.around(value, sigma, remark)
+        numbers = *r.principal, 0.5 * (r.cx + r.cy), -omega, phi, kappa - r.skew / GON
+        sigmas = r.sigma["x0"], r.sigma["y0"], r.sigma["cx"], *angle
+        out |= cells_of("ek2.dlt", quantities, [photo], numbers, sigmas)
     return out
 
 
@@ -220,21 +209,16 @@ def dlt_control_cells(values: Values) -> Cells:
     points = dlt_points(values)
     assert points.sigma_m is not None
     at = np.array(CONTROL) - 1
-    remark = "spread: one standard deviation of the point; 11 parameters here, 16 there"
-    out = cells_of("ek2.control", DLT_POINT, CONTROL, points.points_m[at], remark, points.sigma_m[at])
+    out = cells_of("ek2.control", DLT_POINT, CONTROL, points.points_m[at], points.sigma_m[at])
     rms = np.linalg.norm(points_of(values, "ek2.control", ("mx_mm", "my_mm", "mz_mm"), CONTROL), axis=1)
-    return out | cells_of("ek2.control", ("rms_mm",), CONTROL, rms, "root of the sum of the squares beside it")
+    return out | cells_of("ek2.control", ("rms_mm",), CONTROL, rms)
 
 
 def dlt_point_cells(values: Values) -> Cells:
     """Appendix 2: all points by DLT."""
     points = dlt_points(values)
     assert points.sigma_m is not None
-    remark = (
-        "spread: one standard deviation of the point; this list and that of the control points differ for points "
-        "9, 11, 13 and 15, so its image coordinates were probably others"
-    )
-    return cells_of("ek2.points", DLT_POINT, POINTS, points.points_m, remark, points.sigma_m)
+    return cells_of("ek2.points", DLT_POINT, POINTS, points.points_m, points.sigma_m)
 
 
 def accuracy_cells(values: Values) -> Cells:
@@ -248,12 +232,11 @@ def accuracy_cells(values: Values) -> Cells:
 
     runs = np.array([sums(np.where(control, adjusted, run)) for run in _single_precision(values)])
     ours, half = sums(np.where(control, adjusted, _refined_points(values))), 3.0 * np.std(runs, axis=0)
-    remark = f"our intersection, control points as printed; appendix 1 itself has four decimals; spread: {SINGLE}"
-    out = cells_of("5", SUMS, ["collinearity 15"], ours, remark, half)
-    remark = "our DLT; appendix 2 itself gives 0.36-0.46, 4.3-4.5, 1.43-1.52"
-    out |= cells_of("5", SUMS, ["dlt 15"], sums(dlt_points(values).points_m), remark)
-    remark = "principal points of the bundle; the fiducial ones are not printed, and the convergence is ignored"
-    return out | cells_of("5", SUMS, ["parallax"], sums(parallax_points(values)), remark)
+    return (
+        cells_of("5", SUMS, ["collinearity 15"], ours, half)
+        | cells_of("5", SUMS, ["dlt 15"], sums(dlt_points(values).points_m))
+        | cells_of("5", SUMS, ["parallax"], sums(parallax_points(values)))
+    )
 
 
 def parallax_points(values: Values) -> Array:
@@ -278,8 +261,6 @@ BASE_M: Final = 1.199
 MIDDLE: Final = (115.0, 143.0)
 #: Largest relative difference between a mean error and its print with the verdict ``pattern``.
 RATIO: Final = 0.05
-INFERRED: Final = "weights inferred from this listing"
-OWN: Final = "observed as the listing's own result: agreement would say nothing"
 
 
 def bundle(values: Values, *, backend: str = "dense", with_base: bool = True) -> BundleResult:
@@ -327,10 +308,10 @@ def point_roots(result: BundleResult) -> Array:
 
 
 def _near(
-    values: Values, table: str, quantities: Sequence[str], rows: Sequence[Row], numbers: Array, half: Array, remark: str
+    values: Values, table: str, quantities: Sequence[str], rows: Sequence[Row], numbers: Array, half: Array
 ) -> Cells:
     """Cells with the verdict ``pattern`` inside the spread, else ``differs``."""
-    cells = cells_of(table, quantities, rows, numbers, f"{INFERRED}; {remark}", half)
+    cells = cells_of(table, quantities, rows, numbers, half)
     inside = (np.abs(numbers - points_of(values, table, quantities, rows)) <= half).ravel()
     return {
         key: replace(cell, kind="pattern" if near else "differs")
@@ -344,9 +325,9 @@ def camera_cells(values: Values) -> Cells:
     numbers = np.array([[value for value, _ in parameters(adjusted, k).values()] for k in range(len(PHOTOS))])
     half = points_of(values, "ek1.bundle", [f"m_{name}" for name in PRINTED], PHOTOS)
     half[:, 10:13] /= GON
-    out = _near(values, "ek1.cameras", PRINTED, PHOTOS, numbers, half, "spread: the printed mean error")
+    out = _near(values, "ek1.cameras", PRINTED, PHOTOS, numbers, half)
     for key in (row_key("ek1.cameras", photo, name) for photo in PHOTOS for name in STATION):
-        out[key] = Recomputed(out[key].value, OWN, kind="not_reproducible")
+        out[key] = Recomputed(out[key].value, kind="not_reproducible")
     return out
 
 
@@ -355,15 +336,13 @@ def bundle_cells(values: Values) -> Cells:
     held, free = bundle(values), bundle(values, with_base=False)
     adjusted, errors = (tuple(name.format(axis) for axis in "xyz") for name in ("{}_adjusted_m", "m_{}_m"))
     half = points_of(values, "ek1.bundle", errors, CONTROL)
-    out = _near(values, "ek1.bundle", adjusted, CONTROL, held.points_m, half, "spread: the printed mean error")
+    out = _near(values, "ek1.bundle", adjusted, CONTROL, held.points_m, half)
     roots = np.array([[root for _, root in parameters(free, k).values()] for k in range(len(PHOTOS))])
-    remark = f"with the printed m0, without the base; spread: {RATIO:.0%}"
     for quantities, rows, numbers in (
         ([f"m_{name}" for name in PRINTED], PHOTOS, roots), (errors, CONTROL, point_roots(free)),
     ):  # fmt: skip
-        out |= _near(values, "ek1.bundle", quantities, rows, numbers, RATIO * numbers, remark)
+        out |= _near(values, "ek1.bundle", quantities, rows, numbers, RATIO * numbers)
     assert held.m0 is not None
     key = row_key("ek1.bundle", "adjustment", "m0")
-    remark = f"{INFERRED}; redundancy {held.redundancy} here, the print implies 39, the text 37 or 43"
-    out[key] = Recomputed(held.m0 * values[key], remark)
+    out[key] = Recomputed(held.m0 * values[key], facts=(held.redundancy,))
     return out

@@ -60,12 +60,12 @@ def reproduce_to(
 
 def as_record(result: Reproduction) -> dict[str, Any]:
     """Rows and claims as plain values; numbers that are not finite become None."""
-    rows = [plain(asdict(row)) for row in result.rows]
+    rows = [plain(row.as_dict()) for row in result.rows]
     return {"rows": rows, "claims": [plain(asdict(claim)) for claim in result.claims]}
 
 
 def _write(folder: Path, result: Reproduction, command: Sequence[str]) -> None:
-    rows = [asdict(row) for row in result.rows]
+    rows = [row.as_dict() for row in result.rows]
     _table(folder / "cells.csv", list(rows[0]), rows)
     claims = [asdict(c) | {"low": c.interval[0], "high": c.interval[1]} for c in result.claims]
     _table(folder / "claims.csv", ["id", "passed", "of", "low", "high", "met", "text", "reason"], claims)

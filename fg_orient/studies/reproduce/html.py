@@ -1,28 +1,20 @@
-"""HTML report of a reproduction, in the template of all reports: verdicts of each table, L-curves with its kappas."""
+"""HTML report of a reproduction, in the template of all reports: verdicts, chart of all numbers, L-curves."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any, Final, NamedTuple
 
-from fg_orient.model.cells import CellKey
+import numpy as np
+
+from fg_orient.report.chart import Axis, Chart, plain_exponent
 from fg_orient.report.page import environment
 from fg_orient.report.plots import l_curve, ranked
 from fg_orient.result.plain import plain
 from fg_orient.studies.reproduce.reproduction import Reproduction, Row
-from fg_orient.studies.reproduce.scatter import scatter
-from fg_orient.studies.reproduce.verdict import KINDS
-
-#: Sign, name and meaning of each verdict; the signs are readable without colour.
-LEGEND: Final = {
-    "equal": ("=", "equal", "all printed digits in every run"),
-    "order": ("~", "order", "published and reproduced within a factor of ten"),
-    "rounding": ("±", "rounding", "rounding noise: inside the spread of the runs, a decade added"),
-    "pattern": ("∥", "pattern", "the same side of the limit in most runs"),
-    "differs": ("≠", "differs", "none of these"),
-    "not_reproducible": ("·", "not reproducible", "a fact of the real data, or decided by their rounding"),
-}
+from fg_orient.studies.reproduce.verdict import KINDS, LEGEND
 
 
 def render(result: Reproduction, record: dict[str, Any]) -> str:
@@ -34,24 +26,19 @@ def render(result: Reproduction, record: dict[str, Any]) -> str:
     record : dict
         Content of ``result.json``.
     """
-    tables = [_table(result, table, title) for table, title in result.titles.items()]
+    rows = {table: [row for row in result.rows if row.table == table] for table in result.titles}
+    tables = [
+        {"id": table, "name": table_name(table), "title": title, "counts": result.counts(table), "rows": rows[table],
+         "grid": grid(rows[table])}
+        for table, title in result.titles.items()
+    ]  # fmt: skip
+    problems = [f"Claim {c.id} is not met: {c.reason or c.text}" for c in result.claims if not c.met]
     legend = {kind: (*words[:2], result.source.meanings.get(kind, words[2])) for kind, words in LEGEND.items()}
     return environment("fg_orient.studies.reproduce").get_template("reproduction.html.j2").render(
         record=record, legend=legend, kinds=KINDS, tables=tables, claims=result.claims, counts=result.counts(),
-        verdict=verdict(result), scatter=scatter(result.rows), problems=problems(result), curves=l_curves(result),
+        verdict=verdict(result), scatter=scatter(result.rows), problems=problems, curves=l_curves(result),
         seed=next(iter(result.options.get("seeds", [])), None),
     )  # fmt: skip
-
-
-def _table(result: Reproduction, table: str, title: str) -> dict[str, Any]:
-    rows = [row for row in result.rows if row.table == table]
-    return {"id": table, "name": table_name(table), "title": title, "counts": result.counts(table), "rows": rows,
-            "grid": grid(rows, result.keys)}  # fmt: skip
-
-
-def problems(result: Reproduction) -> list[str]:
-    """Claims that are not met, with the reason."""
-    return [f"Claim {c.id} is not met: {c.reason or c.text}" for c in result.claims if not c.met]
 
 
 def table_name(table: str) -> str:
@@ -88,27 +75,18 @@ class Grid(NamedTuple):
     rows: tuple[tuple[str, tuple[Row | None, ...]], ...]
 
 
-def grid(rows: Sequence[Row], keys: Mapping[tuple[str, str], CellKey]) -> Grid | None:
-    """Arrange the cells of a table by solver or EOP set; None for a single column.
-
-    Parameters
-    ----------
-    rows : sequence of Row
-        Rows of one table.
-    keys : mapping
-        (table, address) to the key.
-    """
-    pairs = [(row, keys.get((row.table, row.cell), CellKey(row.table))) for row in rows]
+def grid(rows: Sequence[Row]) -> Grid | None:
+    """Arrange the rows of one table by solver or EOP set; None for a single column."""
     for field in ("method", "eop_set"):
-        columns = tuple(dict.fromkeys(getattr(key, field) for _, key in pairs if getattr(key, field)))
+        columns = tuple(dict.fromkeys(name for row in rows if (name := getattr(row.key, field))))
         if len(columns) > 1:
             break
     else:
         return None
     lines: dict[str, dict[str, Row]] = {}
-    for row, key in pairs:  # a cell without this field is in the first column; if that is occupied, in a new line
-        column = getattr(key, field) or columns[0]
-        line = lines.setdefault(str(key._replace(**{field: ""})) or row.cell, {})
+    for row in rows:  # a cell without this field is in the first column; if that is occupied, in a new line
+        column = getattr(row.key, field) or columns[0]
+        line = lines.setdefault(str(row.key._replace(**{field: ""})) or row.cell, {})
         if column in line:
             line = lines.setdefault(row.cell, {})
         line[column] = row
@@ -129,7 +107,7 @@ def l_curves(result: Reproduction) -> list[dict[str, Any]]:
         rules = [asdict(choice) | {"table": ""} for choice in curve.choices]
         labels = {f"tikhonov_{choice.rule}": choice.label for choice in curve.choices}
         for row in result.rows:
-            key = result.keys[row.table, row.cell]
+            key = row.key
             if (key.quantity, key.eop_set, key.pre_adjustment_type) == ("kappa", str(number), "1"):
                 residual, solution = curve.place(row.published)
                 rules.append({
@@ -140,3 +118,42 @@ def l_curves(result: Reproduction) -> list[dict[str, Any]]:
         section = plain({"rule": PRINTED, "rules": rules, "curve": asdict(curve)})
         out.append({"eop_set": number, "drawing": l_curve(section, AXES), "rules": ranked(section)})
     return out
+
+
+SIZE: Final = 520.0
+#: Largest range of the axes, powers of ten; sizes outside are drawn at the border.
+RANGE: Final = (-30, 15)
+#: Largest ratio of numbers of the same order.
+BAND: Final = 10.0
+
+
+def scatter(rows: Sequence[Row]) -> Chart | None:
+    """Sizes of all numbers other than zero that are published and reproduced; None if fewer than two.
+
+    Points at the same place are drawn once.
+    """
+    pairs = [(abs(r.published), abs(r.reproduced), r) for r in rows]
+    pairs = [p for p in pairs if all(math.isfinite(v) and v > 0.0 for v in p[:2])]
+    if len(pairs) < 2:
+        return None
+    powers = [math.log10(v) for p in pairs for v in p[:2]]
+    low, high = (min(max(f, RANGE[0]), RANGE[1]) for f in (math.floor(min(powers)), math.ceil(max(powers))))
+    limits = 10.0**low, 10.0 ** max(high, low + 1)
+    x, y = (
+        Axis(words, limits, log=True, write=lambda v: plain_exponent(f"{v:.0e}"))
+        for words in ("published", "reproduced")
+    )
+    chart = Chart("published against reproduced sizes", x, y, width=SIZE, height=SIZE, left=60.0)
+    line = np.array(limits)
+    chart.add("area", "band", np.append(line, line[::-1]), np.append(line * BAND, line[::-1] / BAND))
+    chart.add("line", "curve", line, line)
+    drawn: dict[tuple[int, int, str], tuple[float, float, Row]] = {}
+    for published, reproduced, row in pairs:
+        across, up = (min(max(v, limits[0]), limits[1]) for v in (published, reproduced))
+        at = chart.place(across, up)
+        drawn.setdefault((round(at[0]), round(at[1]), row.verdict), (across, up, row))
+    for kind in dict.fromkeys(row.verdict for _, _, row in drawn.values()):
+        mine = [dot for dot in drawn.values() if dot[2].verdict == kind]
+        tips = [f"{r.table}, {r.cell}: published {r.printed}, reproduced {r.reproduced:.3g}" for _, _, r in mine]
+        chart.add("dots", f"dot {kind}", [p for p, _, _ in mine], [v for _, v, _ in mine], tips=tips)
+    return chart

@@ -16,30 +16,9 @@ import numpy as np
 from factors._contract import Array
 from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
-from fg_orient.rectification.geometry import (
-    gauss_krueger,
-    lambert_cylindrical,
-    lambert_polar,
-    mean_spacing_m,
-    pixel_area_m2,
-    planar_area_m2,
-    project,
-    swath_m,
-    total_angle_rad,
-    unproject,
-)
+from fg_orient.rectification import geometry, study
+from fg_orient.rectification.geometry import planar_area_m2, project, total_angle_rad, unproject
 from fg_orient.rectification.standards import effective_resolution_m
-from fg_orient.rectification.study import (
-    REPRODUCED_RUNS,
-    SCENE_POINTS,
-    SHEET_EXTENT_KM,
-    admissible_points,
-    digitised_sheets,
-    distance_ratios,
-    growing_degrees,
-    terms,
-)
-from fg_orient.studies.reproduce.sources import Source, recomputed_tables
 from fg_orient.studies.reproduce.verdict import Cells, Recomputed, Values, attempt, row_key
 
 DAY_MIN: Final = 1440.0
@@ -77,17 +56,12 @@ RADIUS_M: Final = 6_370_000.0
 #: 0.309 m and 0.234 m, mean of both directions.
 ROUNDED_M: Final = 0.079
 JOINED: Final = {"heybeliada_plus_kasik": ("heybeliada", "kasik_adasi")}
-#: Errors of table 7.6, by island and side.
-KNOWN: Final = {
-    ("heybeliada_plus_kasik", "utm"): "; the printed areas beside it give 21492, too",
-    ("sedef_adasi", "azimuthal"): "; 347700 is printed for the 347400 of its own table 7.5",
-}
 _SIDES: Final = ("utm", "azimuthal")
 
 
-def _cells(table: str, numbers: Mapping[tuple[str, str], tuple[float, str]], *, is_exact: bool = False) -> Cells:
-    """Cells of a table from value and remark by row and quantity."""
-    return {row_key(table, *place): Recomputed(*number, is_exact=is_exact) for place, number in numbers.items()}
+def _cells(table: str, numbers: Mapping[tuple[str, str], float], *, is_exact: bool = False) -> Cells:
+    """Cells of a table from numbers by row and quantity."""
+    return {row_key(table, *place): Recomputed(number, is_exact=is_exact) for place, number in numbers.items()}
 
 
 def _rows(values: Values, table: str, quantity: str) -> list[str]:
@@ -123,45 +97,35 @@ def text(values: Values) -> Cells:
     vertical = [geodetic_minus_geocentric_rad(float(v)) for v in latitudes]
     edge = geodetic_minus_geocentric_rad(math.radians(180.0 - LANDSAT_1_INCLINATION_DEG))
     half_swath = math.degrees(0.5 * swath / A_M)
+    oblique = attempt(geometry.swath_m, view, spot_height, math.radians(off), A_M)
+    mss, nadir = math.degrees(attempt(total_angle_rad, swath, mss_height)), printed("spot_hrv", "swath_nadir")
     return _cells("text", {
-        ("landsat-5", "orbits_per_day"): (orbits / days, "orbits by days of the cycle"),
-        ("landsat-5", "period"): (days * DAY_MIN / orbits, "days of the cycle by orbits"),
-        ("landsat-5", "adjacent_ground_track_spacing_equator"): (
-            2e-3 * math.pi * A_M * days / orbits, "equator by orbits per day: tracks one orbit apart"),
-        ("landsat-5", "daily_track_shift"): (360.0 / orbits, "circle by tracks; printed cut off, not rounded"),
-        ("landsat_mss", "total_scan_angle_printed"): (
-            math.degrees(attempt(total_angle_rad, swath, mss_height)),
-            "2 arctan(W/2H) of the printed swath and altitude"),
-        ("landsat_mss", "scene_volume"): (
-            4e-6 * printed("landsat_mss", "scan_lines") * printed("landsat_mss", "pixels_per_line"), "four bands"),
-        ("landsat_tm", "ifov"): (1e6 * 30.0 / TM_HEIGHT_M, "30 m from 705 km"),
-        ("spot_hrv", "swath_nadir"): (1e-3 * attempt(swath_m, view, spot_height),
-            "field of view from the altitude, flat Earth"),
-        ("spot_hrv", "swath_twin"): (
-            2.0 * printed("spot_hrv", "swath_nadir") - printed("spot_hrv", "overlap_twin"), "two swaths less overlap"),
-        ("spot_hrv", "max_off_nadir"): (off, "steps of the mirror"),
-        ("spot_hrv", "swath_at_max_off_nadir"): (
-            1e-3 * attempt(swath_m, view, spot_height, math.radians(off), A_M),
-            "field of view at 27 degrees, curved Earth"),
-        ("som_landsat_1_3", "longitude_shift_per_orbit"): (
-            360.0 * printed("som_landsat_1_3", "repeat") / LANDSAT_1_ORBITS, "days of the cycle by 251 orbits"),
-        ("som_landsat_1_3", "latitude_limit"): (
-            180.0 - LANDSAT_1_INCLINATION_DEG + half_swath, "inclination of 99.092 degrees and half the swath"),
-        ("som_ellipsoid", "max_geodetic_geocentric_angle"): (math.degrees(max(vertical)) * 60.0, "WGS84"),
-        ("som_ellipsoid", "max_cross_track_angle"): (
-            math.degrees(edge) * 60.0, "geodetic minus geocentric latitude where the track turns"),
-        ("som_ellipsoid", "max_cross_track_offset"): (1e-3 * edge * mss_height, "that angle at 915 km"),
+        ("landsat-5", "orbits_per_day"): orbits / days,
+        ("landsat-5", "period"): days * DAY_MIN / orbits,
+        ("landsat-5", "adjacent_ground_track_spacing_equator"): 2e-3 * math.pi * A_M * days / orbits,
+        ("landsat-5", "daily_track_shift"): 360.0 / orbits,
+        ("landsat_mss", "total_scan_angle_printed"): mss,
+        ("landsat_mss", "scene_volume"):
+            4e-6 * printed("landsat_mss", "scan_lines") * printed("landsat_mss", "pixels_per_line"),
+        ("landsat_tm", "ifov"): 1e6 * 30.0 / TM_HEIGHT_M,
+        ("spot_hrv", "swath_nadir"): 1e-3 * attempt(geometry.swath_m, view, spot_height),
+        ("spot_hrv", "swath_twin"): 2.0 * nadir - printed("spot_hrv", "overlap_twin"),
+        ("spot_hrv", "max_off_nadir"): off,
+        ("spot_hrv", "swath_at_max_off_nadir"): 1e-3 * oblique,
+        ("som_landsat_1_3", "longitude_shift_per_orbit"):
+            360.0 * printed("som_landsat_1_3", "repeat") / LANDSAT_1_ORBITS,
+        ("som_landsat_1_3", "latitude_limit"): 180.0 - LANDSAT_1_INCLINATION_DEG + half_swath,
+        ("som_ellipsoid", "max_geodetic_geocentric_angle"): math.degrees(max(vertical)) * 60.0,
+        ("som_ellipsoid", "max_cross_track_angle"): math.degrees(edge) * 60.0,
+        ("som_ellipsoid", "max_cross_track_offset"): 1e-3 * edge * mss_height,
     })  # fmt: skip
 
 
 def mss_and_tm(values: Values) -> Cells:
     """Table 3.3: the row with the name IFOV is the total scan angle."""
+    name, heights = "ifov_as_printed_actually_total_scan_angle", {"MSS": 915e3, "TM": TM_HEIGHT_M}
     return _cells("3.3", {
-        (sensor, "ifov_as_printed_actually_total_scan_angle"): (
-            math.degrees(total_angle_rad(TM_SWATH_M, height)),
-            f"2 arctan(W/2H), 185 km from {1e-3 * height:g} km; the row is called IFOV",
-        )
-        for sensor, height in {"MSS": 915e3, "TM": TM_HEIGHT_M}.items()
+        (sensor, name): math.degrees(total_angle_rad(TM_SWATH_M, height)) for sensor, height in heights.items()
     })  # fmt: skip
 
 
@@ -180,29 +144,26 @@ def mapping_sensor(values: Values) -> Cells:
     node = 1.5 * J2 * np.sqrt(GM / a**3) * (A_M / a) ** 2  # rate of the node for inclination 0, first order in J2
     rate = printed("data", "quantisation") * ground * detectors * pixel * (2.0 / pixel**2 + 4.0 / coarse**2)
     return _cells("5.1", {
-        ("orbit", "inclination"): (math.degrees(np.arccos(-SUN_RAD_S / node)), "sun-synchronous at this altitude (J2)"),
-        ("orbit", "period"): (days * DAY_MIN / orbits, "days of the cycle by orbits"),
-        ("orbit", "orbits_per_day"): (orbits / days, "orbits by days of the cycle"),
-        ("orbit", "orbital_speed"): (1e-3 * speed_m_s(height), "circular orbit at this altitude"),
-        ("orbit", "ground_speed"): (1e-3 * ground, "the same on the ground"),
-        ("sensor", "swath"): (1e-3 * detectors * pixel, "detectors times pixel"),
-        ("data", "rate_after_8_to_5_compression"): (
-            1e-6 * rate * 5.0 / 8.0, "two panchromatic and four multispectral arrays, 8 bit to 5"),
+        ("orbit", "inclination"): math.degrees(np.arccos(-SUN_RAD_S / node)),
+        ("orbit", "period"): days * DAY_MIN / orbits,
+        ("orbit", "orbits_per_day"): orbits / days,
+        ("orbit", "orbital_speed"): 1e-3 * speed_m_s(height),
+        ("orbit", "ground_speed"): 1e-3 * ground,
+        ("sensor", "swath"): 1e-3 * detectors * pixel,
+        ("data", "rate_after_8_to_5_compression"): 1e-6 * rate * 5.0 / 8.0,
     })  # fmt: skip
 
 
 def resampling(values: Values) -> Cells:
     """Section 4.2.2: pixels under the kernel of each method."""
     support = {"nearest_neighbour": 1.0, "bilinear": 4.0, "cubic_convolution": 16.0}
-    return _cells("s4.2.2", {(name, "pixels"): (n, "support of the kernel") for name, n in support.items()})
+    return _cells("s4.2.2", {(name, "pixels"): n for name, n in support.items()})
 
 
 def resolutions(values: Values) -> Cells:
     """Half a millimetre at map scale."""
-    return {
-        key: Recomputed(effective_resolution_m(float(key.parameter.partition(":")[2])), "0.5 mm at map scale")
-        for key in values if key.table == "summary"
-    }  # fmt: skip
+    keys = [key for key in values if key.table == "summary"]
+    return {key: Recomputed(effective_resolution_m(float(key.parameter.partition(":")[2]))) for key in keys}
 
 
 # --- accuracies at unpublished points: tables 6.1 and 7.1, sections 6.2 and 7.2 -------------------
@@ -214,7 +175,7 @@ def rectifications(values: Values) -> Cells:
     for row in _rows(values, "7.1", "pair_distance_sd"):
         keys = {q: row_key("7.1", row, f"m0_degree_{q}") for q in DEGREES}
         m0 = {q: values[key] for q, key in keys.items()}
-        for q in growing_degrees(m0, POINTS_7_1) if min(m0.values()) > 0.0 else ():
+        for q in study.growing_degrees(m0, POINTS_7_1) if min(m0.values()) > 0.0 else ():
             out[keys[q]] = _impossible(m0, q)
         key = row_key("7.1", row, "pair_distance_sd")
         out[key] = _distances(row, m0[1], values[key])
@@ -223,30 +184,22 @@ def rectifications(values: Values) -> Cells:
 
 def _impossible(m0: Mapping[int, float], degree: int) -> Recomputed:
     """Upper limit of an m0: the sum of squares over the same points cannot grow with the number of terms."""
-    most = min(m0[q] * float(np.sqrt((POINTS_7_1 - terms(q)) / (POINTS_7_1 - terms(degree)))) for q in m0 if q < degree)
-    allowed = admissible_points(m0)
+    redundancy = {q: POINTS_7_1 - study.terms(q) for q in m0}
+    most = min(m0[q] * float(np.sqrt(redundancy[q] / redundancy[degree])) for q in m0 if q < degree)
+    allowed = study.admissible_points(m0)
     points = f"with {allowed[0]} to {allowed[-1]} points" if allowed else "with no number of points"
-    remark = (
-        f"impossible over {POINTS_7_1} points: m0^2 (2n - 2p) grows with the degree; at most {most:.2f} m follows from "
-        f"the lower degrees, which may be wrong instead; the row would be possible {points}"
-    )
-    return Recomputed(most, remark, kind="differs")
+    return Recomputed(most, kind="differs", facts=(most, points))
 
 
 def _distances(row: str, m0: float, printed: float) -> Recomputed:
     """Distance differences expected of noise alone, from m0 of degree 1."""
-    scenes = distance_ratios(REPRODUCED_RUNS)
+    scenes = study.distance_ratios(study.REPRODUCED_RUNS)
     middle, half = _spread(scenes.ratio * m0)
-    remark = (
-        f"{middle / m0:.2f} m0 of degree 1 in {len(scenes.ratio)} simulated scenes of {SCENE_POINTS} points with noise "
-        f"alone, printed {printed / m0:.2f}"
-    )
-    if row == "spot_pan":
-        remark += "; how many points were measured in it is not printed"
-    elif printed > middle + half:
+    more = ""
+    if row != "spot_pan" and printed > middle + half:
         scale = np.sqrt(printed**2 - middle**2) / scenes.spread_m.mean()
-        remark += f"; a scale error of {100 * scale:.2f} % left over would explain it"
-    return Recomputed.around(middle, half, remark)
+        more = f"; a scale error of {100 * scale:.2f} % left over would explain it"
+    return Recomputed.around(middle, half, more, (middle / m0, len(scenes.ratio), printed / m0))
 
 
 def north_georgia(values: Values) -> Cells:
@@ -260,7 +213,7 @@ def north_georgia(values: Values) -> Cells:
         if key.table == "6.1" and key.parameter.startswith(BLOCK):
             n, degree = (int(word) for word in re.findall(r"(\d+) GCPs, degree (\d+)", key.parameter)[0])
             keys.append(key)
-            factors.append(np.sqrt(1.0 + terms(degree) / n))
+            factors.append(np.sqrt(1.0 + study.terms(degree) / n))
             rms.append(value)
     g, v = np.array(factors), np.array(rms)
     sigma, out = float(g @ v / (g @ g)), {}
@@ -268,13 +221,9 @@ def north_georgia(values: Values) -> Cells:
         others = np.arange(len(v)) != k
         scatter = _scatter(g[others], v[others])
         law, half = sigma * float(g[k]), 1.96 * scatter
-        remark = (
-            f"sigma sqrt(1 + p/n), a law found by looking at this table, sigma = {sigma:.2f} m fitted to its {len(v)} "
-            f"values of this block; 1.96 times the scatter of the {len(v) - 1} others about the law, {scatter:.2f} m"
-        )
-        if abs(v[k] - law) > half:
-            remark += f"; more than the law and the rounding to 1 m explain, {v[k] - law:+.1f} m"
-        out[key] = Recomputed.around(law, half, remark)
+        more = f"; more than the law and the rounding to 1 m explain, {v[k] - law:+.1f} m"
+        facts = sigma, len(v), len(v) - 1, scatter
+        out[key] = Recomputed.around(law, half, more if abs(v[k] - law) > half else "", facts)
     return out
 
 
@@ -291,26 +240,17 @@ def literature(values: Values) -> Cells:
         metres = values.get(key._replace(quantity="rmse_m"))
         pixel = PIXELS_M.get(key.parameter.partition(",")[0])
         if key.table == "s6.2" and key.quantity == "rmse_px" and metres is not None and pixel is not None:
-            out[key] = Recomputed(metres / pixel, f"the metres beside it by a pixel of {pixel:g} m")
+            out[key] = Recomputed(metres / pixel, facts=(pixel,))
     return out
 
 
 def calibration(values: Values) -> Cells:
     """Section 7.2: three precisions of one digitised sheet must be consistent."""
-    sheets = digitised_sheets(SHEET_EXTENT_KM, REPRODUCED_RUNS)
-    extent = " x ".join(map(str, SHEET_EXTENT_KM))
-    remark = (
-        f"{REPRODUCED_RUNS} simulated calibrations with 24 nodes over {extent} km (assumed) and the noise that the "
-        "printed m0 says"
-    )
-    out = {
-        CellKey("s7.2", quantity="affine_m0"): Recomputed(
-            float("nan"), "the simulations take their noise from it", kind="not_reproducible"
-        )
-    }
+    sheets = study.digitised_sheets(study.SHEET_EXTENT_KM, study.REPRODUCED_RUNS)
+    out = {CellKey("s7.2", quantity="affine_m0"): Recomputed(float("nan"), kind="not_reproducible")}
     for quantity, runs in (("pair_distance_diff_sd", sheets.distance_sd),
                            ("helmert_mean_point_error", sheets.helmert_point_error)):  # fmt: skip
-        out[CellKey("s7.2", quantity=quantity)] = Recomputed.around(*_spread(runs), remark)
+        out[CellKey("s7.2", quantity=quantity)] = Recomputed.around(*_spread(runs))
     return out
 
 
@@ -329,7 +269,7 @@ def area_ratio(island: str, area_m2: float, projection: str) -> float:
     source. nan if the area is outside a projection.
     """
     latitude, longitude = PLACES[island]
-    definition, angle = gauss_krueger(CENTRAL_MERIDIAN_DEG), np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
+    definition, angle = geometry.gauss_krueger(CENTRAL_MERIDIAN_DEG), np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
     circle = np.sqrt(area_m2 / np.pi) * np.column_stack([np.cos(angle), np.sin(angle)])
     plane = project(definition, longitude, latitude) + circle
     try:
@@ -341,11 +281,10 @@ def area_ratio(island: str, area_m2: float, projection: str) -> float:
 
 def utm_areas(values: Values) -> Cells:
     """Table 7.2: the areas need the outlines; their RMS is compared with what one calibration of the sheet gives."""
-    share = float(digitised_sheets(SHEET_EXTENT_KM, REPRODUCED_RUNS).determinant.std(ddof=1))
-    remark = f"one calibration of the sheet leaves {share:.1e} of any area ({REPRODUCED_RUNS} simulated calibrations)"
+    share = float(study.digitised_sheets(study.SHEET_EXTENT_KM, study.REPRODUCED_RUNS).determinant.std(ddof=1))
     areas = {island: values[row_key("7.2", island, "area_utm")] for island in PLACES}
     return {
-        row_key("7.2", island, "area_rms"): Recomputed(share * area, remark, is_order=True)
+        row_key("7.2", island, "area_rms"): Recomputed(share * area, is_order=True, facts=(share,))
         for island, area in areas.items()
     }
 
@@ -353,9 +292,7 @@ def utm_areas(values: Values) -> Cells:
 def spacings(values: Values) -> Cells:
     """Table 7.3: mean spacing of the vertices."""
     printed = {i: [values[row_key("7.3", i, name)] for name in ("coastline", "n_vertices")] for i in PLACES}
-    numbers = {
-        (i, "mean_spacing"): (attempt(mean_spacing_m, *pair), "length by vertices") for i, pair in printed.items()
-    }
+    numbers = {(island, "mean_spacing"): attempt(geometry.mean_spacing_m, *pair) for island, pair in printed.items()}
     return _cells("7.3", numbers, is_exact=True)
 
 
@@ -365,25 +302,25 @@ def lambert_areas(values: Values) -> Cells:
     for island in PLACES:
         utm, n = values[row_key("7.2", island, "area_utm")], values[row_key("7.3", island, "n_vertices")]
         sigma = np.sqrt(n) * values[row_key("7.3", island, "mean_spacing")] * ROUNDED_M
-        projections = {"azimuthal": lambert_polar(RADIUS_M), "cylindrical": lambert_cylindrical(RADIUS_M)}
+        projections = {
+            "azimuthal": geometry.lambert_polar(RADIUS_M),
+            "cylindrical": geometry.lambert_cylindrical(RADIUS_M),
+        }
         for name, projection in projections.items():
             ratio = area_ratio(island, utm, projection)
-            remark = (
-                f"area of table 7.2 by the ratio {ratio:.6f} (scale 1 to a sphere of 6370 km, a radius that was solved "
-                "for), 1.96 sigma of positions rounded to 0.01 seconds"
-            )
-            out[row_key("7.4", island, f"area_{name}")] = Recomputed.around(utm / ratio, 1.96 * sigma, remark)
+            number = Recomputed.around(utm / ratio, 1.96 * sigma, facts=(ratio,))
+            out[row_key("7.4", island, f"area_{name}")] = number
     return out
 
 
 def _pixels_m2(values: Values, row: str, side: str) -> float:
-    return attempt(pixel_area_m2, values[row_key("7.5", row, f"pixels_{side}")], PIXEL_M)
+    return attempt(geometry.pixel_area_m2, values[row_key("7.5", row, f"pixels_{side}")], PIXEL_M)
 
 
 def pixel_areas(values: Values) -> Cells:
     """Table 7.5: pixels of 30 m."""
     return _cells("7.5", {
-        (row, f"satellite_area_{side}"): (_pixels_m2(values, row, side), "pixels of 900 m2")
+        (row, f"satellite_area_{side}"): _pixels_m2(values, row, side)
         for row in _rows(values, "7.5", "pixels_utm") for side in _SIDES
     }, is_exact=True)  # fmt: skip
 
@@ -395,48 +332,17 @@ def differences(values: Values) -> Cells:
         for side in _SIDES:
             table, name = ("7.2", "area_utm") if side == "utm" else ("7.4", "area_azimuthal")
             computed = sum(values[row_key(table, island, name)] for island in JOINED.get(row, (row,)))
-            satellite, known = _pixels_m2(values, row, side), KNOWN.get((row, side), "")
-            difference = abs(satellite - computed)
+            satellite = _pixels_m2(values, row, side)
             out |= _cells("7.6", {
-                (row, f"computed_area_{side}"): (computed, f"table {table}"),
-                (row, f"satellite_area_{side}"): (satellite, f"pixels of table 7.5{known}"),
-                (row, f"abs_difference_{side}"): (difference, f"pixels of table 7.5 and table {table}{known}"),
+                (row, f"computed_area_{side}"): computed, (row, f"satellite_area_{side}"): satellite,
+                (row, f"abs_difference_{side}"): abs(satellite - computed),
             }, is_exact=True)  # fmt: skip
     return out
 
 
-#: Reasons why the other cells of a table cannot be reproduced.
-REASONS: Final = {
-    "s4.2.2": "processor times of another computer and program",
-    "s6.2": "a figure of another publication; its points are not here",
-    "6.1": "another block, with four values or one: too few to fit a law to and to test it",
-    "7.1": "control points, residuals and coefficients are not in the source",
-    "s7.2": "a fact of the unpublished points; a coefficient with four decimals leaves 226 m",
-    "7.2": "the vertices of the outlines are not in the source",
-    "7.3": "the vertices of the outlines are not in the source",
-    "7.4": "the vertices of the outlines are not in the source",
-    "7.5": "the image and its classes are not in the source",
-}
-FACT: Final = "a fact or a constant: nothing to compute"
 #: Functions that recompute a table from all printed values.
-_COMPUTERS: Final[dict[str, Callable[[Values], Cells]]] = {
+COMPUTERS: Final[dict[str, Callable[[Values], Cells]]] = {
     "text": text, "3.3": mss_and_tm, "5.1": mapping_sensor, "s4.2.2": resampling, "summary": resolutions,
     "6.1": north_georgia, "7.1": rectifications, "s6.2": literature, "s7.2": calibration,
     "7.2": utm_areas, "7.3": spacings, "7.4": lambert_areas, "7.5": pixel_areas, "7.6": differences,
 }  # fmt: skip
-
-SOURCE: Final = Source(
-    "ipbuker1994",
-    "İpbüker (1994), geometric accuracy of images at map scale from satellite data",
-    real=recomputed_tables({table: (compute,) for table, compute in _COMPUTERS.items()}, REASONS, FACT),
-    about="The thesis prints no control points, residuals, coefficients or outlines: its rectifications cannot be "
-    "repeated. Recomputed are numbers that follow from others beside them, figures of orbits, sensors and "
-    "projections, and, by simulation, how precisions of one kind depend on those of another. The range is the stated "
-    "spread, if any.",
-    meanings={
-        "equal": "all printed digits",
-        "rounding": "one unit of the last digit, or inside the stated spread",
-        "not_reproducible": "a fact, or its points, outlines or images are not in the source",
-    },
-    counted="are one unit of the last digit off or inside a stated spread",
-)

@@ -17,15 +17,13 @@ from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
 from fg_orient.studies.claims import ClaimResult, all_claims, run_claims
 from fg_orient.studies.published.tables import PublishedTables, load
-from fg_orient.studies.reproduce import ayhan1996, ipbuker1994
-from fg_orient.studies.reproduce.sources import TERLEMEZOGLU, TOPAN, Source
-from fg_orient.studies.reproduce.verdict import KINDS, CellComparison, assess_runs
+from fg_orient.studies.reproduce.sources import SOURCES, Source
+from fg_orient.studies.reproduce.verdict import KINDS, CellComparison, assess_runs, known_reason
 from fg_orient.studies.tables_spot6 import PERMUTATIONS
 
 #: Called after each run with runs done, number of runs, and name of the work.
 Callback = Callable[[int, int, str], None]
 
-SOURCES: Final = {one.name: one for one in (TERLEMEZOGLU, TOPAN, ipbuker1994.SOURCE, ayhan1996.SOURCE)}
 #: Default number of runs: about a minute.
 DEFAULT_SEEDS: Final = 10
 MAX_SEEDS: Final = 1000
@@ -37,8 +35,8 @@ class Row:
 
     Parameters
     ----------
-    table, cell : str
-        Table, and the address in it.
+    key : CellKey
+        Address.
     published, reproduced : float
         nan if nothing is printed, or the runs broke down. ``reproduced`` is the median.
     low, high : float
@@ -49,8 +47,7 @@ class Row:
         Digits as printed, unit, doubts about the number.
     """
 
-    table: str
-    cell: str
+    key: CellKey
     published: float
     reproduced: float
     low: float
@@ -60,6 +57,22 @@ class Row:
     printed: str
     unit: str
     note: str
+
+    @property
+    def table(self) -> str:
+        """Table of the number."""
+        return self.key.table
+
+    @property
+    def cell(self) -> str:
+        """Address in the table, in words."""
+        return str(self.key)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Columns by name: table and cell, then all but ``key``."""
+        columns = {"table": self.table, "cell": self.cell} | vars(self)
+        del columns["key"]
+        return columns
 
 
 @dataclass(frozen=True)
@@ -77,8 +90,6 @@ class Reproduction:
         ``tables``, ``seeds``, ``as_run``.
     sha256 : dict
         SHA-256 of the files of published values.
-    keys : dict
-        (table, address) of a row to the fields of its address.
     curves : dict
         L-curve of each EOP set whose kappas are among the rows, for the first seed.
     """
@@ -89,7 +100,6 @@ class Reproduction:
     claims: tuple[ClaimResult, ...]
     options: dict[str, Any]
     sha256: dict[str, str]
-    keys: dict[tuple[str, str], CellKey] = field(default_factory=dict)
     curves: dict[int, LCurve] = field(default_factory=dict)
 
     def counts(self, table: str | None = None) -> dict[str, int]:
@@ -131,39 +141,36 @@ def reproduce(
     InputError
         Unknown publication or table, number of seeds out of range, damaged tables.
     """
-    if not 1 <= n_seeds <= MAX_SEEDS:
-        raise InputError.of("options.value", option="seeds", value=n_seeds, expected=f"1 to {MAX_SEEDS}")
+    for option, count in (("seeds", n_seeds), ("permutations", permutations)):
+        if not 1 <= count <= MAX_SEEDS:
+            raise InputError.of("options.value", option=option, value=count, expected=f"1 to {MAX_SEEDS}")
     printed = load(name, published)
-    if not 1 <= permutations <= MAX_SEEDS:
-        raise InputError.of("options.value", option="permutations", value=permutations, expected=f"1 to {MAX_SEEDS}")
     source, chosen = SOURCES[name], select(tables, tuple(printed.titles))
     seeds = range(1, n_seeds + 1)
 
+    def progress(work: str, offset: int = 0, of_all: int | None = None) -> Callable[[int, int], None]:
+        return lambda done, of: callback(offset + done, of_all or of, work) if callback else None
+
     steps = n_seeds * (1 + claims)
-
-    def progress(offset: int, work: str) -> Callable[[int, int], None]:
-        return lambda done, _: callback(offset + done, steps, work) if callback else None
-
     on_twin = tuple(table for table in chosen if table not in source.real_tables)
-    computed = {}
-    if on_twin and source.compute is not None:
-        computed = source.compute(on_twin, seeds, as_run=as_run, progress=progress(0, "tables"))
-    on_points = source.real(
-        printed, chosen, data, permutations=permutations,
-        progress=lambda done, of: callback(done, of, "real points") if callback else None,
-    ) if source.real else {}  # fmt: skip
-    about_it = [claim for claim in all_claims() if claims and claim.id in source.claims]
-    assessed = run_claims(seeds, progress(n_seeds, "claims"), about_it) if about_it else []
     options: dict[str, Any] = {"tables": list(chosen)}
+    computed, on_points = {}, {}
     if source.compute is not None:
         options |= {"seeds": list(seeds), "as_run": as_run}
-    if source.compute is not None and set(chosen) & set(source.real_tables):
-        options["permutations"] = permutations
+        if on_twin:
+            computed = source.compute(on_twin, seeds, as_run=as_run, progress=progress("tables", 0, steps))
+        if len(on_twin) < len(chosen):
+            options["permutations"] = permutations
+    if source.real is not None:
+        on_points = source.real(
+            printed, chosen, data, permutations=permutations, progress=progress("real points")
+        )  # fmt: skip
+    about_it = [claim for claim in all_claims() if claims and claim.id in source.claims.split()]
+    assessed = run_claims(seeds, progress("claims", n_seeds, steps), about_it) if about_it else []
     titles = {table: printed.titles[table] for table in chosen}
     rows = pair(printed, computed, source, chosen, on_points, as_run=as_run)
-    keys = {(cell.key.table, str(cell.key)): cell.key for cell in printed.cells if cell.key.table in chosen}
     curves = source.curves(on_twin, seeds[0], as_run=as_run) if source.curves else {}
-    return Reproduction(source, titles, rows, tuple(assessed), options, printed.sha256, keys, curves)
+    return Reproduction(source, titles, rows, tuple(assessed), options, printed.sha256, curves)
 
 
 def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:
@@ -202,9 +209,9 @@ def pair(
         comparison, known = (compared or {}).get(key), ""
         if comparison is None:
             comparison = assess_runs(cell, computed.get(key), None if np.isnan(orders[0]) else float(orders[0]))
-            known = source.explain(cell, as_run) if comparison.kind == "differs" else ""
+            known = known_reason(source.known, cell, as_run) if comparison.kind == "differs" else ""
         rows.append(Row(
-            key.table, str(key), cell.value, comparison.reproduced, comparison.low, comparison.high, comparison.kind,
+            key, cell.value, comparison.reproduced, comparison.low, comparison.high, comparison.kind,
             "; ".join(filter(None, (comparison.reason, known))), cell.text or cell.printed, cell.unit, cell.note,
         ))  # fmt: skip
     return tuple(rows)

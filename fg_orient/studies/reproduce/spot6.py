@@ -21,18 +21,16 @@ from typing import Final
 import numpy as np
 
 from factors._contract import Array
-from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.model.cells import CellKey
 from fg_orient.rpc.points import SPOT6_FILE, SPOT6_FOLDER, ControlPoints, find_spot6, read_gcp
 from fg_orient.studies import tables_spot6
 from fg_orient.studies.published.tables import PublishedCell, PublishedTables
-from fg_orient.studies.reproduce.verdict import CellComparison, Comparisons, Kind, last_digit
+from fg_orient.studies.reproduce.verdict import CellComparison, Comparisons, Kind, declared, known_reason, last_digit
 
 #: Folder of real data if ``--data`` is not given.
 VARIABLE: Final = "FG_ORIENT_REAL_DATA"
 #: Whole numbers that must agree exactly, like a printed zero; elsewhere "13" is 13 +- 0.5.
 COUNTED: Final = ("n_observations", "n_unknowns", "matrix_order", "rank")
-ELIMINATIONS: Final = ("gauss_partial_pivot_elimination", "cholesky_elimination")
 #: Factor by which the range of the permutations is extended for rounding noise.
 MARGIN: Final = 30.0
 #: Relative spread of the permutations below which a number is not noise.
@@ -43,13 +41,6 @@ INVERSES: Final = ("pivot_inverse", "cholesky_inverse", "gauss_inverse", "moore_
 VV_TOLERANCE_PX2: Final = 0.2
 #: Effect of these 0.2 px^2 on m0, plus the rounding of its print.
 M0_TOLERANCE_PX: Final = 0.0044 + 0.005
-#: Known reasons why numbers of a quantity differ.
-REASONS: Final = {
-    "cond_hadamard": "determinant and rank agree: the row norms in T(3.14) were others, as in table 4.53",
-    "kappa": "0 is printed where no eigenvalue was found in [0, 1]; here rounding leaves some there",
-    "rpc": "noise of Cramer's inverse with tails longer than the permutations show",
-    "normal_residual_abs_min": "the smallest of all elements is 0 or a few roundings, by luck",
-}
 NO_POINTS: Final = f"the 99 control points are not here: give them as data, or a folder of real data in {VARIABLE}"
 
 
@@ -97,10 +88,9 @@ def compare(
     if points is None:
         return {cell.key: CellComparison("not_reproducible", NO_POINTS) for cell in cells}
     chosen = {cell.key.table for cell in cells}
-    with one_blas_thread():
-        computed = tables_spot6.compute(
-            chosen, points, permutations=permutations, kappas=printed_kappas(printed), progress=progress
-        )
+    computed = tables_spot6.compute(
+        chosen, points, permutations=permutations, kappas=printed_kappas(printed), progress=progress
+    )
     return {cell.key: assess(cell, computed) for cell in cells}
 
 
@@ -158,7 +148,7 @@ def _tested(cell: PublishedCell, runs: Array, sizes: Array) -> tuple[Kind, str]:
         if gap > spread and spread < STEADY * sizes.max():
             return "rounding", f"within the limits, but steady here and not as printed: {noise}"
         return "rounding", f"rounding noise: {noise}"
-    return "differs", f"{_why(cell)} ({noise})"
+    return "differs", f"{known_reason(declared('rules.toml')['spot6'], cell)} ({noise})"
 
 
 def _equal(cell: PublishedCell, runs: Array) -> str:
@@ -199,13 +189,6 @@ def _hadamard(cell: PublishedCell, runs: Array) -> str:
         f"T(3.14) gives {runs[0]:.2g} on these points whatever their order, while determinant and rank agree: what row "
         "norms the printed number was divided by is not known"
     )
-
-
-def _why(cell: PublishedCell) -> str:
-    """Known reason why a number differs."""
-    if cell.key.quantity == "sum_squared_residual" and cell.value > 1.0 and cell.key.method in ELIMINATIONS:
-        return "misprint: 3.7e-4 fits the printed m0 of 0.003"
-    return REASONS.get(cell.key.quantity, "outside the noise of the permutations")
 
 
 def _more(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> str:

@@ -1,6 +1,6 @@
 """Comparison of a published number with computed ones.
 
-:func:`assess_runs` compares a number with the runs of the twin, by the rule of its quantity (``RULES``, the one table,
+:func:`assess_runs` compares a number with the runs of the twin, by the rule of its quantity (``rules.toml``,
 docs/reproduce.md). The tests of a rule are tried in order. The first that holds is the verdict; if none holds it is
 ``differs``:
 
@@ -23,9 +23,12 @@ docs/reproduce.md). The tests of a rule are tried in order. The first that holds
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from pathlib import Path
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -36,13 +39,8 @@ from fg_orient.studies.published.tables import PublishedCell
 
 Test = Literal["equal", "order", "rounding", "pattern"]
 Kind = Literal["equal", "order", "rounding", "pattern", "differs", "not_reproducible"]
-KINDS: Final[tuple[Kind, ...]] = ("equal", "order", "rounding", "pattern", "differs", "not_reproducible")
 #: Ratio of published and reproduced that still counts as the same order of magnitude.
 ORDER: Final = 10.0
-#: The target at control points, 1 pixel (T sect. 4.2.1).
-TARGET_M: Final = 5.0
-#: Three times the accuracy at check points (P, conclusions): larger values have diverged.
-ICP_LIMIT_M: Final = 15.0
 
 
 @dataclass(frozen=True)
@@ -102,27 +100,37 @@ class Rule:
     decade: bool = True
 
 
-_UNDERFLOW = "printed after an underflow (0/0); log-determinants give a number"
-RULES: Final[dict[str, Rule]] = {
-    "count": Rule(("equal",), "a count"),
-    "gcp": Rule(("order", "pattern"), "RMSE at control points", TARGET_M, " m"),
-    "icp": Rule(("order", "pattern"), "RMSE at check points", ICP_LIMIT_M, " m"),
-    "kappa": Rule(("equal", "rounding"), "follows from a solution of rounding noise"),
-    "dP": Rule(("rounding",), "rounding noise amplified by the inverse; its sign cannot be reproduced"),
-    "misclosure": Rule(("rounding",), "rounding noise: step 1 has closed all conditions"),
-    "residual": Rule(("order", "rounding"), "residuals of the look angles, rad"),
-    "normal": Rule(("rounding",), "rounding noise of the solver"),
-    "rank": Rule(("equal", "rounding", "pattern"), "rank within rounding", decade=False),
-    "det": Rule(("equal", "order", "rounding"), "a determinant near zero; its sign is rounding",
-                without_value=_UNDERFLOW),
-    "cond_norm": Rule(("order", "rounding", "pattern"), "largest by smallest singular value", 1e16),
-    "cond_spectral": Rule(("order", "rounding", "pattern"), "largest by smallest eigenvalue; sign is rounding", 1e3),
-    "cond_hadamard": Rule(
-        ("order", "rounding", "pattern"), "determinant by row norms", 1e-2, without_value=_UNDERFLOW,
-        nan_above=False,
-    ),
-    "correlation": Rule(("equal", "pattern"), "correlation of the design", 0.98),
-}  # fmt: skip
+def declared(name: str) -> dict[str, Any]:
+    """Content of a TOML file of this package."""
+    return tomllib.loads(Path(__file__).with_name(name).read_text("utf-8"))
+
+
+_DECLARED: Final = declared("rules.toml")
+#: Kind of quantity to its rule.
+RULES: Final = {name: Rule(**row | {"tests": tuple(row["tests"])}) for name, row in _DECLARED["rules"].items()}
+#: Verdict to its sign, name and meaning, in the order of reports.
+LEGEND: Final[dict[Kind, list[str]]] = _DECLARED["legend"]
+KINDS: Final[tuple[Kind, ...]] = tuple(LEGEND)
+
+
+def known_reason(rules: Iterable[Mapping[str, Any]], cell: PublishedCell, as_run: bool = False) -> str:
+    """Reason of the first rule whose regular expressions match the address of a cell; "" if there is none.
+
+    Parameters
+    ----------
+    rules : iterable of mappings
+        Regular expressions by the fields of the address; ``above``: limit that the printed value exceeds; ``why``, and
+        ``as_run`` if the reason for the program is another one.
+    cell : PublishedCell
+    as_run : bool
+        The procedure is that of the authors' program.
+    """
+    for rule in rules:
+        fields = rule.keys() & set(CellKey._fields)
+        matches = all(re.fullmatch(rule[name], getattr(cell.key, name)) for name in fields)
+        if matches and ("above" not in rule or cell.value > rule["above"]):
+            return str(rule.get("as_run", rule["why"]) if as_run else rule["why"])
+    return ""
 
 
 def kind_of(key: CellKey) -> str:
@@ -231,7 +239,7 @@ class Recomputed:
     value : float
         nan if only a verdict is known.
     remark : str
-        Origin of the number.
+        Addition to the origin of the number, which ``sources.toml`` declares.
     low, high : float
         Expected spread of the published number; nan if equal digits are expected.
     is_exact : bool
@@ -240,6 +248,8 @@ class Recomputed:
         Only the order of magnitude is expected to agree.
     kind : str, optional
         Verdict, if it does not follow from the numbers here.
+    facts : tuple
+        Values for the places of the declared sentence.
     """
 
     value: float
@@ -249,11 +259,12 @@ class Recomputed:
     is_exact: bool = False
     is_order: bool = False
     kind: Kind | None = None
+    facts: tuple[object, ...] = ()
 
     @classmethod
-    def around(cls, value: float, half: float, remark: str, kind: Kind | None = None) -> Recomputed:
+    def around(cls, value: float, half: float, remark: str = "", facts: tuple[object, ...] = ()) -> Recomputed:
         """Number with a symmetric spread."""
-        return cls(float(value), remark, float(value - half), float(value + half), kind=kind)
+        return cls(float(value), remark, float(value - half), float(value + half), facts=facts)
 
 
 Values = Mapping[CellKey, float]
@@ -273,7 +284,7 @@ def attempt(call: Callable[..., float], *printed: float) -> float:
         return math.nan
 
 
-def assess_value(cell: PublishedCell, other: Recomputed | None, unknown: str) -> CellComparison:
+def assess_value(cell: PublishedCell, other: Recomputed | None, unknown: str, origin: str = "") -> CellComparison:
     """Compare a printed number with a recomputed one; see the module docstring.
 
     Parameters
@@ -282,13 +293,15 @@ def assess_value(cell: PublishedCell, other: Recomputed | None, unknown: str) ->
     other : Recomputed or None
     unknown : str
         Reason for a missing recomputed value.
+    origin : str
+        Sentence on the recomputed value, with places for its facts.
     """
     if without := _without_number(cell):
         return without
     if other is None:
         return CellComparison("not_reproducible", unknown)
     kind, words = (other.kind, "") if other.kind is not None else _value_kind(cell, other)
-    reason = ": ".join(filter(None, (words, other.remark)))
+    reason = ": ".join(filter(None, (words, origin.format(*other.facts) + other.remark)))
     return CellComparison(kind, reason, other.value, other.low, other.high)
 
 
