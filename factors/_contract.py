@@ -40,20 +40,6 @@ class Argument:
 
 
 @dataclass(frozen=True)
-class Example:
-    """A well-posed random state for the generic tests: constants and unknowns."""
-
-    record: Array
-    setup: Array
-    unknowns: tuple[Array, ...]
-
-
-def no_example(_rng: np.random.Generator) -> Example:
-    """Stand for the example of an equation that is made from data."""
-    raise NotImplementedError
-
-
-@dataclass(frozen=True)
 class Equation:
     """A registered observation equation.
 
@@ -65,8 +51,6 @@ class Equation:
         See the module docstring.
     arguments : tuple of Argument
         The unknowns in order.
-    example : callable
-        ``example(rng) -> Example``; random, well posed, covers every branch over many draws.
     source : str
         Author year, equation number.
     fill : callable, optional
@@ -81,7 +65,6 @@ class Equation:
     kernel: Callable[..., tuple[Array, ...]]
     residual: Callable[..., npt.NDArray[Any]]
     arguments: tuple[Argument, ...]
-    example: Callable[[np.random.Generator], Example]
     source: str
     fill: Callable[..., bool] | None = None
     arrays: bool = False
@@ -133,7 +116,7 @@ def register(equation: Equation) -> Equation:
 
 def register_condition(
     name: str, residual: Callable[..., Any], jacobians: Callable[..., Any], arguments: tuple[Argument, ...],
-    example: Callable[[np.random.Generator], Example], source: str,
+    source: str,
 ) -> Equation:  # fmt: skip
     """Register an equation by its residual and ``jacobians(record, setup, value, x_1, ...)``: one array or a tuple."""
 
@@ -143,7 +126,7 @@ def register_condition(
         blocks = jacobians(record, setup, value, *x) if want else tuple(np.empty((0, 0)) for _ in x)
         return value, *(blocks if isinstance(blocks, tuple) else (blocks,))
 
-    return register(Equation(name, kernel, residual, arguments, example, source))
+    return register(Equation(name, kernel, residual, arguments, source))
 
 
 def registered() -> dict[str, Equation]:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 from fg_orient.model.public import on_first_use
 
 if TYPE_CHECKING:
-    from factors._contract import Argument, Equation, Example, compiled
+    from factors._contract import Argument, Equation, compiled
     from factors._contract import register as register_equation
     from factors.losses import Loss
     from factors.losses import register as register_loss
@@ -76,7 +76,6 @@ _HOME: Final = {
     "Argument": "factors._contract",
     "Block": "fg_orient.model.block",
     "Equation": "factors._contract",
-    "Example": "factors._contract",
     "ExtraObservation": "fg_orient.model.block",
     "FactorGraph": "fg_orient.orientation.factor_graph",
     "FgOrientError": "fg_orient.model.errors",
@@ -122,7 +121,6 @@ __all__ = [
     "Argument",
     "Block",
     "Equation",
-    "Example",
     "ExtraObservation",
     "FactorGraph",
     "FgOrientError",

@@ -17,11 +17,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, register
+from factors._contract import Argument, Array, Equation, register
 from factors._plain import plain
 from factors.cameras.image_corrections import AT, ideal, terms
 from factors.cameras.plane import RECORD as PLANE_RECORD
-from factors.cameras.plane import example_record, whiten_rows, whitened
+from factors.cameras.plane import whiten_rows, whitened
 from factors.records import Record
 
 RECORD: Final = Record(**PLANE_RECORD.fields, centre="centre_x centre_y")
@@ -73,15 +73,7 @@ def kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Ar
     return value, whiten_rows(record, out)
 
 
-def _example(rng: np.random.Generator) -> Example:
-    x = np.concatenate([rng.normal(size=8), rng.uniform(-0.2, 0.2, 3)])
-    codes = np.sort(rng.permutation(N_DISTORTION)[: rng.integers(0, N_DISTORTION + 1)]).astype(float)
-    setup = np.ascontiguousarray(np.stack([codes, rng.uniform(0.01, 0.1, len(codes))]))
-    record = np.concatenate([example_record(rng), rng.normal(scale=0.2, size=2)])
-    return Example(record, setup, (np.concatenate([x, rng.normal(size=len(codes))]),))
-
-
 DLT = register(Equation(
-    "dlt_brown_measured_to_ideal", kernel, residual, (Argument("parameters", "normalised"),), _example,
+    "dlt_brown_measured_to_ideal", kernel, residual, (Argument("parameters", "normalised"),),
     "Abdel-Aziz & Karara 1971; Ayhan 1996, eqs. 34-43", arrays=True,
 ))  # fmt: skip

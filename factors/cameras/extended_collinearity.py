@@ -17,13 +17,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors._contract import Argument, Array, Equation, compiled, register
 from factors.cameras import additional_parameters as brown
 from factors.cameras import image_corrections as lens
 from factors.cameras import image_variants as variants
 from factors.cameras.frame_camera import CAMERA as TURN
 from factors.cameras.frame_camera import by_turn, rotate, rotate_back, turned
-from factors.geometry.rotations import Vector, random_rotation
+from factors.geometry.rotations import Vector
 from factors.records import Record
 
 #: Camera parameters by code: principal distance, principal point, coefficients of the three modules.
@@ -147,25 +147,9 @@ def whitened_rows(record: Array, rows: Array) -> Array:
     return rows
 
 
-def _example(rng: np.random.Generator) -> Example:
-    start = random_rotation(rng)
-    centre, seen = rng.normal(size=3), np.append(rng.normal(scale=0.4, size=2), 1.0) * rng.uniform(3.0, 9.0)
-    codes = rng.permutation(CAMERA.size)[: rng.integers(2, CAMERA.size + 1)]
-    n = int(rng.integers(1, len(codes)))
-    image, power, sign = rng.normal(size=2), rng.integers(0, 2), rng.choice([-1.0, 1.0])
-    camera = np.append(2.1, rng.normal(scale=0.02, size=CAMERA.size - 1))
-    setup = np.ascontiguousarray(np.stack([codes.astype(float), rng.uniform(0.01, 0.1, len(codes))]))
-    x = rng.normal(scale=0.3, size=len(codes))
-    record = RECORD.pack(
-        x=image[0], y=image[1], w11=1.3, w12=0.2, w22=0.7, power=power, sign=sign, held_c=2.0, camera=camera,
-        rotation=start.ravel(), radius=rng.uniform(0.8, 2.0),
-    )  # fmt: skip
-    return Example(record, setup, (x[:n], x[n:], rng.normal(scale=0.02, size=3), centre, centre + start.T @ seen))
-
-
 EXTENDED_COLLINEARITY = register(Equation(
     "extended_collinearity_measured_to_ideal", kernel, residual,
     (Argument("own camera", "steps"), Argument("shared camera", "steps"), Argument("rotation", "rad"),
-     Argument("centre", "m", is_point=True), Argument("point", "m", is_point=True)), _example,
+     Argument("centre", "m", is_point=True), Argument("point", "m", is_point=True)),
     "Brown 1971, 1976; Ayhan 1996, eqs. 2, 44-55, 71-80",
 ))  # fmt: skip

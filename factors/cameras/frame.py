@@ -21,10 +21,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, compiled, kernel_of, register
+from factors._contract import Argument, Array, Equation, compiled, kernel_of, register
 from factors.cameras import frame_camera
 from factors.cameras.frame_camera import CAMERA, brown, brown_slopes, by_turn, direction, rotate_back
-from factors.geometry.rotations import Vector, random_rotation
+from factors.geometry.rotations import Vector
 from factors.records import Record
 
 #: Observed pixel; A, 1/px, for line and sample; the camera without corrections, its centre minus the local origin, m.
@@ -171,29 +171,8 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
     return bool(zero == 0.0)
 
 
-def example(rng: np.random.Generator) -> Example:
-    """Build an observation of a wide-angle camera; both directions, small and large rotations, subsets of unknowns."""
-    start = random_rotation(rng)
-    centre, depth = rng.normal(scale=100.0, size=3), rng.uniform(50.0, 500.0)
-    ground = centre + start.T @ (depth * np.array([*rng.uniform(-0.4, 0.4, 2), 1.0]))
-    focal, principal = rng.uniform(500.0, 5e3), rng.uniform(-50.0, 50.0, 2)
-    distortion, (line, sample) = rng.normal(size=5) * np.repeat([0.05, 1e-3], [3, 2]), rng.uniform(-1e3, 1e3, 2)
-    a_line, a_sample = 1.0 / rng.uniform(0.2, 2.0, 2)
-    sigma = np.repeat([rng.choice([1e-5, 1e-3, 0.1]), 0.3, 3.0, 2.0, 1e-2, 1e-4, 1e-3], [3, 3, 1, 2, 3, 2, 1])
-    codes = np.sort(rng.permutation(N_UNKNOWNS)[: rng.integers(1, N_UNKNOWNS + 1)])
-    setup = np.stack([codes.astype(float), sigma[codes]])
-    if rng.random() < 0.3:
-        setup = np.column_stack([setup, [N_UNKNOWNS + 2.0, 1.0]])
-    aspect, unit = (rng.normal(scale=1e-3), focal * rng.uniform(0.5, 2.0)) if rng.random() < 0.5 else (0.0, 0.0)
-    record = RECORD.pack(line=line, sample=sample, a_line=a_line, a_sample=a_sample, rotation=start.ravel(),
-                         centre=centre, focal=focal, principal=principal, distortion=distortion, aspect=aspect,
-                         unit=unit)  # fmt: skip
-    x = rng.normal(size=len(setup[0]))
-    return Example(record, np.ascontiguousarray(setup), (x, ground + rng.normal(scale=1.0, size=3)))
-
-
 FRAME_COLLINEARITY = register(Equation(
     "frame_collinearity", kernel_of(fill), residual,
-    (Argument("image", "prior sigma"), Argument("ground", "m", is_point=True)), example,
+    (Argument("image", "prior sigma"), Argument("ground", "m", is_point=True)),
     "Brown 1966, 1971; OpenCV and COLMAP camera models; BAL (Agarwal et al. 2010); Ayhan 1996; DBAT", fill,
 ))  # fmt: skip

@@ -23,7 +23,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, register
+from factors._contract import Argument, Array, Equation, register
 from factors.records import Record
 
 RECORD: Final = Record(source="x y z", target="u v", w11=1, w12=1, w22=1)
@@ -131,15 +131,8 @@ def _rows(name: str, source: Array, setup: Array, c: Array) -> Array:
     return out
 
 
-def example_record(rng: np.random.Generator) -> Array:
-    """Record of a normalised point with correlated coordinates."""
-    w11, w12, w22 = rng.uniform(0.5, 2.0), rng.normal(), rng.uniform(0.5, 2.0)
-    source, target = rng.uniform(-1.0, 1.0, 3), rng.uniform(-1.0, 1.0, 2)
-    return RECORD.pack(source=source, target=target, w11=w11, w12=w12, w22=w22)
-
-
-def _register(name: str, source: str, unit: str, n_linear: int, n_quotient: int = 0) -> Equation:
-    """Register a transformation of ``n_linear`` numerator and ``n_quotient`` denominator unknowns; 0: a polynomial."""
+def _register(name: str, source: str, unit: str) -> Equation:
+    """Register a transformation."""
 
     def residual(record: Any, setup: Any, c: Any) -> Any:
         return whitened(record, *targets(name, record[..., RECORD.source], setup, c))
@@ -148,22 +141,17 @@ def _register(name: str, source: str, unit: str, n_linear: int, n_quotient: int 
         rows = whiten_rows(record, _rows(name, record[..., RECORD.source], setup, c)) if want else np.empty((0, 0))
         return residual(record, setup, c), rows
 
-    def example(rng: np.random.Generator) -> Example:
-        setup = np.zeros((2, 0)) if n_linear else polynomial_setup(int(rng.integers(1, MAX_DEGREE + 1)))
-        c = rng.normal(size=n_linear or 2 * setup.shape[1])
-        return Example(example_record(rng), setup, (np.concatenate([c, rng.uniform(-0.1, 0.1, n_quotient)]),))
-
-    return register(Equation(name, kernel, residual, (Argument("coefficients", unit),), example, source, arrays=True))
+    return register(Equation(name, kernel, residual, (Argument("coefficients", unit),), source, arrays=True))
 
 
-POLYNOMIAL = _register("plane_polynomial", "İpbüker 1994, section 4.2.1 and appendix EK 2", "target unit", 0)
+POLYNOMIAL = _register("plane_polynomial", "İpbüker 1994, section 4.2.1 and appendix EK 2", "target unit")
 HELMERT = _register(
-    "plane_helmert", "İpbüker 1994, section 7.2 (names it; the equations are the usual ones)", "target unit", 4
+    "plane_helmert", "İpbüker 1994, section 7.2 (names it; the equations are the usual ones)", "target unit"
 )  # fmt: skip
-PROJECTIVE = _register("plane_projective", "the homography of two planes, its last element 1", "target unit", 6, 2)
-AFFINE_PROJECTION = _register("affine_projection", "Okamoto 1981; Fraser & Yamakawa 2004", "pixel", 8)
+PROJECTIVE = _register("plane_projective", "the homography of two planes, its last element 1", "target unit")
+AFFINE_PROJECTION = _register("affine_projection", "Okamoto 1981; Fraser & Yamakawa 2004", "pixel")
 PARALLEL_PROJECTION = _register(
     "parallel_projection", "Morgan 2004: parallel projection with the perspective-to-parallel term of the scan line",
-    "pixel", 8, 1,
+    "pixel",
 )  # fmt: skip
-LINE_SCANNER_DLT = _register("line_scanner_dlt", "Gupta & Hartley 1997: the linear pushbroom camera", "pixel", 8, 3)
+LINE_SCANNER_DLT = _register("line_scanner_dlt", "Gupta & Hartley 1997: the linear pushbroom camera", "pixel")

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, compiled, inlined, is_finite, kernel_of, register
+from factors._contract import Argument, Array, Equation, compiled, inlined, is_finite, kernel_of, register
 from factors.cameras import pushbroom_record
 from factors.cameras.pushbroom_record import CORRECTION, ROW, STORED, correction, corrections, observation, store, three
 from factors.cameras.pushbroom_record import RECORD as RECORD
@@ -153,31 +153,8 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
     return is_finite(out, k + 4 if want else 1)
 
 
-def example(rng: np.random.Generator) -> Example:
-    """Build a SPOT-like observation; both kinds of files, both attitude forms and curves occur."""
-    p = rng.normal(size=3)
-    p *= 7.2e6 / np.linalg.norm(p)
-    v = np.cross(p, rng.normal(size=3))
-    v = 7400.0 * v / np.linalg.norm(v) + 8.0 * p / np.linalg.norm(p)
-    psi_x, psi_y = rng.uniform(-0.02, 0.02), rng.uniform(-0.4, 0.4)
-    ray = rotations.orbital_frames(p[None], v[None])[0] @ np.array([-np.tan(psi_y), np.tan(psi_x), -1.0])
-    turn = rotations.attitude_matrices(rng.normal(scale=1e-3, size=(1, 3)), False)[0]
-    record = RECORD.pack(
-        position=p, velocity=v, angles=rng.normal(scale=1e-3, size=3), mounting=turn.ravel(), tau=rng.uniform(-1, 1),
-        look=[psi_x, psi_y], s=rng.uniform(-1, 1), whitening=rng.normal(scale=5e5, size=4),
-        follows=rng.integers(0, 2), small_angle=rng.integers(0, 2), reference=np.zeros(3), from_position=8.4e5 * ray,
-    )  # fmt: skip
-    sigma = np.repeat([[10.0, 1.0, 0.1], [1e-2, 1e-3, 1e-4], [5e-5, 1e-5, 2e-6]], 3, axis=0).ravel()
-    curve, curves = pushbroom_record.CURVE, pushbroom_record.CURVES
-    codes = np.arange(pushbroom_record.N_EOP + 6.0)
-    codes = np.concatenate([codes, [curve, curve + curves + 1.0, curve + 7.0 * curves]])
-    setup = np.ascontiguousarray(np.stack([codes, np.concatenate([sigma, np.full(6, 1e-4), [1.0, 1.0, 1e-5]])]))
-    unknowns = rng.normal(size=len(codes)), rng.normal(scale=100.0, size=3)
-    return Example(np.concatenate([record, rng.normal(size=2)]), setup, unknowns)
-
-
 LOOK_ANGLE_COLLINEARITY = register(Equation(
     "look_angle_collinearity", kernel_of(fill), residual,
-    (Argument("image", "prior sigma"), Argument("ground", "m", is_point=True)), example,
+    (Argument("image", "prior sigma"), Argument("ground", "m", is_point=True)),
     "Terlemezoğlu 2019, eqs. 2.34, 2.65-2.67; Topan & Maktav 2010, eqs. 11-13", fill,
 ))  # fmt: skip

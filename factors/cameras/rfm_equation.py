@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, compiled, is_finite, kernel_of, register
+from factors._contract import Argument, Array, Equation, compiled, is_finite, kernel_of, register
 from factors.cameras import rfm, rfm_ground
 from factors.cameras.rfm_ground import FRAME
 from factors.cameras.rfm_project import COMPENSATION as COMPENSATION
@@ -110,28 +110,8 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
     return is_finite(out, k + 4 if want else 1)
 
 
-def example(rng: np.random.Generator) -> Example:
-    """Build an observation of a metre-resolution image; shift, drift and affine occur."""
-    c = rng.normal(scale=1e-3, size=(4, 20))
-    c[1::2, 0] = 1.0
-    c[0, 1:4] += 0.1 * rng.normal(), -1.0, 0.1 * rng.normal()
-    c[2, 1:4] += 1.0, 0.1 * rng.normal(), 0.1 * rng.normal()
-    lon, lat = rng.uniform(-np.pi, np.pi), rng.uniform(-1.4, 1.4)
-    line, sample = rng.uniform(0.0, 2e4, 2)
-    record = RECORD.pack(
-        line=line, sample=sample, whitening=(np.eye(2) + 0.2 * rng.normal(size=(2, 2))).ravel() / 0.5, line_offset=1e4,
-        sample_offset=1.2e4, line_scale=1e4, sample_scale=1.2e4, normalised=rng.uniform(-1, 1, 3),
-        scales=[2e-3 / np.cos(lat), -1.6e-3, 500.0], reference=rng.normal(scale=1e3, size=3),
-        frame=[np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat), rng.uniform(-100.0, 3e3)], coefficients=c.ravel(),
-    )  # fmt: skip
-    codes = list(COMPENSATIONS.values())[rng.integers(0, 3)]
-    setup = np.ascontiguousarray(np.stack([np.array(codes, float), rng.uniform(0.5, 10.0, len(codes))]))
-    x, away = rng.normal(size=len(codes)), rng.normal(scale=300.0, size=3)
-    return Example(record, setup, (x, record[RECORD.reference] + away))
-
-
 RATIONAL_FUNCTION = register(Equation(
     "rational_function", kernel_of(fill), residual,
-    (Argument("compensation", "prior sigma"), Argument("ground", "m", is_point=True)), example,
+    (Argument("compensation", "prior sigma"), Argument("ground", "m", is_point=True)),
     "Grodecki & Dial 2003, eqs. 4-5; Terlemezoğlu 2019, eqs. 2.55-2.57", fill,
 ))  # fmt: skip

@@ -6,9 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Example, register_condition
+from factors._contract import Argument, Array, register_condition
 from factors.cameras.frame_camera import CAMERA, turned
-from factors.geometry.rotations import random_rotation
 from factors.records import Record
 
 #: Factor s and the normal and axes of the circle's plane; s and rotations R_0 of both cameras, D, row-major.
@@ -99,35 +98,32 @@ def jacobians_attitude(record: Array, setup: Array, value: Array, v: Array, w: A
     return -(by_turn @ (between @ left)), by_turn @ right
 
 
-def _example_circle(rng: np.random.Generator) -> Example:
-    normal, e_1, e_2 = np.linalg.qr(rng.normal(size=(3, 3)))[0].T
-    record = CIRCLE_RECORD.pack(factor=rng.uniform(0.5, 2.0), normal=normal, e_1=e_1, e_2=e_2)
-    return Example(record, _NONE, (rng.normal(scale=0.3, size=6), rng.normal(size=3)))
-
-
-def _example_attitude(rng: np.random.Generator) -> Example:
-    first, second, between = (random_rotation(rng).ravel() for _ in range(3))
-    record = ATTITUDE_RECORD.pack(factor=rng.uniform(0.5, 2.0), first=first, second=second, between=between)
-    return Example(record, _NONE, (rng.normal(scale=0.3, size=3), rng.normal(scale=0.3, size=3)))
-
-
-_NONE: Final = np.zeros((2, 0))
 _POINT: Final = Argument("point", "m", is_point=True)
 PLUMB_LINE = register_condition(
-    "constraint_plumb_line", residual_plumb_line, jacobians_plumb_line, (Argument("plumb line", "m"), _POINT),
-    lambda rng: Example(rng.uniform(0.5, 2.0, 1), _NONE, (rng.normal(size=2), rng.normal(size=3))),
+    "constraint_plumb_line",
+    residual_plumb_line,
+    jacobians_plumb_line,
+    (Argument("plumb line", "m"), _POINT),
     "Ayhan 1996, eq. 113",
-)  # fmt: skip
+)
 CIRCLE = register_condition(
-    "constraint_circle", residual_circle, jacobians_circle, (Argument("circle", "m, 1, m"), _POINT), _example_circle,
+    "constraint_circle",
+    residual_circle,
+    jacobians_circle,
+    (Argument("circle", "m, 1, m"), _POINT),
     "Ayhan 1996, eqs. 115-116",
-)  # fmt: skip
+)
 HORIZONTAL_CIRCLE = register_condition(
-    "constraint_horizontal_circle", residual_horizontal, jacobians_horizontal, (Argument("circle", "m"), _POINT),
-    lambda rng: Example(rng.uniform(0.5, 2.0, 1), _NONE, (rng.normal(size=4), rng.normal(size=3))),
+    "constraint_horizontal_circle",
+    residual_horizontal,
+    jacobians_horizontal,
+    (Argument("circle", "m"), _POINT),
     "Ayhan 1996, eq. 117",
-)  # fmt: skip
+)
 EQUAL_ATTITUDE = register_condition(
-    "constraint_equal_attitude", residual_attitude, jacobians_attitude,
-    (Argument("rotation", "rad"), Argument("rotation", "rad")), _example_attitude, "Ayhan 1996, eq. 112",
-)  # fmt: skip
+    "constraint_equal_attitude",
+    residual_attitude,
+    jacobians_attitude,
+    (Argument("rotation", "rad"), Argument("rotation", "rad")),
+    "Ayhan 1996, eq. 112",
+)

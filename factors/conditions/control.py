@@ -18,7 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Example, compiled, register_condition
+from factors._contract import Argument, Array, compiled, register_condition
 from factors.records import Record
 
 #: W row-major, G_0 m.
@@ -77,16 +77,7 @@ def jacobian_height(record: Array, setup: Array, value: Array, ground: Array) ->
     return np.array(record[HEIGHT.normal]).reshape((1, 3))
 
 
-def _example_point(rng: np.random.Generator) -> Example:
-    a = rng.normal(size=(3, 3))
-    w = whitening(a @ a.T + np.eye(3))
-    return Example(POINT.pack(whitening=w.ravel(), place=rng.normal(size=3)), np.zeros((2, 0)), (rng.normal(size=3),))
-
-
 _GROUND: Final = Argument("ground", "m", is_point=True)
 _SOURCE: Final = "docs/equations.md 7, stochastic weights"
-CONTROL_POINT = register_condition("control_point", residual_point, jacobian_point, (_GROUND,), _example_point, _SOURCE)
-HEIGHT_CONTROL = register_condition(
-    "height_control", residual_height, jacobian_height, (_GROUND,),
-    lambda rng: Example(rng.normal(size=HEIGHT.size), np.zeros((2, 0)), (rng.normal(size=3),)), _SOURCE,
-)  # fmt: skip
+CONTROL_POINT = register_condition("control_point", residual_point, jacobian_point, (_GROUND,), _SOURCE)
+HEIGHT_CONTROL = register_condition("height_control", residual_height, jacobian_height, (_GROUND,), _SOURCE)

@@ -13,9 +13,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors._contract import Argument, Array, Equation, compiled, register
 from factors.cameras.frame_camera import CAMERA, by_turn, rotate, rotate_back, turned
-from factors.geometry.rotations import cross, random_rotation
+from factors.geometry.rotations import cross
 from factors.records import Record
 
 #: Factor s, R_0 row-major, b_0, n_1, n_2.
@@ -60,15 +60,7 @@ def kernel(record: Array, setup: Array, x: Array, image: Array, want: bool) -> t
     return value, out, points
 
 
-def _example(rng: np.random.Generator) -> Example:
-    start = random_rotation(rng)
-    axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    base, n_1, n_2 = axes.T
-    record = RECORD.pack(factor=rng.uniform(0.5, 2.0), rotation=start.ravel(), base=base, n_1=n_1, n_2=n_2)
-    return Example(record, np.zeros((2, 0)), (rng.normal(scale=0.5, size=5), rng.uniform(-1.0, 1.0, 4)))
-
-
 COPLANARITY = register(Equation(
     "coplanarity", kernel, residual, (Argument("relative orientation", "rad"), Argument("image points", "1")),
-    _example, "Ayhan 1996, eqs. 9-19",
+    "Ayhan 1996, eqs. 9-19",
 ))  # fmt: skip

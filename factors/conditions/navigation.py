@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Example, register_condition
+from factors._contract import Argument, Array, register_condition
 from factors.cameras import frame
 from factors.cameras.frame_camera import CAMERA, turned
 from factors.geometry.rotations import Vector
@@ -123,43 +123,17 @@ def _chosen(record: Array, setup: Array, out: Array) -> Array:
     return np.ascontiguousarray(record[_BOTH.whitening].reshape(3, 3) @ out[:, setup[0].astype(np.intp)] * setup[1])
 
 
-def _turned_at_random(rng: np.random.Generator, angle_rad: float) -> Array:
-    return np.asarray(_rotation(np.eye(3).ravel(), rng.normal(size=3) * angle_rad)[0])
-
-
-def _parts(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
-    """Rotations R_0 and B_0, the setup and unknowns; large and small corrections occur, and subsets of unknowns."""
-    codes = np.sort(rng.permutation(UNKNOWN.size)[: rng.integers(1, UNKNOWN.size + 1)])
-    sigma = np.repeat([rng.choice([1e-5, 1e-2, 0.2]), 0.3, 1.0, 0.5, 0.1, 1e-3, 1e-4, 0.05, 1e-2],
-                      [3, 3, 9, 3, 3, 3, 3, 3, 3])  # fmt: skip
-    setup = np.ascontiguousarray(np.stack([codes.astype(float), sigma[codes]]))
-    return _turned_at_random(rng, 1.0), _turned_at_random(rng, 1.0), setup, rng.normal(size=len(codes))
-
-
-def _position_example(rng: np.random.Generator) -> Example:
-    rotation, mounting, setup, x = _parts(rng)
-    record = POSITION.pack(
-        offset=rng.normal(scale=0.5, size=3), arm=rng.normal(size=3), strip=_turned_at_random(rng, 1.0).ravel(),
-        whitening=rng.normal(size=9), rotation=rotation.ravel(), mounting=mounting.ravel(), tau=rng.uniform(-1, 1),
-    )  # fmt: skip
-    return Example(record, setup, (x,))
-
-
-def _attitude_example(rng: np.random.Generator) -> Example:
-    rotation, mounting, setup, x = _parts(rng)
-    away = _turned_at_random(rng, rng.choice([0.0, 1e-5, 1e-2, 0.5]))
-    record = ATTITUDE.pack(
-        whitening=rng.normal(size=9), rotation=rotation.ravel(), mounting=mounting.ravel(), tau=rng.uniform(-1, 1),
-        observed=(away @ mounting.T @ rotation).ravel(),
-    )  # fmt: skip
-    return Example(record, setup, (x,))
-
-
 ANTENNA_POSITION = register_condition(
-    "antenna_position", position_residual, position_jacobian, (Argument("image", "prior sigma"),), _position_example,
+    "antenna_position",
+    position_residual,
+    position_jacobian,
+    (Argument("image", "prior sigma"),),
     "Terlemezoğlu 2019, eq. 2.2; shift and drift: Ackermann 1994",
-)  # fmt: skip
+)
 INERTIAL_ATTITUDE = register_condition(
-    "inertial_attitude", attitude_residual, attitude_jacobian, (Argument("image", "prior sigma"),), _attitude_example,
+    "inertial_attitude",
+    attitude_residual,
+    attitude_jacobian,
+    (Argument("image", "prior sigma"),),
     "Terlemezoğlu 2019, eq. 2.2, as a rotation vector",
-)  # fmt: skip
+)

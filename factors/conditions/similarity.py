@@ -11,10 +11,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors._contract import Argument, Array, Equation, compiled, register
 from factors.cameras.frame_camera import CAMERA, rotate, turned
 from factors.conditions.control import POINT, whitened
-from factors.geometry.rotations import cross, random_rotation
+from factors.geometry.rotations import cross
 from factors.records import Record
 
 #: Record of the control point X (W row-major, X); x, R_0 row-major, s_0, t_0.
@@ -58,15 +58,7 @@ def kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Ar
     return value, out
 
 
-def _example(rng: np.random.Generator) -> Example:
-    start = random_rotation(rng)
-    model, ground, whitening = rng.normal(size=3), rng.normal(size=3), rng.normal(size=9)
-    record = RECORD.pack(model=model, place=ground, whitening=whitening, rotation=start.ravel(),
-                         scale=rng.uniform(0.5, 2.0), shift=rng.normal(size=3))  # fmt: skip
-    return Example(record, np.zeros((2, 0)), (rng.normal(scale=0.5, size=7),))
-
-
 SIMILARITY = register(Equation(
-    "similarity", kernel, residual, (Argument("similarity", "rad, 1, m"),), _example,
+    "similarity", kernel, residual, (Argument("similarity", "rad, 1, m"),),
     "the seven-parameter transformation of absolute orientation",
 ))  # fmt: skip

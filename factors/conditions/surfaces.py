@@ -14,9 +14,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Example, compiled, register_condition
+from factors._contract import Argument, Array, compiled, register_condition
 from factors.cameras.frame_camera import CAMERA, by_turn, rotate, rotate_back, turned
-from factors.geometry.rotations import random_rotation
 from factors.records import Record
 
 #: Record of the ellipsoid, its rotation row-major; sphere and quadric have the factor s only.
@@ -105,29 +104,25 @@ def jacobians_quadric(record: Array, setup: Array, value: Array, c: Array, p: Ar
     return s * terms, 2.0 * s * slope
 
 
-def _example_ellipsoid(rng: np.random.Generator) -> Example:
-    start = random_rotation(rng)
-    record = RECORD.pack(factor=rng.uniform(0.5, 2.0), centre=rng.normal(size=3), rotation=start.ravel(),
-                         semi_axes=rng.uniform(1.0, 3.0, 3))  # fmt: skip
-    codes = np.sort(rng.permutation(UNKNOWN.size)[: rng.integers(1, UNKNOWN.size + 1)]).astype(float)
-    setup = np.ascontiguousarray(np.stack([codes, rng.uniform(0.02, 0.3, len(codes))]))
-    x = rng.normal(scale=0.5, size=len(codes))
-    return Example(record, setup, (x, record[RECORD.centre] + rng.normal(size=3)))
-
-
-_NONE: Final = np.zeros((2, 0))
 _POINT: Final = Argument("point", "m", is_point=True)
 SPHERE = register_condition(
-    "surface_sphere", residual_sphere, jacobians_sphere, (Argument("centre and radius", "m"), _POINT),
-    lambda rng: Example(rng.uniform(0.5, 2.0, 1), _NONE, (rng.normal(size=4), rng.normal(size=3))),
+    "surface_sphere",
+    residual_sphere,
+    jacobians_sphere,
+    (Argument("centre and radius", "m"), _POINT),
     "Ayhan 1996, eqs. 135-141",
-)  # fmt: skip
+)
 ELLIPSOID = register_condition(
-    "surface_ellipsoid", residual_ellipsoid, jacobians_ellipsoid, (Argument("corrections", "steps"), _POINT),
-    _example_ellipsoid, "Ayhan 1996, eqs. 142-154; free axes: the same in rotated coordinates",
-)  # fmt: skip
+    "surface_ellipsoid",
+    residual_ellipsoid,
+    jacobians_ellipsoid,
+    (Argument("corrections", "steps"), _POINT),
+    "Ayhan 1996, eqs. 142-154; free axes: the same in rotated coordinates",
+)
 QUADRIC = register_condition(
-    "surface_quadric", residual_quadric, jacobians_quadric, (Argument("coefficients", "1"), _POINT),
-    lambda rng: Example(rng.uniform(0.5, 2.0, 1), _NONE, (rng.normal(size=10), rng.normal(size=3))),
+    "surface_quadric",
+    residual_quadric,
+    jacobians_quadric,
+    (Argument("coefficients", "1"), _POINT),
     "Ayhan 1996, eq. 125",
-)  # fmt: skip
+)

@@ -133,9 +133,3 @@ def _matrices(rotation: Callable[..., Matrix], *arguments: Array) -> Array:
             for k, entry in enumerate(plain(rotation)(*(column for a in arguments for column in a[part].T))):
                 out[part, k] = entry
     return out.reshape(-1, 3, 3)
-
-
-def random_rotation(rng: np.random.Generator) -> Array:
-    """Draw a rotation (3, 3)."""
-    out, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    return np.asarray(out * np.sign(np.linalg.det(out)))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Argument, Equation, no_example
+from factors._contract import Argument, Equation
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import InputError
 
@@ -88,7 +88,7 @@ def _observation(block: Block, factor: Any, number: int) -> NativeObservation:
     def residual(_record: Array, _setup: Array, *x: Array) -> Array:
         return rows(*x)[0]
 
-    equation = Equation(label, kernel, residual, arguments, no_example, "GTSAM")
+    equation = Equation(label, kernel, residual, arguments, "GTSAM")
     return NativeObservation(equation, names, np.zeros(0), np.zeros((0, 0)), int(factor.dim()), label, factor)
 
 

@@ -24,7 +24,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Argument, Equation, no_example
+from factors._contract import Argument, Equation
 from fg_orient.adjustment.image_models import image_models, local_origin
 from fg_orient.adjustment.problem import Problem, State, participates
 from fg_orient.model.block import Block, Coordinates, ExtraObservation
@@ -311,6 +311,6 @@ def _observation(
         return residual(record, setup, *x), *(blocks if want else (np.empty((0, 0)),) * len(blocks))
 
     arguments = tuple(_ARGUMENTS[name.partition(":")[0]] for name in names)
-    equation = Equation(label, kernel, residual, arguments, no_example, "Helmert 1880: blocks")
+    equation = Equation(label, kernel, residual, arguments, "Helmert 1880: blocks")
     record = np.concatenate([rows.ravel(), value, right])  # identifies the observation in a checkpoint
     return ExtraObservation(equation, tuple(names), record, np.zeros((0, 0)), len(rows), label)

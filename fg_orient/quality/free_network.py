@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import qr
 
-from factors._contract import Argument, Equation, Example
+from factors._contract import Argument, Equation
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
@@ -62,9 +62,7 @@ def _kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, A
 
 #: Some unknowns of an image, each observed with sigma 1 prior sigma.
 HELD_UNKNOWNS: Final = Equation(
-    "held_unknowns", _kernel, _residual, (Argument("x", "prior sigma"),),
-    lambda rng: Example(np.array([0.0, 2.0]), rng.normal(size=(1, 2)), (rng.normal(size=4),)),
-    "minimal datum of a free network",
+    "held_unknowns", _kernel, _residual, (Argument("x", "prior sigma"),), "minimal datum of a free network",
 )  # fmt: skip
 
 

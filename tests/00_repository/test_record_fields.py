@@ -22,7 +22,7 @@ def residual(record, setup, x, ground):
 def kernel(record, setup, x, ground, want):
     return residual(record, setup, x, ground), np.zeros((1, 8)), np.zeros((1, 3))
 
-E = register(Equation("e", kernel, residual, (), None, ""))
+E = register(Equation("e", kernel, residual, (), ""))
 {more}
 """
 

@@ -10,6 +10,7 @@ import pytest
 from factors.cameras import pushbroom
 from fg_orient.kernels.batch import batch
 from fg_orient.kernels.batch_pushbroom import BLOCK, usual
+from tests.support.equation_examples import look_angle_collinearity
 
 N = 2 * BLOCK + 11  # whole blocks and a part of one
 N_IMAGES = 5
@@ -21,7 +22,7 @@ class Case:
     """Observations of random geometry, sorted at random, and what the rows write."""
 
     def __init__(self, rng: np.random.Generator, small: str, codes: list[int], n_basis: int = 2) -> None:
-        records = np.stack([pushbroom.example(rng).record for _ in range(N)])
+        records = np.stack([look_angle_collinearity(rng).record for _ in range(N)])
         records[:, pushbroom.RECORD.small_angle] = {"none": 0.0, "all": 1.0}.get(
             small, records[:, pushbroom.RECORD.small_angle]
         )

@@ -20,6 +20,7 @@ from factors._sources import stamp
 from factors.cameras import pushbroom
 from factors.geometry import light
 from fg_orient.kernels import batch_pairs, batch_pushbroom, vectors
+from tests.support.equation_examples import look_angle_collinearity
 
 pytestmark = pytest.mark.behaviour
 
@@ -239,7 +240,7 @@ def test_stamp_of_a_kernel_follows_functions_and_intrinsics() -> None:
 
 def test_a_function_that_numba_compiles_may_call_kernels() -> None:
     """A user's own loop over an equation: with all that the kernel calls, arrays that it makes among it."""
-    e = pushbroom.example(np.random.default_rng(5))
+    e = look_angle_collinearity(np.random.default_rng(5))
     fill: Any = pushbroom.fill
 
     @numba.njit

@@ -12,21 +12,29 @@ import factors
 from factors._contract import Equation, evaluate, register, registered
 from factors.cameras.pushbroom import RECORD
 from tests.support.complex_step import Derived, derived_uncompiled
+from tests.support.equation_examples import EXAMPLES
+from tests.support.equation_examples import example as draw
 
 for found in walk_packages(factors.__path__, "factors."):
     import_module(found.name)  # registers
-#: Those of the package, whatever other tests have registered.
-EQUATIONS = sorted(
-    (e for e in registered().values() if e.example.__module__.startswith("factors.")), key=lambda e: e.name
-)
+#: Equations of the package, whatever other tests have registered.
+EQUATIONS = sorted((registered()[name] for name in EXAMPLES), key=lambda e: e.name)
+#: Modules of the package that register equations.
+PACKAGE = {m.name for m in walk_packages(factors.__path__, "factors.")} - {"factors._contract"}
 DRAWS = 60
 
 
 @pytest.fixture(scope="module")
 def references() -> dict[str, list[Derived]]:
     """Examples of every equation and their Jacobians by complex step."""
-    modules = sorted({equation.example.__module__ for equation in EQUATIONS})
-    return derived_uncompiled(modules, DRAWS, seed=1)
+    return derived_uncompiled(DRAWS, seed=1)
+
+
+@pytest.mark.repository
+def test_every_equation_has_examples() -> None:
+    """Equations whose kernel or residual is a function of the package; other tests may register further ones."""
+    own = (e for e in registered().values() if {e.kernel.__module__, e.residual.__module__} & PACKAGE)
+    assert {e.name for e in own} == set(EXAMPLES)
 
 
 @pytest.mark.oracle
@@ -54,7 +62,7 @@ def test_jacobian_equals_central_differences(equation: Equation) -> None:
     """
     rng, step = np.random.default_rng(2), 1e-3
     for _ in range(10):
-        example = equation.example(rng)
+        example = draw(equation, rng)
         _, *jacobians = equation.kernel(example.record, example.setup, *example.unknowns, True)
         for k, jacobian in enumerate(jacobians):
             for c in range(jacobian.shape[1]):
@@ -73,7 +81,7 @@ def test_jacobian_equals_central_differences(equation: Equation) -> None:
 def test_value_does_not_depend_on_the_request_for_jacobians(equation: Equation) -> None:
     rng = np.random.default_rng(3)
     for _ in range(DRAWS):
-        example = equation.example(rng)
+        example = draw(equation, rng)
         with_j = equation.kernel(example.record, example.setup, *example.unknowns, True)[0]
         without = equation.kernel(example.record, example.setup, *example.unknowns, False)[0]
         assert np.array_equal(with_j, without)
@@ -84,7 +92,7 @@ def test_value_does_not_depend_on_the_request_for_jacobians(equation: Equation) 
 @pytest.mark.parametrize("equation", [e for e in EQUATIONS if e.fill], ids=lambda e: e.name)
 def test_fill_gives_the_same_numbers_and_refuses_wrong_sizes(equation: Equation) -> None:
     rng = np.random.default_rng(12)
-    e = equation.example(rng)
+    e = draw(equation, rng)
     value, *jacobians = equation.kernel(e.record, e.setup, *e.unknowns, True)
     out = np.full((len(value), 1 + sum(len(u) for u in e.unknowns)), 7.0)
     assert equation.fill(e.record[None].copy(), 0, e.setup, *e.unknowns, out, True)
@@ -101,7 +109,7 @@ def test_fill_gives_the_same_numbers_and_refuses_wrong_sizes(equation: Equation)
 @pytest.mark.parametrize("equation", EQUATIONS, ids=lambda e: e.name)
 def test_batch_equals_scalar(equation: Equation) -> None:
     rng = np.random.default_rng(4)
-    examples = [equation.example(rng) for _ in range(7)]
+    examples = [draw(equation, rng) for _ in range(7)]
     unknowns = [[e.unknowns[k] for e in examples] for k in range(len(equation.arguments))]
     values, blocks = evaluate(equation, np.array([e.record for e in examples]), [e.setup for e in examples], *unknowns)
     for i, e in enumerate(examples):
@@ -115,7 +123,7 @@ def test_batch_equals_scalar(equation: Equation) -> None:
 def test_two_equations_of_one_name_are_refused() -> None:
     known = EQUATIONS[0]
     with pytest.raises(ValueError, match=known.name):
-        register(Equation(known.name, lambda *a: (), known.residual, known.arguments, known.example, ""))
+        register(Equation(known.name, lambda *a: (), known.residual, known.arguments, ""))
 
 
 def reference_conditions(record: np.ndarray, setup: np.ndarray, x: np.ndarray, ground: np.ndarray) -> np.ndarray:
@@ -158,7 +166,7 @@ def test_pushbroom_equals_an_independent_evaluation() -> None:
     equation = registered()["look_angle_collinearity"]
     rng = np.random.default_rng(5)
     for _ in range(DRAWS):
-        e = equation.example(rng)
+        e = draw(equation, rng)
         record = e.record.copy()
         record[RECORD.whitening] = 1.0, 0.0, 0.0, 1.0
         ours = equation.residual(record, e.setup, *e.unknowns)
@@ -171,7 +179,7 @@ def test_differences_keep_their_digits() -> None:
     """A correction of 1e-9 prior sigmas changes F by its derivative to 1e-6 relative: no cancellation."""
     equation = registered()["look_angle_collinearity"]
     rng = np.random.default_rng(6)
-    e = equation.example(rng)
+    e = draw(equation, rng)
     record = e.record.copy()
     record[RECORD.follows], record[RECORD.small_angle] = 1.0, 0.0
     zero = np.zeros_like(e.unknowns[0])

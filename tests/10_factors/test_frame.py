@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from factors.cameras import frame, frame_camera
 from factors.cameras.frame_camera import CAMERA
 from fg_orient.kernels.batch import batch
+from tests.support.equation_examples import frame_collinearity
 
 
 def camera_of(rng: np.random.Generator, distortion: np.ndarray) -> np.ndarray:
@@ -43,7 +44,7 @@ def test_residual_equals_the_printed_formulas() -> None:
     """OpenCV's documentation, and Brown's correction of what was measured, written with numpy: 16 digits of pixels."""
     rng = np.random.default_rng(3)
     for _ in range(40):
-        e = frame.example(rng)
+        e = frame_collinearity(rng)
         (observed, weight), start = e.record[:4].reshape(2, 2), e.record[frame.RECORD.rotation].reshape(3, 3)
         interior = e.record[frame.RECORD.centre.start :]
         d = np.zeros(frame.N_UNKNOWNS + 3)  # some draws have an unknown that no pixel feels
@@ -90,9 +91,9 @@ def test_ideal_directions_invert_the_distortion_and_stop_at_its_fold() -> None:
 def rows_of(parts: list[tuple[int, int]], corrects: bool = False, spoil: bool = False) -> tuple[np.ndarray, list[int]]:
     """Value and Jacobians of 30 rays of 3 images in one array, computed in parts; what each part reports."""
     rng = np.random.default_rng(5)
-    e = frame.example(rng)
+    e = frame_collinearity(rng)
     while e.setup.shape[1] != 9:
-        e = frame.example(rng)
+        e = frame_collinearity(rng)
     n, (k, point) = 30, (9, e.unknowns[1])
     records = np.tile(e.record, (n, 1))
     records[:, frame.RECORD.unit] = 900.0 if corrects else 0.0

@@ -10,21 +10,22 @@ from factors._contract import Argument, Equation, check_blocks, evaluate
 from factors.cameras import pushbroom
 from factors.conditions.control import CONTROL_POINT, POINT, whitening
 from factors.graph import factor
-from tests.support.observed_parameters import OBSERVED_PARAMETERS
+from tests.support.equation_examples import Example, control_point, look_angle_collinearity
+from tests.support.observed_parameters import OBSERVED_PARAMETERS, observed_parameters
 
 E0, P0 = gtsam.symbol("e", 0), gtsam.symbol("p", 0)
 LABEL = "image left, point 12"
 
 
-def example() -> tuple[pushbroom.Example, gtsam.Values]:
-    e = pushbroom.example(np.random.default_rng(7))
+def example() -> tuple[Example, gtsam.Values]:
+    e = look_angle_collinearity(np.random.default_rng(7))
     values = gtsam.Values()
     values.insert(E0, e.unknowns[0])
     values.insertPoint3(P0, e.unknowns[1])
     return e, values
 
 
-def image_point(e: pushbroom.Example, equation: Equation, ground: object = P0) -> gtsam.CustomFactor:
+def image_point(e: Example, equation: Equation, ground: object = P0) -> gtsam.CustomFactor:
     return factor(equation, (E0, ground), (len(e.unknowns[0]), 3), e.record, e.setup, label=LABEL)
 
 
@@ -116,7 +117,7 @@ def test_faulty_kernels_are_named(fault: str) -> None:
         return WRONG[fault](*pushbroom.LOOK_ANGLE_COLLINEARITY.kernel(record, setup, x, g, True))
 
     base = pushbroom.LOOK_ANGLE_COLLINEARITY
-    broken = Equation("my_broken_equation", kernel, base.residual, base.arguments, base.example, "")
+    broken = Equation("my_broken_equation", kernel, base.residual, base.arguments, "")
     graph = gtsam.NonlinearFactorGraph()
     graph.add(image_point(e, broken))
     with pytest.raises(ValueError, match=f"'my_broken_equation', {LABEL}"):
@@ -183,7 +184,7 @@ def test_float32_and_missing_blocks_are_refused() -> None:
 def test_general_wrapper_checks_too() -> None:
     """Equations of one argument take the general path."""
     rng = np.random.default_rng(8)
-    e = CONTROL_POINT.example(rng)
+    e = control_point(rng)
     values = gtsam.Values()
     values.insertPoint3(P0, e.unknowns[0])
     good = factor(CONTROL_POINT, (P0,), (3,), e.record, e.setup, label=LABEL, n_residuals=3)
@@ -193,7 +194,7 @@ def test_general_wrapper_checks_too() -> None:
     assert np.array_equal(b, -value)
     bad = Equation(
         "short", lambda *a: CONTROL_POINT.kernel(*a)[:1], CONTROL_POINT.residual, (Argument("ground", "m", True),),
-        CONTROL_POINT.example, "",
+        "",
     )  # fmt: skip
     with pytest.raises(ValueError, match="'short'"):
         factor(bad, (P0,), (3,), e.record, e.setup, label=LABEL, n_residuals=3).linearize(values)
@@ -203,7 +204,7 @@ def test_general_wrapper_checks_too() -> None:
 def test_priors_equal_gtsams_own() -> None:
     """The control equations and GTSAM's prior factors give the same normal equations."""
     rng = np.random.default_rng(9)
-    e = CONTROL_POINT.example(rng)
+    e = control_point(rng)
     values = gtsam.Values()
     values.insertPoint3(P0, e.unknowns[0])
     ours = factor(CONTROL_POINT, (P0,), (3,), e.record, e.setup, label=LABEL, n_residuals=3)
@@ -213,7 +214,7 @@ def test_priors_equal_gtsams_own() -> None:
     n_theirs = graph.linearize(values).hessian()[0]
     n_ours = ours.linearize(values).information()
     assert np.abs(n_ours - n_theirs).max() <= 1e-14 * np.abs(n_theirs).max()
-    p = OBSERVED_PARAMETERS.example(rng)
+    p = observed_parameters(rng)
     vector = gtsam.Values()
     vector.insert(E0, p.unknowns[0])
     f = factor(OBSERVED_PARAMETERS, (E0,), (5,), p.record, p.setup, label=LABEL, n_residuals=5)

@@ -21,6 +21,7 @@ from fg_orient.sensors import initial
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.surface import RasterDem
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from tests.support.equation_examples import EXAMPLES
 
 Array = np.ndarray
 
@@ -194,7 +195,7 @@ def up_errors(found: Array, truth: Array) -> Array:
 
 @pytest.mark.oracle
 def test_height_control_is_registered_with_its_jacobian() -> None:
-    e = HEIGHT_CONTROL.example(np.random.default_rng(1))
+    e = EXAMPLES["height_control"](np.random.default_rng(1))
     value, jacobian = HEIGHT_CONTROL.kernel(e.record, e.setup, *e.unknowns, True)
     for c in range(3):
         z = e.unknowns[0].astype(complex)

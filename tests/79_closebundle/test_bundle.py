@@ -378,4 +378,4 @@ def _difference() -> object:
     def kernel(record: Array, setup: Array, x: Array, y: Array, want: bool) -> tuple[Array, Array, Array]:
         return residual(record, setup, x, y), np.array([[1.0, 0.0]]), np.array([[-1.0, 0.0]])
 
-    return Equation("difference", kernel, residual, (Argument("x", "1"), Argument("y", "1")), lambda rng: None, "")  # type: ignore[arg-type, return-value]
+    return Equation("difference", kernel, residual, (Argument("x", "1"), Argument("y", "1")), "")

@@ -92,19 +92,16 @@ def block(twin: Path) -> Block:
     return fg.read_project(twin)
 
 
-def check_jacobians(equation: _contract.Equation) -> None:
+def check_jacobians(equation: _contract.Equation, record: np.ndarray, setup: np.ndarray, *unknowns: np.ndarray) -> None:
     """Complex step has no truncation error: a few roundings of the largest element remain."""
-    rng, step = np.random.default_rng(3), 1e-30
-    for _ in range(5):
-        e = equation.example(rng)
-        value, *jacobians = equation.kernel(e.record, e.setup, *e.unknowns, True)
-        for k, jacobian in enumerate(jacobians):
-            for c in range(jacobian.shape[1]):
-                z = [u.astype(complex) for u in e.unknowns]
-                z[k][c] += 1j * step
-                numeric = equation.residual(e.record, e.setup, *z).imag / step
-                assert np.abs(jacobian[:, c] - numeric).max() <= 1e-14 * np.abs(jacobian).max()
-        assert np.array_equal(equation.kernel(e.record, e.setup, *e.unknowns, False)[0], value)
+    value, *jacobians = equation.kernel(record, setup, *unknowns, True)
+    for k, jacobian in enumerate(jacobians):
+        for c in range(jacobian.shape[1]):
+            z = [u.astype(complex) for u in unknowns]
+            z[k][c] += 1e-30j
+            numeric = equation.residual(record, setup, *z).imag / 1e-30
+            assert np.abs(jacobian[:, c] - numeric).max() <= 1e-14 * np.abs(jacobian).max()
+    assert np.array_equal(equation.kernel(record, setup, *unknowns, False)[0], value)
 
 
 @pytest.mark.behaviour
@@ -211,7 +208,10 @@ def test_sensor_in_a_project_file(parallel: tuple[Path, dict[str, Any]], files: 
     lon, lat, height = true["PLACE"]
     outside = in_process(*own, "project", folder / "left.parallel", "--lon", lon, "--lat", lat, "--height", height)
     assert "999.500" in outside.stdout
-    check_jacobians(_contract.registered()["docs_parallel"])
+    rng, setup = np.random.default_rng(3), np.array([[0.0, 1.0], [2.0, 3.0]])
+    for _ in range(5):
+        unknowns = rng.normal(size=2), rng.normal(size=3)
+        check_jacobians(_contract.registered()["docs_parallel"], rng.normal(size=13), setup, *unknowns)
 
 
 @pytest.mark.consistency
@@ -266,7 +266,10 @@ def place_of(middle: tuple[float, float, float], matrix: np.ndarray, pixel: np.n
 def test_equation_in_a_block(files: dict[str, Path], block: Block) -> None:
     """A distance to a check point, 5 m longer than it was, pulls the point along it."""
     page = load_plugin(files["equation"])
-    check_jacobians(page.DISTANCE)
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        record = page.TAPE.pack(station=rng.normal(size=3), distance=2.0, sigma=0.01)
+        check_jacobians(page.DISTANCE, record, np.zeros((2, 0)), rng.normal(size=3) + 5.0)
     before = fg.adjust(block, backend="graph")
     j = int(block.points.where(fg.Role.CHECK)[0])
     up = before.problem.axes(before.ground_m[j][None])[0, 2]

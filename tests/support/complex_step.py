@@ -7,15 +7,14 @@ in which nothing is compiled, evaluates them.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from importlib import import_module
 from multiprocessing import get_context
 from unittest.mock import patch
 
 import numpy as np
 
-from factors._contract import Equation, Example, registered
+from factors._contract import Equation, registered
+from tests.support.equation_examples import EXAMPLES, Example
 
 #: Example and the derivatives (m, k_i) of the residual with respect to each argument.
 Derived = tuple[Example, tuple[np.ndarray, ...]]
@@ -31,22 +30,20 @@ def complex_step(equation: Equation, example: Example, which: int) -> np.ndarray
     return np.stack(columns, axis=1)
 
 
-def derived(modules: Sequence[str], draws: int, seed: int) -> dict[str, list[Derived]]:
-    """Draw examples of the equations that some modules register, and derive them."""
-    for module in modules:
-        import_module(module)
+def derived(draws: int, seed: int) -> dict[str, list[Derived]]:
+    """Draw examples of all equations, and derive them."""
     out: dict[str, list[Derived]] = {}
-    for name, equation in registered().items():
-        rng = np.random.default_rng(seed)
-        examples = [equation.example(rng) for _ in range(draws)]
+    for name, draw in EXAMPLES.items():
+        rng, equation = np.random.default_rng(seed), registered()[name]
+        examples = [draw(rng) for _ in range(draws)]
         out[name] = [(e, tuple(complex_step(equation, e, k) for k in range(len(e.unknowns)))) for e in examples]
     return out
 
 
-def derived_uncompiled(modules: Sequence[str], draws: int, seed: int) -> dict[str, list[Derived]]:
+def derived_uncompiled(draws: int, seed: int) -> dict[str, list[Derived]]:
     """Do :func:`derived` in a process in which numba does not compile."""
     with (
         patch.dict(os.environ, {"NUMBA_DISABLE_JIT": "1"}),
         ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
     ):
-        return pool.submit(derived, modules, draws, seed).result()
+        return pool.submit(derived, draws, seed).result()

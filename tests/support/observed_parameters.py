@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from factors._contract import Argument, Array, Example, compiled, register_condition
+from factors._contract import Argument, Array, compiled, register_condition
+from tests.support.equation_examples import Example
 
 
 @compiled
@@ -20,12 +21,12 @@ def jacobian(record: Array, setup: Array, value: Array, x: Array) -> Array:
     return np.asarray(np.diag(1.0 / setup[1]))
 
 
-def example(rng: np.random.Generator) -> Example:
+def observed_parameters(rng: np.random.Generator) -> Example:
     """Five parameters."""
     setup = np.stack([rng.normal(size=5), rng.uniform(0.1, 2.0, 5)])
     return Example(np.zeros(0), setup, (rng.normal(size=5),))
 
 
 OBSERVED_PARAMETERS = register_condition(
-    "test_observed_parameters", residual, jacobian, (Argument("x", "prior sigma"),), example, "test"
+    "test_observed_parameters", residual, jacobian, (Argument("x", "prior sigma"),), "test"
 )

@@ -1,0 +1,285 @@
+"""Random states of the registered equations of ``factors``, for the generic tests.
+
+Each state is well posed. Over many draws a state covers every branch of its equation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from factors._contract import Array, Equation
+from factors.cameras import dlt as dlt_equation
+from factors.cameras import extended_collinearity, frame, plane, pushbroom, pushbroom_record, rfm_equation
+from factors.conditions import circles, constraints, control, coplanarity, navigation, similarity, surfaces
+from factors.conditions.navigation import ATTITUDE, POSITION
+from factors.geometry import rotations
+
+_NONE = np.zeros((2, 0))
+
+
+class Example(NamedTuple):
+    """Constants of an observation and values of its unknowns: record (d,), setup (2, k), one vector per argument."""
+
+    record: Array
+    setup: Array
+    unknowns: tuple[Array, ...]
+
+
+def random_rotation(rng: np.random.Generator) -> Array:
+    """Draw a rotation (3, 3)."""
+    out, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return np.asarray(out * np.sign(np.linalg.det(out)))
+
+
+def look_angle_collinearity(rng: np.random.Generator) -> Example:
+    """SPOT-like observation; both kinds of files, both attitude forms and curves occur."""
+    p = rng.normal(size=3)
+    p *= 7.2e6 / np.linalg.norm(p)
+    v = np.cross(p, rng.normal(size=3))
+    v = 7400.0 * v / np.linalg.norm(v) + 8.0 * p / np.linalg.norm(p)
+    psi_x, psi_y = rng.uniform(-0.02, 0.02), rng.uniform(-0.4, 0.4)
+    ray = rotations.orbital_frames(p[None], v[None])[0] @ np.array([-np.tan(psi_y), np.tan(psi_x), -1.0])
+    turn = rotations.attitude_matrices(rng.normal(scale=1e-3, size=(1, 3)), False)[0]
+    record = pushbroom.RECORD.pack(
+        position=p, velocity=v, angles=rng.normal(scale=1e-3, size=3), mounting=turn.ravel(), tau=rng.uniform(-1, 1),
+        look=[psi_x, psi_y], s=rng.uniform(-1, 1), whitening=rng.normal(scale=5e5, size=4),
+        follows=rng.integers(0, 2), small_angle=rng.integers(0, 2), reference=np.zeros(3), from_position=8.4e5 * ray,
+    )  # fmt: skip
+    sigma = np.repeat([[10.0, 1.0, 0.1], [1e-2, 1e-3, 1e-4], [5e-5, 1e-5, 2e-6]], 3, axis=0).ravel()
+    curve, curves = pushbroom_record.CURVE, pushbroom_record.CURVES
+    codes = np.arange(pushbroom_record.N_EOP + 6.0)
+    codes = np.concatenate([codes, [curve, curve + curves + 1.0, curve + 7.0 * curves]])
+    setup = np.ascontiguousarray(np.stack([codes, np.concatenate([sigma, np.full(6, 1e-4), [1.0, 1.0, 1e-5]])]))
+    unknowns = rng.normal(size=len(codes)), rng.normal(scale=100.0, size=3)
+    return Example(np.concatenate([record, rng.normal(size=2)]), setup, unknowns)
+
+
+def frame_collinearity(rng: np.random.Generator) -> Example:
+    """Wide-angle camera; both directions of the polynomial, small and large rotations, subsets of unknowns."""
+    start, n = random_rotation(rng), frame.N_UNKNOWNS
+    centre, depth = rng.normal(scale=100.0, size=3), rng.uniform(50.0, 500.0)
+    ground = centre + start.T @ (depth * np.array([*rng.uniform(-0.4, 0.4, 2), 1.0]))
+    focal, principal = rng.uniform(500.0, 5e3), rng.uniform(-50.0, 50.0, 2)
+    distortion, (line, sample) = rng.normal(size=5) * np.repeat([0.05, 1e-3], [3, 2]), rng.uniform(-1e3, 1e3, 2)
+    a_line, a_sample = 1.0 / rng.uniform(0.2, 2.0, 2)
+    sigma = np.repeat([rng.choice([1e-5, 1e-3, 0.1]), 0.3, 3.0, 2.0, 1e-2, 1e-4, 1e-3], [3, 3, 1, 2, 3, 2, 1])
+    codes = np.sort(rng.permutation(n)[: rng.integers(1, n + 1)])
+    setup = np.stack([codes.astype(float), sigma[codes]])
+    if rng.random() < 0.3:
+        setup = np.column_stack([setup, [n + 2.0, 1.0]])
+    aspect, unit = (rng.normal(scale=1e-3), focal * rng.uniform(0.5, 2.0)) if rng.random() < 0.5 else (0.0, 0.0)
+    record = frame.RECORD.pack(
+        line=line, sample=sample, a_line=a_line, a_sample=a_sample, rotation=start.ravel(), centre=centre, focal=focal,
+        principal=principal, distortion=distortion, aspect=aspect, unit=unit,
+    )  # fmt: skip
+    x = rng.normal(size=len(setup[0]))
+    return Example(record, np.ascontiguousarray(setup), (x, ground + rng.normal(scale=1.0, size=3)))
+
+
+def rational_function(rng: np.random.Generator) -> Example:
+    """Metre-resolution image; shift, drift and affine compensation occur."""
+    c = rng.normal(scale=1e-3, size=(4, 20))
+    c[1::2, 0] = 1.0
+    c[0, 1:4] += 0.1 * rng.normal(), -1.0, 0.1 * rng.normal()
+    c[2, 1:4] += 1.0, 0.1 * rng.normal(), 0.1 * rng.normal()
+    lon, lat = rng.uniform(-np.pi, np.pi), rng.uniform(-1.4, 1.4)
+    line, sample = rng.uniform(0.0, 2e4, 2)
+    record = rfm_equation.RECORD.pack(
+        line=line, sample=sample, whitening=(np.eye(2) + 0.2 * rng.normal(size=(2, 2))).ravel() / 0.5, line_offset=1e4,
+        sample_offset=1.2e4, line_scale=1e4, sample_scale=1.2e4, normalised=rng.uniform(-1, 1, 3),
+        scales=[2e-3 / np.cos(lat), -1.6e-3, 500.0], reference=rng.normal(scale=1e3, size=3),
+        frame=[np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat), rng.uniform(-100.0, 3e3)], coefficients=c.ravel(),
+    )  # fmt: skip
+    codes = list(rfm_equation.COMPENSATIONS.values())[rng.integers(0, 3)]
+    setup = np.ascontiguousarray(np.stack([np.array(codes, float), rng.uniform(0.5, 10.0, len(codes))]))
+    x, away = rng.normal(size=len(codes)), rng.normal(scale=300.0, size=3)
+    return Example(record, setup, (x, record[rfm_equation.RECORD.reference] + away))
+
+
+def extended(rng: np.random.Generator) -> Example:
+    """Camera with any of its parameters as own or shared unknowns."""
+    n_camera = extended_collinearity.CAMERA.size
+    start = random_rotation(rng)
+    centre, seen = rng.normal(size=3), np.append(rng.normal(scale=0.4, size=2), 1.0) * rng.uniform(3.0, 9.0)
+    codes = rng.permutation(n_camera)[: rng.integers(2, n_camera + 1)]
+    n = int(rng.integers(1, len(codes)))
+    image, power, sign = rng.normal(size=2), rng.integers(0, 2), rng.choice([-1.0, 1.0])
+    camera = np.append(2.1, rng.normal(scale=0.02, size=n_camera - 1))
+    setup = np.ascontiguousarray(np.stack([codes.astype(float), rng.uniform(0.01, 0.1, len(codes))]))
+    x = rng.normal(scale=0.3, size=len(codes))
+    record = extended_collinearity.RECORD.pack(
+        x=image[0], y=image[1], w11=1.3, w12=0.2, w22=0.7, power=power, sign=sign, held_c=2.0, camera=camera,
+        rotation=start.ravel(), radius=rng.uniform(0.8, 2.0),
+    )  # fmt: skip
+    return Example(record, setup, (x[:n], x[n:], rng.normal(scale=0.02, size=3), centre, centre + start.T @ seen))
+
+
+def _plane_record(rng: np.random.Generator) -> Array:
+    """Record of a normalised point with correlated coordinates."""
+    w11, w12, w22 = rng.uniform(0.5, 2.0), rng.normal(), rng.uniform(0.5, 2.0)
+    source, target = rng.uniform(-1.0, 1.0, 3), rng.uniform(-1.0, 1.0, 2)
+    return plane.RECORD.pack(source=source, target=target, w11=w11, w12=w12, w22=w22)
+
+
+def dlt(rng: np.random.Generator) -> Example:
+    """Eleven parameters and some coefficients of the distortion."""
+    x = np.concatenate([rng.normal(size=8), rng.uniform(-0.2, 0.2, 3)])
+    most = dlt_equation.N_DISTORTION
+    codes = np.sort(rng.permutation(most)[: rng.integers(0, most + 1)]).astype(float)
+    setup = np.ascontiguousarray(np.stack([codes, rng.uniform(0.01, 0.1, len(codes))]))
+    record = np.concatenate([_plane_record(rng), rng.normal(scale=0.2, size=2)])
+    return Example(record, setup, (np.concatenate([x, rng.normal(size=len(codes))]),))
+
+
+def plane_transformation(n_linear: int, n_quotient: int = 0) -> Callable[[np.random.Generator], Example]:
+    """Transformation with these numbers of unknowns of numerators and denominators; 0: a polynomial of any degree."""
+
+    def draw(rng: np.random.Generator) -> Example:
+        degree = 0 if n_linear else int(rng.integers(1, plane.MAX_DEGREE + 1))
+        setup = _NONE if n_linear else plane.polynomial_setup(degree)
+        c = rng.normal(size=n_linear or 2 * setup.shape[1])
+        return Example(_plane_record(rng), setup, (np.concatenate([c, rng.uniform(-0.1, 0.1, n_quotient)]),))
+
+    return draw
+
+
+def _turned(rng: np.random.Generator, angle_rad: float) -> Array:
+    return np.asarray(navigation._rotation(np.eye(3).ravel(), rng.normal(size=3) * angle_rad)[0])
+
+
+def _navigation_parts(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+    """Rotations R_0 and B_0, setup and unknowns; large and small corrections occur, and subsets of unknowns."""
+    most = navigation.UNKNOWN.size
+    codes = np.sort(rng.permutation(most)[: rng.integers(1, most + 1)])
+    sigma = np.repeat([rng.choice([1e-5, 1e-2, 0.2]), 0.3, 1.0, 0.5, 0.1, 1e-3, 1e-4, 0.05, 1e-2],
+                      [3, 3, 9, 3, 3, 3, 3, 3, 3])  # fmt: skip
+    setup = np.ascontiguousarray(np.stack([codes.astype(float), sigma[codes]]))
+    return _turned(rng, 1.0), _turned(rng, 1.0), setup, rng.normal(size=len(codes))
+
+
+def antenna_position(rng: np.random.Generator) -> Example:
+    """Position of a receiver."""
+    rotation, mounting, setup, x = _navigation_parts(rng)
+    record = POSITION.pack(
+        offset=rng.normal(scale=0.5, size=3), arm=rng.normal(size=3), strip=_turned(rng, 1.0).ravel(),
+        whitening=rng.normal(size=9), rotation=rotation.ravel(), mounting=mounting.ravel(), tau=rng.uniform(-1, 1),
+    )  # fmt: skip
+    return Example(record, setup, (x,))
+
+
+def inertial_attitude(rng: np.random.Generator) -> Example:
+    """Attitude of an inertial unit, near its observation or far from it."""
+    rotation, mounting, setup, x = _navigation_parts(rng)
+    away = _turned(rng, rng.choice([0.0, 1e-5, 1e-2, 0.5]))
+    record = ATTITUDE.pack(
+        whitening=rng.normal(size=9), rotation=rotation.ravel(), mounting=mounting.ravel(), tau=rng.uniform(-1, 1),
+        observed=(away @ mounting.T @ rotation).ravel(),
+    )  # fmt: skip
+    return Example(record, setup, (x,))
+
+
+def circle(rng: np.random.Generator) -> Example:
+    """Tilted circle."""
+    normal, e_1, e_2 = np.linalg.qr(rng.normal(size=(3, 3)))[0].T
+    record = circles.CIRCLE_RECORD.pack(factor=rng.uniform(0.5, 2.0), normal=normal, e_1=e_1, e_2=e_2)
+    return Example(record, _NONE, (rng.normal(scale=0.3, size=6), rng.normal(size=3)))
+
+
+def equal_attitude(rng: np.random.Generator) -> Example:
+    """Two cameras."""
+    first, second, between = (random_rotation(rng).ravel() for _ in range(3))
+    record = circles.ATTITUDE_RECORD.pack(factor=rng.uniform(0.5, 2.0), first=first, second=second, between=between)
+    return Example(record, _NONE, (rng.normal(scale=0.3, size=3), rng.normal(scale=0.3, size=3)))
+
+
+def _figure(rng: np.random.Generator) -> Array:
+    factor, place, axes = rng.uniform(0.5, 2.0), rng.normal(size=3), np.linalg.qr(rng.normal(size=(3, 3)))[0].T
+    return constraints.FIGURE.pack(factor=factor, place=place, normal=axes[0], e_1=axes[1], e_2=axes[2])
+
+
+def ellipsoid(rng: np.random.Generator) -> Example:
+    """Ellipsoid with a subset of its unknowns."""
+    start, most = random_rotation(rng), surfaces.UNKNOWN.size
+    record = surfaces.RECORD.pack(factor=rng.uniform(0.5, 2.0), centre=rng.normal(size=3), rotation=start.ravel(),
+                                  semi_axes=rng.uniform(1.0, 3.0, 3))  # fmt: skip
+    codes = np.sort(rng.permutation(most)[: rng.integers(1, most + 1)]).astype(float)
+    setup = np.ascontiguousarray(np.stack([codes, rng.uniform(0.02, 0.3, len(codes))]))
+    x = rng.normal(scale=0.5, size=len(codes))
+    return Example(record, setup, (x, record[surfaces.RECORD.centre] + rng.normal(size=3)))
+
+
+def control_point(rng: np.random.Generator) -> Example:
+    """Control point with correlated coordinates."""
+    a = rng.normal(size=(3, 3))
+    w = control.whitening(a @ a.T + np.eye(3))
+    return Example(control.POINT.pack(whitening=w.ravel(), place=rng.normal(size=3)), _NONE, (rng.normal(size=3),))
+
+
+def relative_orientation(rng: np.random.Generator) -> Example:
+    """Two images and one point."""
+    start = random_rotation(rng)
+    base, n_1, n_2 = np.linalg.qr(rng.normal(size=(3, 3)))[0].T
+    record = coplanarity.RECORD.pack(
+        factor=rng.uniform(0.5, 2.0), rotation=start.ravel(), base=base, n_1=n_1, n_2=n_2
+    )  # fmt: skip
+    return Example(record, _NONE, (rng.normal(scale=0.5, size=5), rng.uniform(-1.0, 1.0, 4)))
+
+
+def similarity_point(rng: np.random.Generator) -> Example:
+    """Point of a model and its control point."""
+    start = random_rotation(rng)
+    model, ground, whitening = rng.normal(size=3), rng.normal(size=3), rng.normal(size=9)
+    record = similarity.RECORD.pack(model=model, place=ground, whitening=whitening, rotation=start.ravel(),
+                                    scale=rng.uniform(0.5, 2.0), shift=rng.normal(size=3))  # fmt: skip
+    return Example(record, _NONE, (rng.normal(scale=0.5, size=7),))
+
+
+def _simple(record: Callable[[np.random.Generator], Array], *sizes: int) -> Callable[[np.random.Generator], Example]:
+    """State with normal unknowns of these sizes."""
+    return lambda rng: Example(record(rng), _NONE, tuple(rng.normal(size=n) for n in sizes))
+
+
+def _factors(n: int) -> Callable[[np.random.Generator], Array]:
+    return lambda rng: rng.uniform(0.5, 2.0, n)
+
+
+#: Function that draws a state, by the name of the equation.
+EXAMPLES: dict[str, Callable[[np.random.Generator], Example]] = {
+    "look_angle_collinearity": look_angle_collinearity,
+    "frame_collinearity": frame_collinearity,
+    "rational_function": rational_function,
+    "extended_collinearity_measured_to_ideal": extended,
+    "dlt_brown_measured_to_ideal": dlt,
+    "plane_polynomial": plane_transformation(0),
+    "plane_helmert": plane_transformation(4),
+    "plane_projective": plane_transformation(6, 2),
+    "affine_projection": plane_transformation(8),
+    "parallel_projection": plane_transformation(8, 1),
+    "line_scanner_dlt": plane_transformation(8, 3),
+    "control_point": control_point,
+    "height_control": _simple(lambda rng: rng.normal(size=control.HEIGHT.size), 3),
+    "antenna_position": antenna_position,
+    "inertial_attitude": inertial_attitude,
+    "coplanarity": relative_orientation,
+    "similarity": similarity_point,
+    "constraint_distance": _simple(_factors(2), 3, 3),
+    "constraint_parallel": _simple(lambda rng: _figure(rng)[: constraints.DIRECTION.size], 3, 3, 3, 3),
+    "constraint_plane": lambda rng: Example(_figure(rng), _NONE, (rng.normal(scale=0.2, size=3), rng.normal(size=3))),
+    "constraint_line": lambda rng: Example(_figure(rng), _NONE, (rng.normal(scale=0.2, size=4), rng.normal(size=3))),
+    "constraint_plumb_line": _simple(_factors(1), 2, 3),
+    "constraint_circle": circle,
+    "constraint_horizontal_circle": _simple(_factors(1), 4, 3),
+    "constraint_equal_attitude": equal_attitude,
+    "observed_element": _simple(lambda rng: np.append(rng.uniform(0.5, 2.0, 2), rng.integers(0, 4)), 4),
+    "surface_sphere": _simple(_factors(1), 4, 3),
+    "surface_ellipsoid": ellipsoid,
+    "surface_quadric": _simple(_factors(1), 10, 3),
+}
+
+
+def example(equation: Equation, rng: np.random.Generator) -> Example:
+    """Draw a state of an equation."""
+    return EXAMPLES[equation.name](rng)
