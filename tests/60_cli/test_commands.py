@@ -121,10 +121,10 @@ def test_json_has_no_nan() -> None:
 
 
 def test_no_folder_of_this_machine_in_the_provenance(tmp_path: Path) -> None:
-    from fg_orient.cli.selftest import synthetic_block
+    from fg_orient.simulate.zonguldak import zonguldak_block
 
     command = ("fg-orient", "adjust", str(tmp_path / "a.toml"), f"--out={tmp_path}/x", "--eop-set=3", "-q")
-    found = provenance(synthetic_block()[0], tmp_path, command)
+    found = provenance(zonguldak_block()[0], tmp_path, command)
     assert found["command"] == ["fg-orient", "adjust", "a.toml", "--out=x", "--eop-set=3", "-q"]
     assert relative(str(tmp_path / "sub" / "f"), tmp_path) == "sub/f"
     assert relative("/elsewhere/f", tmp_path) == "f"
