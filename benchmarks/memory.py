@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import counts, spot_block
-from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import gauss_newton
 from fg_orient.adjustment.problem import Problem, compile_problem
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur import SchurBackend
 
 

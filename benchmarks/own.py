@@ -13,10 +13,10 @@ import gtsam
 from benchmarks.entries import FUNCTION_TOLERANCE, MAX_EVALUATIONS, Outcome
 from fg_orient.adjustment.explicit import ExplicitBackend
 from fg_orient.adjustment.graph import GraphBackend
-from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord, levenberg_marquardt
 from fg_orient.adjustment.optimisers import GTSAM_OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, compile_problem
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import solve
 from fg_orient.kernels.batch_pairs import pair_blocks

@@ -59,7 +59,7 @@ _INTERNAL = """
     fg_orient/cli fg_orient/closerange/*job.py fg_orient/closerange/importing.py
     fg_orient/closerange/report*.py fg_orient/formats/assemble.py fg_orient/formats/atomic.py
     fg_orient/formats/*_checks.py fg_orient/formats/gdal.py fg_orient/formats/toml.py
-    fg_orient/formats/rpc/fields.py fg_orient/formats/schema.py fg_orient/kernels/batch* fg_orient/model/cells.py
+    fg_orient/formats/rpc/fields.py fg_orient/formats/schema.py fg_orient/kernels/batch*
     fg_orient/model/messages fg_orient/rectification/job.py fg_orient/rectification/record.py
     fg_orient/rectification/study.py fg_orient/rectification/adjusted.py fg_orient/rectification/grid.py
     fg_orient/rectification/ortho*.py fg_orient/report/*.py
@@ -69,9 +69,9 @@ _INTERNAL = """
     fg_orient/studies/reproduce fg_orient/studies/tables_*.py
 """.split()
 _IMPORTED = """
-    fg_orient/adjustment/image_models.py fg_orient/adjustment/problem.py fg_orient/adjustment/regression.py
+    fg_orient/adjustment/problem.py fg_orient/adjustment/regression.py
     fg_orient/studies/comparison/compare.py fg_orient/studies/comparison/model.py fg_orient/studies/claims.py
-    fg_orient/adjustment/parts/solve.py fg_orient/adjustment/parts/study.py
+    fg_orient/adjustment/parts/study.py
     fg_orient/report/chart.py fg_orient/report/figures.py fg_orient/report/geofiles.py fg_orient/report/html.py
     fg_orient/report/maps.py fg_orient/report/paper.py fg_orient/report/plots.py
     fg_orient/simulate/block.py fg_orient/simulate/options.py fg_orient/simulate/simulation.py

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fg_orient.adjustment.linear.conditioning import diagnose
-from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.adjustment.linear.system import diagnose
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.studies.claims import AS_RUN_TWIN, Study
 from fg_orient.studies.switches import NUMBERED, PROGRAM, TEXT, Switches, label, names
 from fg_orient.studies.tables_spot5 import norm_condition

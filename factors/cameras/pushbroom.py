@@ -32,7 +32,7 @@ from factors.cameras import pushbroom_record
 from factors.cameras.pushbroom_record import CORRECTION, ROW, STORED, correction, corrections, observation, store, three
 from factors.cameras.pushbroom_record import RECORD as RECORD
 from factors.geometry import differences, orbital, rotations
-from factors.geometry.sines import sine_cosine
+from factors.geometry.rotations import sine_cosine
 
 
 @inlined

@@ -12,8 +12,7 @@ from typing import Any
 
 from factors._contract import inlined
 from factors.geometry import rotations
-from factors.geometry.rotations import Matrix, Vector
-from factors.geometry.sines import sine_cosine
+from factors.geometry.rotations import Matrix, Vector, sine_cosine
 
 
 @inlined

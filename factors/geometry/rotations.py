@@ -17,7 +17,7 @@ import numpy as np
 
 from factors._contract import Array, inlined
 from factors._plain import plain
-from factors.geometry.sines import sine_cosine
+from factors.geometry.rotations import sine_cosine
 
 #: Rows that fit into the second-level cache with all intermediate values.
 AT_ONCE: Final = 1024

@@ -2,9 +2,9 @@
 
 The influence of Andrews' sine is an arch of the sine that ends at pi. Cauchy's (Lorentz's) loss grows with the
 logarithm. The Danish method is in its continuous form; the original form, whose exponent depends on the cycle, is
-an iteration (``fg_orient.adjustment.irls``). The weights of Geman and McClure and of Welsch never reach zero, but their
-losses are bounded. Hampel's influence is constant from a to b = 2a and zero from c = 5a; its u is in units of a. Only
-Huber's loss is convex. Truncated least squares gives an observation the weight 1 or 0. Tukey's biweight has no
+an iteration (``fg_orient.adjustment.robust``). The weights of Geman and McClure and of Welsch never reach zero, but
+their losses are bounded. Hampel's influence is constant from a to b = 2a and zero from c = 5a; its u is in units of a.
+Only Huber's loss is convex. Truncated least squares gives an observation the weight 1 or 0. Tukey's biweight has no
 influence beyond c.
 """
 

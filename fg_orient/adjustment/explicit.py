@@ -19,12 +19,12 @@ import numpy.typing as npt
 from factors.conditions.control import POINT
 from factors.graph import factor, image_point_factors
 from factors.split import Split
-from fg_orient.adjustment.image_models import groups
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.native import NativeObservation
 from fg_orient.adjustment.point_groups import vector_parts
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust, ScaledLoss, squares
+from fg_orient.adjustment.rows import groups
 from fg_orient.model.block import ExtraObservation
 
 Array = npt.NDArray[np.float64]

@@ -18,7 +18,7 @@ import numpy as np
 
 from factors.cameras import pushbroom
 from fg_orient.adjustment.cofactors import CHUNK, WHOLE_LIMIT, full_statistics
-from fg_orient.adjustment.image_models import image_models
+from fg_orient.adjustment.rows import image_models
 from fg_orient.adjustment.schur_structure import ALL_KEPT, LEAST_CHUNKS
 from fg_orient.adjustment.solve import suitable_backend
 from fg_orient.model.block import Block

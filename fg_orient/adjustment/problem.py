@@ -18,8 +18,7 @@ import numpy.typing as npt
 from factors.conditions.control import POINT
 from factors.geometry import ellipsoid
 from fg_orient import geodesy
-from fg_orient.adjustment.image_models import image_models, local_origin
-from fg_orient.adjustment.rows import residuals, whitened_records
+from fg_orient.adjustment.rows import image_models, local_origin, residuals, whitened_records
 from fg_orient.adjustment.ties import Ties, ties_of
 from fg_orient.model.block import Block, ExtraObservation, ImagePoints
 from fg_orient.model.errors import InputError

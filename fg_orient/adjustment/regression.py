@@ -26,7 +26,6 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from factors._contract import NotFiniteError
-from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import (
     SHRINK_REWEIGHTED,
     Callback,
@@ -36,6 +35,7 @@ from fg_orient.adjustment.loop import (
     delayed_levenberg_marquardt,
     gauss_newton,
 )
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.errors import InputError, NoSolutionError
 
 Array = npt.NDArray[np.float64]

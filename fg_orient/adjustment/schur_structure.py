@@ -16,8 +16,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.image_models import groups
 from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.rows import groups
 from fg_orient.adjustment.schur_reduced import Pattern
 from fg_orient.kernels import batch_sort
 from fg_orient.kernels.batch import Columns, batch

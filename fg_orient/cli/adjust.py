@@ -1,4 +1,4 @@
-"""Commands ``adjust`` and ``reduce``: adjust a project, and reduce the unknowns of its images."""
+"""Commands ``adjust``, ``reduce`` and ``graph``: a project, the unknowns of its images, its factor graph."""
 
 from __future__ import annotations
 
@@ -8,11 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from fg_orient.cli.command import command, option
-from fg_orient.cli.common import Overwrite, Project, Scheduler, VerticalCrs, command_line, read_dem, require_project
-from fg_orient.cli.log import session
+from fg_orient.cli.command import (
+    Overwrite,
+    Project,
+    Scheduler,
+    VerticalCrs,
+    command,
+    command_line,
+    option,
+    read_dem,
+    require_project,
+)
 from fg_orient.cli.output import answer, folded, note, number, say, table, tell, tell_findings
-from fg_orient.cli.progress import progress, progress_bar
+from fg_orient.cli.progress import progress, progress_bar, session
 from fg_orient.model.errors import InputError, read
 from fg_orient.model.names import EXIT_CODE, Status
 from fg_orient.model.options import Options, Reading
@@ -223,3 +231,38 @@ def _show_reduction(found: Reduction) -> None:
         (("image", "prediction in the image"), ("ground", "prediction on the ground")) if first.validation else ()
     )):  # fmt: skip
         say(f"best by {words}: {', '.join(found.best(criterion).unknowns)}")
+
+
+@command(Options, Reading)
+def graph(
+    project: Project,
+    options: Mapping[str, Any],
+    out: Annotated[Path | None, option("Folder; default: graph, beside the project file.", "DIR")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Draw the factor graph of a project, its elimination tree and normal matrix; count variables, factors and fill.
+
+    Nothing is adjusted. Large blocks are drawn in part, but counted whole. Options replace those of the project file.
+    """
+    require_project(project)
+    from fg_orient.formats.project import read_project
+    from fg_orient.report.graph import write_graph
+
+    target = out or project.parent / "graph"
+    with progress_bar("reading the project") as callback:
+        record = write_graph(read_project(project, **options), target, overwrite=overwrite, progress=callback)
+    answer(record, _show_graph)
+
+
+def _show_graph(record: dict[str, Any]) -> None:
+    """Print the counts of both graphs and of the elimination orders."""
+    forms = [("explicit points", record["explicit"]), ("eliminated points", record["eliminated"])]
+    rows = [(name, one["image_vectors"], one["points"], one["unknowns"], one["factors"]) for name, one in forms if one]
+    table("factor graph", ("form", "image vectors", "points", "unknowns", "factors"), rows)
+    part = "explicit points" if record["explicit_is_whole"] else "explicit points, the drawn part"
+    orderings = [
+        (name, one["nonzeros_normal_matrix"], one["fill"], one["cliques"], one["largest_clique_unknowns"])
+        for name, one in record["orderings"].items()
+    ]  # fmt: skip
+    table(f"normal matrix, {part}", ("ordering", "elements", "fill", "cliques", "largest clique"), orderings)
+    say(f"drawings: {record['out']} ({len(record['files'])} files)")

@@ -26,38 +26,23 @@ PROGRAM: Final = "fg-orient"
 #: Environment variable that the completion script of a shell sets.
 VARIABLE: Final = "_FG_ORIENT_COMPLETE"
 SHELLS: Final = ("bash", "zsh", "fish")
-#: Name of a command -> module of this package and name of the function or group in it.
-COMMANDS: Final = {
-    "adjust": ("adjust", "adjust"),
-    "graph": ("graph", "graph"),
-    "compare": ("studies", "compare"),
-    "reduce": ("adjust", "reduce"),
-    "accuracy": ("results", "accuracy"),
-    "locate": ("geometry", "locate"),
-    "project": ("geometry", "project"),
-    "intersect": ("geometry", "intersect"),
-    "footprint": ("geometry", "footprint"),
-    "convert": ("convert", "convert"),
-    "validate": ("checks", "validate"),
-    "completion": ("app", "completion"),
-    "doctor": ("checks", "doctor"),
-    "report": ("results", "report"),
-    "replay": ("results", "replay"),
-    "reproduce": ("studies", "reproduce"),
-    "simulate": ("simulate", "app"),
-    "rpc": ("rpc", "app"),
-    "camera": ("convert", "camera"),
-    "rectify": ("rectify", "app"),
-    "closerange": ("closerange", "app"),
-}
+#: Modules of this package, and the names of their commands in the order of the help. A command is a function or a group
+#: of its name, or the group ``app`` of its module.
+COMMANDS: Final = {name: module for module, names in (
+    ("adjust", "adjust graph"), ("studies", "compare"), ("adjust", "reduce"), ("results", "accuracy"),
+    ("geometry", "locate project intersect footprint"), ("convert", "convert"), ("checks", "validate"),
+    ("app", "completion"), ("checks", "doctor"), ("results", "report replay"), ("studies", "reproduce"),
+    ("simulate", "simulate"), ("rpc", "rpc"), ("convert", "camera"), ("rectify", "rectify"),
+    ("closerange", "closerange"),
+) for name in names.split()}  # fmt: skip
 #: Thresholds of the garbage collector. With Python's own 700, 10, 10 it scans modules repeatedly during their import.
 COLLECT: Final = (50_000, 20, 50)
 
 
 def declared(name: str) -> Any:
     """Function or group that declares a command."""
-    module, attribute = COMMANDS[name]
-    return getattr(import_module(f"fg_orient.cli.{module}"), attribute)
+    module = import_module(f"fg_orient.cli.{COMMANDS[name]}")
+    return vars(module).get(name) or module.app
 
 
 def help_of(name: str) -> str | None:

@@ -16,7 +16,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
 from factors._preparation import on_compilation
-from fg_orient.cli.log import COMPILING, session
+from fg_orient.cli.progress import COMPILING, session
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.loop import IterationRecord

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from factors._contract import NotFiniteError
 from factors.cameras.extended_collinearity import NAMES
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
-from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import OPTIMIZERS, Callback, IterationRecord, LoopResult
 from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, NetworkRows, bordered_inverse
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import bundle_checks as checks
 from fg_orient.closerange.bundle_network import Built, build
 from fg_orient.closerange.constraints import FITTED_FIRST, Constraint

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.cameras.extended_collinearity import NAMES
-from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import Callback
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import files, job
 from fg_orient.closerange.accuracy import compare_points
 from fg_orient.closerange.bundle import Adjustment, BundlePhoto, BundleResult, adjust_bundle

@@ -11,7 +11,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import files
 from fg_orient.closerange.dlt import RECOVERED, fit_dlt
 from fg_orient.closerange.files import Observed

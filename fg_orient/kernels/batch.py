@@ -23,9 +23,8 @@ import numpy as np
 from factors._contract import Array, Equation
 from factors.cameras import frame, pushbroom
 from factors.cameras.pushbroom_record import CURVE, CURVES, N_EOP, RECORD
-from fg_orient.kernels.batch_frame import frame_rows
 from fg_orient.kernels.batch_pushbroom import any_small_angle, pushbroom_rows, small_angle_rows
-from fg_orient.kernels.batch_rows import Index, rows_of
+from fg_orient.kernels.batch_rows import Index, frame_rows, rows_of
 
 #: Number of a basis value of the look polynomial: its degree plus _LOOK; of a curve: its number plus _CURVE.
 _LOOK: Final = 10

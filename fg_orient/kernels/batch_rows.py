@@ -3,6 +3,10 @@
 The loop calls the scalar function of the equation: a residual is the same number in a factor and in a batch. Some
 equations have a faster loop (``fg_orient.kernels.batch``), which is optional. Kernels take a range ``[lo, hi)`` and
 write only its results: any division among threads gives the same bits.
+
+The loop over frame images computes the camera of an image (rotation with its Jacobian, projection centre, interior
+orientation) at the image's first ray in the range and keeps it in a table, so that only the pixel and its weights are
+read from a record.
 """
 
 from __future__ import annotations
@@ -17,6 +21,9 @@ import numpy.typing as npt
 
 from factors._compile import threaded
 from factors._contract import Array, Equation, is_finite
+from factors.cameras import frame
+from factors.cameras.frame import RECORD
+from factors.cameras.frame_camera import CAMERA
 
 Index = npt.NDArray[np.int64]
 Small = np.ndarray[tuple[int], np.dtype[np.int32]]
@@ -91,3 +98,34 @@ def rows_of(equation: Equation) -> Callable[..., int]:
     own = equation.fill or _bound(_filled, equation, "kernel", equation.kernel)
     rows: Callable[..., int] = _bound(_rows, equation, "fill", own)
     return rows
+
+
+@threaded
+def frame_rows(
+    lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
+    n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
+) -> int:  # fmt: skip
+    """Frame collinearity of members lo to hi; see :func:`fg_orient.kernels.batch_pushbroom.rows_of_form`."""
+    c, bad, d = setup.shape[1], -1, np.zeros((2, frame.COLUMN.size))
+    table, known = np.empty((len(wide), CAMERA.size)), np.zeros(len(wide), np.bool_)
+    column, sigma = frame.columns_of(setup), setup[1].copy()
+    for m in range(lo, hi):
+        a = members[m]
+        i, k, p = image[a], row[a], point[a]
+        if not known[i]:
+            known[i] = True
+            table[i] = frame.camera(records[k], setup, wide[i, :c])
+        observed = (
+            records[k, RECORD.line], records[k, RECORD.sample], records[k, RECORD.a_line], records[k, RECORD.a_sample]
+        )  # fmt: skip
+        place = ground[p, 0], ground[p, 1], ground[p, 2]
+        value[a, 0], value[a, 1], zero = frame.evaluated(table[i], observed, place, d, want)
+        if want:
+            for r in range(2):
+                for j in range(c):
+                    d_image[a, r, j] = d[r, column[j]] * sigma[j]
+                for j in range(3):
+                    d_ground[a, r, j] = d[r, frame.GROUND + j]
+        if zero != 0.0 and bad < 0:
+            bad = a
+    return bad

@@ -25,8 +25,8 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Argument, Equation
-from fg_orient.adjustment.image_models import image_models, local_origin
 from fg_orient.adjustment.problem import Problem, State, participates
+from fg_orient.adjustment.rows import image_models, local_origin
 from fg_orient.model.block import Block, Coordinates, ExtraObservation
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role, Status

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._preparation import working_clock
-from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.solve import Estimate, eliminates_points
 from fg_orient.model.errors import InputError, finding
 from fg_orient.orientation.solution import Solution

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.image_models import image_models
-from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.adjustment.rows import image_models
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.orientation.solution import Solution

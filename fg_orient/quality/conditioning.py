@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.problem import Problem, schur_possible
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.errors import Finding, finding
 
 if TYPE_CHECKING:
-    from fg_orient.adjustment.linear.l_curve import LCurve
+    from fg_orient.adjustment.linear.kappa_graph import LCurve
 
 #: Beyond this condition solutions of different solvers agree to 5 or 6 digits only (eps times condition is 2e-6).
 ILL_CONDITIONED: Final = 1e10
@@ -118,7 +118,7 @@ def regularisation(judged: Problem, name: str, log: Sequence[IterationRecord]) -
     if not name:  # the kappa rules need not be loaded
         return None
     from fg_orient.adjustment.dense import DenseBackend
-    from fg_orient.adjustment.linear.l_curve import l_curve_of
+    from fg_orient.adjustment.linear.kappa_graph import l_curve_of
     from fg_orient.adjustment.linear.registry import attempt, solver
 
     if solver(name).family != "tikhonov":

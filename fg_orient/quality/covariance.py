@@ -26,9 +26,9 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.cofactors import WHOLE_LIMIT, ReducedCofactors, SummedSystem
 from fg_orient.adjustment.dense import DenseSystem
-from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.errors import InputError
 

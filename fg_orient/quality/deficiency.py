@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.rows import image_rows, rows_by_image
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError, Finding, InputError, RankDeficientError, finding
 from fg_orient.quality.observability import (

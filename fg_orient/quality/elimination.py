@@ -24,9 +24,9 @@ import numpy.typing as npt
 
 from factors.conditions.control import POINT
 from fg_orient.adjustment.dense import extra_blocks
-from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import Rows
+from fg_orient.adjustment.runtime import one_blas_thread
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -28,9 +28,9 @@ import numpy.typing as npt
 from scipy.linalg import qr
 
 from factors._contract import Argument, Equation
-from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import InputError, finding

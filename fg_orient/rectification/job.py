@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from factors._contract import Array
-from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.formats.atomic import require_free, staged_folder, writing
 from fg_orient.formats.tables import require_table
 from fg_orient.model.errors import InputError

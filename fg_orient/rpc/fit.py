@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from factors._contract import Array
 from factors.cameras.rfm_project import RANGE
-from fg_orient.adjustment.linear.conditioning import Conditioning, diagnose
-from fg_orient.adjustment.linear.system import LinearSystem
+from fg_orient.adjustment.linear.system import Conditioning, LinearSystem, diagnose
 from fg_orient.model.errors import InputError, NoSolutionError, finding
 from fg_orient.model.names import Progress
 from fg_orient.rpc.form import RfmForm

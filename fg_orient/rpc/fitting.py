@@ -17,7 +17,7 @@ import numpy as np
 
 from factors._contract import Array
 from factors.geometry import ellipsoid
-from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.errors import Finding, InputError, finding, judged
 from fg_orient.model.names import Progress
 from fg_orient.rpc.estimate import SOLVER, fit_linear, fit_true, fit_weighted, require_points

@@ -52,7 +52,7 @@ class AngleAttitude:
     """Sampled angles to an orbital frame, linear in time: ``time_s`` (n,), ``angles_rad`` (n, 3) = roll, pitch, yaw.
 
     Signs of DIMAP v1 are already changed: roll and pitch are the negated values of the file, yaw is that of the file
-    (docs/equations.md 2). Angles of a general pushbroom are those of ``factors.geometry.kepler``.
+    (docs/equations.md 2). Angles of a general pushbroom are those of ``factors.geometry.orbital``.
     """
 
     time_s: Array

@@ -14,7 +14,7 @@ import numpy as np
 from factors._contract import Array
 from factors.cameras import look
 from factors.geometry import ellipsoid, rotations
-from fg_orient.adjustment.linear.conditioning import diagnose
+from fg_orient.adjustment.linear.system import diagnose
 from fg_orient.rpc.estimate import fit_linear
 from fg_orient.rpc.form import DEGREES, RfmForm
 from fg_orient.rpc.points import ControlPoints

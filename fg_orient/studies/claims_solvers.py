@@ -7,9 +7,8 @@ import numpy.typing as npt
 
 from factors._contract import Array
 from factors.cameras.pushbroom import RECORD
-from fg_orient.adjustment.linear.conditioning import singular_values
 from fg_orient.adjustment.linear.registry import attempt, solvers
-from fg_orient.adjustment.linear.system import unit_columns
+from fg_orient.adjustment.linear.system import singular_values, unit_columns
 from fg_orient.model.names import VELOCITY
 from fg_orient.model.parameters import eop_codes
 from fg_orient.studies import claims

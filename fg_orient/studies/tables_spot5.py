@@ -16,13 +16,11 @@ from itertools import combinations
 import numpy as np
 
 from factors._contract import Array
-from fg_orient.adjustment.linear import conditioning
-from fg_orient.adjustment.linear.conditioning import diagnose
-from fg_orient.adjustment.linear.l_curve import LCurve, l_curve_of
+from fg_orient.adjustment.linear import system as linear
+from fg_orient.adjustment.linear.kappa_graph import LCurve, l_curve_of
 from fg_orient.adjustment.linear.registry import attempt
-from fg_orient.adjustment.linear.system import LinearSystem
-from fg_orient.model.cells import CellKey
-from fg_orient.model.names import COMPONENTS, EOP_SETS, Role
+from fg_orient.adjustment.linear.system import LinearSystem, diagnose
+from fg_orient.model.names import COMPONENTS, EOP_SETS, CellKey, Role
 from fg_orient.model.parameters import N_EOP, eop_codes
 from fg_orient.simulate.zonguldak import CHECK_COUNT
 from fg_orient.studies import tables_twin
@@ -92,8 +90,8 @@ def _text(run: TwoStage) -> Cells:
         "n_point_distributions": len(CHECK_COUNT), "n_distributions_homogeneous": len(homogeneous),
         "n_distributions_grouped": len(CHECK_COUNT) - len(homogeneous), "n_eop_sets": len(PUBLISHED_SETS),
         "n_images_spot5": len(run.block.images), "rfm_coefficients_degree3": rfm_unknowns(3),
-        "cond_norm_limit": conditioning.NORM_LIMIT, "cond_spectral_limit": conditioning.SPECTRAL_LIMIT,
-        "cond_hadamard_limit": conditioning.HADAMARD_LIMIT,
+        "cond_norm_limit": linear.NORM_LIMIT, "cond_spectral_limit": linear.SPECTRAL_LIMIT,
+        "cond_hadamard_limit": linear.HADAMARD_LIMIT,
     }  # fmt: skip
     return {CellKey("text", quantity=key): float(value) for key, value in values.items()}
 

@@ -19,12 +19,11 @@ import numpy as np
 from scipy.linalg import eigh
 
 from factors._contract import Array
-from fg_orient.adjustment.linear.conditioning import diagnose
 from fg_orient.adjustment.linear.kappa import KappaChoice, clamped
+from fg_orient.adjustment.linear.modern import regularised_system
 from fg_orient.adjustment.linear.registry import attempt
-from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
-from fg_orient.adjustment.linear.tikhonov import regularised_system
-from fg_orient.model.cells import CellKey
+from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem, diagnose
+from fg_orient.model.names import CellKey
 from fg_orient.rpc.estimate import linear_system
 from fg_orient.rpc.fit import RfmFit
 from fg_orient.rpc.form import DEGREES, RfmForm

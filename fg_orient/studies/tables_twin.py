@@ -12,10 +12,9 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 
 from factors._contract import Array
-from fg_orient.adjustment.linear.conditioning import Conditioning
-from fg_orient.adjustment.linear.threads import one_blas_thread
-from fg_orient.model.cells import CellKey
-from fg_orient.model.names import COMPONENTS, EOP_SETS
+from fg_orient.adjustment.linear.system import Conditioning
+from fg_orient.adjustment.runtime import one_blas_thread
+from fg_orient.model.names import COMPONENTS, EOP_SETS, CellKey
 from fg_orient.model.parameters import N_EOP, eop_codes
 from fg_orient.studies.claims import Study
 from fg_orient.studies.switches import Switches, switches_of

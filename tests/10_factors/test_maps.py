@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from factors.cameras import look, pushbroom
 from factors.geometry import differences, ellipsoid, interpolation, light, orbital, polynomials, rotations
-from factors.geometry.sines import sine_cosine
+from factors.geometry.rotations import sine_cosine
 from fg_orient.sensors.projection import residuals
 from tests.support.equation_examples import look_angle_collinearity
 

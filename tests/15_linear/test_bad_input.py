@@ -9,7 +9,6 @@ import pytest
 
 from fg_orient.adjustment.linear import kappa as kappa_module
 from fg_orient.adjustment.linear import registry
-from fg_orient.adjustment.linear.conditioning import diagnose
 from fg_orient.adjustment.linear.kappa import (
     Given,
     KappaChoice,
@@ -18,9 +17,9 @@ from fg_orient.adjustment.linear.kappa import (
     register_kappa_rule,
     unit_variance,
 )
+from fg_orient.adjustment.linear.modern import regularised, tikhonov
 from fg_orient.adjustment.linear.registry import attempt, register_solver, solve, solver, solvers
-from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, Breakdown, LinearSolution, LinearSystem
-from fg_orient.adjustment.linear.tikhonov import regularised, tikhonov
+from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, Breakdown, LinearSolution, LinearSystem, diagnose
 from fg_orient.model.errors import InputError
 
 EYE = LinearSystem(np.eye(2), np.ones(2))

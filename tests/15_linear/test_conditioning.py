@@ -8,8 +8,16 @@ import numpy as np
 import pytest
 from scipy.linalg import hilbert
 
-from fg_orient.adjustment.linear.conditioning import diagnose, numerical_rank, singular_values
-from fg_orient.adjustment.linear.system import Array, LinearSystem, column_lengths, scaled, unit_columns
+from fg_orient.adjustment.linear.system import (
+    Array,
+    LinearSystem,
+    column_lengths,
+    diagnose,
+    numerical_rank,
+    scaled,
+    singular_values,
+    unit_columns,
+)
 from tests.support.systems import design_system, positive_definite
 
 

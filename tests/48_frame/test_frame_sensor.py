@@ -8,8 +8,8 @@ import numpy as np
 import pyproj
 import pytest
 
-from fg_orient.adjustment.image_models import image_models
 from fg_orient.adjustment.problem import compile_problem
+from fg_orient.adjustment.rows import image_models
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Image, Options
 from fg_orient.model.errors import InputError, OutOfImage

@@ -14,8 +14,8 @@ from scipy.stats import chi2
 
 import fg_orient as fg
 from factors.conditions.control import POINT
-from fg_orient.adjustment.image_models import groups
 from fg_orient.adjustment.problem import compile_problem
+from fg_orient.adjustment.rows import groups
 from fg_orient.model.block import Block, Image, ImagePoints
 from fg_orient.model.errors import InputError, RankDeficientError
 from fg_orient.model.names import Role, Status

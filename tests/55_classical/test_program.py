@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from fg_orient.adjustment.linear import registry
-from fg_orient.adjustment.linear.conditioning import diagnose
-from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
+from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem, diagnose
 from fg_orient.studies.claims import AS_RUN_TWIN, Study
 from fg_orient.studies.switches import NUMBERED, PROGRAM, TEXT, Switches, label, names, switches_of
 from fg_orient.studies.tables_spot5 import norm_condition

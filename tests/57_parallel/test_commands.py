@@ -102,7 +102,7 @@ def test_a_lost_cluster_leaves_the_checkpoint(
         checkpoint.keep(problem, "schur", Carried(problem.start))
         raise NoSolutionError.of(code, place="here", value="x", why="x")
 
-    monkeypatch.setattr("fg_orient.adjustment.parts.solve.solve_in_parts", lost)
+    monkeypatch.setattr("fg_orient.adjustment.parts.backend.solve_in_parts", lost)
     with pytest.raises(NoSolutionError):
         run_project(project, tmp_path / "out", execution={"parts": 2}, checkpoint_every_s=1e9)
     assert checkpoint_path(tmp_path / "out").exists() == kept

@@ -18,10 +18,18 @@ import fg_orient as fg
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.parts import pool as pool_module
 from fg_orient.adjustment.parts.backend import PartedBackend
-from fg_orient.adjustment.parts.parts import read_part
-from fg_orient.adjustment.parts.pool import Cluster, Execution, Pool, branches, opened, summed, tree, work_folder
-from fg_orient.adjustment.parts.study import study
-from fg_orient.adjustment.parts.tasks import forget
+from fg_orient.adjustment.parts.study import (
+    Cluster,
+    Execution,
+    Pool,
+    branches,
+    opened,
+    study,
+    summed,
+    tree,
+    work_folder,
+)
+from fg_orient.adjustment.parts.tasks import forget, read_part
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.solve import solve
 from fg_orient.model.block import Block

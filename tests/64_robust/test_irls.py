@@ -8,9 +8,16 @@ import pytest
 from scipy.optimize import linprog
 
 import fg_orient as fg
-from fg_orient.adjustment import irls
-from fg_orient.adjustment.irls import EPSILON, danish_limit, danish_original, least_absolute, norms_at, reweight
-from fg_orient.adjustment.robust import FLOOR
+from fg_orient.adjustment.robust import (
+    EPSILON,
+    FLOOR,
+    Rule,
+    danish_limit,
+    danish_original,
+    least_absolute,
+    norms_at,
+    reweight,
+)
 from fg_orient.model.errors import InputError
 
 from .conftest import adjusted, problem_of, spoiled, twin
@@ -27,7 +34,7 @@ def line(seed: int, n: int = 40, bad: int = 8) -> tuple[Array, Array]:
     return a, b
 
 
-def fitted(a: Array, b: Array, dimension: int, rule: irls.Rule = least_absolute) -> Array:
+def fitted(a: Array, b: Array, dimension: int, rule: Rule = least_absolute) -> Array:
     """Unknowns by the cycles; rows of one observation stand together."""
 
     def fit(groups: tuple[Array, ...], last: Array | None) -> Array:
@@ -153,7 +160,7 @@ def test_rows_weighted_in_place_and_problems_weighted_anew_end_alike() -> None:
 
 @pytest.mark.behaviour
 def test_cycles_that_do_not_settle_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fg_orient.adjustment.irls.TOLERANCE", 0.0)
+    monkeypatch.setattr("fg_orient.adjustment.robust.TOLERANCE", 0.0)
     found = reweight(
         lambda w, last: 0.0 if last is None else last + 1.0, lambda x: (np.array([x]),), lambda x: 1.0,
         least_absolute, (1,), max_cycles=3,

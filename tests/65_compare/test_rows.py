@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.block import Block, GroundPoints
 from fg_orient.model.names import Role
 from fg_orient.simulate.block import BlockOptions, grid_block

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.model.cells import CellKey
+from fg_orient.model.names import CellKey
 from fg_orient.studies.reproduce.reproduction import Reproduction, Row, reproduce
 
 Array = np.ndarray

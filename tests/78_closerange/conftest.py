@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from fg_orient.model.cells import CellKey
+from fg_orient.model.names import CellKey
 from fg_orient.studies.published.tables import load
 from fg_orient.studies.reproduce.ayhan1996_photos import points_of
 from fg_orient.studies.reproduce.reproduction import Reproduction, reproduce

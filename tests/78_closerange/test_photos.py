@@ -23,8 +23,8 @@ from fg_orient.closerange.photo import (
     rotation_from_ayhan,
 )
 from fg_orient.closerange.resection import resect, three_point_poses
-from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
+from fg_orient.model.names import CellKey
 from fg_orient.studies.reproduce import ayhan1996_photos as thesis
 
 from .conftest import Array, Reference

@@ -12,7 +12,7 @@ import pytest
 
 from fg_orient.closerange.accuracy import compare_points
 from fg_orient.closerange.surface_fit import fit_surface
-from fg_orient.model.cells import CellKey
+from fg_orient.model.names import CellKey
 from fg_orient.studies.published import tables as published
 from fg_orient.studies.published.tables import load
 from fg_orient.studies.reproduce import ayhan1996_photos as thesis

@@ -17,8 +17,8 @@ from fg_orient.closerange.fitting import Conditions, foot_points
 from fg_orient.closerange.minima import held, reach
 from fg_orient.closerange.surface import Kind, Surface, map_points, shape_of
 from fg_orient.closerange.surface_fit import Method, SurfaceFit, fit_surface
-from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError, NoSolutionError
+from fg_orient.model.names import CellKey
 from fg_orient.studies.general import gauss_helmert
 from fg_orient.studies.reproduce.ayhan1996_photos import PHOTO, points_of
 

@@ -10,7 +10,7 @@ import pytest
 
 from fg_orient.closerange.bundle import BundlePhoto
 from fg_orient.closerange.photo import Photo, PhotoInterior, corrections_of, rotation_from_ayhan
-from fg_orient.model.cells import CellKey
+from fg_orient.model.names import CellKey
 from fg_orient.studies.published.tables import load
 
 Array = npt.NDArray[np.float64]

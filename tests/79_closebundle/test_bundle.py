@@ -22,8 +22,8 @@ from fg_orient.closerange.bundle_network import build
 from fg_orient.closerange.constraints import Constraint, observed_element
 from fg_orient.closerange.corrections import SETS, parameters_of
 from fg_orient.closerange.intersection import intersect_photos
-from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
+from fg_orient.model.names import CellKey
 from fg_orient.studies.reproduce import ayhan1996_photos as thesis
 from fg_orient.studies.reproduce.ayhan1996_photos import CONTROL, PHOTOS, POINTS, comparator, points_of
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fg_orient.model.cells import CellKey
+from fg_orient.model.names import CellKey
 from fg_orient.studies.published.tables import PublishedTables
 from fg_orient.studies.reproduce.reproduction import SOURCES, Row, pair
 from fg_orient.studies.tables_spot5 import STEP_1_CLOSED, WITHOUT_BUNDLE

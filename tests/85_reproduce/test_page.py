@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from fg_orient.model.cells import CellKey
+from fg_orient.model.names import CellKey
 from fg_orient.report.svg import svg
 from fg_orient.studies.published.tables import load
 from fg_orient.studies.reproduce.folder import reproduce_to

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import CellKey
 from fg_orient.studies.published.tables import PublishedTables, load
 from fg_orient.studies.tables_spot5 import PUBLISHED_SETS
 

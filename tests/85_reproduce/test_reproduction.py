@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import CellKey
 from fg_orient.studies.claims import all_claims
 from fg_orient.studies.published.tables import PublishedTables, load
 from fg_orient.studies.reproduce.reproduction import SOURCES, Row, pair, select

@@ -11,10 +11,10 @@ import pytest
 from typer.testing import CliRunner
 
 from fg_orient.adjustment.linear.registry import solve
-from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.cli import app
-from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import CellKey
 from fg_orient.rpc.fit import cross_validate
 from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.points import ControlPoints, find_spot6, read_gcp

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from fg_orient.model.cells import CellKey
+from fg_orient.model.names import CellKey
 from fg_orient.studies.published.tables import PublishedCell
 from fg_orient.studies.reproduce.verdict import KINDS, RULES, assess_runs, kind_of, last_digit
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from factors._contract import Array
-from fg_orient.model.cells import CellKey
+from fg_orient.model.names import CellKey
 from fg_orient.studies.published.tables import PublishedCell, PublishedTables
 from fg_orient.studies.reproduce.reproduction import pair
 from fg_orient.studies.reproduce.sources import Source

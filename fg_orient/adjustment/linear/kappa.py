@@ -58,8 +58,6 @@ class KappaChoice:
         Remarks: clamping; kappa at the end of the grid.
     grid, curve : (n,) array, optional
         Kappas and the function whose maximum, minimum or zero is chosen, for plots.
-    unclamped : float, optional
-        Value of the rule before clamping.
     """
 
     kappa: float
@@ -67,7 +65,6 @@ class KappaChoice:
     notes: tuple[str, ...] = ()
     grid: Array | None = None
     curve: Array | None = None
-    unclamped: float | None = None
 
 
 RuleFunction = Callable[[LinearSystem, Given], KappaChoice]
@@ -137,10 +134,10 @@ def clamped(choice: KappaChoice) -> KappaChoice:
     """
     value = choice.kappa
     if value > 1.0:
-        return replace(choice, kappa=1.0, unclamped=value, notes=(*choice.notes, f"kappa {value:.3g} clamped to 1"))
+        return replace(choice, kappa=1.0, notes=(*choice.notes, f"kappa {value:.3g} clamped to 1"))
     if not value >= 0.0:
-        return replace(choice, kappa=0.0, unclamped=value, notes=(*choice.notes, f"kappa {value:.3g} set to 0"))
-    return replace(choice, unclamped=value)
+        return replace(choice, kappa=0.0, notes=(*choice.notes, f"kappa {value:.3g} set to 0"))
+    return choice
 
 
 def choose_kappa(name: str, system: LinearSystem, given: Given | None = None, *, clamp: bool = False) -> KappaChoice:

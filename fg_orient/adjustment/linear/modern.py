@@ -12,10 +12,9 @@ from typing import Final
 import numpy as np
 from scipy.linalg import lapack, qr
 
-from fg_orient.adjustment.linear.inverses import moore_penrose_inverse
+from fg_orient.adjustment.linear.published import back_substitution, moore_penrose_inverse
 from fg_orient.adjustment.linear.registry import Function, register_solver
 from fg_orient.adjustment.linear.system import Breakdown, LinearSolution, LinearSystem, scaled
-from fg_orient.adjustment.linear.triangular import back_substitution
 
 #: Singular values of A below this share of the largest are truncated. In the column-scaled SPOT-5 designs, 1e-9
 #: separates the directions that observations determine from the directions that contain only rounding.
@@ -86,18 +85,18 @@ def _moore_penrose(system: LinearSystem) -> LinearSolution:
     return moore_penrose_inverse(system, False)
 
 
-#: Name, label, source, function, and whether it requires A. Units change the result of QR by rounding only.
-_SOLVERS: Final[tuple[tuple[str, str, str, Solve, bool], ...]] = (
-    ("qr", "QR", "Householder 1958; Golub 1965", _qr, True),
-    ("qr_scaled", "QR, scaled columns", "van der Sluis 1969", _scaled(_qr), True),
-    ("svd", "SVD", "Golub, Kahan 1965", _svd, True),
-    ("svd_scaled", "SVD, scaled columns", "Golub, Kahan 1965", _scaled(_svd), True),
-    ("truncated_svd", "Truncated SVD", "Hansen 1987", _truncated_svd, True),
-    ("truncated_svd_scaled", "Truncated SVD, scaled columns", "Hansen 1987", _scaled(_truncated_svd), True),
-    ("lapack_cholesky", "LAPACK Cholesky", "LAPACK dposv", _lapack_cholesky, False),
-    ("lapack_cholesky_scaled", "LAPACK Cholesky, scaled columns", "LAPACK dposv", _scaled(_lapack_cholesky), False),
-    ("lapack_lu", "LAPACK LU", "LAPACK dgesv", _lapack_lu, False),
-    ("moore_penrose_scaled", "Moore-Penrose, scaled columns", "Penrose 1955, scaled", _scaled(_moore_penrose), False),
+#: Name, label, source and function. Units change the result of QR by rounding only.
+_SOLVERS: Final[tuple[tuple[str, str, str, Solve], ...]] = (
+    ("qr", "QR", "Householder 1958; Golub 1965", _qr),
+    ("qr_scaled", "QR, scaled columns", "van der Sluis 1969", _scaled(_qr)),
+    ("svd", "SVD", "Golub, Kahan 1965", _svd),
+    ("svd_scaled", "SVD, scaled columns", "Golub, Kahan 1965", _scaled(_svd)),
+    ("truncated_svd", "Truncated SVD", "Hansen 1987", _truncated_svd),
+    ("truncated_svd_scaled", "Truncated SVD, scaled columns", "Hansen 1987", _scaled(_truncated_svd)),
+    ("lapack_cholesky", "LAPACK Cholesky", "LAPACK dposv", _lapack_cholesky),
+    ("lapack_cholesky_scaled", "LAPACK Cholesky, scaled columns", "LAPACK dposv", _scaled(_lapack_cholesky)),
+    ("lapack_lu", "LAPACK LU", "LAPACK dgesv", _lapack_lu),
+    ("moore_penrose_scaled", "Moore-Penrose, scaled columns", "Penrose 1955, scaled", _scaled(_moore_penrose)),
 )
 
 
@@ -105,5 +104,5 @@ def _function(function: Solve) -> Function:
     return lambda system, as_run: function(system)
 
 
-for _name, _label, _source, _solver, _on_design in _SOLVERS:
-    register_solver(_name, _label, "modern", source=_source, needs_design=_on_design)(_function(_solver))
+for _name, _label, _source, _solver in _SOLVERS:
+    register_solver(_name, _label, "modern", source=_source)(_function(_solver))

@@ -22,7 +22,7 @@ Family = Literal["inverse", "elimination", "tikhonov", "modern"]
 Function = Callable[[LinearSystem, bool], LinearSolution]
 
 #: Modules of this package that register solvers when imported.
-_MODULES = ("inverses", "elimination", "tikhonov", "modern")
+_MODULES = ("published", "tikhonov", "modern")
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,7 @@ class Solver:
     """A registered solver with a unique name; published methods have the names of the tables ("gauss_inverse").
 
     ``label`` is the text for tables and plots ("Gauss inverse"), ``source`` author, year and equation. ``published``
-    methods are those of Terlemezoğlu 2019. ``needs_design``: N alone is not sufficient. ``function``: see the module
-    docstring.
+    methods are those of Terlemezoğlu 2019. ``function``: see the module docstring.
     """
 
     name: str
@@ -40,14 +39,13 @@ class Solver:
     function: Function
     source: str
     published: bool = False
-    needs_design: bool = False
 
 
 _REGISTRY: dict[str, Solver] = {}
 
 
 def register_solver(
-    name: str, label: str, family: Family, *, source: str, published: bool = False, needs_design: bool = False
+    name: str, label: str, family: Family, *, source: str, published: bool = False
 ) -> Callable[[Function], Function]:
     """Decorate a function to make it a solver.
 
@@ -61,8 +59,6 @@ def register_solver(
         Author, year and equation.
     published : bool
         The solver is one of Terlemezoğlu 2019.
-    needs_design : bool
-        The solver uses A and l, not only N and b.
 
     Raises
     ------
@@ -74,7 +70,7 @@ def register_solver(
         present = _REGISTRY.get(name)
         if present is not None and present.function.__qualname__ != function.__qualname__:
             raise ValueError(f"a solver named {name!r} is registered already")
-        _REGISTRY[name] = Solver(name, label, family, function, source, published, needs_design)
+        _REGISTRY[name] = Solver(name, label, family, function, source, published)
         return function
 
     return add

@@ -86,7 +86,7 @@ def tikhonov(
     return replace(solution, rule=rule, notes=(*choice.notes, *solution.notes))
 
 
-#: Rule, label and source of the solvers ``tikhonov_...``; the published ones clamp kappa, and "od" works on N alone.
+#: Rule, label and source of the solvers ``tikhonov_...``; the published ones clamp kappa.
 _RULES: Final = (
     ("hkb", "HKB", "T(3.5)", True), ("lw", "LW", "T(3.6)", True), ("od", "OD", "T(3.8)", True),
     ("l_curve", "L-curve", "Hansen, O'Leary 1993", False), ("gcv", "GCV", "Golub, Heath, Wahba 1979", False),
@@ -100,7 +100,7 @@ def _function(rule: str, published: bool) -> Function:
 
 
 for _rule, _label, _source, _published in _RULES:
-    register_solver(
-        f"tikhonov_{_rule}", f"Tikhonov {_label}", "tikhonov", source=_source, published=_published,
-        needs_design=_rule != "od",
-    )(_function(_rule, _published))  # fmt: skip
+    register = register_solver(
+        f"tikhonov_{_rule}", f"Tikhonov {_label}", "tikhonov", source=_source, published=_published
+    )
+    register(_function(_rule, _published))

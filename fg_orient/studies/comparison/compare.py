@@ -17,8 +17,8 @@ import numpy as np
 
 from factors._preparation import working_clock
 from fg_orient.adjustment.linear.registry import solvers as known_solvers
-from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.parts.study import study
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import ALL_SETS, EOP_SETS, Progress, Role

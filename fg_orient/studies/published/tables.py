@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import CellKey
 
 #: Publications with tables in this package.
 SOURCES: Final = ("terlemezoglu2019", "topan2010", "ipbuker1994", "ayhan1996")

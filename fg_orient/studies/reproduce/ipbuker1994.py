@@ -14,7 +14,6 @@ from typing import Final
 import numpy as np
 
 from factors._contract import Array
-from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
 from fg_orient.rectification import geometry, study
 from fg_orient.rectification.geometry import planar_area_m2, project, total_angle_rad, unproject

@@ -33,8 +33,8 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from factors._contract import Array
-from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import CellKey
 from fg_orient.studies.published.tables import PublishedCell
 
 Test = Literal["equal", "order", "rounding", "pattern"]
