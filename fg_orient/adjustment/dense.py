@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +20,7 @@ from factors._contract import Equation, check_blocks, evaluate
 from fg_orient.adjustment.linear.registry import solve
 from fg_orient.adjustment.linear.registry import solver as find_solver
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, LinearSystem
-from fg_orient.adjustment.loop import share_at_radius
+from fg_orient.adjustment.loop import Step, share_at_radius
 from fg_orient.adjustment.problem import ExtraArgument, Problem, State
 from fg_orient.adjustment.robust import Robust, control_squares, squares
 from fg_orient.adjustment.rows import linearised, refuse, residuals, rows_by_image
@@ -112,16 +111,6 @@ def _extra_rows(problem: Problem, extra: ExtraObservation, state: State, jacobia
     return residual, out
 
 
-@dataclass(frozen=True)
-class DenseStep:
-    """A step (u,); see ``loop.Step``. ``kappa`` is nan without a regularised solver."""
-
-    data: Array
-    length: float
-    predicted_error: float
-    kappa: float = math.nan
-
-
 class DenseSystem:
     """One linearisation ``J x = -r``; see ``loop.System``.
 
@@ -145,7 +134,7 @@ class DenseSystem:
         self._problem, self._least = problem, 0.0 if problem is None else problem.least_damping
         self.error = excess + 0.5 * float(residual @ residual)
 
-    def solve(self, damping: float) -> DenseStep:
+    def solve(self, damping: float) -> Step:
         """Solve; Breakdown if the solver fails.
 
         ``damping`` is added to the diagonal of the images, ``Problem.point_damping`` to the diagonal of the points.
@@ -170,7 +159,7 @@ class DenseSystem:
             out[first:] = np.sqrt(self._problem.point_damping(damping)) * np.linalg.norm(self.design[:, first:], axis=0)
         return out
 
-    def dogleg(self, radius: float) -> DenseStep:
+    def dogleg(self, radius: float) -> Step:
         """Blend of the steepest-descent and the Gauss-Newton step."""
         newton = self.solve(0.0)
         if np.linalg.norm(newton.data) <= radius:
@@ -185,9 +174,9 @@ class DenseSystem:
         share = share_at_radius(float(across @ across), float(steepest @ across), length, radius)
         return self._step(steepest + share * across)
 
-    def _step(self, x: Array, kappa: float = math.nan) -> DenseStep:
+    def _step(self, x: Array, kappa: float = math.nan) -> Step:
         after = self.residual + self.design @ x
-        return DenseStep(x, float(np.abs(x).max()), self._excess + 0.5 * float(after @ after), kappa)
+        return Step(x, float(np.abs(x).max()), self._excess + 0.5 * float(after @ after), kappa)
 
 
 #: Whitened residuals (n,) and their derivatives (n, u) at a state; without derivatives (0, u).
@@ -241,7 +230,7 @@ class RowsBackend:
             residual, _ = self.rows(state, False)
             return 0.5 * float(residual @ residual)
 
-    def retract(self, state: Array, step: DenseStep) -> Array:
+    def retract(self, state: Array, step: Step) -> Array:
         """State after a step."""
         return self._moved(state, step.data)
 
@@ -305,7 +294,7 @@ class DenseBackend:
         weights[: n + 3 * len(control)] = np.concatenate([np.repeat(image, 2), np.repeat(control, 3)])
         return np.sqrt(weights), cost - 0.5 * float(image @ image_squares + control @ observed_squares)
 
-    def retract(self, state: State, step: DenseStep) -> State:
+    def retract(self, state: State, step: Step) -> State:
         """State after a step."""
         ties = self.problem.ties
         return self.problem.moved(state, step.data if ties is None else ties.widened(step.data))

@@ -8,7 +8,6 @@ first, then images: the Schur complement as an ordering) and retracts; ``fg_orie
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -19,7 +18,7 @@ import numpy.typing as npt
 from factors.conditions.control import POINT
 from factors.graph import factor, image_point_factors
 from factors.split import Split
-from fg_orient.adjustment.loop import share_at_radius
+from fg_orient.adjustment.loop import Step, share_at_radius
 from fg_orient.adjustment.native import NativeObservation
 from fg_orient.adjustment.point_groups import vector_parts
 from fg_orient.adjustment.problem import Problem, State
@@ -149,15 +148,6 @@ def add_image_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> Non
             graph.addPriorVector(key, np.zeros(k), gtsam.noiseModel.Unit.Create(k))
 
 
-@dataclass
-class ExplicitStep:
-    """A GTSAM step; see ``loop.Step``."""
-
-    data: gtsam.VectorValues
-    length: float
-    predicted_error: float
-
-
 class ExplicitSystem:
     """One linearisation of the graph; see ``loop.System``."""
 
@@ -185,7 +175,7 @@ class ExplicitSystem:
         parts = zip(sizes, np.split(diagonal, ends)[: len(sizes)], strict=True)
         return {key: part for key, part in parts if gtsam.symbolChr(key) == ord("p")}
 
-    def solve(self, damping: float) -> ExplicitStep:
+    def solve(self, damping: float) -> Step:
         """Eliminate points first, then images; damped on the diagonal, see :meth:`ExplicitBackend.damping_factors`."""
         linear, damping = self.linear, max(damping, self._backend.problem.least_damping)
         if damping > 0.0:
@@ -200,7 +190,7 @@ class ExplicitSystem:
                 pass  # Cholesky is tried again next time: an iteration depends only on what is carried
         return self._step(linear.optimize(self._backend.ordering, gtsam.EliminateQR))
 
-    def dogleg(self, radius: float) -> ExplicitStep:
+    def dogleg(self, radius: float) -> Step:
         """Blend of the steepest-descent and the Gauss-Newton step."""
         newton = self.solve(0.0)
         if newton.data.norm() <= radius:
@@ -213,8 +203,8 @@ class ExplicitSystem:
         share = share_at_radius(across.squaredNorm(), steepest.dot(across), length, radius)
         return self._step(steepest.add(across.scale(share)))
 
-    def _step(self, delta: gtsam.VectorValues) -> ExplicitStep:
-        return ExplicitStep(delta, float(np.abs(delta.vector()).max()), self._excess + float(self.linear.error(delta)))
+    def _step(self, delta: gtsam.VectorValues) -> Step:
+        return Step(delta, float(np.abs(delta.vector()).max()), self._excess + float(self.linear.error(delta)))
 
 
 class ExplicitBackend:

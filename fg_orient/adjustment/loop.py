@@ -36,14 +36,26 @@ LEAST_DAMPING = 1e-14
 SMALL = finding("loop.small_step")
 
 
-class Step(Protocol):
-    """A step: its largest scaled element and the error that the linear model predicts after it.
+@dataclass(frozen=True)
+class Step:
+    """A step; backends may have steps of other classes with ``length`` and ``predicted_error``.
 
-    A step of a regularised solver also has ``kappa``.
+    Parameters
+    ----------
+    data : object
+        What moves a state of the backend; a vector (u,) in scaled unknowns for full matrices.
+    length : float
+        Largest scaled element; inf if the equations are singular.
+    predicted_error : float
+        Error that the linear model predicts after the step.
+    kappa : float
+        Regularisation parameter; nan without a regularised solver.
     """
 
+    data: Any
     length: float
     predicted_error: float
+    kappa: float = math.nan
 
 
 class System(Protocol):
@@ -277,15 +289,7 @@ class _Control:
         except RuntimeError:
             if not self.regular:
                 raise
-            return _NoStep(system.error)
-
-
-@dataclass
-class _NoStep:
-    """Placeholder for the step of singular equations."""
-
-    predicted_error: float
-    length: float = math.inf
+            return Step(None, math.inf, system.error)
 
 
 def _arrived(system: System, log: tuple[IterationRecord, ...], small: bool) -> bool:

@@ -28,6 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Equation, NotFiniteError, check_blocks
+from fg_orient.adjustment.loop import Step
 
 if TYPE_CHECKING:
     import gtsam
@@ -147,16 +148,6 @@ class Network:
         return blocks[0], out
 
 
-@dataclass(frozen=True)
-class NetworkStep:
-    """A step (u,) with its correlates (h,); see ``loop.Step``."""
-
-    data: Array
-    length: float
-    predicted_error: float
-    correlates: Array
-
-
 #: Step (u,) of rows under a damping.
 Solve = Callable[[float], Array]
 
@@ -191,7 +182,7 @@ class NetworkSystem:
         """See ``loop.System``; for the correlates of the last step."""
         return self._merit(self.rows)
 
-    def solve(self, damping: float) -> NetworkStep:
+    def solve(self, damping: float) -> Step:
         """Solve with ``damping`` times the identity added to the normal equations.
 
         RuntimeError: the equations are singular.
@@ -203,7 +194,7 @@ class NetworkSystem:
         if len(rows.condition):
             gradient = rows.design.T @ after + damping * x
             self._merit.correlates = np.asarray(np.linalg.lstsq(rows.border.T, -gradient, rcond=None)[0], np.float64)
-        return NetworkStep(x, float(np.abs(x).max()), 0.5 * float(after @ after), self._merit.correlates)
+        return Step(x, float(np.abs(x).max()), 0.5 * float(after @ after))
 
 
 class NetworkBackend(ABC):
@@ -225,7 +216,7 @@ class NetworkBackend(ABC):
         except NotFiniteError:
             return float("inf")
 
-    def retract(self, state: Array, step: NetworkStep) -> Array:
+    def retract(self, state: Array, step: Step) -> Array:
         """State after a step."""
         return np.asarray(state + step.data)
 

@@ -32,6 +32,7 @@ from fg_orient.adjustment.loop import (
     IterationRecord,
     LoopResult,
     Optimizer,
+    Step,
     delayed_levenberg_marquardt,
     gauss_newton,
 )
@@ -286,15 +287,6 @@ class _Backend:
         return _Point(state.parameters + step.data.parameters, step.data.scale)
 
 
-@dataclass
-class _Step:
-    """A step; see ``loop.Step``."""
-
-    data: _Point
-    length: float
-    predicted_error: float
-
-
 class _Singular(RuntimeError):
     """The equations need damping."""
 
@@ -319,7 +311,7 @@ class _System:
         sigma0 = max(float(np.sqrt(2.0 * self.error / max(n - u, 1))), 1.0)
         self._offset = 1.0 / (np.sqrt(u) * sigma0)
 
-    def solve(self, damping: float) -> _Step:
+    def solve(self, damping: float) -> Step:
         """Gauss-Newton step, or damped step with second-order correction; _Singular if an unknown is not determined."""
         against = self._factor(damping)
         first = against(self.residual)
@@ -330,7 +322,7 @@ class _System:
         step = first if damping == 0.0 else first + 0.5 * self._acceleration(first, against)
         if not np.isfinite(step).all():
             length = np.inf
-        return _Step(_Point(step / self.scale, self.scale), length, predicted)
+        return Step(_Point(step / self.scale, self.scale), length, predicted)
 
     def _factor(self, damping: float) -> Callable[[Array], Array]:
         """Solver of the damped equations: from residuals (n,) to the scaled step (u,)."""

@@ -11,7 +11,7 @@ import pytest
 
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.loop import Carried
-from fg_orient.adjustment.parts import pool
+from fg_orient.adjustment.parts import study as pool
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.model.errors import InputError, NoSolutionError

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.loop import OPTIMIZERS
-from fg_orient.adjustment.parts import parts as parts_module
+from fg_orient.adjustment.parts import tasks as parts_module
 from fg_orient.adjustment.parts.backend import PartedBackend, solve_in_parts
 from fg_orient.adjustment.parts.study import Execution, Pool
 from fg_orient.adjustment.parts.tasks import default_parts, divide, part_file, read_part, rows_of

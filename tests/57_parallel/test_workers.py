@@ -16,7 +16,7 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.adjustment.loop import OPTIMIZERS
-from fg_orient.adjustment.parts import pool as pool_module
+from fg_orient.adjustment.parts import study as pool_module
 from fg_orient.adjustment.parts.backend import PartedBackend
 from fg_orient.adjustment.parts.study import (
     Cluster,
