@@ -35,6 +35,7 @@ from fg_orient.adjustment.loop import (
     Carried,
     Course,
     LoopResult,
+    Step,
     exhausted,
     settled,
     small,
@@ -57,14 +58,11 @@ DAMPING: Final = 1e-5
 RADIUS: Final = 100.0
 
 
-@dataclass
-class _Step:
-    """A step; see ``loop.Step``. ``gradient``: whitened gradient before it, if it is a Gauss-Newton step."""
+@dataclass(frozen=True)
+class _Step(Step):
+    """A step with the whitened gradient before it, if it is a Gauss-Newton step."""
 
-    length: float
-    predicted_error: float
-    gradient: float
-    data: Any = None
+    gradient: float = math.nan
 
 
 class _Run:
@@ -95,7 +93,7 @@ class _Run:
         moved = np.abs(self.state.ground - here.ground) if step.any() else np.zeros(1)
         length = max(float(np.abs(step).max(initial=0.0)), float(np.nanmax(moved, initial=0.0)))
         predicted, along = backend.linear_model(rows, before, self.values)
-        return _Step(length, predicted, math.sqrt(max(-along, 0.0)))
+        return _Step(None, length, predicted, gradient=math.sqrt(max(-along, 0.0)))
 
 
 def _optimizer(kind: str, backend: GraphBackend, values: gtsam.Values, control: float) -> Any:
