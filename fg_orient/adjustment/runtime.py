@@ -5,6 +5,10 @@ no garbage, but each garbage collection costs 7 us per factor. Each elimination 
 blocks. glibc returns the top of its heap to the system as soon as 128 KiB of it are free, and requests it again page
 by page in the next iteration. Without :func:`calm_memory` an elimination of 3 000 image points takes twice as long, and
 the cost per image point differs between small and large blocks (measured with benchmarks/graph_cost.py).
+
+Dense linear algebra runs in one thread (:func:`one_blas_thread`). The matrices of this package are small: two BLAS
+threads take ten times the processor time of one (measured with 180 unknowns). The order of sums also changes rounding
+errors, so that results of singular systems would depend on the number of cores.
 """
 
 from __future__ import annotations
@@ -19,10 +23,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from queue import SimpleQueue
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 Index = npt.NDArray[np.int64]
 
@@ -143,3 +150,19 @@ def calm_memory() -> Iterator[None]:
     finally:
         if enabled:
             gc.enable()
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """The BLAS libraries of this process; the search takes 10 ms and is made once."""
+    import scipy.linalg  # noqa: F401  # scipy has a BLAS of its own, which must be loaded before it can be limited
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Let numpy's and scipy's BLAS use one thread inside the block."""
+    with _libraries().limit(limits=1, user_api="blas"):
+        yield

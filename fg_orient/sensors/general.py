@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from factors._contract import Array
 from factors.cameras import look
-from factors.geometry import ellipsoid, interpolation, kepler, light, polynomials, rotations
+from factors.geometry import ellipsoid, interpolation, light, orbital, polynomials, rotations
 from fg_orient.model.errors import Finding, InputError
 from fg_orient.sensors.correction import Correction, HeightSurface
 from fg_orient.sensors.metadata import AngleAttitude, GeneralMetadata, QuaternionList, QuaternionPolynomial
@@ -83,11 +83,11 @@ class GeneralPushbroom(PushbroomSensor):
         if isinstance(source, AngleAttitude):
             inertial = v + np.cross([0.0, 0.0, self._rate(t)], p)
             if kind == "kepler":
-                frame = kepler.frames_from_kepler(kepler.kepler_angles(p, inertial))
+                frame = orbital.frames_from_kepler(orbital.kepler_angles(p, inertial))
             else:
-                frame = kepler.frames_from_state(p, v if kind == "earth-fixed velocity" else inertial)
+                frame = orbital.frames_from_state(p, v if kind == "earth-fixed velocity" else inertial)
             return np.asarray(
-                frame @ kepler.attitude_matrices(interpolation.linear(source.time_s, source.angles_rad, t))
+                frame @ orbital.attitude_matrices(interpolation.linear(source.time_s, source.angles_rad, t))
             )
         assert isinstance(source, QuaternionList)  # a description contains lists
         q = interpolation.quaternion_linear(source.time_s, source.quaternion, t)
@@ -104,7 +104,7 @@ class GeneralPushbroom(PushbroomSensor):
         payload = self._ecef_from_payload(t, p, v)
         p = np.ascontiguousarray(p + payload @ self.metadata.offset_m)
         v = np.ascontiguousarray(v)
-        ecef_from_camera = payload @ self.metadata.mounting @ kepler.B_FROM_A.T
+        ecef_from_camera = payload @ self.metadata.mounting @ orbital.B_FROM_A.T
         mount = np.swapaxes(rotations.orbital_frames(p, v), 1, 2) @ ecef_from_camera
         return LineStates(polynomials.normalised(line, self.n_lines), p, v, np.zeros((len(t), 3)), mount)
 

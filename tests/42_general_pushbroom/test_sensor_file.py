@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from factors.geometry import kepler, light
+from factors.geometry import light, orbital
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.block import Block, Image
 from fg_orient.sensors.general import GeneralPushbroom
@@ -101,7 +101,7 @@ def test_offset_and_mounting(block: Block, tmp_path: Path) -> None:
     rows = "[mounting]\nmatrix = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]\n"
     same = read_sensor(describe(sensor, tmp_path / "d", extra=rows))
     for turn in (turned, same):
-        expected = plain.states(100.0).mount @ kepler.B_FROM_A @ turn.metadata.mounting @ kepler.B_FROM_A.T
+        expected = plain.states(100.0).mount @ orbital.B_FROM_A @ turn.metadata.mounting @ orbital.B_FROM_A.T
         assert np.abs(turn.states(100.0).mount - expected).max() < 1e-14
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from factors.geometry import kepler, rotations
+from factors.geometry import orbital, rotations
 from fg_orient.sensors.earth_rotation import EarthRotation
 from fg_orient.sensors.metadata import AngleAttitude, PushbroomMetadata
 from fg_orient.sensors.pushbroom import PushbroomSensor
@@ -21,7 +21,7 @@ def write_table(path: Path, columns: str, values: np.ndarray) -> None:
 def angles_a(angles_rad: np.ndarray) -> np.ndarray:
     """Roll, pitch, yaw of convention A of those of convention B."""
     b = rotations.attitude_matrices(np.ascontiguousarray(angles_rad), False)
-    m = kepler.B_FROM_A.T @ b @ kepler.B_FROM_A
+    m = orbital.B_FROM_A.T @ b @ orbital.B_FROM_A
     return np.stack(
         [np.arctan2(-m[:, 1, 2], m[:, 2, 2]), np.arcsin(m[:, 0, 2]), np.arctan2(-m[:, 0, 1], m[:, 0, 0])], 1
     )
@@ -49,7 +49,7 @@ def describe(sensor: PushbroomSensor, folder: Path, *, orbit: str = "ITRF", atti
         times = t.reference_time_s + t.line_period_s * (lines - t.reference_line)
         s = sensor.states(lines)
         m = rotations.orbital_frames(s.position_m, s.velocity_m_s)
-        m = m @ rotations.attitude_matrices(s.angles_rad, False) @ kepler.B_FROM_A
+        m = m @ rotations.attitude_matrices(s.angles_rad, False) @ orbital.B_FROM_A
         if attitude != "ITRF":
             m = np.swapaxes(EarthRotation(meta.epoch, (times[0], times[-1]), attitude).matrices(times), 1, 2) @ m  # type: ignore[arg-type]
         write_table(folder / "attitude.csv", "time_s,q0,q1,q2,q3",

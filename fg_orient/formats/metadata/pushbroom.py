@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from factors.geometry import kepler
+from factors.geometry import orbital
 from factors.geometry.interpolation import sign_aligned
 from fg_orient.formats.registry import Format
 from fg_orient.formats.schema import Number, Positive, Switch, Table, Text, read_toml
@@ -201,7 +201,7 @@ def _camera(read: SensorFile, path: Path) -> Camera:
 def _mounting(table: MountingTable, path: Path) -> Array:
     """Payload from camera: the stated matrix, or the matrix of the angles."""
     if table.matrix is None:
-        return np.asarray(kepler.attitude_matrices(np.radians([table.angles_deg]))[0])
+        return np.asarray(orbital.attitude_matrices(np.radians([table.angles_deg]))[0])
     m = np.array(table.matrix)
     away = float(away_from_rotation(m))
     if any(table.angles_deg) or away > ORTHONORMAL:
