@@ -271,13 +271,13 @@ def gauss_newton(
 class _Control:
     """Control of the steps by a damping or radius.
 
-    ``first`` is its initial value, ``solve`` the step for a value, ``follow`` the next value and growth from value,
-    growth and record. ``regular``: a larger value makes singular equations regular, so that they do not end the loop.
-    ``max_rejected`` consecutive rejected steps end the loop.
+    ``first`` is its initial value. ``method`` names the method of the system that gives the step. ``follow`` gives the
+    next value and growth from value, growth and record. ``regular``: a larger value makes singular equations regular,
+    so that they do not end the loop. ``max_rejected`` consecutive rejected steps end the loop.
     """
 
     first: float
-    solve: Callable[[Any, float], Step]
+    method: str
     follow: Callable[[float, float, IterationRecord], tuple[float, float]]
     regular: bool = False
     max_rejected: int = MAX_REJECTED
@@ -285,7 +285,8 @@ class _Control:
     def step(self, system: System, control: float) -> Step:
         """Step under a value; of infinite length if the equations are singular under so little damping."""
         try:
-            return self.solve(system, control)
+            step: Step = getattr(system, self.method)(control)
+            return step
         except RuntimeError:
             if not self.regular:
                 raise
@@ -331,15 +332,6 @@ def _trust(radius: float, growth: float, record: IterationRecord) -> tuple[float
     return max(radius, 3.0 * record.step) if record.ratio > 0.75 else radius, growth
 
 
-def _damped(system: System, damping: float) -> Step:
-    return system.solve(damping)
-
-
-def _powell(system: Any, radius: float) -> Step:
-    """Powell's step inside a trust region of this radius (Euclidean, scaled unknowns)."""
-    return system.dogleg(radius)  # type: ignore[no-any-return]
-
-
 def _controlled(
     rule: _Control,
     backend: Backend[S],
@@ -377,14 +369,14 @@ def _controlled(
 
 Optimizer = Callable[..., LoopResult[Any]]
 #: Damped steps.
-levenberg_marquardt: Optimizer = partial(_controlled, _Control(1e-4, _damped, nielsen, regular=True))
+levenberg_marquardt: Optimizer = partial(_controlled, _Control(1e-4, "solve", nielsen, regular=True))
 #: Damped steps for poor start values.
 delayed_levenberg_marquardt: Optimizer = partial(
     _controlled,
-    _Control(1e-2, _damped, delayed_gratification, regular=True, max_rejected=MAX_REJECTED_DOUBLING),
+    _Control(1e-2, "solve", delayed_gratification, regular=True, max_rejected=MAX_REJECTED_DOUBLING),
 )
 #: Powell's dogleg in a trust region of the scaled unknowns.
-dogleg: Optimizer = partial(_controlled, _Control(1e3, _powell, _trust))
+dogleg: Optimizer = partial(_controlled, _Control(1e3, "dogleg", _trust))
 
 OPTIMIZERS: dict[str, Optimizer] = {
     "gauss-newton": gauss_newton,

@@ -17,7 +17,6 @@ import numpy.typing as npt
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.memory import Need
 from fg_orient.model.errors import Finding, InputError, NoSolutionError
-from fg_orient.model.names import Role
 from fg_orient.model.options import USUAL_GROUPS
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.quality.accuracy import Accuracy
@@ -331,10 +330,6 @@ class Solution(AdjustmentResult):
         from fg_orient.quality.dem_accuracy import compare_points
 
         return compare_points(self.block, self.ground_m, dem, role)
-
-    def role(self, point: int) -> Role:
-        """Role of a ground point."""
-        return self.block.points.roles[point]
 
     @cached_property
     def result(self) -> Result:

@@ -122,7 +122,7 @@ def test_prediction_of_coordinates(error: tuple[float, float, float]) -> None:
     assert (only.test.point, only.test.part) == (block.points.ids[j], "height" if error[2] else "position")
     assert only.fit is not None
     assert only.fit.statistic == pytest.approx(only.test.statistic, rel=1e-3)
-    assert found.role(j) is Role.TIE
+    assert found.block.points.roles[j] is Role.TIE
     assert found.snooping.rounds[0].redundancy - found.snooping.rounds[1].redundancy == 3
 
 
