@@ -90,7 +90,7 @@ def adjust(
             command=command_line(), execution=execution, stage=watch.stage,
             checkpoint_every_s=checkpoint_every, resume=resume,
             dem_control=_dem_control(dem_control, dem_sigma, dem_vertical_crs),
-            dem_vertical_crs=dem_vertical_crs, start=from_result, start_prior=from_prior,
+            start=from_result, start_prior=from_prior,
         )  # fmt: skip
     for found in folded([read(one) for one in record.get("errors", [])]):
         tell("error", found)

@@ -261,7 +261,7 @@ def require_project(path: Path) -> None:
 
 
 def read_image(path: Path, model: str, extrapolate_s: float, result: Path | None = None) -> Any:
-    """Read a sensor as the options ``--model``, ``--extrapolate-attitude`` and ``--result`` say."""
+    """Read a sensor with the options ``--model``, ``--extrapolate-attitude`` and ``--result``."""
     from fg_orient.formats.sensor import read_sensor
 
     sensor = read_sensor(path, model=model, extrapolate_attitude_s=extrapolate_s)
@@ -283,7 +283,7 @@ def _with_result(sensor: Any, result: Path, image_id: str = "") -> Any:
 
 
 def read_dem(path: Path | None, vertical_crs: str) -> RasterDem | None:
-    """Read a DEM as the options ``--dem`` and ``--dem-vertical-crs`` say."""
+    """Read a DEM with the options ``--dem`` and ``--dem-vertical-crs``."""
     if path is None:
         if vertical_crs:
             raise InputError.of("dem.missing", option="dem", value="none given")

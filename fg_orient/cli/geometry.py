@@ -185,7 +185,7 @@ def intersect(
         images, observations = _pixels_of(sources, pixel or [], model, extrapolate_attitude, result)
         ids = ("1",)
     records = intersection_records(images, observations, ids)
-    doubts = [_rays_miss(record) for record in records if not _plausible(record)]
+    doubts = list(filter(None, map(_doubt, records)))
     for doubt in doubts:
         tell("warning", doubt)
     if out is not None:
@@ -195,12 +195,10 @@ def intersect(
     answer(record, _show_points, records, ("id", "lon_deg", "lat_deg", "height_m", "miss_m", "sigma_up_m"), (), out)
 
 
-def _plausible(record: dict[str, Any]) -> bool:
-    """True if the rays of an intersection can belong to one point."""
-    return bool(record["miss_m"] <= MAX_MISS_M and -1e3 <= record["height_m"] <= 10e3)
-
-
-def _rays_miss(record: dict[str, Any]) -> Finding:
+def _doubt(record: dict[str, Any]) -> Finding | None:
+    """Warning if the rays of an intersection cannot belong to one point."""
+    if record["miss_m"] <= MAX_MISS_M and -1e3 <= record["height_m"] <= 10e3:
+        return None
     return finding(
         "cli.rays_miss (warning): point {id}: the rays miss each other by {miss_m:.0f} m at a height of {height_m:.0f} "
         "m: probably not the same point in every image",
@@ -214,14 +212,14 @@ def _pixels_of(
     """Images and image points of one ground point, given on the command line."""
     import numpy as np
 
-    from fg_orient.model.block import Image, ImagePoints
+    from fg_orient.model.block import ImagePoints
 
     if len(sources) < 2:
         raise InputError.of("cli.one_image", file=sources[0], place="IMAGE", value=f"{len(sources)} file")
     if len(pixels) != len(sources):
         raise InputError.of("cli.pixel_count", option="pixel", pixels=len(pixels), images=len(sources))
     values = np.array([_pixel(text) for text in pixels])
-    images = tuple(Image(str(k + 1), read_image(path, model, extrapolate_s, result)) for k, path in enumerate(sources))
+    images = _images(sources, model, extrapolate_s, result)
     for k, image in enumerate(images):
         image.sensor.require_inside(values[k : k + 1, 0], values[k : k + 1, 1])
     n = len(images)

@@ -1,6 +1,6 @@
 """The data model of an adjustment: images, ground points, image points. Immutable, arrays included.
 
-A :class:`Block` holds what is known before the adjustment. The coordinates of **check
+A :class:`Block` contains the data known before the adjustment. The coordinates of **check
 points** are not in :class:`GroundPoints` (their rows are nan): they stay sealed in
 :class:`WithheldCoordinates` and are opened by the accuracy assessment after convergence.
 """

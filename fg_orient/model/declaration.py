@@ -140,7 +140,7 @@ class Option:
         return text + (f"; leave it out for {self.left_out}" if self.left_out else "")
 
     def allows(self, value: Any) -> bool:
-        """Tell if the option can have this value."""
+        """Whether the option can have this value."""
         if value is None:
             return self.optional
         if self.words:

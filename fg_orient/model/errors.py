@@ -200,7 +200,7 @@ def judged(findings: Sequence[Finding]) -> dict[str, Any]:
 
 
 def findings_of(record: Mapping[str, Any]) -> tuple[Finding, ...]:
-    """Findings of a result; an earlier version has sentences, of which the reason of the assessment is a doubt."""
+    """Findings of a result. An earlier version has sentences; there the reason of the assessment is a doubt."""
     if "findings" in record:
         return tuple(read(one) for one in record["findings"])
     stated = [finding("record.sentence", text=text) for text in record.get("warnings", ())]

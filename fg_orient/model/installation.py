@@ -50,7 +50,7 @@ def versions(distributions: Sequence[str] = COMPUTING) -> dict[str, str | None]:
 
 
 def is_ours(found: str) -> bool:
-    """Tell if a file of another name is fg_orient's own, through links."""
+    """Whether a file, with links resolved, belongs to fg_orient."""
     return os.path.realpath(os.path.dirname(found)) == os.path.realpath(_OURS)
 
 
@@ -162,7 +162,7 @@ def _source() -> str | None:
 
 
 def _direct_url(distribution: metadata.Distribution) -> dict[str, Any]:
-    """Where pip took a distribution from that does not come from an index (PEP 610); empty otherwise."""
+    """Origin of a distribution that pip did not take from an index (PEP 610); empty otherwise."""
     text = distribution.read_text("direct_url.json")
     return json.loads(text) if text else {}
 

@@ -124,7 +124,6 @@ def replay(
         path, out, overwrite=overwrite, options=repeat["options"], execution=_execution(repeat), check=check,
         command=old["provenance"]["command"], callback=callback, stage=stage,
         dem_control=None if dem is None else _open(path.parent, dem),
-        dem_vertical_crs="" if dem is None else dem["vertical_crs"],
         start=None if start is None else path.parent / start["folder"],
         start_prior=start is not None and start["prior"],
     )  # fmt: skip

@@ -46,7 +46,6 @@ def run_project(
     checkpoint_every_s: float = EVERY_S,
     resume: bool = False,
     dem_control: tuple[HeightSurface, float] | None = None,
-    dem_vertical_crs: str = "",
     start: str | Path | None = None,
     start_prior: bool = False,
     check: Callable[[Block], None] | None = None,
@@ -77,8 +76,6 @@ def run_project(
         Continue from the checkpoint of an interrupted run if it exists.
     dem_control : (HeightSurface, float), optional
         Elevation model for height observations of the tie points, and their sigma (m); without checkpoint.
-    dem_vertical_crs : str
-        Vertical CRS of the elevation model, for the record.
     start : path, optional
         Folder of an earlier result; ``start_prior``: its covariance is a prior. See :func:`fg_orient.adjust`.
     check : callable, optional
@@ -108,7 +105,7 @@ def run_project(
     read_s = working_clock() - mark
     folder, name = Path(project).parent, Path(out).name
     earlier = None if start is None else (Path(start), start_prior)
-    repeat = how_to_repeat(folder, options or {}, execution or {}, dem_control, dem_vertical_crs, earlier)
+    repeat = how_to_repeat(folder, options or {}, execution or {}, dem_control, earlier)
     try:
         with staged_folder(out, overwrite=overwrite) as staging:
             how = {**(execution or {}), "callback": callback, "stage": stage, "checkpoint": checkpoint,

@@ -57,11 +57,8 @@ class JointCofactors:
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Content of ``covariance.npz``."""
-        return {
-            "names": np.array(self.names, dtype=str), "values": self.values, "cofactors": self.cofactors,
-            "prior_sigma": self.prior_sigma, "control": np.array(self.control, dtype=str),
-            "control_m": self.control_m, "control_information": self.control_information,
-        }  # fmt: skip
+        own = vars(self).items()
+        return {name: np.array(part, dtype=str) if isinstance(part, tuple) else part for name, part in own}
 
     @staticmethod
     def of_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> JointCofactors:

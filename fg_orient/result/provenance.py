@@ -55,7 +55,6 @@ def how_to_repeat(
     options: Mapping[str, object],
     execution: Mapping[str, Any],
     dem_control: tuple[HeightSurface, float] | None,
-    dem_vertical_crs: str,
     earlier: tuple[Path, bool] | None = None,
 ) -> dict[str, Any]:
     """Arguments of a run in addition to its project file; ``fg_orient.orientation.replay`` reads them.
@@ -68,7 +67,7 @@ def how_to_repeat(
         Options that replaced those of the project file; None did not.
     execution : mapping
         ``parts``, ``workers``, ``cluster``: the numbers depend on the parts only.
-    dem_control, dem_vertical_crs
+    dem_control : (HeightSurface, float), optional
         See :func:`fg_orient.orientation.run.run_project`.
     earlier : (Path, bool), optional
         Folder of an earlier result, and whether its covariance is a prior.
@@ -83,7 +82,7 @@ def how_to_repeat(
     if dem_control is not None:
         surface, sigma_m = dem_control
         dem = {"file": relative(surface.path, folder), "sha256": sha256_of(Path(surface.path)), "sigma_m": sigma_m,
-               "vertical_crs": dem_vertical_crs}  # fmt: skip
+               "vertical_crs": getattr(surface, "vertical_crs", "")}  # fmt: skip
     start = {}
     if earlier is not None:
         path, prior = earlier

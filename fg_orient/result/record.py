@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-#: The file by which a result folder is known.
+#: File that marks a result folder.
 RESULT_FILE: Final = RESULT.mark
 ITERATIONS_FILE: Final = "iterations.jsonl"
 ARRAYS_FILE: Final = "arrays.npz"
@@ -46,7 +46,7 @@ TABLES: Final = {
     "eop": ("image", "parameter", "component", "degree", "unit", "value_per_tau", "sigma", "prior_sigma"),
     START_POINTS: ("id", "role", "n_rays", "lon_deg", "lat_deg"),
 }  # fmt: skip
-#: Beginnings of the figures of the accuracy assessment in the record.
+#: First letters of the names of accuracy figures in the record.
 _ACCURACY: Final = ("n", "rmse_", "mean_", "sd_", "max_", "ce9", "le9")
 
 
@@ -228,7 +228,7 @@ class Result:
 
 
 def overview(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Figures of a record that a reader wants first."""
+    """Most important figures of a record."""
     check = (record.get("accuracy") or {}).get("check") or {}
     rmse = [check.get(f"rmse_{axis}") for axis in _ENU]
     return {

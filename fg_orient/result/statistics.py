@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 MAX_NAMED: Final = 20
 #: Correlations from here on are named.
 HIGH: Final = 0.95
-#: Image unknowns up to which correlations between images are looked at, too.
+#: Image unknowns up to which correlations between images are computed, too.
 JOINT_UNKNOWNS: Final = 600
 #: Columns of ``outliers.csv``; errors in the order of ``_ERRORS``.
 OUTLIER_COLUMNS: Final = (
@@ -35,12 +35,12 @@ OUTLIER_COLUMNS: Final = (
     "left_out_with_it", "readmitted", "statistic_without", "probability_without",
 )  # fmt: skip
 _PIXEL: Final = ("line", "sample")
-#: Where the error of each part stands among the five.
+#: Places of the error of each part among the five columns of errors.
 _ERRORS: Final = {"image": (0, 1), "position": (2, 3), "height": (4,), "point": ()}
 
 
 def unavailable(solution: Solution, *figures: str) -> Finding | None:
-    """Why there are no redundancy numbers and figures that need them; None if there are."""
+    """Reason why redundancy numbers, and figures that depend on them, are unavailable; None if they are available."""
     problem, chosen = solution.problem, solution.block.options.statistics
     if solution.cofactors is None:
         return finding("absent.covariance", figures=figures)
@@ -52,7 +52,7 @@ def unavailable(solution: Solution, *figures: str) -> Finding | None:
 
 
 def reliability_of(solution: Solution) -> BlockReliability | None:
-    """Reliability for the results; None where it is unavailable, or a loss is set."""
+    """Reliability for the results; None if it is unavailable, or with a loss."""
     return None if unavailable(solution) or solution.weights is not None else solution.reliability()
 
 
@@ -121,7 +121,7 @@ def _control_unchecked(solution: Solution, control: Reliability) -> list[dict[st
         out.append({
             "image": None, "id": point, "redundancy": r, "direction": np.eye(3)[axis].tolist(),
             "sentence": f"{name} of control point {point}: redundancy {abs(r):.4f}, "
-            + _found_from(float(control.minimal_detectable_bias[row, axis]), "m"),
+            + _undetected(float(control.minimal_detectable_bias[row, axis]), "m"),
         })  # fmt: skip
     return out
 
@@ -139,12 +139,12 @@ def _image_unchecked(solution: Solution, image: Reliability, rays: npt.NDArray[n
             "redundancy": float(image.least[row]), "direction": [line, sample],
             "sentence": f"{solution.problem.label(row)}: along (line {line:+.3f}, sample {sample:+.3f})"
             f"{', the epipolar line of its two rays' if two else ''}: redundancy {abs(float(image.least[row])):.4f}, "
-            + _found_from(float(image.largest[row]), "px"),
+            + _undetected(float(image.largest[row]), "px"),
         })  # fmt: skip
     return out
 
 
-def _found_from(bias: float, unit: str) -> str:
+def _undetected(bias: float, unit: str) -> str:
     """Size of the errors that the test does not detect, in words."""
     return "an error of any size stays unseen" if np.isnan(bias) else f"errors below {bias:.3g} {unit} stay unseen"
 
@@ -237,7 +237,7 @@ def _unbounded(values: Array) -> Array:
 
 
 def tests_of(solution: Solution) -> OutlierTests | None:
-    """Tests of all observations as the options say; None where they are unavailable, or a loss is set."""
+    """Tests of all observations with the options of the block; None if they are unavailable, or with a loss."""
     return None if unavailable(solution) or solution.weights is not None else solution.outlier_tests()
 
 

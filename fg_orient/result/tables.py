@@ -15,7 +15,7 @@ all weights are 1.
 
 Standard deviations are posterior, ``sqrt(cofactor) sigma0``, where there is redundancy and no loss; else in
 prior scale. The column ``sigma_scale`` names the scale. Columns of redundancy and reliability
-(``fg_orient.result.statistics``) exist where the option ``statistics`` asks for them.
+(``fg_orient.result.statistics``) exist if the option ``statistics`` requests them.
 """
 
 from __future__ import annotations

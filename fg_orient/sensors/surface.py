@@ -74,7 +74,7 @@ class RasterDem:
                 unit = source.units[0] or ""
         except rasterio.RasterioIOError as error:
             raise InputError.of("dem.unreadable", file=path, value=error) from error
-        self.path = str(path)
+        self.path, self.vertical_crs = str(path), vertical_crs
         self._to_ellipsoid(unit, vertical_crs)
 
     def _to_ellipsoid(self, unit: str, given: str) -> None:
