@@ -15,6 +15,7 @@ import numpy as np
 
 from factors._contract import Array
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import CellKey
 from fg_orient.rectification import geometry, study
 from fg_orient.rectification.geometry import planar_area_m2, project, total_angle_rad, unproject
 from fg_orient.rectification.standards import effective_resolution_m
