@@ -165,7 +165,7 @@ def reproduce(
         on_points = source.real(
             printed, chosen, data, permutations=permutations, progress=progress("real points")
         )  # fmt: skip
-    about_it = [claim for claim in all_claims() if claims and claim.id in source.claims.split()]
+    about_it = [claim for claim in all_claims() if claims and claim.id in source.claims]
     assessed = run_claims(seeds, progress("claims", n_seeds, steps), about_it) if about_it else []
     titles = {table: printed.titles[table] for table in chosen}
     rows = pair(printed, computed, source, chosen, on_points, as_run=as_run)

@@ -44,8 +44,8 @@ class Source:
         Tables for ``real``, if ``compute`` computes others.
     curves : callable, optional
         ``curves(tables, seed, as_run=)``: L-curve of each EOP set whose kappas are in these tables.
-    claims : str
-        Ids of the claims about it, between blanks.
+    claims : tuple of str
+        Ids of the claims about it.
     meanings : mapping
         Meaning of a verdict where it differs from that for runs on synthetic blocks.
     known : sequence of mappings
@@ -61,7 +61,7 @@ class Source:
     real: Callable[..., Comparisons] | None = None
     real_tables: tuple[str, ...] = ()
     curves: Callable[..., dict[int, LCurve]] | None = None
-    claims: str = ""
+    claims: tuple[str, ...] = ()
     meanings: Mapping[str, str] = field(default_factory=dict)
     known: Sequence[Mapping[str, Any]] = ()
 
@@ -114,6 +114,7 @@ _DEFAULTS: Final = {name: value for name, value in _DECLARED.items() if isinstan
 def _source(name: str, computers: Mapping[str, Callable[[Values], Cells]] | None = None, **functions: Any) -> Source:
     """Source of its declaration and functions; with ``computers`` its tables follow from printed numbers."""
     of_source = dict(_DECLARED[name])
+    of_source["claims"] = tuple(of_source.get("claims", "").split())
     texts = of_source.pop("remarks", {}), of_source.pop("reasons", {})
     if computers is not None:
         functions["real"] = partial(recomputed, computers, *texts)
