@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     import pandas
 
     from fg_orient.quality.accuracy import PredictionTest
-    from fg_orient.quality.conditioning import Regularisation
     from fg_orient.quality.dem_accuracy import DemComparison
     from fg_orient.quality.free_network import FreeNetwork
     from fg_orient.quality.located_point import LocatedPoint, Orientation
@@ -307,7 +306,7 @@ class Solution(AdjustmentResult):
         return prediction_test(self.problem, self.state, self.required_cofactors(), self.accuracy.check)
 
     @cached_property
-    def regularisation(self) -> Regularisation | None:
+    def regularisation(self) -> dict[str, Any] | None:
         """L-curve and kappas of a Tikhonov solver (``fg_orient.quality.conditioning``); None for other solvers."""
         if not self.solver:  # another backend: do not load the kappa rules
             return None

@@ -57,7 +57,7 @@ CIRCULAR_RATIO = 0.6
 
 @dataclass(frozen=True)
 class Beyond:
-    """Check coordinates beyond ``RATIO_LIMIT`` standard deviations of their difference, and their number by chance.
+    """Check coordinates beyond ``RATIO_LIMIT`` standard deviations, and their number by chance.
 
     The number is compared with the binomial distribution, the largest with Sidak's limit of the largest of n. Both
     assume independent coordinates, which is an approximation for coordinates from the same images.
@@ -154,9 +154,7 @@ class PointDifferences:
         out: dict[str, float | int] = {"n": len(self), "n_fixed": self.n_fixed}
         if not len(self):
             return out
-        values = np.hstack([self.enu_m, self.ecef_m])
-        for k, axis in enumerate(AXES):
-            d = values[:, k]
+        for axis, d in zip(AXES, np.hstack([self.enu_m, self.ecef_m]).T, strict=True):
             out[f"rmse_{axis}_m"] = float(np.sqrt(np.mean(d**2)))
             out[f"mean_{axis}_m"] = float(d.mean())
             if len(d) > 1:
@@ -337,7 +335,7 @@ def bias_test(points: PointDifferences) -> dict[str, dict[str, float | bool]]:
 
 
 def y_parallaxes(problem: Problem, state: State) -> tuple[npt.NDArray[np.intp], Array]:
-    """Parallaxes of the tie and check points measured in exactly two images, with the fixed orientation of a state.
+    """Parallaxes of tie and check points with exactly two image points, for the orientation of a state.
 
     Each point is located again from its two rays; measured coordinates are not used.
 

@@ -9,8 +9,8 @@ equations are those of the first Gauss-Newton step.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import asdict
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from fg_orient.adjustment.problem import Problem, schur_possible
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.errors import Finding, finding
-
-if TYPE_CHECKING:
-    from fg_orient.adjustment.linear.kappa_graph import LCurve
 
 #: Beyond this condition solutions of different solvers agree to 5 or 6 digits only (eps times condition is 2e-6).
 ILL_CONDITIONED: Final = 1e10
@@ -68,52 +65,24 @@ def findings(problem: Problem, estimate: Estimate) -> list[Finding]:
 # --- regularised solvers --------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Regularisation:
-    """Regularisation of an adjustment.
+def regularisation(weighted: Problem, name: str, log: Sequence[IterationRecord]) -> dict[str, Any] | None:
+    """Section ``regularisation`` of a record; None for a solver that does not regularise.
 
     Parameters
     ----------
-    solver, label : str
-        "tikhonov_l_curve", "Tikhonov L-curve".
-    rule : str
-        The kappa rule of the solver; "" if it has none.
-    curve : LCurve
-        At the start values. Unknowns are prior sigmas (images) and metres (ground points), residuals are sigmas.
-    kappa : float or None
-        Kappa of the solver at the start values; None without one, for the reason in ``failure``.
-    kappas : tuple of (int, float)
-        Iteration and kappa of each step taken.
-    """
-
-    solver: str
-    label: str
-    rule: str
-    curve: LCurve
-    kappa: float | None
-    kappas: tuple[tuple[int, float], ...]
-    failure: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Section ``regularisation`` of a record."""
-        curve = asdict(self.curve)
-        return {
-            "solver": self.solver, "label": self.label, "rule": self.rule or None, "kappa": self.kappa,
-            "failure": self.failure, "rules": curve.pop("choices"), "curve": curve,
-            "steps": [{"iteration": number, "kappa": kappa} for number, kappa in self.kappas],
-        }  # fmt: skip
-
-
-def regularisation(judged: Problem, name: str, log: Sequence[IterationRecord]) -> Regularisation | None:
-    """Regularisation of an adjustment; None for a solver that does not regularise.
-
-    Parameters
-    ----------
-    judged : Problem
+    weighted : Problem
         Problem that was solved; under a loss with the weights at the solution.
     name : str
         Solver of the dense backend; "" for the other backends.
     log : sequence of IterationRecord
+
+    Returns
+    -------
+    dict or None
+        ``solver``, ``label``; ``rule``: kappa rule of the solver, None without one; ``kappa`` at the start values, None
+        for the reason in ``failure``; ``curve``: norms of residuals (sigmas) and of the solution (prior sigmas of
+        images, metres of ground points) at the start values; ``rules``: kappa of each rule; ``steps``: iteration and
+        kappa of each step taken.
     """
     if not name:  # the kappa rules need not be loaded
         return None
@@ -123,9 +92,10 @@ def regularisation(judged: Problem, name: str, log: Sequence[IterationRecord]) -
 
     if solver(name).family != "tikhonov":
         return None
-    system = DenseBackend(judged, name).linearise(judged.start).equations()
-    solved = attempt(name, system)
-    kappas = tuple((record.iteration, record.kappa) for record in log if record.accepted)
-    return Regularisation(
-        name, solver(name).label, solved.rule, l_curve_of(system), solved.kappa, kappas, solved.failure
-    )
+    system = DenseBackend(weighted, name).linearise(weighted.start).equations()
+    solved, curve = attempt(name, system), asdict(l_curve_of(system))
+    return {
+        "solver": name, "label": solver(name).label, "rule": solved.rule or None, "kappa": solved.kappa,
+        "failure": solved.failure, "rules": curve.pop("choices"), "curve": curve,
+        "steps": [{"iteration": record.iteration, "kappa": record.kappa} for record in log if record.accepted],
+    }  # fmt: skip

@@ -74,7 +74,7 @@ class Cofactors(Protocol):
 
 
 def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
-    """Cofactors from the backend that solved the problem; Indeterminate if the normal equations are nearly singular."""
+    """Cofactors from the backend of the solution; Indeterminate if the normal equations are nearly singular."""
     from fg_orient.adjustment.schur import SchurSystem
 
     linear = estimate.linear
@@ -223,7 +223,7 @@ class GraphCofactors(ReducedCofactors):
         return np.asarray(inverse / np.outer(length, length))
 
     def covariance(self, images: tuple[int, ...], points: tuple[int, ...] = ()) -> Array:
-        """Joint cofactors of images, then unknown points: by GTSAM, or from one inverse if many points are named."""
+        """Joint cofactors of images, then unknown points: by GTSAM, or one inverse if many points are named."""
         from fg_orient.adjustment.explicit import point_key, vector_keys
 
         problem = self._problem

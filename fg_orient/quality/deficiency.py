@@ -110,7 +110,7 @@ def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability,
 
 
 def require_determined(compiled: Problem) -> None:
-    """Refuse what :func:`refuse_deficient` refuses, without further analysis: with priors the structure decides."""
+    """Refuse the same blocks as :func:`refuse_deficient`; with priors only the structure is analysed."""
     if compiled.block.options.priors:
         _refuse(compiled, (), _structural(compiled, analyse_structure(compiled), ()))
     else:

@@ -81,7 +81,7 @@ class PointRows:
 
 
 def control_rows(problem: Problem, points: Index) -> Array:
-    """Whitened rows (m, 3, 3) of control points in East, North, Up, with the weights of a loss: orthogonal to W."""
+    """Whitened rows (m, 3, 3) of control points in East, North, Up, with the weights of a loss."""
     w = problem.control_weights(points)
     axes = problem.axes(problem.control_records[points, POINT.place] + problem.origin_m)
     return np.asarray(np.linalg.norm(w @ np.swapaxes(axes, 1, 2), axis=1)[:, :, None] * axes)
@@ -104,7 +104,7 @@ def image_columns(problem: Problem, images: Index) -> Index:
 def free_cofactors(
     problem: Problem, joint: Callable[[tuple[int, ...], tuple[int, ...]], Array], named: list[int]
 ) -> Array:
-    """Cofactors of all image unknowns (shared ones once), then of the named points; ``joint`` as of ``Cofactors``."""
+    """Cofactors of all image unknowns (shared ones once), then of named points; ``joint``: see ``Cofactors``."""
     q = joint(tuple(range(problem.n_images)), tuple(named))
     if problem.ties is None:
         return q
@@ -251,7 +251,7 @@ def _scattered(rows: Array, columns: Index, width: int) -> Array:
 
 
 def spectrum(rows: Array) -> tuple[Array, Array]:
-    """Singular values (u,) of rows (n, u), descending, and their right directions (u, u); zeros if n is less than u."""
+    """Singular values (u,) of rows (n, u), descending, and right directions (u, u); zeros if n < u."""
     short, u = _triangle(rows), rows.shape[1]
     _, s, vt = np.linalg.svd(np.vstack([short, np.zeros((max(0, u - len(short)), u))]), full_matrices=False)
     return s, vt

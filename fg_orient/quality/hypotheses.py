@@ -59,7 +59,7 @@ def require_names(test: str, control: str, level: float) -> None:
 
 
 def can_be_tested(d: npt.ArrayLike, redundancy: float | Array, test: str) -> npt.NDArray[np.bool_]:
-    """Whether d parameters (n,) of an error can be tested: redundancy must remain for the scale if it is estimated."""
+    """Whether d parameters (n,) of an error can be tested; an estimated scale needs remaining redundancy."""
     d = np.asarray(d)
     return np.asarray((d > 0) & ((d <= redundancy) if test == "baarda" else (d < redundancy)))
 

@@ -55,8 +55,6 @@ class ImageObservability:
         Number of unobservable directions.
     weak : int
         Number of directions held by the prior.
-    null_space : (k, rank_defect) array
-        Orthonormal unobservable directions in prior sigmas.
     sentences : tuple of str
         One per unobservable direction.
     held : tuple of str
@@ -72,7 +70,6 @@ class ImageObservability:
     singular_values: Array
     rank_defect: int
     weak: int
-    null_space: Array
     sentences: tuple[str, ...]
     held: tuple[str, ...] = ()
     condition: float | None = None
@@ -110,22 +107,21 @@ def analyse(image: str, jacobian: Array, model: ImageModel) -> ImageObservabilit
     parameters, jacobian = model.parameters.take(own), jacobian[:, own]
     k = len(parameters)
     if not k:
-        return ImageObservability(image, np.zeros(0), 0, 0, np.zeros((0, 0)), (), summary=f"image {image}: held")
+        return ImageObservability(image, np.zeros(0), 0, 0, (), summary=f"image {image}: held")
     s, vt = spectrum(jacobian)
     dead, weak = s <= UNOBSERVABLE, (s > UNOBSERVABLE) & (s < DETERMINED)
-    null = vt[dead].T
     candidates = [(text, direction[own]) for text, direction in model.silent_directions()]
-    texts = _name_directions(null, parameters, candidates) if dead.any() else []
+    texts = _name_directions(vt[dead].T, parameters, candidates) if dead.any() else []
     held = _name_by_unknowns(vt[weak], parameters.words)
     condition, raw = (None, None) if dead.any() else (float(s[0] / s[-1]), _raw_condition(s, vt, model))
     return ImageObservability(
-        image, s, int(dead.sum()), int(weak.sum()), null, tuple(f"image {image}: {t}" for t in texts), held, condition,
+        image, s, int(dead.sum()), int(weak.sum()), tuple(f"image {image}: {t}" for t in texts), held, condition,
         raw, f"image {image}: {_summary(texts, len(held), k, condition, raw)}",
     )  # fmt: skip
 
 
 def _name_directions(null: Array, parameters: ImageParameters, candidates: list[tuple[str, Array]]) -> list[str]:
-    """Description of each unobservable direction: the candidates that match best, then combinations of unknowns."""
+    """Unobservable directions in words: best matching candidates, then combinations of unknowns."""
     matched, rest = list[int](), null
     while rest.shape[1]:
         shares = [0.0 if k in matched else float(np.linalg.norm(rest.T @ d)) for k, (_, d) in enumerate(candidates)]

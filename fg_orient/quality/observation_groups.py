@@ -22,7 +22,7 @@ from fg_orient.model.parameters import N_EOP, parameter_name
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: Groupings of image points (one of them); of control points: all axes together, or position and height separately.
+#: Groupings of image points (one of them) and of control points: all axes, or position and height.
 IMAGE_GROUPINGS: Final = ("image", "image_by_role", "image_by_image", "image_by_sensor")
 GROUPINGS: Final = (*IMAGE_GROUPINGS, "control", "position", "height", "priors")
 
@@ -66,29 +66,19 @@ def require_groups(groups: tuple[str, ...]) -> None:
 def groups_of(problem: Problem, groups: tuple[str, ...] = USUAL_GROUPS) -> Groups:
     """Group the observations of a problem; errors as of :func:`require_groups`."""
     require_groups(groups)
-    names: list[str] = []
-
-    def number(name: str) -> int:
-        if name not in names:
-            names.append(name)
-        return names.index(name)
-
-    image = np.array(
-        [-1 if label is None else number(label) for label in _image_labels(problem.block, groups)], np.intp
-    )
-    axes = np.full(3, -1, np.intp)
+    image, prior = _image_labels(problem.block, groups), list[list[str | None]]()
+    axes: list[str | None] = [None] * 3
     if problem.observed.any():
-        axes = np.array([
-            number(part) if part in groups else number("control") if "control" in groups else -1
-            for part in ("position", "position", "height")
-        ], np.intp)  # fmt: skip
-    prior: tuple[Index, ...] = ()
+        control = "control" if "control" in groups else None
+        axes = [part if part in groups else control for part in ("position", "position", "height")]
     if problem.block.options.priors:
-        kinds = [
-            [_PRIOR_KIND.get(name) if "priors" in groups else None for name in p.names] for p in problem.parameters
-        ]
-        prior = tuple(np.array([-1 if kind is None else number(kind) for kind in row], np.intp) for row in kinds)
-    return Groups(tuple(names), image, axes, prior)
+        kinds = _PRIOR_KIND if "priors" in groups else {}
+        prior = [[kinds.get(name) for name in p.names] for p in problem.parameters]
+    labels = (image, axes, *prior)
+    names = tuple(dict.fromkeys(label for part in labels for label in part if label is not None))
+    place: dict[str | None, int] = {None: -1, **{name: k for k, name in enumerate(names)}}
+    of_image, of_axes, *of_priors = (np.array([place[label] for label in part], np.intp) for part in labels)
+    return Groups(names, of_image, of_axes, tuple(of_priors))
 
 
 def _image_labels(block: Block, groups: tuple[str, ...]) -> list[str | None]:

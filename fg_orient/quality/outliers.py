@@ -283,7 +283,7 @@ def _column(families: Sequence[Suspects], name: str) -> Index:
 
 
 def _classes(point: Index, d: Index, t: Array, tested: npt.NDArray[np.bool_]) -> tuple[Index, Index]:
-    """First member of each class of inseparable suspects, and the class of each suspect (n,); -1 for untested ones.
+    """First member of each class of inseparable suspects, and class (n,) of each suspect; -1: not tested.
 
     Suspects of one point with the same d and, apart from rounding, the same T are inseparable.
     """
@@ -382,7 +382,7 @@ def suspects(known: ResidualCofactors, kind: Kind = "groups") -> list[Suspects]:
 
 
 def _whole_points(known: ResidualCofactors) -> list[Suspects]:
-    """Ground points with all their image points and their coordinates, those with the same number of rows together."""
+    """Ground points with all their observations; points with the same number of rows are one family."""
     problem, cofactors = known.problem, known.cofactors
     v = np.concatenate([known.v_image.ravel(), known.v_control.ravel()])
     rays, named = linearised(problem, known.state), problem.named_points()

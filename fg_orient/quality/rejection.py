@@ -1,4 +1,4 @@
-"""Rejection of gross errors: fit, test, leave out the worst observation, fit again.
+"""Rejection of gross errors: fit, test, exclude the worst observation, fit again.
 
 One observation per round (Baarda 1968), because a gross error increases the statistics of its neighbours, too. Each
 domain supplies its fit and its tests; this loop decides which observation is left out or put back and when the search
@@ -206,11 +206,6 @@ class Search:
     def tests(self) -> tuple[GroupTest, ...]:
         """Tests of the observations that stay out, in the order in which they were left out."""
         return tuple(one.test for one in self.left_out)
-
-    @property
-    def points(self) -> tuple[str, ...]:
-        """Ids of the points of these observations."""
-        return tuple(dict.fromkeys(test.point for test in self.tests))
 
     @property
     def complete(self) -> bool:

@@ -7,12 +7,29 @@ that extra observations name from joint cofactors.
 
 Order of all rows: image points (line, sample), weighted control points ``np.flatnonzero(problem.observed)`` (East,
 North, Up; X, Y, Z in a local system), priors, extra observations.
+
+Contributions of groups of observations are computed point by point; no matrix of all rows is formed. The ground points
+are eliminated (``fg_orient.quality.elimination``): F and A are the projection and the Jacobian to the unknowns of the
+images without the point. With the cofactors Q of these unknowns, the cofactors of the residuals of points p and q are
+
+    R_pq = delta_pq F_p - A_p Q A_q^T
+
+so R consists of one block per point and a matrix of low rank. E_j selects the rows of group j::
+
+    M_j = sum_p A_p^T E_j A_p                     normal equations of the images from group j
+    W_j = Q M_j Q,  sum_j W_j = Q                 contribution of group j to Q
+    (R E_j R)_pp = F E_j F - F E_j H - H E_j F + A_p W_j A_p^T,   H = A_p Q A_p^T
+    S_ij = tr(E_i R E_j R) = tr(Q M_i Q M_j) + sum_p sum_(k in i, l in j) (F_kl^2 - 2 F_kl H_kl)
+
+All of it is exact. Priors and extra observations are rows without a point.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -20,12 +37,25 @@ import numpy.typing as npt
 from fg_orient.adjustment.cofactors import RayCofactors, blocks_of_images, cofactors_of_rays, inverse_roots
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.rows import image_rows, residuals
+from fg_orient.adjustment.rows import image_rows, linearised, residuals
 from fg_orient.model.block import ExtraObservation
 from fg_orient.quality.covariance import Cofactors
-from fg_orient.quality.elimination import control_residuals, control_rows
+from fg_orient.quality.elimination import (
+    PointRows,
+    control_residuals,
+    control_rows,
+    eliminated_points,
+    extra_rows,
+    free_cofactors,
+    single_rows,
+)
+from fg_orient.quality.hypotheses import CHECKED
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+#: Elements of the matrices W_j of all groups up to which they are formed: 0.5 GB each kind; 4 groups, 4000 unknowns.
+LARGEST: Final = 2**26
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +141,7 @@ class ResidualCofactors:
         return rays
 
     def _correct_named_points(self, rays: RayCofactors, named: list[int]) -> None:
-        """Replace the cofactors of ground points that extra observations name: more than their rays determines them."""
+        """Correct the cofactors of ground points that extra observations name, and of their rays."""
         problem, o = self.problem, self.problem.observations
         for j in named:
             own_rays = np.flatnonzero(o.point == j)
@@ -141,3 +171,128 @@ class ResidualCofactors:
         q = self.cofactors.joint(images, points)
         design = np.hstack([parts[True, k] for k in images] + [parts[False, j] for j in points])
         return np.asarray(1.0 - np.einsum("ri,ij,rj->r", design, q, design))
+
+
+# --- contributions of groups ----------------------------------------------------------------------
+
+
+def cost(problem: Problem, n_groups: int) -> int:
+    """Elements of the matrices of :class:`GroupCofactors`: one per group, and one of ungrouped observations."""
+    return (n_groups + 1) * (problem.n_free_unknowns + 3 * len(problem.named_points())) ** 2
+
+
+class GroupCofactors:
+    """Contributions of the groups to the cofactors of unknowns and residuals of a solution.
+
+    Parameters
+    ----------
+    known : ResidualCofactors
+        Of a solution by any backend.
+    labels : (n,) int array
+        Group of every row: image points, control points in East, North, Up, priors, extra observations; -1: none.
+    n_groups : int
+    """
+
+    def __init__(self, known: ResidualCofactors, labels: Index, n_groups: int) -> None:
+        self._problem, self._state = problem, state = known.problem, known.state
+        self._labels, self._size = np.where(labels < 0, n_groups, labels), n_groups + 1
+        self._named, self._rows = problem.named_points(), linearised(problem, state)
+        self._q = free_cofactors(problem, known.cofactors.joint, self._named)
+
+    def _points(self, only: Index | None = None) -> Iterator[PointRows]:
+        return eliminated_points(self._problem, self._rows, self._named, only=only, groups=self._size)
+
+    def _all(self) -> Iterator[PointRows]:
+        """Rows of all ground points, priors and extra observations."""
+        yield from self._points()
+        problem = self._problem
+        begin = 2 * len(problem.observations) + 3 * int(problem.observed.sum())
+        if problem.block.options.priors:
+            u = problem.n_free_unknowns
+            yield single_rows(begin + np.arange(u), np.arange(u)[:, None], np.ones((u, 1)))
+            begin += u
+        yield from extra_rows(problem, self._state, self._named, begin)
+
+    @cached_property
+    def _gains(self) -> Array:
+        """``Q M_j`` (g + 1, u, u) of all groups, the last of ungrouped observations."""
+        from scipy import sparse
+
+        normal = np.zeros((self._size, *self._q.shape))
+        for part in self._all():
+            n, r, c = part.design.shape
+            columns = np.repeat(part.columns, r, axis=0).ravel()
+            design = sparse.csr_array(
+                (part.design.ravel(), columns, np.arange(0, n * r * c + 1, c)), shape=(n * r, len(self._q))
+            )
+            label = self._labels[part.rows.ravel()]
+            for j in np.unique(label):
+                mine = design[label == j]
+                product = (mine.T @ mine).tocoo()
+                normal[j][product.coords] += product.data
+        for own in normal:
+            own[:] = self._q @ own
+        return normal
+
+    @cached_property
+    def parts(self) -> Array:
+        """W (g + 1, u, u): contributions to the cofactors of the image unknowns (shared ones once)."""
+        u = self._problem.n_free_unknowns
+        return np.asarray(self._wide_parts[:, :u, :u])
+
+    @cached_property
+    def _wide_parts(self) -> Array:
+        return np.stack([gain @ self._q for gain in self._gains])
+
+    @cached_property
+    def shared(self) -> Array:
+        """S (g + 1, g + 1) of all groups; last row and column: ungrouped observations."""
+        turned = np.swapaxes(self._gains, 1, 2).reshape(self._size, -1)
+        out = self._gains.reshape(self._size, -1) @ turned.T
+        for part in self._all():
+            label = self._labels[part.rows]
+            pair = label[:, :, None] * self._size + label[:, None, :]
+            own = part.free * (part.free - 2.0 * part.quadratic(self._q))
+            out += np.bincount(pair.ravel(), own.ravel(), self._size**2).reshape(out.shape)
+        return 0.5 * (out + out.T)
+
+    def shares(self, points: Index, rows: Index, columns: Array) -> Array:
+        """Shares c of the groups in the variances of errors.
+
+        Parameters
+        ----------
+        points : (n,) int array
+            Ground points of the suspects.
+        rows : (n, m) int array
+            Rows of the suspects, all of their ground point.
+        columns : (n, m, k) array
+            Change of the residuals in these rows with the errors.
+
+        Returns
+        -------
+        (n, g + 1) array
+            ``tr((E^T R E)^+ E^T R E_j R E) / d``, the last of ungrouped observations; each row has the sum 1.
+        """
+        out = np.zeros((len(points), self._size))
+        for part in self._points(points):
+            at = np.full(len(self._problem.active), -1)
+            at[part.point] = np.arange(len(part.point))
+            mine = np.flatnonzero(at[points] >= 0)
+            of = at[points[mine]]
+            q = part.quadratic(self._q)
+            own = np.stack([part.quadratic(w) for w in self._wide_parts], axis=1)
+            error = np.zeros((len(mine), part.rows.shape[1], columns.shape[2]))
+            i, m, r = np.nonzero(rows[mine][:, :, None] == part.rows[of][:, None, :])
+            error[i, r] = columns[mine[i], m]
+            out[mine] = _shares(part.free[of], q[of], own[of], error, np.eye(self._size)[self._labels[part.rows[of]]])
+        return out
+
+
+def _shares(free: Array, q: Array, own: Array, error: Array, select: Array) -> Array:
+    """Shares (n, g) of errors (n, r, k); F, H (n, r, r), ``A W_j A^T`` (n, g, r, r), groups of the rows (n, r, g)."""
+    size, axes = np.linalg.eigh(np.swapaxes(error, 1, 2) @ (free - q) @ error)
+    checked = size > CHECKED * np.maximum(size[:, -1:], np.finfo(float).tiny)
+    scaled = error @ np.where(checked[:, None], axes / np.sqrt(np.where(checked, size, 1.0))[:, None], 0.0)
+    within = np.sum((free @ scaled) * ((free - 2.0 * q) @ scaled), axis=2)
+    whole = np.einsum("nrg,nr->ng", select, within) + np.einsum("nra,ngrs,nsa->ng", scaled, own, scaled, optimize=True)
+    return np.asarray(whole / np.maximum(checked.sum(axis=1), 1)[:, None])

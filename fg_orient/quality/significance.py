@@ -182,7 +182,7 @@ def group_test(
 
 
 def places_of(problem: Problem, wanted: Callable[[str], bool]) -> Index:
-    """Places in ``problem.image_columns`` of the unknowns whose name is wanted, shared ones with their first image."""
+    """Places in ``problem.image_columns`` of unknowns with a wanted name; shared ones in their first image."""
     names = [name for parameters in problem.parameters for name in parameters.names]
     places = range(len(names)) if problem.ties is None else np.sort(problem.ties.place).tolist()
     return np.array([j for j in places if wanted(names[j])], np.intp)

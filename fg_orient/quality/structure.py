@@ -79,7 +79,7 @@ class Structure:
 
 
 def analyse_structure(problem: Problem) -> Structure:
-    """Parts of a block, and unknowns with too few observations; priors are observations if the problem has them."""
+    """Parts of a block, and unknowns with too few observations, to which priors belong."""
     part, point_part = _parts(problem)
     image_need, point_need = _needs(problem)
     lacks = () if _enough(problem, image_need, point_need) else _lacking(problem, image_need, point_need)
@@ -107,7 +107,7 @@ def _needs(problem: Problem) -> tuple[Index, Index]:
 
 
 def _enough(problem: Problem, image_need: Index, point_need: Index) -> bool:
-    """Whether equal shares of the image points are enough for all points and images (sufficient, not necessary)."""
+    """Whether equal shares of image points are enough for all points and images (sufficient condition)."""
     o = problem.observations
     rays = np.bincount(o.point, minlength=len(point_need))
     if np.any(2 * rays < point_need):

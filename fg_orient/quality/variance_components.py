@@ -8,7 +8,7 @@ With whitened residuals v, their cofactors ``R = I - A N^-1 A^T`` and the rows o
 
 Both have the same fixed point, s_i = 1 for all groups, because the rows of S have the sums r. It is the maximum of the
 residual (restricted) likelihood (Patterson & Thompson 1971), and ``2 S^-1`` is the covariance of the s_i^2 there.
-Helmert's equations converge in a few rounds (S point by point: ``fg_orient.quality.group_cofactors``). Foerstner's
+Helmert's equations converge in a few rounds (S point by point: ``fg_orient.quality.residuals``). Foerstner's
 estimates are never negative; they replace negative variances of Helmert's equations, and all estimates if unknowns and
 groups are too many. Each round requires a new adjustment (``fg_orient.orientation.components``).
 
@@ -40,10 +40,9 @@ from fg_orient.adjustment.problem import participates
 from fg_orient.model.distributions import chi_square_median
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.model.options import USUAL_GROUPS
-from fg_orient.quality.group_cofactors import LARGEST, GroupCofactors, cost
 from fg_orient.quality.hypotheses import CHECKED
 from fg_orient.quality.observation_groups import Groups, groups_of
-from fg_orient.quality.residuals import ResidualCofactors
+from fg_orient.quality.residuals import LARGEST, GroupCofactors, ResidualCofactors, cost
 
 if TYPE_CHECKING:
     from fg_orient.quality.outliers import Suspects
@@ -123,11 +122,7 @@ class VarianceComponents:
         """Plain values for the record of a run."""
         return {
             "method": self.method, "rounds": self.rounds, "exact": self.exact,
-            "components": [
-                {"group": c.group, "n": c.n, "redundancy": c.redundancy, "factor": c.factor, "sd": c.sd,
-                 "held": c.held or None}
-                for c in self.components
-            ],
+            "components": [{**vars(c), "held": c.held or None} for c in self.components],
         }  # fmt: skip
 
 
@@ -373,7 +368,7 @@ def _own(residuals: GroupedResiduals, s: Suspects) -> Array:
 class UnknownFreedom:
     """Degrees of freedom of tests of image unknowns: their variance is a sum of the components, too.
 
-    Cofactors ``Q = sum_j W_j`` (``fg_orient.quality.group_cofactors``), so of unknowns with cofactors ``Q = L L^T``
+    Cofactors ``Q = sum_j W_j`` (``fg_orient.quality.residuals``), so of unknowns with cofactors ``Q = L L^T``
     together ``c_j = tr(L^-1 W_j L^-T) / d``.
 
     Parameters

@@ -37,7 +37,7 @@ from fg_orient.quality.observability import BlockObservability, ImageObservabili
 
 #: Probability of the two-sided interval of sigma0.
 SIGMA0_LEVEL = 0.999
-#: Image points with a smaller weight count as down-weighted; a solution with a larger share of them is not trustworthy.
+#: Weight below which an image point is down-weighted; maximum share of them in a trustworthy solution.
 DOWN = 0.5
 MOST_DOWN = 0.5
 #: Maximum number of images that are named.
@@ -60,41 +60,41 @@ def assess_solution(problem: Problem, estimate: Estimate, unavailable: tuple[Fin
     if not estimate.converged or not np.isfinite(estimate.chi2):
         return SolutionAssessment(Status.NOT_CONVERGED, estimate.end, NO_INTERVAL)
     interval = sigma0_interval(f) if f > 0 and estimate.weights is None else NO_INTERVAL
+    doubt = _doubt(problem, estimate, unavailable, interval[1])
+    if doubt is not None:
+        return SolutionAssessment(Status.NOT_TRUSTWORTHY, doubt, interval)
+    end = estimate.end if f > 0 else finding("verdict.no_redundancy")
+    return SolutionAssessment(Status.CONVERGED, end, interval)
+
+
+def _doubt(problem: Problem, estimate: Estimate, unavailable: tuple[Finding, ...], limit: float) -> Finding | None:
+    """Reason not to trust a converged solution, or None; ``limit``: upper end of the interval of sigma0."""
+    options, weights, f = problem.block.options, estimate.weights, problem.redundancy
     if problem.least_damping > 0.0:
-        return SolutionAssessment(Status.NOT_TRUSTWORTHY, finding("verdict.free_datum"), interval)
-    plain = estimate.weights is None or are_information(problem.block.options.loss, estimate.weights)
-    if unavailable and plain and not problem.block.options.priors and problem.block.options.datum != "inner":
-        return SolutionAssessment(Status.NOT_TRUSTWORTHY, finding("verdict.weak_control"), interval)
-    if f <= 0:
-        return SolutionAssessment(Status.CONVERGED, finding("verdict.no_redundancy"), interval)
-    if estimate.weights is not None:
-        return _assess_weights(problem, estimate, estimate.weights)
-    sigma0 = float(np.sqrt(estimate.chi2 / f))
-    if sigma0 > interval[1]:
-        return SolutionAssessment(
-            Status.NOT_TRUSTWORTHY, finding("verdict.sigma0", sigma0=sigma0, limit=interval[1]), interval
-        )
-    return SolutionAssessment(Status.CONVERGED, estimate.end, interval)
+        return finding("verdict.free_datum")
+    plain = weights is None or are_information(options.loss, weights)
+    if unavailable and plain and not options.priors and options.datum != "inner":
+        return finding("verdict.weak_control")
+    if f > 0 and weights is not None:
+        return _doubt_of_weights(problem, weights)
+    sigma0 = float(np.sqrt(estimate.chi2 / f)) if f > 0 else 0.0
+    return finding("verdict.sigma0", sigma0=sigma0, limit=limit) if sigma0 > limit else None
 
 
-def _assess_weights(problem: Problem, estimate: Estimate, weights: Weights) -> SolutionAssessment:
-    """Status under a loss, by the number of down-weighted image points: sigma0 is not chi-square distributed there.
+def _doubt_of_weights(problem: Problem, weights: Weights) -> Finding | None:
+    """Reason not to trust a solution under a loss, by the number of down-weighted image points.
 
-    An image with most of its image points down-weighted is oriented by the others or by its priors alone. Least
-    absolute values are not assessed: their weights decrease from the smallest residual on.
+    Sigma0 is not chi-square distributed there. An image with most of its image points down-weighted is oriented by the
+    others or by its priors alone. Least absolute values are not assessed: their weights decrease from the smallest
+    residual on.
     """
     if problem.block.options.loss in UNWEIGHED:
-        return SolutionAssessment(Status.CONVERGED, estimate.end, NO_INTERVAL)
+        return None
     down, n = int(np.count_nonzero(weights.image < DOWN)), len(weights.image)
     if down > MOST_DOWN * n:
-        return SolutionAssessment(
-            Status.NOT_TRUSTWORTHY, finding("verdict.loss", down=down, n=n, limit=DOWN), NO_INTERVAL
-        )
+        return finding("verdict.loss", down=down, n=n, limit=DOWN)
     images = [f"image {name}: {bad} of {all_}" for name, bad, all_ in turned_down_images(problem, weights)]
-    if images:
-        reason = finding("verdict.loss_of_images", count=len(images), limit=DOWN, images=images)
-        return SolutionAssessment(Status.NOT_TRUSTWORTHY, reason, NO_INTERVAL)
-    return SolutionAssessment(Status.CONVERGED, estimate.end, NO_INTERVAL)
+    return finding("verdict.loss_of_images", count=len(images), limit=DOWN, images=images) if images else None
 
 
 def turned_down_images(problem: Problem, weights: Weights) -> list[tuple[str, int, int]]:

@@ -30,12 +30,12 @@ def write_report(folder: str | Path, truth: str | Path | None = None) -> tuple[P
     path : Path
         The file written.
     comparison : dict or None
-        Estimated minus true; see :func:`fg_orient.report.truth.compare`.
+        Estimated minus true; see :func:`fg_orient.report.tables.compare_truth`.
 
     Raises
     ------
     InputError
-        The folder holds no result, or the truth does not belong to it.
+        The folder contains no result, or the truth is that of another project.
     """
     from fg_orient.result.record import read_any_result, read_result
 
@@ -43,10 +43,10 @@ def write_report(folder: str | Path, truth: str | Path | None = None) -> tuple[P
     if truth is None:
         result = read_any_result(Path(folder))
     else:
-        from fg_orient.report.truth import compare
+        from fg_orient.report.tables import compare_truth
 
         result = read_result(folder)
-        comparison = compare(result, Path(truth))
+        comparison = compare_truth(result, Path(truth))
     return write_page(Path(folder), result, comparison), comparison
 
 

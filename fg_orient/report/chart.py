@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-#: Inks that colour-blind readers tell apart (Okabe and Ito 2008); each kind also has a marker or a line style.
+#: Inks for colour-blind readers (Okabe and Ito 2008); each kind also has a marker or a line style.
 INK, GREY = "#1d2327", "#8a9298"
 BLUE, ORANGE, GREEN, PINK = "#0072b2", "#d55e00", "#009e73", "#cc79a7"
 
@@ -67,7 +67,7 @@ INKS: Final = {
         ("equal", GREEN), ("order", "#56b4e9"), ("rounding", BLUE), ("pattern", "#c9b400"), ("differs", ORANGE),
         ("not_reproducible", GREY))},
 }  # fmt: skip
-#: Kinds of marks that tell series apart.
+#: Number of kinds of marks for series.
 SERIES: Final = 6
 #: Distances of ticks that read well, times a power of ten.
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
@@ -84,12 +84,12 @@ def round_down(value: float) -> float:
 
 
 def thousands(value: float) -> str:
-    """Write an enlargement with two significant digits."""
+    """Text of an enlargement, two significant digits."""
     return f"{float(f'{value:.2g}'):,.0f}"
 
 
 def ticks(low: float, high: float, about: int = 5) -> list[float]:
-    """Round values between two limits, about so many."""
+    """Round values between two limits; ``about``: wanted number."""
     if not high > low:
         return [low]
     raw = (high - low) / about
@@ -111,30 +111,30 @@ def log_ticks(low: float, high: float) -> list[float]:
 
 
 def decades(values: npt.ArrayLike) -> tuple[float, float]:
-    """Powers of ten about positive values; others are left out."""
+    """Powers of ten around the positive values."""
     exponents = np.log10([v for v in np.asarray(values, float) if math.isfinite(v) and v > 0.0] or [1.0])
     return 10.0 ** math.floor(exponents.min() - 0.05), 10.0 ** math.ceil(exponents.max() + 0.05)
 
 
 def limits_of(values: npt.ArrayLike) -> tuple[float, float]:
-    """Limits about positive values with a margin of 9 % of the decades, at least a twentieth; others are left out."""
+    """Limits around the positive values, with a margin of 9 % of the decades, at least 0.05."""
     exponents = np.log10([v for v in np.asarray(values, float) if math.isfinite(v) and v > 0.0] or [1.0])
     margin = max(0.09 * float(np.ptp(exponents)), 0.05)
     return 10.0 ** (float(exponents.min()) - margin), 10.0 ** (float(exponents.max()) + margin)
 
 
 def plain(value: float) -> str:
-    """Write a tick: short, with a true minus."""
+    """Text of a tick, with a minus sign."""
     return plain_exponent(f"{value:.6g}").replace("-", "−")
 
 
 def plain_power(value: float) -> str:
-    """Write a tick of a logarithmic axis: from 0.01 to 1000 plainly, others with an exponent."""
+    """Text of a tick of a logarithmic axis; with an exponent below 0.01 and from 10 000 on."""
     return f"{value:.6g}" if 1e-2 <= value < 1e4 else plain_exponent(f"{value:.0e}")
 
 
 def short(value: float) -> str:
-    """A number in at most four characters; a dash where there is none."""
+    """Number in at most four characters; a dash if it is not finite."""
     if value == 0.0 or not math.isfinite(value):
         return "0" if value == 0.0 else "–"
     exponent = math.floor(math.log10(abs(value)))
@@ -144,12 +144,12 @@ def short(value: float) -> str:
 
 
 def plain_exponent(text: str) -> str:
-    """Write "1e+05" as "1e5" and a true minus."""
+    """Text with "1e5" for "1e+05" and with minus signs."""
     return text.replace("e+0", "e").replace("e+", "e").replace("e-0", "e−").replace("e-", "e−")
 
 
 def cut(name: str, length: int = 24) -> str:
-    """A name that fits a title; control characters are replaced."""
+    """Name shortened for a title; control characters are replaced."""
     text = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in name)
     return text if len(text) <= length else text[: length - 1] + "…"
 
@@ -219,7 +219,7 @@ class Mark:
         Of bars edges (n + 1) and counts (n); of cells nothing and a matrix of correlations; of blocks edges (n, 2). A
         line is interrupted at nan.
     label : str
-        In the legend; none where empty.
+        In the legend; "": no entry.
     tips : sequence of str
         Text of each dot for the pointer, or the names themselves.
     vectors : (n, 2) array, optional
@@ -248,7 +248,7 @@ class Chart:
     Parameters
     ----------
     words : str
-        Content, for readers who do not see it.
+        Content, for screen readers.
     x, y : Axis
     title : str
         On paper; a page has headings.
@@ -349,12 +349,12 @@ def mapped(words: str, places: Array, shrink: float = 1.0, tallest: float = 720.
 
 
 def large(vectors: Array) -> float:
-    """Length that nine of ten vectors do not exceed; 0 without any."""
+    """90 % quantile of the lengths of vectors (n, 2); 0 without vectors."""
     lengths = np.linalg.norm(vectors[np.isfinite(vectors).all(axis=1)], axis=1)
     lengths = lengths[lengths > 0.0]
     return float(np.quantile(lengths, 0.9)) if len(lengths) else 0.0
 
 
 def hundredths(rho: float) -> str:
-    """Write a correlation in hundredths; 0.999 is not rounded to 1."""
+    """Text of a correlation in hundredths; 0.999 is not rounded to 1."""
     return f"{'−' if rho < 0.0 else ''}.{min(99, math.floor(abs(rho) * 100.0)):02d}"

@@ -1,4 +1,4 @@
-"""Figures of a result folder for papers: every chart as SVG and PDF, with captions, in one folder."""
+"""Figures of a result folder for papers: all charts as SVG and PDF, with captions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fg_orient.result.record import Result, read_result
 
 __all__ = ["write_figures"]
 
-#: Charts of a figure; None and empty lists are left out.
+#: Charts of a figure; None is skipped.
 Charts = Sequence[Chart | None]
 FORMATS: Final = ("svg", "pdf")
 CAPTIONS_FILE: Final = "captions.md"
@@ -26,7 +26,7 @@ CAPTIONS_FILE: Final = "captions.md"
 FIGURES: Final = Contents(CAPTIONS_FILE, (CAPTIONS_FILE, "*.svg", "*.pdf"))
 #: Folder of the figures inside a result folder.
 FOLDER: Final = "figures"
-#: Images whose own figures are drawn; the tables hold all.
+#: Maximum number of images with figures; the tables contain all.
 MAX_IMAGES: Final = 12
 #: Points of a map, vectors of an image and quantiles of a curve that a paper shows.
 MANY: Final = {"map": 5000, "vectors": 2000, "quantiles": 2000}
@@ -122,7 +122,7 @@ def write_figures(
     Raises
     ------
     InputError
-        The folder holds no result, matplotlib is missing, or the output may not be written.
+        The folder contains no result, matplotlib is missing, or the output may not be written.
     """
     require_matplotlib()
     if unknown := [kind for kind in formats if kind not in FORMATS]:

@@ -37,10 +37,10 @@ CRS: Final = "EPSG:4326"
 SUFFIXES: Final = (".gpkg", ".geojson")
 #: Digits of a degree in GeoJSON: 0.1 mm.
 DIGITS: Final = 9
-#: How GDAL writes UTC: GeoPackage knows times of no other zone.
+#: Code of UTC in GDAL; times of a GeoPackage are UTC.
 UTC_OF_GDAL: Final = 100
 ENU: Final = ("east_m", "north_m", "up_m")
-#: Attributes of the points: those that the table holds.
+#: Attributes of the points, if the table has them.
 POINT_FIELDS: Final = (
     "id", "role", "n_rays", "height_m", "sigma_scale", *(f"sigma_{a}" for a in ENU),
     *(f"difference_{a}" for a in ENU), *(f"own_sigma_{a}" for a in ENU), *(f"mdb_{a}" for a in ENU), "external_m",
@@ -137,7 +137,7 @@ def export(
 
 
 def points(table: Table) -> Layer:
-    """Points with geographic coordinates, with the fields that the table holds."""
+    """Points with geographic coordinates, and their fields in the table."""
     place = table.numbers("lon_deg", "lat_deg")
     rows = np.flatnonzero(np.isfinite(place).all(axis=1)).tolist()
     geometries = [{"type": "Point", "coordinates": lon_lat} for lon_lat in place[rows].tolist()]
@@ -148,9 +148,8 @@ def points(table: Table) -> Layer:
 def error_vectors(table: Table, scale: float | None) -> Layer:
     """Horizontal differences adjusted minus measured, enlarged, from the adjusted point on.
 
-    The end of a vector lies in the tangent plane of the point and is put down on the ellipsoid: its azimuth is
-    that of the difference; the length is true to 1e-5 up to 30 km. Without a scale a large error has a good length on a
-    map of all points.
+    The end of a vector is in the tangent plane of the point, projected onto the ellipsoid: the azimuth is that of the
+    difference, and the relative error of the length is 1e-5 up to 30 km. Default scale: a large error is well visible.
     """
     place, enu = table.numbers("lon_deg", "lat_deg"), table.numbers(*(f"difference_{a}" for a in ENU))
     rows = np.flatnonzero(np.isfinite(np.hstack([place, enu[:, :2]])).all(axis=1))
@@ -203,7 +202,7 @@ def footprints(result: Result) -> Layer:
 
 
 def geojson(layers: tuple[Layer, ...]) -> str:
-    """One FeatureCollection of all layers; the property ``layer`` tells them apart."""
+    """One FeatureCollection of all layers; property ``layer``: name of the layer."""
     features = [
         {"type": "Feature", "geometry": {"type": geometry["type"], "coordinates": _rounded(geometry["coordinates"])},
          "properties": plain({"layer": layer.name, **dict(zip(layer.columns, row, strict=True))})}
@@ -226,7 +225,7 @@ def write_geopackage(path: Path, layers: tuple[Layer, ...], made: str) -> None:
     path : Path
     layers : tuple of Layer
     made : str
-        Date and time (ISO 8601, UTC) to stand in the file, so that it repeats.
+        Date and time (ISO 8601, UTC) in the file; equal results give equal bytes.
     """
     with plain_case():
         import pyogrio

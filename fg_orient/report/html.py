@@ -17,16 +17,15 @@ from markupsafe import Markup
 from fg_orient.model.errors import DECISIVE, findings_of
 from fg_orient.report import maps, plots, tables
 from fg_orient.report.page import environment
-from fg_orient.report.payload import payload
 from fg_orient.report.words import accuracy_words, orientation_words, verdict
 from fg_orient.result.record import Result
 
 Values = Mapping[str, Any]
 Supply = Callable[[Result], Values | None]
 
-#: Rows of a table, images, and images with drawings that the page shows; the files hold all.
+#: Maximum numbers of table rows, images and drawn images of the page; the files contain all.
 MANY: Final = {"rows": 100, "images": tables.MAX_IMAGES, "terms": tables.MAX_TERMS, "panels": plots.MAX_PANELS}
-#: Suspicious observations that the first page names.
+#: Maximum number of suspicious observations in the verdict.
 SUSPECTS: Final = 3
 _AXES: Final = (("East", "east"), ("North", "north"), ("Up", "up"), ("ECEF X", "ecef_x"), ("ECEF Y", "ecef_y"),
                 ("ECEF Z", "ecef_z"))  # fmt: skip
@@ -34,7 +33,7 @@ _AXES: Final = (("East", "east"), ("North", "north"), ("Up", "up"), ("ECEF X", "
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page, left out if its template gives no text.
+    """Part of the page, omitted if its template gives no text.
 
     Parameters
     ----------
@@ -99,7 +98,7 @@ def _page(result: Result, sections: Sequence[Section], verdict: Values, problems
     shell, record = environment(), result.record
     shared = {
         "result": result, "r": record, "many": MANY, "axes": _AXES, "plots": plots, "maps": maps, "tables": tables,
-        "payload": payload(result) if result.adjusted else None,
+        "payload": maps.payload(result) if result.adjusted else None,
     }  # fmt: skip
     parts = []
     for one in (*sections, Section("provenance", "Provenance")):

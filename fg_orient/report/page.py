@@ -53,7 +53,7 @@ def environment(package: str = SHELL) -> jinja2.Environment:
     Parameters
     ----------
     package : str
-        Package whose folder ``templates`` holds the report's own template.
+        Package with the report's own template in its folder ``templates``.
 
     Returns
     -------

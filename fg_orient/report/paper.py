@@ -62,19 +62,18 @@ def file_of(figure: Figure, kind: str) -> bytes:
     return stream.getvalue()
 
 
-def figure_of(charts: Sequence[Chart], columns: int = 2) -> Figure:
-    """Draw charts side by side in one figure, of one or two columns of a journal."""
-    columns = min(columns, len(charts))
+def figure_of(charts: Sequence[Chart]) -> Figure:
+    """Draw charts two in a row in one figure, of one or two columns of a journal."""
+    columns = min(2, len(charts))
     width = ONE_COLUMN if columns == 1 else TWO_COLUMNS
     wide = width / columns - 0.6
-    tall = max(wide * _shape(chart) for chart in charts)
-    return _grid(charts, columns, width, tall + 0.75)[0]
+    return _grid(charts, columns, width, max(wide * _shape(chart) for chart in charts) + 0.75)[0]
 
 
 def _grid(
     charts: Sequence[Chart], columns: int, width: float, height: float, more: float = 0.0
 ) -> tuple[Figure, list[Axes]]:
-    """Draw charts in rows of a height each, inches, with some ``more`` for all; the figure and the axes in use."""
+    """Draw charts in rows of a height, inches, with some ``more`` for all; the figure and the axes in use."""
     lines = -(-len(charts) // columns)
     figure = new_figure(width, height * lines + more)
     panels = list(figure.subplots(lines, columns, squeeze=False).ravel())
@@ -85,9 +84,9 @@ def _grid(
     return figure, panels[: len(charts)]
 
 
-def panels_of(charts: Sequence[Chart], width: float, height: float, columns: int = 5) -> Figure:
-    """Draw charts as panels of a size in inches with one legend above all; several stand in rows of so many."""
-    columns = min(columns, len(charts))
+def panels_of(charts: Sequence[Chart], width: float, height: float) -> Figure:
+    """Draw charts as panels of a size in inches, five in a row, with one legend above all."""
+    columns = min(5, len(charts))
     figure, panels = _grid(charts, columns, max(width * columns, 5.0), height, 0.9 if len(charts) > 1 else 0.0)
     for k, axes in enumerate(panels):
         if k % columns:

@@ -1,4 +1,4 @@
-"""Charts of an adjustment, for page and paper alike; no chart where the result holds nothing to draw."""
+"""Charts of an adjustment for page and paper; None if the result has no data for a chart."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from fg_orient.result.record import Result
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: Most vectors of an image and quantiles of a curve on a page; a paper shows more.
+#: Maximum number of vectors of an image and of quantiles on a page; a paper shows more.
 MAX_VECTORS: Final = 400
 MAX_QUANTILES: Final = 120
-#: Images whose residuals and whose correlations a page shows.
+#: Maximum number of images with residuals or correlations on a page.
 MAX_PANELS: Final = 16
-#: Singular values are drawn for so many images; the table lists all.
+#: Maximum number of images with singular values; the table lists all.
 MAX_IMAGES: Final = 40
 #: Length of a large vector (90 % quantile) as a share of the width of an image.
 IMAGE_SHARE: Final = 0.09
@@ -80,7 +80,7 @@ def vectors(
         Of x, of y.
     axes : (str, str)
     reference : (m, 2) array
-        Vectors whose large ones set the scale.
+        Vectors; the large ones determine the scale.
     unit : str
         Of the vectors, with a space before.
     down : bool
@@ -110,7 +110,7 @@ def thinned(rows: Index, v: Array, most: int) -> Index:
 
 
 def histogram(ratio: Array, name: str, tested: bool, axes: tuple[str, str] = LINE_SAMPLE) -> Chart | None:
-    """Histograms of normalised residuals (n, 2) of two coordinates with the normal curve that they should follow."""
+    """Histograms of normalised residuals (n, 2) of two coordinates, with the normal curve."""
     values = ratio[np.isfinite(ratio)]
     n = len(values)
     if not n:
@@ -137,7 +137,7 @@ def histogram(ratio: Array, name: str, tested: bool, axes: tuple[str, str] = LIN
 def quantiles(
     ratio: Array, name: str, tested: bool, axes: tuple[str, str] = LINE_SAMPLE, most: int = MAX_QUANTILES
 ) -> Chart | None:
-    """Ordered normalised residuals of two coordinates over normal quantiles, with a band of 95 % for each value."""
+    """Ordered normalised residuals (n, 2) over normal quantiles, with the 95 % band of each value."""
     ordered = [np.sort(column[np.isfinite(column)]) for column in ratio.T]
     n = max(map(len, ordered))
     if not n:
@@ -256,7 +256,7 @@ def _value(row: dict[str, Any]) -> str:
 
 
 def heat_map(of: str, names: Sequence[str], rho: Array) -> Chart:
-    """Lower triangle of correlations (n, n): hue gives the sign, strength the size, figures stand from 0.9 on."""
+    """Lower triangle of correlations (n, n): hue is the sign, strength the size; numbers from 0.9 on."""
     n, limits = len(names), (-0.5, len(names) - 0.5)
     x = Axis(limits=limits, names=names)
     chart = Chart(
@@ -286,7 +286,7 @@ def singular_values(images: Sequence[dict[str, Any]]) -> Chart | None:
     return chart
 
 
-# --- how the observations check each other, and the way to the solution ----------------------------
+# --- reliability and iterations ---------------------------------------------------------------------
 
 
 def redundancy_chart(values: Array, names: tuple[str, str] = LINE_SAMPLE) -> Chart | None:
@@ -304,8 +304,8 @@ def redundancy_chart(values: Array, names: tuple[str, str] = LINE_SAMPLE) -> Cha
     return chart
 
 
-def detectable_chart(values: Array, record: dict[str, Any], names: tuple[str, str] = LINE_SAMPLE) -> Chart | None:
-    """Share of the image points whose error of a given size is detected; values (n, 2) are nan where none is."""
+def detectable_chart(values: Array, record: dict[str, Any]) -> Chart | None:
+    """Share of image points with detected errors over their size; ``values`` (n, 2): biases, nan if none is."""
     known = [np.sort(column[np.isfinite(column)]) for column in values.T]
     ends = [float(end) for column in known if len(column) for end in column[[0, -1]]]
     if not ends:
@@ -316,14 +316,14 @@ def detectable_chart(values: Array, record: dict[str, Any], names: tuple[str, st
     limits = (min(ends) / 1.1, max(ends) * 1.1) if log else (0.0, 1.05 * max(ends))
     chart = broad("share of detected errors", Axis(words, limits, log=log), Axis("share of image points", (0.0, 1.02)),
                   legend="right")  # fmt: skip
-    for kind, name, column in zip(("of-line", "of-sample"), names, known, strict=True):
+    for kind, name, column in zip(("of-line", "of-sample"), LINE_SAMPLE, known, strict=True):
         share = np.arange(1, len(column) + 1) / len(values)
         chart.add("line", kind, np.repeat(column, 2)[1:], np.repeat(share, 2)[:-1], label=name)
     return chart
 
 
 def iteration_charts(log: Sequence[dict[str, Any]], units: str = "prior σ or m") -> list[Chart]:
-    """Weighted sum of squares, and largest step (in ``units``), over the iterations; none without a log."""
+    """Weighted sum of squares and largest step (``units``) over the iterations; empty without a log."""
     if not any(i["accepted"] for i in log):
         return []
     start = {"iteration": 0, "accepted": True, "after": next(i["chi2"] for i in log), "step": None}

@@ -131,7 +131,7 @@ class _Drawing:
                 self._path(f"column {mark.kind}", path)
 
     def _cells(self, mark: Mark) -> None:
-        """Draw the lower triangle of a matrix: the class tells the sign and size, figures stand from 0.9 on."""
+        """Draw the lower triangle of a matrix: the class gives sign and size; numbers from 0.9 on."""
         side = self.chart.inner[0] / len(mark.y)
         for (i, j), rho in np.ndenumerate(mark.y):
             x, y = self.chart.left + j * side, self.chart.top + i * side
@@ -146,7 +146,7 @@ class _Drawing:
                 self._write(x + side / 2 - 0.5, y + side / 2 + 3.5, hundredths(rho), "middle", "figure")
 
     def _names(self, mark: Mark) -> None:
-        """Write names where nothing else stands; a name without a free place is left out."""
+        """Write names at free places; a name without a free place is omitted."""
         places, letter = _PLACES[mark.kind]
         chart = self.chart
         for words, (x, y) in zip(mark.tips, self._at(mark), strict=True):

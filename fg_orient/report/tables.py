@@ -1,14 +1,19 @@
-"""Tables of the page: residuals by image, largest residuals, corrections and correlations in readable units."""
+"""Tables of the page: largest residuals, corrections and correlations in readable units, comparison with a truth."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.distributions import normal_probability
+from fg_orient.model.errors import InputError
+from fg_orient.model.parameters import N_EOP, parameter_name
+from fg_orient.result.plain import Table, read_table
 from fg_orient.result.record import Result
 
 Array = npt.NDArray[np.float64]
@@ -19,6 +24,8 @@ MAX_TERMS: Final = 1500
 #: Units that people read more easily: name and factor.
 _READABLE: Final = {"rad": ("µrad", 1e6), "m/s": ("mm/s", 1e3), "m": ("m", 1.0)}
 _DEGREES: Final = ("constant", "linear", "quadratic")
+#: Terms that the truth of an image contains; others (look polynomial, linear terms of an RPC) are zero unless named.
+_NAMED: Final = {parameter_name(code) for code in range(N_EOP)} | {"line_0", "sample_0"}
 _SIGNS: Final = "⁰¹²³⁴⁵⁶⁷⁸⁹"
 
 
@@ -43,16 +50,14 @@ def _degree(degree: float, parameter: str) -> str:
 def corrections(result: Result) -> list[dict[str, Any]]:
     """Orientation corrections per image in readable units: value, sigma, share of the prior sigma."""
     images: dict[str, list[dict[str, Any]]] = {}
-    words, numbers = result.eop.words, result.eop.numbers("value_per_tau", "sigma", "prior_sigma").tolist()
-    for k, image in enumerate(words["image"]):
-        unit, factor = _READABLE.get(words["unit"][k], (words["unit"][k], 1.0))
-        value, sigma, prior = (None if math.isnan(number) else number for number in numbers[k])
+    words = (result.eop.words[name] for name in ("image", "component", "parameter", "unit"))
+    numbers = result.eop.numbers("degree", "value_per_tau", "sigma", "prior_sigma").tolist()
+    for image, component, parameter, given, (degree, *row) in zip(*words, numbers, strict=True):
+        unit, factor = _READABLE.get(given, (given, 1.0))
+        value, sigma, prior = (None if math.isnan(number) else number * factor for number in row)
         images.setdefault(image, []).append({
-            "name": _component(words["component"][k]),
-            "degree": _degree(float(result.eop.figures["degree"][k]), words["parameter"][k]), "unit": unit,
-            "value": None if value is None else value * factor, "sigma": None if sigma is None else sigma * factor,
-            "prior": None if prior is None else prior * factor,
-            "share": None if not prior or value is None else value / prior,
+            "name": _component(component), "degree": _degree(degree, parameter), "unit": unit, "value": value,
+            "sigma": sigma, "prior": prior, "share": None if not prior or value is None else row[0] / row[2],
         })  # fmt: skip
     return [{"image": image, "rows": rows} for image, rows in images.items()]
 
@@ -90,12 +95,12 @@ def correlations(cofactors: Array) -> Array:
 
 
 def image_correlations(result: Result) -> dict[str, Array]:
-    """Correlations (k, k) of the unknowns by image, of images with two or more; none where covariances are unavailable.
+    """Correlations (k, k) of the unknowns of each image with two or more, in the order of ``eop.csv``.
 
-    Rows stand in the order of the image's rows of ``eop.csv``.
+    Empty without covariances.
     """
-    found = {image: correlations(q) for image, q in result.cofactors.items() if len(q) > 1}
-    return {image: rho for image, rho in found.items() if np.isfinite(rho).any()}
+    matrices = {image: correlations(q) for image, q in result.cofactors.items() if len(q) > 1}
+    return {image: rho for image, rho in matrices.items() if np.isfinite(rho).any()}
 
 
 def largest_residuals(result: Result, count: int = 20) -> dict[str, Any] | None:
@@ -127,7 +132,7 @@ def largest_residuals(result: Result, count: int = 20) -> dict[str, Any] | None:
 def not_determined(record: dict[str, Any]) -> list[tuple[str, str, str, float | None]]:
     """Image, direction in words, its holder ("nothing" first, or "its prior") and its singular value.
 
-    Words of unobservable directions may stand for several of them: they have no value of their own.
+    A sentence may describe several unobservable directions, so these rows have no singular value.
     """
     rows: list[tuple[str, str, str, float | None]] = []
     for image in record["observability"][:MAX_IMAGES]:
@@ -137,3 +142,102 @@ def not_determined(record: dict[str, Any]) -> list[tuple[str, str, str, float | 
         values = image["singular_values"][image["determined"] :][: len(held)]
         rows += [(name, text, "its prior", s) for text, s in zip(held, values, strict=True)]
     return sorted(rows, key=lambda row: row[2] != "nothing")[:MAX_TERMS]
+
+
+# --- comparison with the truth of a simulation; no other function reads the truth -------------------
+
+
+def compare_truth(result: Result, truth: Path) -> dict[str, Any]:
+    """Compare estimated orientation and points with the truth, in predicted standard deviations.
+
+    Parameters
+    ----------
+    result : Result
+    truth : Path
+        Folder with ``eop.csv`` and ``points.csv``.
+
+    Returns
+    -------
+    dict
+        ``groups``: name, n, rms_normalised, max_normalised; ``eop``: image, parameter, unit,
+        estimated, true, difference, sigma, normalised; ``points``: n and RMSE East, North, Up (m)
+        by role. Standard deviations are in prior scale (sigma0 = 1).
+
+    Raises
+    ------
+    InputError
+        The folder contains no truth, or that of another project.
+    """
+    for name in ("eop.csv", "points.csv"):
+        if not (truth / name).is_file():
+            raise InputError.of("report.no_truth", file=truth, option="truth", value=f"no {name}")
+    table = _read_truth(truth / "eop.csv", "image", "parameter", "value_per_tau")
+    eop = _compare_eop(result, table, str(truth / "eop.csv"))
+    points, normalised = _compare_points(result, _read_truth(truth / "points.csv"), str(truth / "points.csv"))
+    of_images: dict[str, list[float]] = {}
+    for row in eop:
+        of_images.setdefault(row["image"], []).append(row["normalised"])
+    groups = [_truth_group(f"orientation of image {image}", np.array(own)) for image, own in of_images.items()]
+    for role, ratio in normalised.items():
+        axes = zip(("East", "North", "Up"), ratio.T, strict=True)
+        groups += [_truth_group(f"{role} points, {axis}", own) for axis, own in axes]
+    return {"groups": groups, "eop": eop, "points": points}
+
+
+def _truth_group(name: str, ratio: Array) -> dict[str, Any]:
+    ratio = ratio[np.isfinite(ratio)]
+    rms, largest = (float(np.sqrt(np.mean(ratio**2))), float(np.abs(ratio).max())) if len(ratio) else (None, None)
+    return {"name": name, "n": len(ratio), "rms_normalised": rms, "max_normalised": largest}
+
+
+def _read_truth(path: Path, *columns: str) -> Table:
+    try:
+        return read_table(path, *columns)
+    except ValueError as error:
+        raise InputError.of("report.no_truth", file=path, value=error) from None
+
+
+def _prior_scale(result: Result, table: Table) -> Array:
+    """Factors that turn the standard deviations of a table into prior scale."""
+    sigma0 = result.record["sigma0"] or np.nan
+    return np.array([1.0 / sigma0 if scale == "posterior" else 1.0 for scale in table.words["sigma_scale"]])
+
+
+def _compare_eop(result: Result, truth: Table, file: str) -> list[dict[str, Any]]:
+    names = zip(truth.words["image"], truth.words["parameter"], strict=True)
+    true = dict(zip(names, truth.figures["value_per_tau"].tolist(), strict=True))
+    words = (result.eop.words[name] for name in ("image", "parameter", "unit"))
+    values = result.eop.numbers("value_per_tau", "sigma") * [[1.0, k] for k in _prior_scale(result, result.eop)]
+    out = []
+    for image, parameter, unit, (estimated, sigma) in zip(*words, values.tolist(), strict=True):
+        if (image, parameter) not in true and parameter in _NAMED:
+            raise InputError.of("report.other_truth", file=file, value=f"{image} {parameter}")
+        known = true.get((image, parameter), 0.0)
+        out.append({
+            "image": image, "parameter": parameter, "unit": unit, "estimated": estimated, "true": known,
+            "difference": estimated - known, "sigma": sigma,
+            "normalised": (estimated - known) / sigma if sigma > 0.0 else float("nan"),
+        })  # fmt: skip
+    return out
+
+
+def _compare_points(result: Result, truth: Table, file: str) -> tuple[dict[str, Any], dict[str, Array]]:
+    ids, roles = result.points.words["id"], np.array(result.points.words["role"], dtype=str)
+    known = {name: k for k, name in enumerate(truth.words["id"])}
+    missing = [name for name in ids if name not in known]
+    if missing:
+        raise InputError.of("report.other_truth", file=file, value=f"point {missing[0]}")
+    geodetic = truth.numbers("lon_deg", "lat_deg", "height_m")[[known[name] for name in ids]]
+    difference = result.points.numbers("x_m", "y_m", "z_m") - geodetic_to_ecef(*geodetic.T)
+    enu = np.einsum("nij,nj->ni", enu_from_ecef(geodetic[:, 0], geodetic[:, 1]), difference)
+    sigma = result.points.numbers("sigma_east_m", "sigma_north_m", "sigma_up_m")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = enu / (sigma * _prior_scale(result, result.points)[:, None])
+    summary, normalised = {}, {}
+    for role in dict.fromkeys(result.points.words["role"]):
+        mask = (roles == role) & np.isfinite(enu).all(axis=1)
+        rmse = np.sqrt(np.mean(enu[mask] ** 2, axis=0)) if mask.any() else np.full(3, np.nan)
+        names = ("rmse_east_m", "rmse_north_m", "rmse_up_m")
+        summary[role] = {"n": int(mask.sum()), **{name: float(v) for name, v in zip(names, rmse, strict=True)}}
+        normalised[role] = ratio[mask]
+    return summary, normalised

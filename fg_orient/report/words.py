@@ -32,9 +32,9 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{rounded:.{digits}f}".replace("-", "−")
 
 
-def signed(value: float, digits: int = 3) -> str:
-    """Write a number with its sign and a fixed count of decimals; what is rounded to zero has none."""
-    text = f"{abs(value):.{digits}f}"
+def signed(value: float) -> str:
+    """Write a number with its sign and three decimals; zero after rounding has no sign."""
+    text = f"{abs(value):.3f}"
     return text if float(text) == 0.0 else ("−" if value < 0.0 else "+") + text
 
 
@@ -75,7 +75,7 @@ def verdict(record: dict[str, Any]) -> dict[str, str]:
 
 
 def accuracy_words(record: dict[str, Any]) -> list[str]:
-    """Sentences on the accuracy at check points; none without a solution."""
+    """Sentences on the accuracy at check points; empty without a solution."""
     if record["status"] == "not_converged":
         return []
     check = record["accuracy"]["check"]

@@ -179,7 +179,7 @@ def summary(solution: Solution) -> dict[str, Any]:
             "check": {**_check(solution.accuracy.check), **_prediction(solution)},
         },
         "robust": _robust(solution),
-        "regularisation": None if solution.regularisation is None else solution.regularisation.as_dict(),
+        "regularisation": solution.regularisation,
         "variance_components": None if solution.components is None else solution.components.as_dict(),
         "resumed_at_iteration": solution.resumed_at or None,
         "us_per_observation_iteration": 1e6 * solution.seconds.solve / work if work else float("nan"),

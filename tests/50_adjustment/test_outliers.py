@@ -103,7 +103,7 @@ def test_planted_errors_are_found_named_and_measured() -> None:
     wrong = with_error(with_error(wrong, ids[20], error=(0.0, 0.0, 15.0)), ids[33], error=(-8.0, 2.0, 0.0))
     found = fg.adjust(wrong, snoop=True, outlier_level=1e-4, multiple_testing="none")
     assert found.snooping.complete
-    assert set(found.snooping.points) == {ids[7], ids[20], ids[33]}
+    assert {test.point for test in found.snooping.tests} == {ids[7], ids[20], ids[33]}
     assert len(found.snooping.tests) == 3
     by_point = {test.point: test for test in found.snooping.tests}
     assert by_point[ids[33]].part == "position"
