@@ -13,6 +13,7 @@ import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.explicit import image_key, point_key
 from fg_orient.adjustment.problem import compile_problem
+from fg_orient.adjustment.rows import linearised
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Status
@@ -24,24 +25,25 @@ def block() -> Block:
     return grid_block(BlockOptions(rows=2, columns=2, points=80, seed=3))[0]
 
 
-def ties(count: int) -> list[int]:
+def ties(count: int, of: Block | None = None) -> list[int]:
     """Ground points that no control equation holds, seen in two or more images."""
-    o = block().observations
-    rays = np.bincount(o.point, minlength=len(block().points.ids))
-    problem = compile_problem(block())
+    of = of or block()
+    rays = np.bincount(of.observations.point, minlength=len(of.points.ids))
+    problem = compile_problem(of)
     return np.flatnonzero(problem.active & ~problem.observed & (rays >= 2))[:count].tolist()
 
 
-def native_factors() -> tuple[gtsam.NonlinearFactor, ...]:
+def native_factors(of: Block | None = None) -> tuple[gtsam.NonlinearFactor, ...]:
     """A difference of two points, a distance, a full prior of an image, and an own factor: all a little wrong."""
-    a, b, c, _ = ties(4)
-    ground = fg.adjust(block(), backend="schur").state.ground
+    of = of or block()
+    a, b, c, _ = ties(4, of)
+    ground = fg.adjust(of, backend="schur").state.ground
     rng = np.random.default_rng(1)
     sigma = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.1, 0.2, 0.3]))
     between = gtsam.BetweenFactorPoint3(point_key(a), point_key(b), ground[b] - ground[a] + 0.3, sigma)
     length = float(np.linalg.norm(ground[c] - ground[a]))
     distance = gtsam.RangeFactor3(point_key(a), point_key(c), length + 0.2, gtsam.noiseModel.Isotropic.Sigma(1, 0.05))
-    size = compile_problem(block()).parameters[1]
+    size = compile_problem(of).parameters[1]
     root = rng.normal(size=(len(size), len(size)))
     prior = gtsam.PriorFactorVector(
         image_key(1),
@@ -85,6 +87,82 @@ def test_every_backend_equals_independent_least_squares() -> None:
         assert np.allclose(found.cofactors.point(j), dense.cofactors.point(j), rtol=1e-7, atol=1e-12)
     with pytest.raises(InputError, match="Schur backend cannot take this block"):
         fg.adjust(extended, backend="schur")
+
+
+def independent_step(solution: fg.Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Next Gauss-Newton step of images (u,) and points (N, 3), by numpy: points eliminated, the rest dense.
+
+    Points that factors name are not eliminated. Rows of these factors are GTSAM's own.
+    """
+    problem, state = solution.problem, solution.state
+    rows, image, point = linearised(problem, state), problem.observations.image, problem.observations.point
+    u, first = problem.n_image_unknowns, problem.first
+    keys = [key for factor in problem.block.extra for key in factor.factor.keys()]
+    named = sorted({gtsam.symbolIndex(key) for key in keys if chr(gtsam.symbolChr(key)) == "p"})
+    column = {j: u + 3 * n for n, j in enumerate(named)}
+    normal, right = np.zeros((u + 3 * len(named),) * 2), np.zeros(u + 3 * len(named))
+    normal[:u, :u], right[:u] = np.eye(u), -problem.image_vector(state)
+    values = gtsam.Values()
+    for k in range(len(first) - 1):
+        values.insert(image_key(k), problem.image_vector(state)[first[k] : first[k + 1]])
+    for j in named:
+        values.insertPoint3(point_key(j), state.ground[j])
+    for factor in problem.block.extra:
+        linear = factor.factor.linearize(values)
+        places = []
+        for key in linear.keys():
+            n = gtsam.symbolIndex(key)
+            is_point = chr(gtsam.symbolChr(key)) == "p"
+            places += range(column[n], column[n] + 3) if is_point else range(first[n], first[n + 1])
+        jacobian, b = linear.jacobian()
+        normal[np.ix_(places, places)] += jacobian.T @ jacobian
+        right[places] += jacobian.T @ b.ravel()
+    kept = []
+    for j in np.flatnonzero(problem.active).tolist():
+        own = np.flatnonzero(point == j)
+        parts = [np.arange(first[k], first[k + 1]) for k in image[own]]
+        at = np.concatenate(parts)
+        design, ground = np.zeros((2 * len(own), len(at))), rows.ground[own].reshape(-1, 3)
+        for n, (ray, part) in enumerate(zip(own, parts, strict=True)):
+            begin = sum(map(len, parts[:n]))
+            design[2 * n : 2 * n + 2, begin : begin + len(part)] = rows.image[ray, :, : len(part)]
+        residual = rows.residual[own].ravel()
+        if problem.observed[j]:
+            w = problem.control_weights(j)
+            ground = np.vstack([ground, w])
+            residual = np.concatenate([residual, problem.control_residuals(state, j)])
+            design = np.vstack([design, np.zeros((3, len(at)))])
+        if j in column:
+            at = np.concatenate([at, np.arange(column[j], column[j] + 3)])
+            design = np.hstack([design, ground])
+        else:
+            q, r = np.linalg.qr(ground)
+            kept.append((j, at, q.T @ design, q.T @ residual, r))
+            design, residual = design - q @ (q.T @ design), residual - q @ (q.T @ residual)
+        normal[np.ix_(at, at)] += design.T @ design
+        right[at] -= design.T @ residual
+    step, moved = np.linalg.solve(normal, right), np.zeros_like(state.ground)
+    for j, at, design, residual, r in kept:
+        moved[j] = np.linalg.solve(r, -residual - design @ step[at])
+    for j in named:
+        moved[j] = step[column[j] : column[j] + 3]
+    return step[:u], moved
+
+
+@pytest.mark.oracle
+def test_native_factors_in_a_block_of_ten_thousand_image_points() -> None:
+    """Difference, distance and full prior: images within 1e-9 prior sigma of numpy's solution, redundancy counted."""
+    large = grid_block(BlockOptions(rows=4, columns=4, points=3290, check_share=0.0, seed=3))[0]
+    assert len(large.observations) > 10_000
+    factors = native_factors(large)[:3]
+    solution = fg.adjust(replace(large, extra=factors))
+    assert (solution.backend, solution.status) == ("graph", Status.CONVERGED)
+    image, ground = independent_step(solution)
+    assert np.abs(image).max() <= 1e-9
+    assert np.abs(ground).max() <= 1e-7
+    plain = compile_problem(large)
+    assert solution.redundancy == plain.redundancy + 3 + 1 + len(plain.parameters[1])
+    assert solution.residual_cofactors.redundancy_sum == pytest.approx(solution.redundancy, abs=1e-5)
 
 
 @pytest.mark.behaviour
