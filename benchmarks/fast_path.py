@@ -1,7 +1,7 @@
 """Our backends against other software, in one run: raw records as JSON, one table.
 
-    python -m benchmarks.fast_path [--full] [--sizes 94 1e3 ...] [--repeats N] [--no-peers] [--budget S] [--json FILE]
-                                   [--page]
+    python -m benchmarks.fast_path [--full] [--sizes 94 1e3 ...] [--pinhole 1e3 ...] [--repeats N] [--no-peers]
+                                   [--budget S] [--json FILE] [--page]
 
 Without --full sizes up to 1e5, three repeats and the peers that end within seconds: some minutes. With --full all
 sizes, seven repeats and all peers: hours; it writes benchmarks/results/fast_path.json and docs/performance.md. All
@@ -68,6 +68,7 @@ def spot_entries(size: str, given: argparse.Namespace, folder: Path) -> list[Ent
     runs |= {f"schur-2-{way}": own.schur(problem, 2, reduced=way) for way in given.reduced}
     if given.full:
         runs["read"] = reading(size, folder)
+    runs["schur-levenberg-marquardt"] = own.schur(problem, None, optimizer="levenberg-marquardt")
     runs |= {f"graph-{optimizer}": own.eliminated(problem, optimizer) for optimizer in GTSAM_OPTIMIZERS}
     if n <= GRAPH_LIMIT:
         runs["graph"] = own.graph(problem)
@@ -112,9 +113,7 @@ def resection_entries(given: argparse.Namespace) -> list[Entry]:
 
 def pinhole_entries(given: argparse.Namespace) -> list[Entry]:
     """The pinhole problems, ours and the compiled peers."""
-    problems: dict[str, Problem | None] = {
-        size: pinhole.pinhole_problem(size) for size in (pinhole.PINHOLE_SIZES if given.full else ["1e4"])
-    }
+    problems: dict[str, Problem | None] = {size: pinhole.pinhole_problem(size) for size in given.pinhole}
     if given.full:
         problems["ladybug-49"] = pinhole.ladybug_problem()
     entries = []
@@ -184,7 +183,10 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     finally:
         shutil.rmtree(folder)
     results["records"] = [record for entry in entries for record in entry.records]
-    results["memory"] = [memory.measure_apart(size, 2) for size in given.sizes if float(size) >= 1e4]
+    results["memory"] = [
+        memory.measure_apart(size, 2, backend) for backend in ("schur", "graph") for size in given.sizes
+        if float(size) >= 1e4
+    ]  # fmt: skip
     return results
 
 
@@ -193,6 +195,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--full", action="store_true", help="all sizes and peers, seven repeats; writes the page")
     parser.add_argument("--sizes", nargs="+", choices=list(cases.SIZES))
+    parser.add_argument("--pinhole", nargs="+", choices=list(pinhole.PINHOLE_SIZES))
     parser.add_argument("--repeats", type=int)
     parser.add_argument("--no-peers", action="store_true")
     parser.add_argument("--reduced", nargs="+", default=[], help="also these solvers of the reduced system")
@@ -202,6 +205,7 @@ def main() -> int:
     given = parser.parse_args()
     given.budget = given.budget or (FULL_BUDGET_S if given.full else BUDGET_S)
     given.repeats = given.repeats or (7 if given.full else 3)
+    given.pinhole = given.pinhole or (list(pinhole.PINHOLE_SIZES) if given.full else ["1e4"])
     given.sizes = given.sizes or (list(cases.SIZES) if given.full else ["94", "1e3", "1e4", "1e5"])
     results = run(given)
     path = given.json or (RESULTS if given.full or given.page else None)

@@ -1,4 +1,4 @@
-"""Working set of a solution, in a process of its own: ``python -m benchmarks.memory SIZE THREADS`` prints a record.
+"""Working set of a solution, in a process of its own: ``python -m benchmarks.memory SIZE THREADS BACKEND``.
 
 The peak of the resident memory while solving (structure and iterations) minus the resident memory before the block
 existed, minus the arrays of the problem: observations, records, control records, start values, known coordinates,
@@ -20,7 +20,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import counts, spot_block
+from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.loop import gauss_newton
+from fg_orient.adjustment.optimisers import GTSAM_OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur import SchurBackend
@@ -60,12 +62,18 @@ def input_bytes(problem: Problem) -> tuple[int, int]:
     return sum(found.values()), problem.records.nbytes + problem.control_records.nbytes
 
 
-def measure(size: str, threads: int) -> dict[str, Any]:
+def solved(problem: Problem, threads: int, backend: str) -> int:
+    """Iterations of Gauss-Newton on the "schur" or the "graph" backend."""
+    if backend == "schur":
+        own = SchurBackend(problem, threads=threads)
+        return len(gauss_newton(own, own.initial(), 50).log)
+    return len(GTSAM_OPTIMIZERS["gauss-newton"](GraphBackend(problem, threads), problem.start, 50).log)
+
+
+def measure(size: str, threads: int, backend: str) -> dict[str, Any]:
     """One record."""
     with one_blas_thread():
-        small = SchurBackend(compile_problem(spot_block("1e3")), threads=threads)
-        gauss_newton(small, small.initial(), 3)
-        del small
+        solved(compile_problem(spot_block("1e3")), threads, backend)
         _release()
         before_reading = status_bytes("VmRSS")
         problem = compile_problem(spot_block(size))
@@ -74,25 +82,24 @@ def measure(size: str, threads: int) -> dict[str, Any]:
         before_solving = status_bytes("VmRSS")
         gc.disable()
         reset_peak()
-        backend = SchurBackend(problem, threads=threads)
-        result = gauss_newton(backend, backend.initial(), 50)
+        iterations = solved(problem, threads, backend)
         peak = status_bytes("VmHWM")
     n = counts(problem)
     return {
-        "size": size, "threads": threads, **asdict(n), "before_reading": before_reading,
+        "size": size, "threads": threads, "backend": backend, **asdict(n), "before_reading": before_reading,
         "before_solving": before_solving, "peak": peak, "input": whole, "records": records,
         "working_set": peak - before_reading - whole, "solve_only": peak - before_solving,
-        "iterations": len(result.log),
+        "iterations": iterations,
     }  # fmt: skip
 
 
-def measure_apart(size: str, threads: int) -> dict[str, Any]:
+def measure_apart(size: str, threads: int, backend: str = "schur") -> dict[str, Any]:
     """:func:`measure` in a new process."""
-    command = [sys.executable, "-m", "benchmarks.memory", size, str(threads)]
+    command = [sys.executable, "-m", "benchmarks.memory", size, str(threads), backend]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return found
 
 
 if __name__ == "__main__":
-    print(json.dumps(measure(sys.argv[1], int(sys.argv[2]))))
+    print(json.dumps(measure(sys.argv[1], int(sys.argv[2]), sys.argv[3])))

@@ -103,11 +103,13 @@ def _kernels(backend: SchurBackend) -> None:
         run(pair_blocks, s.cost[lo : hi + 1], *at, rows.d_image, b.scaled, b.sums, b.gradients, start=lo)
 
 
-def schur(problem: Problem, threads: int | None, *, reduced: str = "auto") -> Callable[[], Outcome]:
-    """Gauss-Newton on the Schur backend; stages: those of one more iteration, and its kernels."""
+def schur(
+    problem: Problem, threads: int | None, *, reduced: str = "auto", optimizer: str = "gauss-newton"
+) -> Callable[[], Outcome]:
+    """Our own loop on the Schur backend; stages: those of one more iteration, and its kernels."""
 
     def once() -> Outcome:
-        outcome, backend = _loop(lambda: SchurBackend(problem, threads=threads, reduced=reduced), "gauss-newton", 50)
+        outcome, backend = _loop(lambda: SchurBackend(problem, threads=threads, reduced=reduced), optimizer, 50)
         start = backend.initial()
         outcome.stages = _stages(backend, start)
         backend.workers = _TimedWorkers(backend.workers)

@@ -11,8 +11,9 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
+from benchmarks.goals import GRAPH
 from benchmarks.summary import Summary, iteration_seconds, steady_seconds
-from benchmarks.table import NAMES, Rows, all_tables
+from benchmarks.table import NAMES, Rows, all_tables, goal_rows, solver_rows
 
 ROOT: Final = Path(__file__).parents[1]
 RESULTS: Final = ROOT / "benchmarks" / "results" / "fast_path.json"
@@ -21,6 +22,8 @@ OTHER: Final = ROOT / "benchmarks" / "results" / "narrow_vectors.json"
 SECOND: Final = "A processor with vectors of 256 bits"
 PAGE: Final = ROOT / "docs" / "performance.md"
 FIGURE: Final = ROOT / "docs" / "performance.svg"
+#: Run of GTSAM's optimisers: ``fast_path`` without --full, all pinhole problems, sizes from 1e4.
+GRAPH_RESULTS: Final = ROOT / "benchmarks" / "results" / "graph.json"
 #: Words before a table.
 TEXTS: Final = {
     "Limits": """\
@@ -93,7 +96,19 @@ def page(results: dict[str, Any]) -> str:
         parts += [f"## {heading}", TEXTS[heading], markdown(rows)]
         if heading == "Targets":
             parts += second_run([row for name in ("Limits", heading) for row in tables[name][1:]])
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join(parts + graph_run()) + "\n"
+
+
+def graph_run() -> list[str]:
+    """Section on GTSAM's optimisers, from a run of its own."""
+    results = json.loads(GRAPH_RESULTS.read_text("utf-8"))
+    m, s = results["machine"], Summary(results)
+    text = (
+        f"Run of {m['date']}: {m['processor']}, vectors of {m['vector_bits']} bits, load {m['load']:.1f}, up to "
+        f"{m['repeats']} repeats. Structure and solution, over our own loop with the same rule for the end: "
+        "Levenberg-Marquardt over our Levenberg-Marquardt, Gauss-Newton and Dogleg over our Gauss-Newton."
+    )
+    return ["## GTSAM's optimisers", text, markdown(goal_rows(s, GRAPH, must=True)), markdown(solver_rows(s))]
 
 
 def second_run(rows: Rows) -> list[str]:

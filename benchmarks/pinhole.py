@@ -16,8 +16,9 @@ from tests.support.pinhole import pinhole_block
 
 Array = npt.NDArray[np.float64]
 
-#: Cameras and ground points with four rays each; the name is the order of the number of image points.
-PINHOLE_SIZES: Final = {"1e3": (9, 250), "1e4": (36, 2_500), "1e5": (100, 25_000)}
+#: Cameras and ground points with four rays each; the name is the order of the number of image points. "340 mixed": the
+#: four images of a point are drawn at random.
+PINHOLE_SIZES: Final = {"1e3": (9, 250), "1e4": (36, 2_500), "1e5": (100, 25_000), "340 mixed": (340, 50_000)}
 VIEWS: Final = 4
 #: In the folder named by FG_ORIENT_REAL_DATA.
 LADYBUG: Final = "bal/problem-49-7776-pre.txt.gz"
@@ -26,7 +27,7 @@ LADYBUG: Final = "bal/problem-49-7776-pre.txt.gz"
 def pinhole_problem(size: str) -> Problem:
     """The synthetic problem of a size, without the priors of its simulation."""
     images, points = PINHOLE_SIZES[size]
-    block, _ = pinhole_block(images, points, VIEWS)
+    block, _ = pinhole_block(images, points, VIEWS, mixed=size.endswith("mixed"))
     return compile_problem(replace(block, options=replace(block.options, datum="free", priors=False)))
 
 

@@ -171,9 +171,12 @@ class Summary:
             return None
         return float(np.polyfit(np.log(points), np.log(seconds), 1)[0])
 
-    def working_set(self, size: str, threads: int, *, with_records: bool = False) -> float | None:
+    def working_set(
+        self, size: str, threads: int, *, with_records: bool = False, backend: str = "schur"
+    ) -> float | None:
         """Bytes per image point; ``with_records`` counts the records of the equations as well."""
-        found = [m for m in self.results["memory"] if (m["size"], m["threads"]) == (size, threads)]
+        wanted = size, threads, backend
+        found = [m for m in self.results["memory"] if (m["size"], m["threads"], m.get("backend", "schur")) == wanted]
         if not found:
             return None
         extra = found[0]["records"] if with_records else 0

@@ -14,6 +14,7 @@ NAMES: Final = {
     "graph-gauss-newton": "fg_orient (graph, Gauss-Newton)",
     "graph-levenberg-marquardt": "fg_orient (graph, Levenberg-Marquardt)",
     "graph-dogleg": "fg_orient (graph, Dogleg)",
+    "schur-levenberg-marquardt": "fg_orient (Schur), Levenberg-Marquardt",
     "graph": "fg_orient (explicit graph)",
     "adjust": "fg_orient (choice of `adjust`)",
     "trf-2-point": "scipy trf, 2-point",
@@ -121,11 +122,11 @@ def preparation_rows(s: Summary) -> Rows:
 
 def memory_rows(s: Summary) -> Rows:
     """Working sets in bytes per image point."""
-    out = [["image points", "threads", "working set", "with records", "solve only", "input arrays"]]
+    out = [["image points", "threads", "backend", "working set", "with records", "solve only", "input arrays"]]
     for m in s.results["memory"]:
         n = m["n_image_points"]
         figures = (m["working_set"], m["working_set"] + m["records"], m["solve_only"], m["input"])
-        out.append([str(n), str(m["threads"]), *(f"{v / n:.0f}" for v in figures)])
+        out.append([str(n), str(m["threads"]), m.get("backend", "schur"), *(f"{v / n:.0f}" for v in figures)])
     return out
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks import cases
 from benchmarks.flat import FlatProblem
-from benchmarks.goals import MUST, WISHED, Goal
+from benchmarks.goals import GRAPH, MUST, PINHOLE, WISHED, Goal
 from benchmarks.hardware import Hardware, iteration_bound
 from benchmarks.page import FIGURE, PAGE, RESULTS, digest, page
 from benchmarks.summary import Summary, Value, whole_seconds
@@ -162,6 +162,13 @@ def test_every_goal_can_be_measured_or_says_that_it_was_not() -> None:
     s = summary(*everything)
     s.results["memory"][0]["size"] = "1e6"
     assert [goal.name for goal in (*MUST, *WISHED) if goal.measure(s) is None] == []
+    kinds = [f"graph-{name}" for name in ("gauss-newton", "levenberg-marquardt", "dogleg")]
+    names = (*kinds, "schur", "schur-levenberg-marquardt", "ceres-2", "gtsam")
+    everything = [record(name, n, 1.0, 1.0) for n in ("1e4", "1e5", "1e6") for name in names]
+    everything += [record(name, n, 1.0, 1.0, problem="pinhole") for n in PINHOLE for name in names]
+    s = summary(*everything)
+    s.results["memory"][0] |= {"size": "1e6", "backend": "graph"}
+    assert [goal.name for goal in GRAPH if goal.measure(s) is None] == []
 
 
 @pytest.mark.repository

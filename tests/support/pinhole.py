@@ -50,7 +50,7 @@ class FrameTruth:
 
 
 def pinhole_block(
-    n_images: int, n_points: int, views: int = 4, seed: int = 0, *, noise_px: float = NOISE_PX
+    n_images: int, n_points: int, views: int = 4, seed: int = 0, *, noise_px: float = NOISE_PX, mixed: bool = False
 ) -> tuple[Block, FrameTruth]:
     """A block of ``n_images`` pinhole images and ``n_points`` tie points with start values, and its truth.
 
@@ -62,6 +62,8 @@ def pinhole_block(
     seed : int
     noise_px : float
         Sigma of the noise of line and sample; observations have the sigma :data:`NOISE_PX`.
+    mixed : bool
+        All images overlap, and those that see a point are drawn at random: the reduced normal matrix is full.
 
     Raises
     ------
@@ -72,9 +74,12 @@ def pinhole_block(
     require(2 <= views <= n_images, "views", views, "two views or more, and no more than images")
     require(n_points >= 1, "n_points", n_points, "a point or more")
     rng = np.random.default_rng(seed)
-    centre, cameras = _cameras(n_images, rng)
+    centre, cameras = _cameras(n_images, rng, SPACING_M / (math.sqrt(n_images) if mixed else 1.0))
     ground = _points(centre, n_points, rng)
-    _, seen = spatial.KDTree(centre[:, :2]).query(ground[:, :2], k=views)
+    if mixed:
+        seen = rng.random((n_points, n_images)).argpartition(views, axis=1)[:, :views]
+    else:
+        _, seen = spatial.KDTree(centre[:, :2]).query(ground[:, :2], k=views)
     image, point = np.sort(seen, axis=1).ravel(), np.repeat(np.arange(n_points), views)
     line, sample = _observed(cameras, image, ground[point])
     noise = noise_px * rng.standard_normal((2, len(point)))
@@ -85,11 +90,11 @@ def pinhole_block(
     return _block(start, first, observations), FrameTruth(truth, ground)
 
 
-def _cameras(n: int, rng: np.random.Generator) -> tuple[Array, list[FrameCamera]]:
+def _cameras(n: int, rng: np.random.Generator, spacing_m: float) -> tuple[Array, list[FrameCamera]]:
     """True cameras row by row on a nearly square grid, looking down, turned at random about the vertical."""
     columns = math.ceil(math.sqrt(n))
     k = np.arange(n)
-    plane = SPACING_M * np.stack([k % columns, k // columns], axis=1) + rng.uniform(-4.0, 4.0, (n, 2))
+    plane = spacing_m * np.stack([k % columns, k // columns], axis=1) + rng.uniform(-4.0, 4.0, (n, 2))
     centre = np.column_stack([plane, HEIGHT_M + rng.uniform(-5.0, 5.0, n)])
     out = []
     for c in centre:
