@@ -384,12 +384,13 @@ class Elimination:
     def _sum(self, groups: Sequence[int], state: State, *, near: bool) -> None:
         """Sums of the pairs of rays of eliminated groups; ``near``: of the kept rows only, the others are done."""
         backend, s, b = self.backend, self.backend.structure, self.backend.buffers
+        wide = s.widened(state.image)
         for tile, lo, hi in self._ranges(groups):
-            if tile.kept:
-                backend.workers.run(backend.stages.pairs, s.cost[lo : hi + 1], b.rows(tile), b, start=lo)
-        rest = [tile for tile in s.tiles if not tile.kept]
-        if rest and not near:
-            self._eliminate(groups, state, near=True)
+            if tile.kept or not near:
+                again = None if tile.kept else wide
+                backend.workers.run(
+                    backend.stages.chunks, s.cost[lo : hi + 1], b.rows(tile), state, again, 0.0, b, start=lo
+                )  # fmt: skip
 
     def _decrements(self, places: Index) -> Array:
         """Newton decrements (n,) of points in sigmas: roots of twice the decrease that a Newton step predicts."""

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fg_orient.adjustment import point_groups
+from fg_orient.adjustment import point_groups, schur_structure
 from fg_orient.adjustment.dense import assemble
-from fg_orient.adjustment.eliminated import IMPOSSIBLE, Elimination, square_root
+from fg_orient.adjustment.eliminated import IMPOSSIBLE, Elimination, GroupRows, square_root
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.schur import SchurBackend
@@ -158,6 +158,33 @@ def test_square_root_of_any_semidefinite_matrix(n: int, rank: int, seed: int) ->
     assert np.abs((jacobian.T @ jacobian - matrix) / np.outer(units, units)).max(initial=0.0) <= 1e-11
     assert np.abs((jacobian.T @ error - gradient) / units).max(initial=0.0) <= 1e-12
     assert error @ error == pytest.approx(cost, rel=1e-12)
+
+
+@pytest.mark.consistency
+def test_rows_computed_tile_by_tile_are_those_of_one_tile(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Large blocks are computed in tiles, and keep the rows of the first ones only."""
+    monkeypatch.setattr(point_groups, "OVERHEAD", 0)
+    problem = compile_problem(grid_block(BlockOptions(rows=12, columns=1, points=300, seed=3))[0])
+    free = away(problem, 3, 1.0)
+
+    def rows() -> tuple[GroupRows, ...]:
+        elimination = Elimination(problem)
+        kept = [tile.kept for tile in elimination.backend.structure.tiles]
+        assert len(kept) == 1 or (kept.count(True) > 1 and kept.count(False) > 1)
+        assert (len(kept) == 1) == (schur_structure.TILE > 1000)
+        for g, group in enumerate(elimination.groups):
+            elimination.rows(g, free[group.free], lambda: free, accepted=True)
+        return elimination.last_rows()
+
+    whole = rows()
+    monkeypatch.setattr(schur_structure, "TILE", 40)
+    monkeypatch.setattr(schur_structure, "ALL_KEPT", 80)
+    monkeypatch.setattr(schur_structure, "KEPT_SHARE", 0.6)
+    for own, other in zip(whole, rows(), strict=True):
+        normal = own.jacobian.T @ own.jacobian
+        scale = np.sqrt(np.diag(normal))
+        assert np.abs((other.jacobian.T @ other.jacobian - normal) / np.outer(scale, scale)).max() <= 1e-9
+        assert other.cost == pytest.approx(own.cost, rel=1e-11)
 
 
 @pytest.mark.behaviour
