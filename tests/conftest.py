@@ -59,9 +59,9 @@ def look_angles_read_once() -> Iterator[None]:
     """
     from lxml import etree
 
-    from fg_orient.formats import dimap1
+    from fg_orient.formats import dimap1, dimap_write
 
-    read, write = dimap1._look_angles, dimap1._look_rows
+    read, write = dimap1._look_angles, dimap_write._look_rows
     known, written = dict[Any, Any](), dict[Any, Any]()
     sections = dict[Any, bytes]()
 
@@ -88,7 +88,7 @@ def look_angles_read_once() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(dimap1, "_look_angles", read_once)
-        patch.setattr(dimap1, "_look_rows", write_once)
+        patch.setattr(dimap_write, "_look_rows", write_once)
         yield
 
 

@@ -128,7 +128,7 @@ def _sizes(words: list[str]) -> dict[str, tuple[int, int]]:
 
 
 def _scenes(paths: list[Path]) -> list[Any]:
-    from fg_orient.formats.points import Scene
+    from fg_orient.formats.scenes import Scene
     from fg_orient.formats.sensor import read_sensor
 
     return [Scene.from_footprint(path.name, read_sensor(path).footprint()) for path in paths]

@@ -17,7 +17,8 @@ import numpy.typing as npt
 
 from fg_orient.formats.exchange.convert import filled, read_survey
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.points import PLAUSIBLE_SIGMA_PX, ObservationFile, PointFile, point_file
+from fg_orient.formats.observations import PLAUSIBLE_SIGMA_PX, ObservationFile
+from fg_orient.formats.points import PointFile, point_file
 from fg_orient.formats.registry import Holds, Settings, format_named
 from fg_orient.formats.tables import Faults, did_you_mean, sha256_of, sigma_remarks
 from fg_orient.model.block import Coordinates, GroundPoints, ImagePoints
@@ -25,7 +26,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 
 if TYPE_CHECKING:
-    from fg_orient.formats.points import Scene
+    from fg_orient.formats.scenes import Scene
     from fg_orient.formats.schema import ObservationsEntry, PointsEntry
 
 #: Options of ``convert`` in messages, and the corresponding entries of a project.
@@ -123,7 +124,7 @@ def read_foreign_observations(
     """Read image points of known ground points; other points of the file become tie points.
 
     None, with the faults noted, if anything is wrong; parameters as in
-    :func:`fg_orient.formats.points.read_observations`.
+    :func:`fg_orient.formats.observations.read_observations`.
     """
     survey = table.read(faults)
     if survey is None or sizes is None or points is None:

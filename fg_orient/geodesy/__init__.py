@@ -1,4 +1,4 @@
-"""Coordinate reference systems: access to PROJ (also used by rectification.geometry), with checks.
+"""Coordinate reference systems: access to PROJ (also used by rectification.projections), with checks.
 
 Inside the package a ground point is Earth-fixed Cartesian (ECEF, WGS84, EPSG:4978) in metres. Files may use any EPSG
 code. Silent behaviour of PROJ is excluded: the axis order is always easting or longitude first, results must be finite,

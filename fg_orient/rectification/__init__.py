@@ -9,6 +9,7 @@ from __future__ import annotations
 from fg_orient.model.public import names_of, on_first_use
 
 _HOME = names_of(__name__, {
+    "areas": "planar_area_m2 perimeter_m",
     "fit": "Observations TransformationFit",
     "options": "AccuracyOptions OrthoOptions PointOptions",
     "ortho": "orthorectify",
@@ -17,7 +18,6 @@ _HOME = names_of(__name__, {
     "standards": "check_accuracy nmas_limit_m nssda_m",
     "transformation": "Transformation find_model read_transformation",
     "grid": "MapGrid",
-    "geometry": "planar_area_m2 perimeter_m",
 })  # fmt: skip
 __all__ = sorted(_HOME)
 __getattr__ = on_first_use(globals(), _HOME)

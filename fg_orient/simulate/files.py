@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, write_text, writing
-from fg_orient.formats.dimap1 import write_dimap1
+from fg_orient.formats.dimap_write import write_dimap1
 from fg_orient.formats.points_write import write_observations, write_points, write_project
 from fg_orient.model.names import COMPONENTS
 from fg_orient.model.parameters import UNITS, parameter_name

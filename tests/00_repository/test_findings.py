@@ -21,7 +21,7 @@ FLAG = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
 #: Flags of other programs: pip, and bundle_adjust of the Ames Stereo Pipeline.
 OF_OTHERS = {
     "fg_orient/model/installation.py", "fg_orient/model/messages/program.py",
-    "fg_orient/formats/exchange/control_text.py",
+    "fg_orient/formats/exchange/asp_gcp.py",
 }  # fmt: skip
 #: The record, and where sentences for people are made of results: reports and the command line.
 SHOWING = ("fg_orient/cli/", "fg_orient/model/messages/", "fg_orient/report/", "fg_orient/closerange/report/")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.dimap1 import write_dimap1
+from fg_orient.formats.dimap_write import write_dimap1
 from fg_orient.formats.metadata.dimap import read_dimap
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.metadata import (

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from factors.geometry import ellipsoid
-from fg_orient.formats.dimap1 import write_dimap1
+from fg_orient.formats.dimap_write import write_dimap1
 from fg_orient.formats.metadata.dimap import read_dimap
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.metadata import (

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fg_orient.formats.dimap1 import write_dimap1
+from fg_orient.formats.dimap_write import write_dimap1
 from fg_orient.formats.metadata.dimap import read_dimap
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.metadata import (

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.exchange.control_text import read_asp as read
-from fg_orient.formats.exchange.control_text import write_asp as write
+from fg_orient.formats.exchange.asp_gcp import read_asp as read
+from fg_orient.formats.exchange.asp_gcp import write_asp as write
 from fg_orient.formats.registry import Settings
 from fg_orient.geodesy import ecef_to_geodetic, to_ecef
 from fg_orient.geodesy.crs import wkt

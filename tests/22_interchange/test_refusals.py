@@ -10,8 +10,8 @@ import pytest
 
 from fg_orient.formats.exchange.convert import filled, read_survey, write_survey
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.points import Scene
 from fg_orient.formats.registry import Settings, formats
+from fg_orient.formats.scenes import Scene
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 

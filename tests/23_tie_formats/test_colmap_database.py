@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.exchange.colmap import read_colmap_database, write_colmap_database
+from fg_orient.formats.exchange.colmap_database import read_colmap_database, write_colmap_database
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.ties import pairs_of, tie_survey
 from fg_orient.model.errors import InputError

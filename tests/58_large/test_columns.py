@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from fg_orient.adjustment.problem import State, compile_problem
 from fg_orient.adjustment.rows import image_rows, linearised, residuals, rows_by_image
-from fg_orient.formats import points as observation_files
-from fg_orient.formats.points import read_observations, read_points
+from fg_orient.formats.observations import COLUMNS, read_observations
+from fg_orient.formats.points import read_points
 from fg_orient.formats.tables import Faults
 from fg_orient.model.block import Block
 from fg_orient.orientation.orient import adjust
@@ -81,7 +81,7 @@ def test_observations_are_refused_if_and_only_if_a_fault_is_listed(
     rows += [["right", "b", "1", "2", "0.5", "0.5"]] * (1 + twice)
     for column, cell in changes:
         rows[1] = [*rows[1][:column], cell, *rows[1][column + 1 :]]
-    text = "\n".join([",".join(observation_files.COLUMNS), *(",".join(row) for row in rows)])
+    text = "\n".join([",".join(COLUMNS), *(",".join(row) for row in rows)])
     (tmp_path / "o.csv").write_text(text, "utf-8")
     faults = Faults("o.csv")
     sizes = {"left": (10, 10), "right": None}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fg_orient.model.errors import InputError
-from fg_orient.rectification import geometry, standards, study
+from fg_orient.rectification import areas, projections, scanner, standards, study
 from fg_orient.rectification.fit import Observations, fit
 from fg_orient.rectification.grid import LevelSurface, MapGrid
 from fg_orient.rectification.outliers import pair_distances, prune
@@ -18,8 +18,8 @@ from fg_orient.rectification.transformation import find_model
 pytestmark = pytest.mark.behaviour
 
 BOX = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 20.0], [0.0, 20.0]])
-GK = geometry.gauss_krueger(27.0)
-TM = geometry.Scanner(705e3, 42.5e-6, 42.5e-6)
+GK = projections.gauss_krueger(27.0)
+TM = scanner.Scanner(705e3, 42.5e-6, 42.5e-6)
 M0S = {1: 2.0, 2: 1.5}
 GROUND = Observations.of(
     np.random.default_rng(1).uniform(0.0, 1e3, (9, 2)), np.random.default_rng(2).uniform(0.0, 1e3, (9, 2))
@@ -28,18 +28,18 @@ NAN = float("nan")
 
 #: Helper, arguments that it takes, and for each argument what it must refuse.
 CASES: list[tuple[Callable[..., Any], tuple[Any, ...], tuple[tuple[Any, ...], ...]]] = [
-    (geometry.planar_area_m2, (BOX,), (([], BOX[:2], BOX[:, 0], [["a", "b"]] * 3, BOX * NAN),)),
-    (geometry.perimeter_m, (BOX,), (([], [[0.0, 1.0], [1.0]]),)),
-    (geometry.mean_spacing_m, (100.0, 4), ((-1.0, 0.0, NAN, "x"), (0, -3, NAN))),
-    (geometry.pixel_area_m2, (5, 30.0), ((-1, NAN), (0.0, -30.0, np.inf))),
-    (geometry.pixel_area_sigma_m2, (1e4, 30.0), ((-1.0, 0.0, NAN, []), (-30.0, NAN))),
-    (geometry.count_pixels, (BOX, 3.0, (0.0, 0.0)), (([],), (-3.0, NAN), ((NAN, 0.0), 0.0, (1.0, 2.0, 3.0)))),
-    (geometry.Scanner, (7e5, 4e-5, 4e-5), ((-7e5, NAN, "high"), (0.0,), (-1.0,))),
-    (geometry.total_angle_rad, (185e3, 705e3), ((-1.0, NAN), (0.0, -705e3))),
-    (geometry.swath_m, (0.07, 8e5, 0.1, 6.4e6), ((0.0, -0.1), (-8e5, NAN), (NAN,), (-1.0, NAN))),
-    (geometry.swath_m, (0.07, 8e5, 0.1), ((4.0,), (0.0,), (2.0,))),
-    (geometry.error_budget, (1.0, 2.0), ((-1.0, NAN), (np.inf,))),
-    (geometry.relief_shift_m, (100.0, 0.1), ((NAN, []), (NAN, 2.0))),
+    (areas.planar_area_m2, (BOX,), (([], BOX[:2], BOX[:, 0], [["a", "b"]] * 3, BOX * NAN),)),
+    (areas.perimeter_m, (BOX,), (([], [[0.0, 1.0], [1.0]]),)),
+    (areas.mean_spacing_m, (100.0, 4), ((-1.0, 0.0, NAN, "x"), (0, -3, NAN))),
+    (areas.pixel_area_m2, (5, 30.0), ((-1, NAN), (0.0, -30.0, np.inf))),
+    (areas.pixel_area_sigma_m2, (1e4, 30.0), ((-1.0, 0.0, NAN, []), (-30.0, NAN))),
+    (areas.count_pixels, (BOX, 3.0, (0.0, 0.0)), (([],), (-3.0, NAN), ((NAN, 0.0), 0.0, (1.0, 2.0, 3.0)))),
+    (scanner.Scanner, (7e5, 4e-5, 4e-5), ((-7e5, NAN, "high"), (0.0,), (-1.0,))),
+    (scanner.total_angle_rad, (185e3, 705e3), ((-1.0, NAN), (0.0, -705e3))),
+    (scanner.swath_m, (0.07, 8e5, 0.1, 6.4e6), ((0.0, -0.1), (-8e5, NAN), (NAN,), (-1.0, NAN))),
+    (scanner.swath_m, (0.07, 8e5, 0.1), ((4.0,), (0.0,), (2.0,))),
+    (scanner.error_budget, (1.0, 2.0), ((-1.0, NAN), (np.inf,))),
+    (scanner.relief_shift_m, (100.0, 0.1), ((NAN, []), (NAN, 2.0))),
     (TM.element_m, (0.1, 5.0), ((1.6, NAN), (NAN,))),
     (TM.ground, (0.0, 0.1, 5.0), ((NAN, []), (np.inf,), (NAN,))),
     (TM.panoramic_shift_m, (0.1,), ((-1.58, NAN),)),
@@ -48,14 +48,14 @@ CASES: list[tuple[Callable[..., Any], tuple[Any, ...], tuple[tuple[Any, ...], ..
     (standards.effective_resolution_m, (5e4,), ((0.0, NAN),)),
     (standards.cmas_m, (1.0, 1.0), ((-1.0, NAN), (np.inf,))),
     (standards.nssda_m, (1.0, 1.0), ((-1.0, NAN), (np.inf,))),
-    (geometry.utm, (35,), ((0, 61, 35.5),)),
-    (geometry.gauss_krueger, (27.0,), ((NAN, "x"),)),
-    (geometry.lambert_cylindrical, (6.37e6,), ((0.0, -1.0, NAN),)),
-    (geometry.lambert_polar, (6.37e6,), ((0.0, NAN),)),
-    (geometry.project, (GK, [29.0], [41.0]), (("+proj=no",), (NAN, [], [1.0, 2.0]), ("x", [[1.0]]))),
-    (geometry.unproject, (GK, [[1e5, 4e6]]), (("+proj=no",), ([], [[NAN, 1.0]], [[1.0]], [1.0, 2.0, 3.0]))),
-    (geometry.scale_factors, (GK, 29.0, 41.0), (("+proj=no",), (NAN,), (95.0, []))),
-    (geometry.ellipsoidal_area, ([29.0, 29.1, 29.0], [41.0, 41.0, 41.1]), (([29.0], [NAN] * 3), ([], ["a"] * 3))),
+    (projections.utm, (35,), ((0, 61, 35.5),)),
+    (projections.gauss_krueger, (27.0,), ((NAN, "x"),)),
+    (projections.lambert_cylindrical, (6.37e6,), ((0.0, -1.0, NAN),)),
+    (projections.lambert_polar, (6.37e6,), ((0.0, NAN),)),
+    (projections.project, (GK, [29.0], [41.0]), (("+proj=no",), (NAN, [], [1.0, 2.0]), ("x", [[1.0]]))),
+    (projections.unproject, (GK, [[1e5, 4e6]]), (("+proj=no",), ([], [[NAN, 1.0]], [[1.0]], [1.0, 2.0, 3.0]))),
+    (projections.scale_factors, (GK, 29.0, 41.0), (("+proj=no",), (NAN,), (95.0, []))),
+    (projections.ellipsoidal_area, ([29.0, 29.1, 29.0], [41.0, 41.0, 41.1]), (([29.0], [NAN] * 3), ([], ["a"] * 3))),
     (study.terms, (2,), ((-1, 1.5),)),
     (study.growing_degrees, (M0S, 30), (({1: -2.0}, {1: NAN}, {1: 0.0}), (3,))),
     (study.admissible_points, (M0S,), (({}, {1: NAN}),)),
@@ -88,7 +88,7 @@ def test_nonsense_is_refused(case: tuple[Callable[..., Any], tuple[Any, ...], tu
 @pytest.mark.parametrize(
     "ask",
     [*(lambda n=n: study.design_study(GROUND, GROUND, [5], [1], layouts=n) for n in (0, -1, 2.5)),
-     geometry.error_budget],
+     scanner.error_budget],
 )  # fmt: skip
 def test_a_study_needs_layouts_and_a_budget_errors(ask: Callable[[], object]) -> None:
     with pytest.raises(InputError):

@@ -13,27 +13,19 @@ from hypothesis import strategies as st
 from scipy import integrate, optimize
 
 from fg_orient.model.errors import InputError
-from fg_orient.rectification.geometry import (
-    Scanner,
-    count_pixels,
+from fg_orient.rectification.areas import count_pixels, mean_spacing_m, perimeter_m, pixel_area_m2, planar_area_m2
+from fg_orient.rectification.projections import (
     ellipsoidal_area,
-    error_budget,
     gauss_krueger,
     lambert_cylindrical,
     lambert_polar,
-    mean_spacing_m,
-    perimeter_m,
-    pixel_area_m2,
-    planar_area_m2,
     project,
-    relief_shift_m,
     scale_factors,
     space_oblique_mercator,
-    swath_m,
-    total_angle_rad,
     unproject,
     utm,
 )
+from fg_orient.rectification.scanner import Scanner, error_budget, relief_shift_m, swath_m, total_angle_rad
 from tests.support.coasts import synthetic_outline
 
 Array = np.ndarray

@@ -228,7 +228,7 @@ def test_sigmas_that_the_residuals_contradict_are_remarked(
 @pytest.mark.behaviour
 def test_points_far_from_their_zone_are_remarked(tmp_path: Path, rng: np.random.Generator) -> None:
     """Zone 35 (24 to 30 degrees east): at home, in the next zone beside it, and two zones away."""
-    from fg_orient.rectification.geometry import project, unproject, utm
+    from fg_orient.rectification.projections import project, unproject, utm
 
     image, plane, _ = scene(rng, 12)
     home = unproject(utm(35), plane)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from fg_orient.formats.dimap1 import PRODUCER, _from_1, _size, _states, _time, _write
 from fg_orient.formats.dimap_checks import DIMAP_FIRST_PIXEL
+from fg_orient.formats.dimap_write import PRODUCER, _from_1, _size, _states, _time, _write
 from fg_orient.sensors.metadata import (
     AngleAttitude,
     LookAnglePolynomial,

@@ -16,8 +16,10 @@ import numpy as np
 from factors._contract import Array
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import CellKey
-from fg_orient.rectification import geometry, study
-from fg_orient.rectification.geometry import planar_area_m2, project, total_angle_rad, unproject
+from fg_orient.rectification import study
+from fg_orient.rectification.areas import mean_spacing_m, pixel_area_m2, planar_area_m2
+from fg_orient.rectification.projections import gauss_krueger, lambert_cylindrical, lambert_polar, project, unproject
+from fg_orient.rectification.scanner import swath_m, total_angle_rad
 from fg_orient.rectification.standards import effective_resolution_m
 from fg_orient.studies.reproduce.verdict import Cells, Recomputed, Values, attempt, row_key
 
@@ -97,7 +99,7 @@ def text(values: Values) -> Cells:
     vertical = [geodetic_minus_geocentric_rad(float(v)) for v in latitudes]
     edge = geodetic_minus_geocentric_rad(math.radians(180.0 - LANDSAT_1_INCLINATION_DEG))
     half_swath = math.degrees(0.5 * swath / A_M)
-    oblique = attempt(geometry.swath_m, view, spot_height, math.radians(off), A_M)
+    oblique = attempt(swath_m, view, spot_height, math.radians(off), A_M)
     mss, nadir = math.degrees(attempt(total_angle_rad, swath, mss_height)), printed("spot_hrv", "swath_nadir")
     return _cells("text", {
         ("landsat-5", "orbits_per_day"): orbits / days,
@@ -108,7 +110,7 @@ def text(values: Values) -> Cells:
         ("landsat_mss", "scene_volume"):
             4e-6 * printed("landsat_mss", "scan_lines") * printed("landsat_mss", "pixels_per_line"),
         ("landsat_tm", "ifov"): 1e6 * 30.0 / TM_HEIGHT_M,
-        ("spot_hrv", "swath_nadir"): 1e-3 * attempt(geometry.swath_m, view, spot_height),
+        ("spot_hrv", "swath_nadir"): 1e-3 * attempt(swath_m, view, spot_height),
         ("spot_hrv", "swath_twin"): 2.0 * nadir - printed("spot_hrv", "overlap_twin"),
         ("spot_hrv", "max_off_nadir"): off,
         ("spot_hrv", "swath_at_max_off_nadir"): 1e-3 * oblique,
@@ -269,7 +271,7 @@ def area_ratio(island: str, area_m2: float, projection: str) -> float:
     source. nan if the area is outside a projection.
     """
     latitude, longitude = PLACES[island]
-    definition, angle = geometry.gauss_krueger(CENTRAL_MERIDIAN_DEG), np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
+    definition, angle = gauss_krueger(CENTRAL_MERIDIAN_DEG), np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
     circle = np.sqrt(area_m2 / np.pi) * np.column_stack([np.cos(angle), np.sin(angle)])
     plane = project(definition, longitude, latitude) + circle
     try:
@@ -292,7 +294,7 @@ def utm_areas(values: Values) -> Cells:
 def spacings(values: Values) -> Cells:
     """Table 7.3: mean spacing of the vertices."""
     printed = {i: [values[row_key("7.3", i, name)] for name in ("coastline", "n_vertices")] for i in PLACES}
-    numbers = {(island, "mean_spacing"): attempt(geometry.mean_spacing_m, *pair) for island, pair in printed.items()}
+    numbers = {(island, "mean_spacing"): attempt(mean_spacing_m, *pair) for island, pair in printed.items()}
     return _cells("7.3", numbers, is_exact=True)
 
 
@@ -303,8 +305,8 @@ def lambert_areas(values: Values) -> Cells:
         utm, n = values[row_key("7.2", island, "area_utm")], values[row_key("7.3", island, "n_vertices")]
         sigma = np.sqrt(n) * values[row_key("7.3", island, "mean_spacing")] * ROUNDED_M
         projections = {
-            "azimuthal": geometry.lambert_polar(RADIUS_M),
-            "cylindrical": geometry.lambert_cylindrical(RADIUS_M),
+            "azimuthal": lambert_polar(RADIUS_M),
+            "cylindrical": lambert_cylindrical(RADIUS_M),
         }
         for name, projection in projections.items():
             ratio = area_ratio(island, utm, projection)
@@ -314,7 +316,7 @@ def lambert_areas(values: Values) -> Cells:
 
 
 def _pixels_m2(values: Values, row: str, side: str) -> float:
-    return attempt(geometry.pixel_area_m2, values[row_key("7.5", row, f"pixels_{side}")], PIXEL_M)
+    return attempt(pixel_area_m2, values[row_key("7.5", row, f"pixels_{side}")], PIXEL_M)
 
 
 def pixel_areas(values: Values) -> Cells:

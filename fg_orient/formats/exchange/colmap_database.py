@@ -1,0 +1,177 @@
+"""Databases of COLMAP (SQLite): images, keypoints and matches of image pairs.
+
+Keypoints are (x, y) with (0.5, 0.5) in the centre of the first pixel, in single precision: a
+place at 10 000 px is rounded by up to 0.0005 px. ``matches`` contains all matches,
+``two_view_geometries`` those that fit the geometry of the pair. The number of a pair is
+2147483647 times the smaller image id plus the larger one.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import quote
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.formats.atomic import staged_file
+from fg_orient.formats.exchange.colmap import FIRST_PIXEL
+from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.exchange.ties import matched_survey, pairs_of
+from fg_orient.formats.registry import TIES_ONLY, Format, Settings
+from fg_orient.model.errors import Finding, InputError, finding
+
+Index = npt.NDArray[np.intp]
+
+#: A pair's number is this times its smaller image id plus its larger one.
+PAIR: Final = 2147483647
+#: COLMAP's number of the camera model with f, cx, cy.
+SIMPLE_PINHOLE: Final = 0
+#: Focal length of an unknown camera in longer sides of the image, as COLMAP guesses it.
+FOCAL_GUESS: Final = 1.2
+_SCHEMA: Final = """
+CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, model INTEGER NOT NULL,
+    width INTEGER NOT NULL, height INTEGER NOT NULL, params BLOB, prior_focal_length INTEGER NOT NULL);
+CREATE TABLE images (image_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, name TEXT NOT NULL UNIQUE,
+    camera_id INTEGER NOT NULL, FOREIGN KEY(camera_id) REFERENCES cameras(camera_id));
+CREATE TABLE keypoints (image_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NULL, cols INTEGER NOT NULL,
+    data BLOB, FOREIGN KEY(image_id) REFERENCES images(image_id) ON DELETE CASCADE);
+CREATE TABLE matches (pair_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NULL, cols INTEGER NOT NULL, data BLOB);
+"""
+
+
+def read_colmap_database(path: str | Path) -> Survey:
+    """Read the tie points of a database: matches of ``two_view_geometries``, else those of ``matches``.
+
+    An InputError for a damaged database names the table and the id.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError.of("ties.missing", file=path.name, value=str(path), needed="a database of COLMAP")
+    try:
+        with closing(sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro", uri=True)) as opened:
+            return _read_database(opened, path.name)
+    except (sqlite3.Error, TypeError) as error:  # columns of SQLite may have any type
+        raise InputError.of("colmap.database", file=path.name, value=error) from None
+
+
+def _read_database(opened: sqlite3.Connection, file: str) -> Survey:
+    rows = opened.execute("SELECT image_id, name FROM images ORDER BY image_id").fetchall()
+    position = {number: k for k, (number, _) in enumerate(rows)}
+    keypoints = [np.empty((0, 2), np.float32)] * len(rows)
+    for number, n, columns, data in opened.execute("SELECT image_id, rows, cols, data FROM keypoints"):
+        place = f"keypoints of image {number}"
+        if number not in position:
+            raise InputError.of("colmap.reference", file=file, place=place, value=number, kind="image", other="images")
+        values = _blob(file, place, data, n, columns, "<f4")
+        if n and (columns < 2 or not np.isfinite(values[:, :2]).all()):
+            raise InputError.of("colmap.blob", file=file, place=place, value=f"{n} x {columns}, or not finite")
+        keypoints[position[number]] = values[:, :2]
+    first = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.intp)
+    matches, kind = _matches(opened, file, position, first)
+    xy = np.concatenate([np.empty((0, 2), np.float32), *keypoints]).astype(float) - FIRST_PIXEL
+    image, notes = (
+        np.repeat(np.arange(len(rows)), np.diff(first)),
+        [finding("points.matches", n=len(matches), kind=kind)],
+    )
+    return matched_survey(tuple(str(name) for _, name in rows), image, xy[:, 1], xy[:, 0], matches, notes)
+
+
+def _matches(opened: sqlite3.Connection, file: str, position: Mapping[int, int], first: Index) -> tuple[Index, str]:
+    """Rows of matched keypoints (m, 2), and the kind of the matches in words."""
+    tables = {name for (name,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    verified = "two_view_geometries" in tables and bool(
+        opened.execute("SELECT sum(rows) FROM two_view_geometries").fetchone()[0]
+    )
+    table = "two_view_geometries" if verified else "matches"
+    parts = [np.empty((0, 2), np.intp)]
+    for pair, n, columns, data in opened.execute(f"SELECT pair_id, rows, cols, data FROM {table} WHERE rows > 0"):
+        ids = divmod(pair, PAIR)
+        place = f"{table} of images {ids[0]} and {ids[1]}"
+        if any(k not in position for k in ids) or ids[0] == ids[1]:
+            raise InputError.of("colmap.reference", file=file, place=place, value=pair, kind="pair", other="images")
+        rows = _blob(file, place, data, n, columns, "<u4").astype(np.intp)
+        start = np.array([first[position[k]] for k in ids])
+        counts = np.array([first[position[k] + 1] for k in ids]) - start
+        if columns != 2 or (rows >= counts).any():
+            raise InputError.of("colmap.blob", file=file, place=place, value=f"keypoint {rows.max()} of {counts}")
+        parts.append(rows + start)
+    return np.concatenate(parts), "geometrically verified" if verified else "unverified"
+
+
+def _blob(file: str, place: str, data: Any, rows: int, columns: int, kind: str) -> npt.NDArray[Any]:
+    """Numbers (rows, columns) of a blob of the right length."""
+    raw = data if isinstance(data, bytes) else b""
+    if min(rows, columns) < 0 or len(raw) != rows * columns * np.dtype(kind).itemsize:
+        raise InputError.of("colmap.blob", file=file, place=place, value=f"{len(raw)} bytes for {rows} x {columns}")
+    return np.frombuffer(raw, kind).reshape(rows, columns)
+
+
+def write_colmap_database(path: Path, survey: Survey, sizes: Mapping[str, tuple[int, int]]) -> float:
+    """Write the image points of a survey as keypoints and matches of all pairs.
+
+    Nothing is written to ``two_view_geometries``: COLMAP tests whether matches fit a geometry. ``sizes`` are lines and
+    samples of the images. Each image gets a pinhole camera whose focal length is marked as a guess. An existing file is
+    replaced.
+
+    Returns
+    -------
+    float
+        Largest rounding of a coordinate to single precision, px.
+
+    Raises
+    ------
+    InputError
+        The size of an image is unknown, or the file cannot be written.
+    """
+    cameras = []
+    for name in survey.images:
+        if name not in sizes:
+            raise InputError.of("ties.size", file=path.name, place=name)
+        height, width = sizes[name]
+        parameters = np.array([FOCAL_GUESS * max(width, height), width / 2, height / 2], "<f8")
+        cameras.append((SIMPLE_PINHOLE, width, height, parameters.tobytes(), 0))
+    o = survey.observed
+    order = np.lexsort((o.point, o.image))
+    image, point = o.image[order], o.point[order]
+    xy = np.column_stack([o.sample[order], o.line[order]]) + FIRST_PIXEL
+    single = xy.astype("<f4")
+    first = np.searchsorted(image, np.arange(len(survey.images) + 1))
+    with staged_file(path) as temporary, closing(sqlite3.connect(temporary)) as opened:
+        opened.executescript(_SCHEMA)
+        for k, (name, camera) in enumerate(zip(survey.images, cameras, strict=True)):
+            own = single[first[k] : first[k + 1]]
+            opened.execute("INSERT INTO cameras VALUES (?, ?, ?, ?, ?, ?)", (k + 1, *camera))
+            opened.execute("INSERT INTO images VALUES (?, ?, ?)", (k + 1, name, k + 1))
+            opened.execute("INSERT INTO keypoints VALUES (?, ?, 2, ?)", (k + 1, len(own), own.tobytes()))
+        for (a, b), rows in pairs_of(image, point).items():
+            data = (rows - first[[a, b]]).astype("<u4").tobytes()
+            opened.execute("INSERT INTO matches VALUES (?, ?, 2, ?)", (PAIR * (a + 1) + b + 1, len(rows), data))
+        opened.commit()
+    return float(np.abs(single - xy).max(initial=0.0))
+
+
+def _write_database(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
+    """Write a database; the finding states the rounding to single precision."""
+    rounding = write_colmap_database(paths[0], survey, settings.image_sizes)
+    if rounding == 0.0:
+        return ()
+    return (finding("lost.single", file=paths[0], value=f"up to {rounding:.1g} px", format=DATABASE.name),)
+
+
+DATABASE: Final = Format(
+    name="colmap-database",
+    title="COLMAP database (SQLite)",
+    suffixes=(".db",),
+    files=("database",),
+    first_pixel=(FIRST_PIXEL, FIRST_PIXEL),
+    pixel_axes="x column, y row (pixels, single precision)",
+    holds=TIES_ONLY,
+    read=lambda paths, settings: read_colmap_database(paths[0]),
+    write=_write_database,
+    evidence="databases written by pycolmap 4.2; ours are read by it",
+)

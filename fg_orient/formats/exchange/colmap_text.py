@@ -1,0 +1,199 @@
+"""Text models of COLMAP: cameras.txt, images.txt and points3D.txt in one folder.
+
+A pose leads from ground to camera axes (quaternion w x y z, then translation t = -R C); the axes
+are those of ``fg_orient.sensors.frame``. Pixels are (x, y) with (0.5, 0.5) in the centre of the
+first one. Each image has two lines. The second one may be empty: it lists the keypoints, with -1
+for a keypoint without a point. Further files of COLMAP since 3.12 (rigs.txt, frames.txt) contain
+no additional data of images of single cameras.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from fg_orient.formats.atomic import require_free_files, write_lines
+from fg_orient.formats.exchange.colmap import FIRST_PIXEL, camera_lines, interior_of
+from fg_orient.formats.exchange.text import TextLines, make_folder, positions, require_once, whole
+from fg_orient.formats.exchange.ties import model_survey
+from fg_orient.formats.frame_model import FrameModel, Pose
+from fg_orient.formats.registry import TIES_ONLY, Format
+from fg_orient.formats.tables import finite
+from fg_orient.model.errors import InputError, finding
+from fg_orient.sensors.interior import Interior
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+FILES: Final = ("cameras.txt", "images.txt", "points3D.txt")
+#: Point id of a keypoint without a point: -1, or the same as an unsigned number.
+NO_POINT: Final = -1.0
+_UNSIGNED_NO_POINT: Final = 2.0**64
+#: Largest deviation of the length of a quaternion from 1.
+NORM: Final = 1e-3
+
+
+def read_colmap_text(folder: str | Path) -> FrameModel:
+    """Read a model.
+
+    InputError if a file is missing, damaged (it names the first faulty line) or contradicts another, or a camera has no
+    counterpart here.
+    """
+    folder = Path(folder)
+    cameras = _read_cameras(TextLines(folder / FILES[0]))
+    poses, keypoints = _read_images(TextLines(folder / FILES[1]), cameras)
+    ids, points, n_tracked = _read_points(TextLines(folder / FILES[2]))
+    image = np.repeat(np.arange(len(poses)), [len(k) for k in keypoints])
+    rows = np.concatenate([np.empty((0, 3)), *keypoints])
+    measured = (rows[:, 2] != NO_POINT) & (rows[:, 2] < _UNSIGNED_NO_POINT)
+    image, rows = image[measured], rows[measured]
+    point = positions(ids, rows[:, 2])
+    if (point < 0).any():
+        _no_reference(FILES[1], folder.name, int(rows[point < 0, 2][0]), "point", FILES[2])
+    if n_tracked != len(rows):
+        raise InputError.of("colmap.track", file=FILES[2], place=folder.name, n_tracks=n_tracked, n_images=len(rows))
+    left_out = int((~measured).sum())
+    notes = (finding("points.no_track", n=left_out),) if left_out else ()
+    names = tuple(str(int(i)) for i in ids)
+    line, sample = rows[:, 1] - FIRST_PIXEL, rows[:, 0] - FIRST_PIXEL
+    return FrameModel(cameras, poses, names, points, image, point, line, sample, notes)
+
+
+def _no_reference(file: str, place: str, value: object, kind: str, other: str) -> NoReturn:
+    raise InputError.of("colmap.reference", file=file, place=place, value=value, kind=kind, other=other)
+
+
+def _read_cameras(text: TextLines) -> dict[str, Interior]:
+    rows = [(number, line.split()) for number, line in text.content()]
+    cameras: dict[str, Interior] = {}
+    for number, cells in rows:
+        values, size = finite(cells[4:]), [whole(cell) for cell in cells[2:4]]
+        if len(cells) < 5 or values is None or None in size:
+            text.refuse(number, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]")
+        width, height = (n for n in size if n is not None)
+        cameras[cells[0]] = interior_of(
+            cells[1], (width, height), values.tolist(), cells[0], file=text.path.name, place=f"line {number}"
+        )  # fmt: skip
+    ids = np.array([cells[0] for _, cells in rows], str)
+    require_once(ids, "camera", text.path.name, lambda k: (f"line {rows[k][0]}", ids[k]))
+    return cameras
+
+
+def _read_images(text: TextLines, cameras: dict[str, Interior]) -> tuple[tuple[Pose, ...], list[Array]]:
+    """Poses and keypoints (k, 3): x, y, point id."""
+    poses, keypoints = [], []
+    upcoming = iter(enumerate(text.lines, start=1))
+    for number, line in upcoming:
+        if not line.strip() or line.startswith("#"):
+            continue
+        poses.append(_pose(text, number, line, cameras))
+        second, keypoint_line = next(upcoming, (number, ""))
+        cells = keypoint_line.split()
+        values = finite(cells)
+        if values is None or len(cells) % 3:
+            text.refuse(second, "X Y POINT3D_ID of each keypoint")
+        keypoints.append(values.reshape(-1, 3))
+    return tuple(poses), keypoints
+
+
+def _pose(text: TextLines, number: int, line: str, cameras: dict[str, Interior]) -> Pose:
+    cells = line.split(maxsplit=9)
+    values = finite(cells[1:8])
+    if len(cells) < 10 or values is None or abs(np.linalg.norm(values[:4]) - 1.0) > NORM:
+        text.refuse(number, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME with a quaternion of length 1")
+    if cells[8] not in cameras:
+        _no_reference(text.path.name, f"line {number}", cells[8], "camera", FILES[0])
+    rotation = Rotation.from_quat(values[[1, 2, 3, 0]]).as_matrix()
+    return Pose(cells[9].strip(), cells[8], rotation, -rotation.T @ values[4:7])
+
+
+def _read_points(text: TextLines) -> tuple[Array, Array, int]:
+    """Ids (N,), coordinates (N, 3), number of image points of all tracks."""
+    needed = "POINT3D_ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)[]"
+    content = text.content()
+    counts = [len(line.split()) for _, line in content]
+    for (number, _), count in zip(content, counts, strict=True):
+        if count < 8 or count % 2:
+            text.refuse(number, needed)
+    rows = text.numbers([(number, line.split(maxsplit=4)[:4]) for number, line in content], 4, needed)
+    require_once(rows[:, 0], "point", text.path.name, lambda k: ("", int(rows[k, 0])))
+    return rows[:, 0], rows[:, 1:], (sum(counts) - 8 * len(counts)) // 2
+
+
+def write_colmap_text(folder: str | Path, model: FrameModel, *, overwrite: bool = False) -> tuple[str, ...]:
+    """Write a model; the folder is made if it is missing. The result is the information that is lost, in words.
+
+    Ids of cameras, images and points count from 1, in the order of the model: other names of points and cameras are
+    lost. InputError if a file exists, cannot be written, or the name of an image contains a blank: COLMAP would cut it
+    there.
+    """
+    folder = Path(folder)
+    paths = [folder / name for name in FILES]
+    require_free_files(*paths, overwrite=overwrite)
+    for pose in model.poses:
+        if len(pose.name.split()) != 1:
+            raise InputError.of(
+                "interchange.cells", file=FILES[1], value=repr(pose.name), needed="a NAME without blanks"
+            )
+    cameras, lost = camera_lines(model)
+    order = np.lexsort((model.point, model.image))
+    place = np.empty(len(order), np.intp)  # of an image point among those of its image
+    place[order] = np.arange(len(order)) - np.searchsorted(model.image[order], model.image[order])
+    make_folder(folder)
+    write_lines(paths[0], ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]", *cameras])
+    write_lines(paths[1], [*_IMAGE_HEAD, *_image_lines(model, order)])
+    write_lines(paths[2], [_POINT_HEAD, *_point_lines(model, place)])
+    return lost
+
+
+_IMAGE_HEAD: Final = (
+    "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
+    "# X Y POINT3D_ID of each keypoint; (0.5, 0.5) is the centre of the first pixel",
+)
+_POINT_HEAD: Final = "# POINT3D_ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)[]"
+
+
+def _image_lines(model: FrameModel, order: Index) -> Iterator[str]:
+    """Two lines of each image; ``order`` sorts the image points by image."""
+    ends = np.searchsorted(model.image[order], np.arange(len(model.poses) + 1))
+    camera = {name: k for k, name in enumerate(model.cameras, start=1)}
+    for k, pose in enumerate(model.poses):
+        x, y, z, w = Rotation.from_matrix(pose.rotation).as_quat(canonical=True).tolist()
+        t = (-pose.rotation @ pose.centre_m).tolist()
+        yield f"{k + 1} {' '.join(map(repr, (w, x, y, z, *t)))} {camera[pose.camera]} {pose.name}"
+        own = order[ends[k] : ends[k + 1]]
+        xs, ys = (model.sample[own] + FIRST_PIXEL).tolist(), (model.line[own] + FIRST_PIXEL).tolist()
+        yield " ".join(f"{x!r} {y!r} {p}" for x, y, p in zip(xs, ys, (model.point[own] + 1).tolist(), strict=True))
+
+
+def _point_lines(model: FrameModel, place: Index) -> Iterator[str]:
+    """Lines of the points with their tracks, grey, and the mean residual as COLMAP states it."""
+    order = np.argsort(model.point, kind="stable")
+    ends = np.searchsorted(model.point[order], np.arange(len(model.points_m) + 1)).tolist()
+    residual = np.linalg.norm(model.residuals_px(), axis=1)[order]
+    tokens = [f"{i} {p}" for i, p in zip((model.image[order] + 1).tolist(), place[order].tolist(), strict=True)]
+    for k, xyz in enumerate(model.points_m.tolist()):
+        first, last = ends[k], ends[k + 1]
+        error = float(residual[first:last].mean()) if last > first else float("nan")
+        error = error if np.isfinite(error) else -1.0
+        yield " ".join([str(k + 1), *map(repr, xyz), "128 128 128", repr(error), *tokens[first:last]])
+
+
+TEXT: Final = Format(
+    name="colmap-text",
+    title="COLMAP text model (folder of cameras.txt, images.txt, points3D.txt)",
+    files=("model",),
+    first_pixel=(FIRST_PIXEL, FIRST_PIXEL),
+    pixel_axes="x column, y row (pixels)",
+    ground_axes="local x, y, z (left out)",
+    holds=TIES_ONLY,
+    read=lambda paths, settings: model_survey(read_colmap_text(paths[0])),
+    read_model=lambda paths, settings: read_colmap_text(paths[0]),
+    write_model=lambda out, model, overwrite: write_colmap_text(out, model, overwrite=overwrite),
+    evidence="models written by pycolmap 4.2; ours are read by it",
+)

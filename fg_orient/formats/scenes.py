@@ -1,0 +1,104 @@
+"""Footprints of the images, and refusal of ground points far from all of them.
+
+Points that lie in no image are refused. The usual causes are exchanged columns and a wrong CRS.
+Both move a point far outside every footprint, so the test is coarse: a point is refused if its
+distance from every image centre exceeds 1.5 diagonals of the image. Direct orientation is
+accurate to some hundred metres, and relief shifts a footprint by a few kilometres; the test
+tolerates both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.formats.tables import Faults
+from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind, geodetic_to_ecef, to_ecef
+from fg_orient.model.errors import InputError
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+#: Largest distance of a plausible ground point from the image centre, in diagonals of the footprint.
+REACH: Final = 1.5
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Centre (3,) ECEF m and diagonal (m) of an image's footprint at height 0."""
+
+    image: str
+    centre_m: Array
+    diagonal_m: float
+
+    @classmethod
+    def from_footprint(cls, image: str, footprint_deg: Array) -> Scene:
+        """Scene of four corners (4, 2), longitude and latitude in degrees."""
+        corners = geodetic_to_ecef(footprint_deg[:, 0], footprint_deg[:, 1], np.zeros(len(footprint_deg)))
+        apart = np.linalg.norm(corners[:, None] - corners[None], axis=2)
+        return cls(image, np.asarray(corners.mean(axis=0)), float(apart.max()))
+
+
+def check_positions(
+    scenes: Sequence[Scene], crs: str, given: Array, ecef_m: Array, lines: npt.NDArray[np.int64], faults: Faults
+) -> None:
+    """Note points far from every image; or that two columns are exchanged, if the exchange moves most into images.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+        One per image; nothing is checked if there is none.
+    crs : str
+        CRS of ``given``.
+    given, ecef_m : (n, 3) array
+        Coordinates as in the file and in ECEF m; nan rows are skipped.
+    lines : (n,) int array
+        Line of each point in its file.
+    faults : Faults
+        Receives the faults.
+    """
+    rows = np.flatnonzero(np.isfinite(ecef_m).all(axis=1))
+    if not scenes or not len(rows):
+        return
+    far = rows[_in_reach(scenes, ecef_m[rows]) > 1.0]
+    if not len(far):
+        return
+    kind = crs_kind(crs)
+    exchanged = _exchanged(scenes, crs, given[far])
+    if kind != "geocentric" and 2 * exchanged.sum() > len(far):
+        first, second = COORDINATE_COLUMNS[kind][:2]
+        example = " ".join(f"{v:.10g}" for v in given[far[exchanged]][0, :2])
+        faults.add(
+            "points.swapped", place=f"line {lines[far[exchanged][0]]}, columns {first} and {second}", value=example,
+            first=first, second=second, count=int(exchanged.sum()), total=len(rows),
+        )  # fmt: skip
+        far = far[~exchanged]
+    for k in far:
+        nearest = min(scenes, key=lambda scene: float(np.linalg.norm(ecef_m[k] - scene.centre_m)))
+        distance = float(np.linalg.norm(ecef_m[k] - nearest.centre_m))
+        faults.add(
+            "points.far", place=f"line {lines[k]}", value=" ".join(f"{v:.10g}" for v in given[k]),
+            distance_km=distance / 1e3, size_km=nearest.diagonal_m / 1e3, image=nearest.image,
+        )  # fmt: skip
+
+
+def _in_reach(scenes: Sequence[Scene], ecef_m: Array) -> Array:
+    """Smallest ratio of distance to allowed distance over the images: (n,)."""
+    ratios = [np.linalg.norm(ecef_m - scene.centre_m, axis=1) / (REACH * scene.diagonal_m) for scene in scenes]
+    return np.asarray(np.min(ratios, axis=0))
+
+
+def _exchanged(scenes: Sequence[Scene], crs: str, given: Array) -> Mask:
+    """Points that lie in an image if their first two coordinates are exchanged."""
+    exchanged = np.zeros(len(given), bool)
+    for k, (first, second, third) in enumerate(given):
+        try:
+            xyz = to_ecef(crs, second, first, third)
+        except InputError:
+            continue
+        exchanged[k] = _in_reach(scenes, xyz)[0] <= 1.0
+    return exchanged
