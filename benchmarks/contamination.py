@@ -48,8 +48,9 @@ import numpy.typing as npt
 
 import fg_orient as fg
 from factors.conditions.control import POINT
+from fg_orient.adjustment.irls import norms_at
 from fg_orient.adjustment.problem import Problem, State, compile_problem
-from fg_orient.adjustment.robust import CONTROL, IMAGE, inlier_limit, norms_at
+from fg_orient.adjustment.robust import CONTROL, IMAGE, inlier_limit
 from fg_orient.adjustment.solve import solve
 from fg_orient.cli.doctor import self_test
 from fg_orient.formats.atomic import write_bytes

@@ -19,8 +19,9 @@ import numpy as np
 
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.parts.backend import PartedBackend
-from fg_orient.adjustment.parts.study import Execution, Pool, opened, work_folder
-from fg_orient.adjustment.parts.tasks import default_parts
+from fg_orient.adjustment.parts.execution import Execution, opened, work_folder
+from fg_orient.adjustment.parts.parts import default_parts
+from fg_orient.adjustment.parts.pool import Pool
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur import SchurBackend

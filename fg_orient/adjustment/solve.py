@@ -15,6 +15,16 @@ from factors._contract import NotFiniteError
 from factors._preparation import working_clock
 from factors.losses import losses
 from fg_orient.adjustment.checkpoint import Checkpoint
+from fg_orient.adjustment.irls import (
+    DIMENSIONS,
+    RULES,
+    CycleResult,
+    cycles_on_arrays,
+    find_loss,
+    norms_at,
+    reweight,
+    weights_of,
+)
 from fg_orient.adjustment.loop import (
     OPTIMIZERS,
     SHRINK,
@@ -27,23 +37,8 @@ from fg_orient.adjustment.loop import (
 )
 from fg_orient.adjustment.problem import Problem, State, schur_possible
 from fg_orient.adjustment.resection import METHODS, resection_start
-from fg_orient.adjustment.robust import (
-    A_PRIORI,
-    DIMENSIONS,
-    NONE,
-    RULES,
-    CycleResult,
-    Robust,
-    Weights,
-    cycles_on_arrays,
-    find_loss,
-    norms_at,
-    reweight,
-    robust_scale,
-    weighted_problem,
-    weights_at,
-    weights_of,
-)
+from fg_orient.adjustment.robust import A_PRIORI, NONE, Robust, Weights, weighted_problem, weights_at
+from fg_orient.adjustment.robust_scale import robust_scale
 from fg_orient.adjustment.runtime import calm_memory, one_blas_thread
 from fg_orient.adjustment.stages import FROM_RESECTIONS, PLAIN, SCHEDULES, plan_of, run_stages
 from fg_orient.model.block import Block, Options

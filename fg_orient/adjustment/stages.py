@@ -31,18 +31,9 @@ import numpy.typing as npt
 
 from factors.losses import Curve, Loss, losses
 from factors.losses.standard import GEMAN_MCCLURE, HUBER
+from fg_orient.adjustment.irls import find_loss
 from fg_orient.adjustment.loop import STEP_TOLERANCE, Backend, Carried, LoopResult
-from fg_orient.adjustment.robust import (
-    A_PRIORI,
-    CONTROL,
-    IMAGE,
-    NONE,
-    Robust,
-    ScaledLoss,
-    find_loss,
-    inlier_limit,
-    scaled,
-)
+from fg_orient.adjustment.robust import A_PRIORI, CONTROL, IMAGE, NONE, Robust, ScaledLoss, inlier_limit, scaled
 from fg_orient.model.options import Options
 
 Array = npt.NDArray[np.float64]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fg_orient.cli.command import argument, command, option
+from fg_orient.cli.log import session
 from fg_orient.cli.output import answer, emit, fault, flag, note, say, table, tell, tell_findings
-from fg_orient.cli.progress import session
 from fg_orient.model.errors import FgOrientError, Finding, InputError
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from fg_orient.cli.command import Overwrite, argument, command, command_line, option
+from fg_orient.cli.command import argument, command, option
+from fg_orient.cli.common import Overwrite, command_line
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings
 from fg_orient.cli.progress import progress
 from fg_orient.closerange.options import BundleOptions, DltOptions, ImageOptions, SurfaceOptions

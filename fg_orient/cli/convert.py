@@ -8,7 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.command import Overwrite, argument, command, option
+from fg_orient.cli.command import argument, command, option
+from fg_orient.cli.common import Overwrite
 from fg_orient.cli.output import answer, flag, say, table, tell
 from fg_orient.model.errors import Finding, InputError
 

@@ -6,16 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from fg_orient.cli.command import (
+from fg_orient.cli.command import argument, command, option
+from fg_orient.cli.common import (
     Dem,
     Extrapolate,
     ModelOf,
     Overwrite,
     Result,
     VerticalCrs,
-    argument,
-    command,
-    option,
     oriented,
     read_dem,
     read_image,

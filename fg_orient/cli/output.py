@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import typer
 
-from fg_orient.cli.progress import session
+from fg_orient.cli.log import session
 from fg_orient.model.declaration import declared
 from fg_orient.model.errors import Finding, findings_of
 from fg_orient.model.options import Options, Reading

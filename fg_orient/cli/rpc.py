@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.command import Extrapolate, Overwrite, Result, argument, command, option, read_image
+from fg_orient.cli.command import argument, command, option
+from fg_orient.cli.common import Extrapolate, Overwrite, Result, read_image
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.declaration import declared

@@ -7,16 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from fg_orient.cli.command import (
-    Overwrite,
-    Project,
-    Scheduler,
-    argument,
-    command,
-    command_line,
-    option,
-    require_project,
-)
+from fg_orient.cli.command import argument, command, option
+from fg_orient.cli.common import Overwrite, Project, Scheduler, command_line, require_project
 from fg_orient.cli.output import answer, say, table, tell_findings
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.names import ALL_SETS

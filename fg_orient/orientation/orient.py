@@ -54,7 +54,7 @@ from fg_orient.sensors import initial
 if TYPE_CHECKING:
     import gtsam
 
-    from fg_orient.adjustment.parts.study import Execution
+    from fg_orient.adjustment.parts.execution import Execution
     from fg_orient.orientation.factor_graph import FactorGraph
 
 Array = npt.NDArray[np.float64]
@@ -165,7 +165,7 @@ def adjust(
         raise InputError.of("parallel.no_parts", option="work_dir", value=work_dir)
     execution = None
     if shared:
-        from fg_orient.adjustment.parts.study import Execution
+        from fg_orient.adjustment.parts.execution import Execution
 
         execution = Execution(parts, workers or 1, cluster, work_dir)
     run = _Run(execution, callback, stage, checkpoint, begin)
@@ -310,7 +310,7 @@ class _Run:
         self._report("iterations", len(compiled.observations))
         if self.execution is None:
             return solve(compiled, self.callback, checkpoint=checkpoint, start=begin)
-        from fg_orient.adjustment.parts.backend import solve_in_parts
+        from fg_orient.adjustment.parts.solve import solve_in_parts
 
         return solve_in_parts(compiled, self.execution, self.callback, checkpoint, begin)
 

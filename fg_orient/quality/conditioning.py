@@ -87,7 +87,7 @@ def regularisation(weighted: Problem, name: str, log: Sequence[IterationRecord])
     if not name:  # the kappa rules need not be loaded
         return None
     from fg_orient.adjustment.dense import DenseBackend
-    from fg_orient.adjustment.linear.kappa_graph import l_curve_of
+    from fg_orient.adjustment.linear.l_curve import l_curve_of
     from fg_orient.adjustment.linear.registry import attempt, solver
 
     if solver(name).family != "tikhonov":

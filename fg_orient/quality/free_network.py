@@ -34,8 +34,9 @@ from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import InputError, finding
-from fg_orient.quality.covariance import Cofactors, Indeterminate, MatrixCofactors, NamedMatrix
+from fg_orient.quality.covariance import Cofactors, Indeterminate, MatrixCofactors
 from fg_orient.quality.elimination import UNOBSERVABLE, followed_by_ground, reduced_rows, spectrum
+from fg_orient.quality.joint import NamedMatrix
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -25,8 +25,8 @@ from fg_orient.adjustment.problem import Problem
 from fg_orient.model.distributions import f_tail, holm, t_two_sided
 from fg_orient.model.errors import NoSolutionError
 from fg_orient.model.parameters import term_of
+from fg_orient.quality.freedom import UnknownFreedom
 from fg_orient.quality.residuals import ResidualCofactors
-from fg_orient.quality.variance_components import UnknownFreedom
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -17,6 +17,7 @@ from markupsafe import Markup
 from fg_orient.model.errors import DECISIVE, findings_of
 from fg_orient.report import maps, plots, tables
 from fg_orient.report.page import environment
+from fg_orient.report.payload import payload
 from fg_orient.report.words import accuracy_words, orientation_words, verdict
 from fg_orient.result.record import Result
 
@@ -98,7 +99,7 @@ def _page(result: Result, sections: Sequence[Section], verdict: Values, problems
     shell, record = environment(), result.record
     shared = {
         "result": result, "r": record, "many": MANY, "axes": _AXES, "plots": plots, "maps": maps, "tables": tables,
-        "payload": maps.payload(result) if result.adjusted else None,
+        "payload": payload(result) if result.adjusted else None,
     }  # fmt: skip
     parts = []
     for one in (*sections, Section("provenance", "Provenance")):

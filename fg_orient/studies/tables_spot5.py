@@ -17,7 +17,7 @@ import numpy as np
 
 from factors._contract import Array
 from fg_orient.adjustment.linear import system as linear
-from fg_orient.adjustment.linear.kappa_graph import LCurve, l_curve_of
+from fg_orient.adjustment.linear.l_curve import LCurve, l_curve_of
 from fg_orient.adjustment.linear.registry import attempt
 from fg_orient.adjustment.linear.system import LinearSystem, diagnose
 from fg_orient.model.names import COMPONENTS, EOP_SETS, CellKey, Role

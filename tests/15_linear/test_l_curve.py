@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fg_orient.adjustment.linear.kappa import choose_kappa, kappa_rules
-from fg_orient.adjustment.linear.kappa_graph import CURVE_POINTS, l_curve_of
+from fg_orient.adjustment.linear.l_curve import CURVE_POINTS, l_curve_of
 from fg_orient.adjustment.linear.registry import solve
 from fg_orient.adjustment.linear.system import Array, LinearSystem
 from fg_orient.model.errors import InputError

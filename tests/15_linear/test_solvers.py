@@ -8,17 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import hilbert
 
-from fg_orient.adjustment.linear.published import (
-    checked_cholesky,
-    cholesky_rows,
-    invert_cramer,
-    invert_gauss,
-    invert_pivot,
-    lu_factors,
-    pseudo_inverse,
-)
+from fg_orient.adjustment.linear.elimination import checked_cholesky
+from fg_orient.adjustment.linear.inverses import invert_cramer, invert_gauss, invert_pivot, pseudo_inverse
 from fg_orient.adjustment.linear.registry import attempt, solve, solvers
 from fg_orient.adjustment.linear.system import Breakdown, LinearSystem
+from fg_orient.adjustment.linear.triangular import cholesky_rows, lu_factors
 from tests.support.systems import design_system, positive_definite
 
 INVERSES = ("cramer_inverse", "pivot_inverse", "gauss_inverse", "moore_penrose_inverse", "cholesky_inverse")

@@ -21,9 +21,10 @@ from fg_orient.adjustment import schur_reduced, schur_structure
 from fg_orient.adjustment.cofactors import ReducedCofactors
 from fg_orient.adjustment.dense import DenseBackend, assemble
 from fg_orient.adjustment.explicit import ExplicitBackend
+from fg_orient.adjustment.irls import find_loss
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, State, compile_problem
-from fg_orient.adjustment.robust import find_loss, scaled
+from fg_orient.adjustment.robust import scaled
 from fg_orient.adjustment.runtime import Workers
 from fg_orient.adjustment.schur import SchurBackend, SchurSystem
 from fg_orient.adjustment.schur_reduced import Pattern, Singular

@@ -14,17 +14,10 @@ from factors import losses as registry
 from factors.losses import Loss, losses, register
 from fg_orient.adjustment.dense import DenseBackend, assemble
 from fg_orient.adjustment.explicit import ExplicitBackend
+from fg_orient.adjustment.irls import find_loss
 from fg_orient.adjustment.loop import OPTIMIZERS, SHRINK_REWEIGHTED, LoopResult
 from fg_orient.adjustment.problem import Problem, State, compile_problem
-from fg_orient.adjustment.robust import (
-    FLOOR,
-    Robust,
-    ScaledLoss,
-    find_loss,
-    scaled,
-    weighted_problem,
-    weights_at,
-)
+from fg_orient.adjustment.robust import FLOOR, Robust, ScaledLoss, scaled, weighted_problem, weights_at
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.stages import SCHEDULES
 from fg_orient.model.errors import InputError

@@ -11,7 +11,8 @@ from rich.progress import Progress
 
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.stages import EXACT, PLAIN
-from fg_orient.cli.progress import describe, iterations_left, opened, progress
+from fg_orient.cli.log import opened
+from fg_orient.cli.progress import describe, iterations_left, progress
 
 pytestmark = pytest.mark.behaviour
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from fg_orient.adjustment.parts.study import Execution, opened
+from fg_orient.adjustment.parts.execution import Execution, opened
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.model.block import Block
 from tests.support.parallel_block import block

@@ -11,7 +11,7 @@ import pytest
 
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.loop import Carried
-from fg_orient.adjustment.parts import study as pool
+from fg_orient.adjustment.parts import execution, pool
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.model.errors import InputError, NoSolutionError
@@ -102,7 +102,7 @@ def test_a_lost_cluster_leaves_the_checkpoint(
         checkpoint.keep(problem, "schur", Carried(problem.start))
         raise NoSolutionError.of(code, place="here", value="x", why="x")
 
-    monkeypatch.setattr("fg_orient.adjustment.parts.backend.solve_in_parts", lost)
+    monkeypatch.setattr("fg_orient.adjustment.parts.solve.solve_in_parts", lost)
     with pytest.raises(NoSolutionError):
         run_project(project, tmp_path / "out", execution={"parts": 2}, checkpoint_every_s=1e9)
     assert checkpoint_path(tmp_path / "out").exists() == kept
@@ -131,5 +131,5 @@ def test_other_faults_pass(fault: Exception) -> None:
 )
 def test_wrong_kinds_are_refused_in_words(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="this kind of value is not possible") as caught:
-        pool.Execution(**wrong)
+        execution.Execution(**wrong)
     assert caught.value.problems[0].option == next(iter(wrong))

@@ -14,13 +14,16 @@ from hypothesis import strategies as st
 
 import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
+from fg_orient.adjustment.irls import find_loss
 from fg_orient.adjustment.loop import OPTIMIZERS
-from fg_orient.adjustment.parts import tasks as parts_module
-from fg_orient.adjustment.parts.backend import PartedBackend, solve_in_parts
-from fg_orient.adjustment.parts.study import Execution, Pool
-from fg_orient.adjustment.parts.tasks import default_parts, divide, part_file, read_part, rows_of
+from fg_orient.adjustment.parts import parts as parts_module
+from fg_orient.adjustment.parts.backend import PartedBackend
+from fg_orient.adjustment.parts.execution import Execution
+from fg_orient.adjustment.parts.parts import default_parts, divide, part_file, read_part, rows_of
+from fg_orient.adjustment.parts.pool import Pool
+from fg_orient.adjustment.parts.solve import solve_in_parts
 from fg_orient.adjustment.problem import Problem, compile_problem
-from fg_orient.adjustment.robust import find_loss, scaled, weighted_problem
+from fg_orient.adjustment.robust import scaled, weighted_problem
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import solve
 from fg_orient.adjustment.stages import EXACT, PLAIN, Graduated

@@ -16,20 +16,14 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.adjustment.loop import OPTIMIZERS
-from fg_orient.adjustment.parts import study as pool_module
+from fg_orient.adjustment.parts import execution
+from fg_orient.adjustment.parts import pool as pool_module
 from fg_orient.adjustment.parts.backend import PartedBackend
-from fg_orient.adjustment.parts.study import (
-    Cluster,
-    Execution,
-    Pool,
-    branches,
-    opened,
-    study,
-    summed,
-    tree,
-    work_folder,
-)
-from fg_orient.adjustment.parts.tasks import forget, read_part
+from fg_orient.adjustment.parts.execution import Execution, opened, work_folder
+from fg_orient.adjustment.parts.parts import read_part
+from fg_orient.adjustment.parts.pool import Cluster, Pool, branches, summed, tree
+from fg_orient.adjustment.parts.study import study
+from fg_orient.adjustment.parts.tasks import forget
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.solve import solve
 from fg_orient.model.block import Block
@@ -216,12 +210,12 @@ def test_work_that_ends_every_worker_is_given_up(client: Any) -> None:
 
 @pytest.mark.behaviour
 def test_what_is_missing_is_said(small: Block, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool_module, "CONNECT_S", 0.3)
+    monkeypatch.setattr(execution, "CONNECT_S", 0.3)
     for address in ("tcp://127.0.0.1:9", "nonsense://x"):
         with pytest.raises(fg.InputError) as caught:
             fg.adjust(small, cluster=address)
         assert caught.value.problems[0].code == "parallel.unreachable"
-    monkeypatch.setattr(pool_module, "find_spec", lambda name: None)
+    monkeypatch.setattr(execution, "find_spec", lambda name: None)
     with pytest.raises(fg.InputError) as caught:
         fg.adjust(small, workers=2)
     assert caught.value.problems[0].code == "parallel.dask"
@@ -230,7 +224,7 @@ def test_what_is_missing_is_said(small: Block, monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.behaviour
 def test_one_worker_needs_no_dask(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool_module, "find_spec", lambda name: None)
+    monkeypatch.setattr(execution, "find_spec", lambda name: None)
     for workers in (0, 1):
         with opened(Execution(workers=workers)) as pool:
             assert isinstance(pool, Pool)

@@ -20,8 +20,9 @@ import typer
 from fg_orient.cli import app
 from fg_orient.cli.app import COMMANDS, declared, help_of
 from fg_orient.cli.app import app as application
+from fg_orient.cli.log import LogFile, opened, session
 from fg_orient.cli.output import emit, table
-from fg_orient.cli.progress import LogFile, describe_steps, duration, opened, progress_bar, session
+from fg_orient.cli.progress import describe_steps, duration, progress_bar
 from fg_orient.model.errors import InputError
 from tests.support.command import Run, entry_point
 

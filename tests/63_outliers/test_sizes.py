@@ -9,8 +9,9 @@ import pytest
 from scipy.stats import binom, ncf, ncx2
 
 from fg_orient.quality import hypotheses
-from fg_orient.quality.outliers import Suspects, _classes, assess_suspects
+from fg_orient.quality.outliers import _classes, assess_suspects
 from fg_orient.quality.reliability import noncentrality
+from fg_orient.quality.suspects import Suspects
 from tests.support.linear_twin import LinearTwin, linear_twin
 
 pytestmark = pytest.mark.oracle

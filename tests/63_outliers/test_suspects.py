@@ -11,7 +11,8 @@ import fg_orient as fg
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError, NoSolutionError, finding
 from fg_orient.quality import prediction
-from fg_orient.quality.outliers import Kind, assess_suspects, suspects
+from fg_orient.quality.outliers import assess_suspects
+from fg_orient.quality.suspects import Kind, suspects
 from tests.support.full_statistics import turned_rows
 from tests.support.linear_twin import linear_twin
 from tests.support.rpc_block import rpc_twin

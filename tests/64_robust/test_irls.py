@@ -8,16 +8,8 @@ import pytest
 from scipy.optimize import linprog
 
 import fg_orient as fg
-from fg_orient.adjustment.robust import (
-    EPSILON,
-    FLOOR,
-    Rule,
-    danish_limit,
-    danish_original,
-    least_absolute,
-    norms_at,
-    reweight,
-)
+from fg_orient.adjustment.irls import EPSILON, Rule, danish_limit, danish_original, least_absolute, norms_at, reweight
+from fg_orient.adjustment.robust import FLOOR
 from fg_orient.model.errors import InputError
 
 from .conftest import adjusted, problem_of, spoiled, twin
@@ -160,7 +152,7 @@ def test_rows_weighted_in_place_and_problems_weighted_anew_end_alike() -> None:
 
 @pytest.mark.behaviour
 def test_cycles_that_do_not_settle_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fg_orient.adjustment.robust.TOLERANCE", 0.0)
+    monkeypatch.setattr("fg_orient.adjustment.irls.TOLERANCE", 0.0)
     found = reweight(
         lambda w, last: 0.0 if last is None else last + 1.0, lambda x: (np.array([x]),), lambda x: 1.0,
         least_absolute, (1,), max_cycles=3,

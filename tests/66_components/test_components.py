@@ -16,9 +16,10 @@ from fg_orient.adjustment.dense import assemble
 from fg_orient.model.block import Block
 from fg_orient.orientation.components import adjust_with_components
 from fg_orient.quality import variance_components as module
+from fg_orient.quality.freedom import freedoms
 from fg_orient.quality.observation_groups import groups_of
-from fg_orient.quality.outliers import suspects
-from fg_orient.quality.variance_components import GroupedResiduals, freedoms
+from fg_orient.quality.suspects import suspects
+from fg_orient.quality.variance_components import GroupedResiduals
 from tests.support.full_statistics import turned_design
 from tests.support.planted_errors import planted
 

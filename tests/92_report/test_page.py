@@ -16,7 +16,7 @@ from scipy import stats
 
 from fg_orient.cli.output import number
 from fg_orient.model.errors import as_record, finding
-from fg_orient.report import html, maps, plots, tables
+from fg_orient.report import html, maps, payload, plots, tables
 from fg_orient.report.chart import log_ticks, ticks
 from fg_orient.report.html import render
 from fg_orient.report.maps import first_view
@@ -100,9 +100,9 @@ def test_packed_columns_are_the_tables(result: Result, data: Any) -> None:
 
 @pytest.mark.behaviour
 def test_constant_columns_are_one_value() -> None:
-    assert maps.pack([0.3, 0.3, 0.3]) == {"one": float(np.float32(0.3)), "n": 3}
+    assert payload.pack([0.3, 0.3, 0.3]) == {"one": float(np.float32(0.3)), "n": 3}
     for values in ([], [1.5], [1.5, 2.5], [np.nan, np.nan]):
-        np.testing.assert_array_equal(unpacked(maps.pack(values)), np.array(values, np.float32))
+        np.testing.assert_array_equal(unpacked(payload.pack(values)), np.array(values, np.float32))
 
 
 @pytest.mark.behaviour
@@ -111,18 +111,18 @@ def test_large_blocks_keep_what_is_flagged(result: Result, monkeypatch: pytest.M
     figures = {**table.columns, "w_line": table.figures["w_line"].copy()}
     figures["w_line"][[3, 50, 90]] = [4.0, -3.5, 9.0]
     planted = with_columns(result, "residuals", figures)
-    monkeypatch.setattr(maps, "LIMIT", 20)
-    rows, words = maps.chosen_rays(planted)
+    monkeypatch.setattr(payload, "LIMIT", 20)
+    rows, words = payload.chosen_rays(planted)
     assert {3, 50, 90} <= set(rows.tolist()) and len(rows) == 20 == len(set(rows.tolist()))
-    assert rows.tolist() == maps.chosen_rays(planted)[0].tolist()
+    assert rows.tolist() == payload.chosen_rays(planted)[0].tolist()
     assert "20 of 94 image points: all 3 with a residual beyond 3 σ" in words and "seed 1" in words
     page = render(planted)
     drawn = json.loads(elements(page)[0][1])
     assert drawn["rays"]["line"]["n"] == 20 and words in page
     roles = [drawn["roles"][k] for k in unpacked(drawn["points"]["role"]).astype(int)]
     assert (roles.count("control"), roles.count("check")) == (37, 10)
-    monkeypatch.setattr(maps, "LIMIT", 2)
-    assert maps.chosen_rays(planted)[0].tolist() == [3, 50, 90]
+    monkeypatch.setattr(payload, "LIMIT", 2)
+    assert payload.chosen_rays(planted)[0].tolist() == [3, 50, 90]
 
 
 @pytest.mark.behaviour
@@ -240,10 +240,10 @@ def test_a_map_opens_on_the_points_where_footprints_are_far_larger(result: Resul
     assert first_view(np.full((3, 2), np.nan), [square]) is None
     one = first_view(np.array([[0.0, 60.0]]), [square + np.array([0.0, 60.0])])  # a single point has a view of its own
     assert one is not None and np.ptp(one, axis=0) * [111.2 * 0.5, 111.2] == pytest.approx([0.124, 0.124], rel=1e-9)
-    assert "beyond the border" not in render(result) and maps.payload(result).data["view"] is None
+    assert "beyond the border" not in render(result) and payload.payload(result).data["view"] is None
     large = of_large_images(result)
-    view = np.array(maps.payload(large).data["view"])
-    east, north = (unpacked(maps.payload(large).data["points"][axis]) for axis in ("x", "y"))
+    view = np.array(payload.payload(large).data["view"])
+    east, north = (unpacked(payload.payload(large).data["points"][axis]) for axis in ("x", "y"))
     border = 0.12 * float(max(np.ptp(east), np.ptp(north)))
     for axis, values in enumerate((east, north)):  # the border is taken at the latitude of the points, not of all
         assert view[:, axis] == pytest.approx([values.min() - border, values.max() + border], abs=1e-3 * border)

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 import fg_orient as fg
-from fg_orient.quality.outliers import Kind, Suspects, suspects
+from fg_orient.quality.suspects import Kind, Suspects, suspects
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.full_statistics import turned_design
 

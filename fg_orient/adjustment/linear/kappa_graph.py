@@ -1,18 +1,11 @@
 """Kappa rules that use a curve: L-curve, GCV, CRESO, discrepancy, CC and others, for the penalty |x|.
 
-With A = U S V^T and beta = U^T l, x = V (s beta/(s^2 + kappa)); |x|^2 = X and |A x - l|^2 = R are sums over the
-singular values. Curves and their derivatives are therefore exact. The published work names L-curve, GCV, CRESO,
-"maximum" and "CC" without formulas; these are the standard forms.
-
-The L-curve consists of |A x - l| and |x| of the Tikhonov solutions for all kappa (Hansen, O'Leary 1993). The kappa of
-any rule, also of a rule without this curve, is a point on it.
+The published work names L-curve, GCV, CRESO, "maximum" and "CC" without formulas; these are the standard forms.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
@@ -20,119 +13,14 @@ from scipy.optimize import brentq, minimize_scalar
 from fg_orient.adjustment.linear.kappa import (
     Given,
     KappaChoice,
-    KappaRule,
     RuleFunction,
-    choose_kappa,
-    kappa_rules,
     register_kappa_rule,
 )
-from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSystem
-from fg_orient.model.errors import FgOrientError, InputError
-
-GRID_POINTS = 240
-#: The grid starts at the smallest singular value, but not below 16 roundings of the largest (Hansen 1998).
-ROUNDINGS = 16.0
+from fg_orient.adjustment.linear.ridge import GRID_POINTS, Ridge
+from fg_orient.adjustment.linear.system import Array, Breakdown
+from fg_orient.model.errors import InputError
 
 Curve = Callable[[float], float]
-
-
-@dataclass(frozen=True)
-class Ridge:
-    """Tikhonov solutions of a system for all kappa.
-
-    Singular values (p,) of A, descending, beta = U^T l (p,), V^T (p, u), squared length of the part of l outside the
-    range of A, number of rows of A, and the name of the rule for messages.
-    """
-
-    values: Array
-    beta: Array
-    right: Array
-    outside: float
-    rows: int
-    rule: str
-
-    @classmethod
-    def of(cls, system: LinearSystem, rule: str) -> Ridge:
-        """Decompose A.
-
-        Raises
-        ------
-        InputError
-            A is not known.
-        Breakdown
-            A is zero.
-        """
-        design, observed = system.require_design(f"kappa rule {rule}")
-        left, values, right = system.decomposition
-        if values[0] == 0.0:
-            raise Breakdown.of("linear.no_kappa", place=f"kappa rule {rule}", value="A = 0")
-        beta = left.T @ observed
-        return cls(values, beta, right, float(np.sum((observed - left @ beta) ** 2)), len(design), rule)
-
-    @property
-    def grid(self) -> Array:
-        """Kappas between the squares of the smallest and the largest singular value, in equal ratios."""
-        least = max(self.values[-1], ROUNDINGS * np.finfo(np.float64).eps * self.values[0], np.finfo(np.float64).tiny)
-        least = min(least, 0.1 * self.values[0])  # two decades of kappa at least
-        return np.geomspace(least**2, self.values[0] ** 2, GRID_POINTS)
-
-    def solution(self, kappa: float) -> Array:
-        """Solution (u,) of a kappa."""
-        x: Array = self.right.T @ (self.values * self.beta / (self.values**2 + kappa))
-        return x
-
-    def norm2(self, kappa: float) -> float:
-        """X = |x|^2."""
-        return float(np.sum((self.values * self.beta / (self.values**2 + kappa)) ** 2))
-
-    def norm2_slopes(self, kappa: float) -> tuple[float, float]:
-        """First and second derivative of X by kappa."""
-        weight, shifted = (self.values * self.beta) ** 2, self.values**2 + kappa
-        return float(-2.0 * np.sum(weight / shifted**3)), float(6.0 * np.sum(weight / shifted**4))
-
-    def residual2(self, kappa: float) -> float:
-        """R = |A x - l|^2; dR/dkappa = -kappa dX/dkappa."""
-        return float(np.sum((kappa * self.beta / (self.values**2 + kappa)) ** 2)) + self.outside
-
-    def curvature(self, kappa: float) -> float:
-        """Curvature of (log|A x - l|, log|x|) by log kappa (Hansen, O'Leary 1993)."""
-        norm, residual = self.norm2(kappa), self.residual2(kappa)
-        slope, second = self.norm2_slopes(kappa)
-        eta = 0.5 * kappa * slope / norm
-        rho = -0.5 * kappa**2 * slope / residual
-        eta2 = 0.5 * (kappa * slope + kappa**2 * second) / norm - 2.0 * eta**2
-        rho2 = -0.5 * (2.0 * kappa**2 * slope + kappa**3 * second) / residual - 2.0 * rho**2
-        return float((rho * eta2 - rho2 * eta) / (rho**2 + eta**2) ** 1.5)
-
-    def gcv(self, kappa: float) -> float:
-        """GCV function n |(I - H) l|^2/(tr(I - H))^2 (Golub, Heath, Wahba 1979)."""
-        trace = self.rows - float(np.sum(self.values**2 / (self.values**2 + kappa)))
-        return self.rows * self.residual2(kappa) / trace**2
-
-    def creso(self, kappa: float) -> float:
-        """X + 2 kappa dX/dkappa = d(kappa X - R)/dkappa (Colli-Franzone et al. 1985)."""
-        return self.norm2(kappa) + 2.0 * kappa * self.norm2_slopes(kappa)[0]
-
-    def creso_slope(self, kappa: float) -> float:
-        """Derivative of the CRESO function, free of cancellation where the function is flat."""
-        weight, squares = (self.values * self.beta) ** 2, self.values**2
-        return float(6.0 * np.sum(weight * (kappa - squares) / (squares + kappa) ** 4))
-
-    def likelihood(self, kappa: float) -> float:
-        """Logarithm of the marginal likelihood but for a constant, sigma estimated (Wahba 1985)."""
-        shares = kappa / (self.values**2 + kappa)  # eigenvalues of I - H
-        quadratic = float(np.sum(shares * self.beta**2)) + self.outside
-        return 0.5 * float(np.sum(np.log(shares))) - 0.5 * self.rows * float(np.log(quadratic))
-
-    def change2(self, kappa: float) -> float:
-        """|kappa dx/dkappa|^2, the quasi-optimality function (Tikhonov, Glasko 1965)."""
-        return float(np.sum((kappa * self.values * self.beta / (self.values**2 + kappa) ** 2) ** 2))
-
-    def change2_slope(self, kappa: float) -> float:
-        """Half the derivative of :meth:`change2` by log kappa."""
-        squares = self.values**2
-        terms = (kappa * self.values * self.beta / (squares + kappa) ** 2) ** 2
-        return float(np.sum(terms * (squares - kappa) / (squares + kappa)))
 
 
 def _lowest(ridge: Ridge, function: Curve, *, sign: float = 1.0) -> KappaChoice:
@@ -256,103 +144,3 @@ def cc(ridge: Ridge, given: Given) -> KappaChoice:
         return float(x @ truth / np.sqrt((x @ x) * (truth @ truth)))
 
     return _lowest(ridge, correlation, sign=-1.0)
-
-
-#: Kappas of a recorded curve, in equal ratios.
-CURVE_POINTS: Final = 121
-
-
-@dataclass(frozen=True)
-class Choice:
-    """The kappa of one rule and its point on the curve: |A x - l| and |x|.
-
-    The numbers are nan if the rule fails, for the reason in ``failure``. ``notes`` are remarks: clamping, kappa at the
-    end of the range.
-    """
-
-    rule: str
-    label: str
-    kappa: float
-    residual_norm: float
-    solution_norm: float
-    notes: tuple[str, ...] = ()
-    failure: str = ""
-
-
-@dataclass(frozen=True)
-class LCurve:
-    """Norms of the Tikhonov solutions of a system.
-
-    Parameters
-    ----------
-    kappa : (n,) array
-        Ascending, in equal ratios.
-    residual_norm, solution_norm : (n,) array
-        |A x - l|, which increases with kappa, and |x|, which decreases.
-    curvature : (n,) array
-        Curvature of (log residual_norm, log solution_norm); largest at the corner.
-    choices : tuple of Choice
-        Kappas of the rules that need no further inputs.
-    """
-
-    kappa: Array
-    residual_norm: Array
-    solution_norm: Array
-    curvature: Array
-    choices: tuple[Choice, ...]
-
-    def place(self, kappa: float) -> tuple[float, float]:
-        """Norms of residuals and solution at a kappa: those of a rule with this kappa, else interpolated.
-
-        They are nan outside the range of the curve.
-        """
-        for choice in self.choices:
-            if choice.kappa == kappa:
-                return choice.residual_norm, choice.solution_norm
-        if not self.kappa[0] <= kappa <= self.kappa[-1]:
-            return float("nan"), float("nan")
-        at = np.log(kappa), np.log(self.kappa)
-        residual, solution = (np.interp(*at, np.log(norm)) for norm in (self.residual_norm, self.solution_norm))
-        return float(np.exp(residual)), float(np.exp(solution))
-
-
-def l_curve_of(system: LinearSystem) -> LCurve:
-    """L-curve of a system with the kappas of all rules that need no further inputs.
-
-    Parameters
-    ----------
-    system : LinearSystem
-        Its design matrix is required.
-
-    Returns
-    -------
-    LCurve
-        Its range contains every positive kappa that a rule chose.
-
-    Raises
-    ------
-    InputError
-        A is not known.
-    Breakdown
-        A is zero.
-    """
-    ridge = Ridge.of(system, "l_curve")
-    choices = tuple(_choice(rule, system, ridge) for rule in kappa_rules().values() if not rule.needs)
-    chosen = [c.kappa for c in choices if c.kappa > 0.0]
-    kappa = np.geomspace(min(ridge.grid[0], *chosen), max(ridge.grid[-1], *chosen), CURVE_POINTS)
-    with np.errstate(all="ignore"):  # the curvature is not defined where the residual is zero
-        curvature = np.array([ridge.curvature(k) for k in kappa])
-    residual, solution = (np.sqrt([norm(k) for k in kappa]) for norm in (ridge.residual2, ridge.norm2))
-    return LCurve(kappa, residual, solution, curvature, choices)
-
-
-def _choice(rule: KappaRule, system: LinearSystem, ridge: Ridge) -> Choice:
-    """Apply a rule; kappas of published rules are clamped, as in their solvers."""
-    try:
-        choice = choose_kappa(rule.name, system, clamp=rule.published)
-    except FgOrientError as error:
-        nan = float("nan")
-        return Choice(rule.name, rule.label, nan, nan, nan, failure="; ".join(p.message for p in error.problems))
-    with np.errstate(all="ignore"):  # a singular system has no unique solution for kappa = 0
-        norms = np.sqrt(ridge.residual2(choice.kappa)), np.sqrt(ridge.norm2(choice.kappa))
-    return Choice(rule.name, rule.label, choice.kappa, float(norms[0]), float(norms[1]), choice.notes)

@@ -2,48 +2,31 @@
 
 Each part eliminates its ground points and returns its contribution to the reduced system of the images. The sum,
 with the priors, is solved in this process; then each part moves its points by the step of the images. The loop and its
-optimisers are the same as for all backends. :func:`solve_in_parts` leads from a problem to an estimate.
+optimisers are the same as for all backends.
 """
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import NotFiniteError
-from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.cofactors import SummedSystem
-from fg_orient.adjustment.loop import Callback, share_at_radius
+from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.parts import tasks
-from fg_orient.adjustment.parts.study import Execution, Pool, opened, work_folder
-from fg_orient.adjustment.parts.tasks import (
-    START,
-    At,
-    Partial,
-    Sums,
-    default_parts,
-    divide,
-    part_of,
-    part_problem,
-    rows_of,
-    write_part,
-)
+from fg_orient.adjustment.parts.parts import START, divide, read_ground, rows_of, write_ground, write_part
+from fg_orient.adjustment.parts.pool import Pool
+from fg_orient.adjustment.parts.tasks import At, Partial, Sums
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust
-from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.schur_reduced import Pattern, Reduced, ReducedSystems
-from fg_orient.adjustment.solve import Estimate, solve
-from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.int64]
 
 
 class PartedState(State):
@@ -271,7 +254,7 @@ class PartedBackend:
         if self._foreign is None or self._foreign[0] is not state:
             name = self.new_name()
             for number, points in enumerate(self.points):
-                tasks.write_ground(self.folder, number, name, state.ground[points])
+                write_ground(self.folder, number, name, state.ground[points])
             self._foreign = state, PartedState(state.image, name, self._gathered)
         return self._foreign[1]
 
@@ -279,7 +262,7 @@ class PartedBackend:
         ground = self.problem.start.ground.copy()
         if name != START:
             for number, points in enumerate(self.points):
-                ground[points] = tasks.read_ground(self.folder, number, name)
+                ground[points] = read_ground(self.folder, number, name)
         return ground
 
     def _clean(self) -> None:
@@ -290,58 +273,3 @@ class PartedBackend:
             if name < oldest and name not in self._kept:
                 with contextlib.suppress(OSError):
                     path.unlink()
-
-
-#: Number of ground points that is sufficient to compile every kernel of a part.
-REHEARSED: Final = 2
-
-
-def rehearse(problem: Problem) -> None:
-    """Eliminate a few ground points in this process: kernels are compiled once and not by each worker."""
-    points = np.flatnonzero(problem.active)[:REHEARSED]
-    part = part_problem("rehearsal", part_of(problem, points, rows_of(problem, [points])[0]))
-    backend = SchurBackend(part, threads=1)
-    with suppress(RuntimeError, NotFiniteError):  # the system of a few points may be singular
-        system = backend.linearise(backend.initial())
-        system.partial(1.0)
-        system.substitute(np.zeros(part.n_image_unknowns), 1.0)
-
-
-def solve_in_parts(
-    problem: Problem, execution: Execution, callback: Callback | None = None, checkpoint: Checkpoint | None = None,
-    start: State | None = None,
-) -> Estimate:  # fmt: skip
-    """Adjust a problem in parts; processes started for it end with the adjustment.
-
-    Parameters
-    ----------
-    problem : Problem
-    execution : Execution
-    callback : callable, optional
-        Called with an ``IterationRecord`` after each iteration.
-    checkpoint, start : optional
-        See ``fg_orient.adjustment.solve.solve``.
-
-    Raises
-    ------
-    InputError
-        The options name another backend than the Schur complement; images share unknowns; more parts than points; dask
-        is missing, the scheduler does not answer, or workers have no access to the work folder.
-    NoSolutionError
-        The equations become singular or not finite; workers fail repeatedly.
-    """
-    options = problem.block.options
-    if options.backend not in ("auto", "schur"):
-        raise InputError.of("parallel.backend", option="parts", value=options.backend)
-    if problem.ties is not None:
-        raise InputError.of("frame.shared_not", option="parts", value="parts", id=", ".join(problem.ties.ids))
-    own = replace(problem, block=replace(problem.block, options=replace(options, backend="schur")))
-    if execution.cluster is None and execution.workers > 1:
-        rehearse(own)
-    with opened(execution) as pool, work_folder(execution, pool) as folder:
-        parts = execution.parts or default_parts(problem)
-        if checkpoint is not None:
-            checkpoint.scope = f"{parts} parts"
-        estimate = solve(own, callback, lambda p: PartedBackend(p, pool, folder, parts), checkpoint, start)
-        summed = cast(PartedSystem, estimate.linear).summed()
-    return replace(estimate, state=summed.state, linear=summed)

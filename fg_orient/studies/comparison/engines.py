@@ -12,7 +12,7 @@ from factors._contract import Array
 from factors._preparation import working_clock
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.linear import registry
-from fg_orient.adjustment.linear.kappa_graph import l_curve_of
+from fg_orient.adjustment.linear.l_curve import l_curve_of
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, numerical_rank, singular_values, unit_columns
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.model.block import Block

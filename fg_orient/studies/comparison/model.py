@@ -12,7 +12,7 @@ import numpy as np
 
 from factors._contract import Array
 from fg_orient.adjustment.linear import registry
-from fg_orient.adjustment.linear.kappa_graph import Choice, LCurve
+from fg_orient.adjustment.linear.l_curve import Choice, LCurve
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.parameters import eop_set_number

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from factors._contract import Array
-from fg_orient.adjustment.linear.kappa_graph import LCurve
+from fg_orient.adjustment.linear.l_curve import LCurve
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.errors import FgOrientError
 from fg_orient.model.names import CellKey

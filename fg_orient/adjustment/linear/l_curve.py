@@ -1,0 +1,120 @@
+"""The L-curve of a system, and the kappas of all rules as points on it.
+
+The curve consists of |A x - l| and |x| of the Tikhonov solutions for all kappa (Hansen, O'Leary 1993). The kappa of
+any rule, also of a rule without this curve, is a point on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fg_orient.adjustment.linear.kappa import (
+    KappaRule,
+    choose_kappa,
+    kappa_rules,
+)
+from fg_orient.adjustment.linear.ridge import Ridge
+from fg_orient.adjustment.linear.system import Array, LinearSystem
+from fg_orient.model.errors import FgOrientError
+
+#: Kappas of a recorded curve, in equal ratios.
+CURVE_POINTS: Final = 121
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The kappa of one rule and its point on the curve: |A x - l| and |x|.
+
+    The numbers are nan if the rule fails, for the reason in ``failure``. ``notes`` are remarks: clamping, kappa at the
+    end of the range.
+    """
+
+    rule: str
+    label: str
+    kappa: float
+    residual_norm: float
+    solution_norm: float
+    notes: tuple[str, ...] = ()
+    failure: str = ""
+
+
+@dataclass(frozen=True)
+class LCurve:
+    """Norms of the Tikhonov solutions of a system.
+
+    Parameters
+    ----------
+    kappa : (n,) array
+        Ascending, in equal ratios.
+    residual_norm, solution_norm : (n,) array
+        |A x - l|, which increases with kappa, and |x|, which decreases.
+    curvature : (n,) array
+        Curvature of (log residual_norm, log solution_norm); largest at the corner.
+    choices : tuple of Choice
+        Kappas of the rules that need no further inputs.
+    """
+
+    kappa: Array
+    residual_norm: Array
+    solution_norm: Array
+    curvature: Array
+    choices: tuple[Choice, ...]
+
+    def place(self, kappa: float) -> tuple[float, float]:
+        """Norms of residuals and solution at a kappa: those of a rule with this kappa, else interpolated.
+
+        They are nan outside the range of the curve.
+        """
+        for choice in self.choices:
+            if choice.kappa == kappa:
+                return choice.residual_norm, choice.solution_norm
+        if not self.kappa[0] <= kappa <= self.kappa[-1]:
+            return float("nan"), float("nan")
+        at = np.log(kappa), np.log(self.kappa)
+        residual, solution = (np.interp(*at, np.log(norm)) for norm in (self.residual_norm, self.solution_norm))
+        return float(np.exp(residual)), float(np.exp(solution))
+
+
+def l_curve_of(system: LinearSystem) -> LCurve:
+    """L-curve of a system with the kappas of all rules that need no further inputs.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        Its design matrix is required.
+
+    Returns
+    -------
+    LCurve
+        Its range contains every positive kappa that a rule chose.
+
+    Raises
+    ------
+    InputError
+        A is not known.
+    Breakdown
+        A is zero.
+    """
+    ridge = Ridge.of(system, "l_curve")
+    choices = tuple(_choice(rule, system, ridge) for rule in kappa_rules().values() if not rule.needs)
+    chosen = [c.kappa for c in choices if c.kappa > 0.0]
+    kappa = np.geomspace(min(ridge.grid[0], *chosen), max(ridge.grid[-1], *chosen), CURVE_POINTS)
+    with np.errstate(all="ignore"):  # the curvature is not defined where the residual is zero
+        curvature = np.array([ridge.curvature(k) for k in kappa])
+    residual, solution = (np.sqrt([norm(k) for k in kappa]) for norm in (ridge.residual2, ridge.norm2))
+    return LCurve(kappa, residual, solution, curvature, choices)
+
+
+def _choice(rule: KappaRule, system: LinearSystem, ridge: Ridge) -> Choice:
+    """Apply a rule; kappas of published rules are clamped, as in their solvers."""
+    try:
+        choice = choose_kappa(rule.name, system, clamp=rule.published)
+    except FgOrientError as error:
+        nan = float("nan")
+        return Choice(rule.name, rule.label, nan, nan, nan, failure="; ".join(p.message for p in error.problems))
+    with np.errstate(all="ignore"):  # a singular system has no unique solution for kappa = 0
+        norms = np.sqrt(ridge.residual2(choice.kappa)), np.sqrt(ridge.norm2(choice.kappa))
+    return Choice(rule.name, rule.label, choice.kappa, float(norms[0]), float(norms[1]), choice.notes)

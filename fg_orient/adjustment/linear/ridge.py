@@ -1,0 +1,116 @@
+"""Tikhonov solutions of a system for all kappa, with the penalty |x|, from one singular value decomposition.
+
+With A = U S V^T and beta = U^T l, x = V (s beta/(s^2 + kappa)); |x|^2 = X and |A x - l|^2 = R are sums over the
+singular values. Curves and their derivatives are therefore exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSystem
+
+GRID_POINTS = 240
+#: The grid starts at the smallest singular value, but not below 16 roundings of the largest (Hansen 1998).
+ROUNDINGS = 16.0
+
+
+@dataclass(frozen=True)
+class Ridge:
+    """Tikhonov solutions of a system for all kappa.
+
+    Singular values (p,) of A, descending, beta = U^T l (p,), V^T (p, u), squared length of the part of l outside the
+    range of A, number of rows of A, and the name of the rule for messages.
+    """
+
+    values: Array
+    beta: Array
+    right: Array
+    outside: float
+    rows: int
+    rule: str
+
+    @classmethod
+    def of(cls, system: LinearSystem, rule: str) -> Ridge:
+        """Decompose A.
+
+        Raises
+        ------
+        InputError
+            A is not known.
+        Breakdown
+            A is zero.
+        """
+        design, observed = system.require_design(f"kappa rule {rule}")
+        left, values, right = system.decomposition
+        if values[0] == 0.0:
+            raise Breakdown.of("linear.no_kappa", place=f"kappa rule {rule}", value="A = 0")
+        beta = left.T @ observed
+        return cls(values, beta, right, float(np.sum((observed - left @ beta) ** 2)), len(design), rule)
+
+    @property
+    def grid(self) -> Array:
+        """Kappas between the squares of the smallest and the largest singular value, in equal ratios."""
+        least = max(self.values[-1], ROUNDINGS * np.finfo(np.float64).eps * self.values[0], np.finfo(np.float64).tiny)
+        least = min(least, 0.1 * self.values[0])  # two decades of kappa at least
+        return np.geomspace(least**2, self.values[0] ** 2, GRID_POINTS)
+
+    def solution(self, kappa: float) -> Array:
+        """Solution (u,) of a kappa."""
+        x: Array = self.right.T @ (self.values * self.beta / (self.values**2 + kappa))
+        return x
+
+    def norm2(self, kappa: float) -> float:
+        """X = |x|^2."""
+        return float(np.sum((self.values * self.beta / (self.values**2 + kappa)) ** 2))
+
+    def norm2_slopes(self, kappa: float) -> tuple[float, float]:
+        """First and second derivative of X by kappa."""
+        weight, shifted = (self.values * self.beta) ** 2, self.values**2 + kappa
+        return float(-2.0 * np.sum(weight / shifted**3)), float(6.0 * np.sum(weight / shifted**4))
+
+    def residual2(self, kappa: float) -> float:
+        """R = |A x - l|^2; dR/dkappa = -kappa dX/dkappa."""
+        return float(np.sum((kappa * self.beta / (self.values**2 + kappa)) ** 2)) + self.outside
+
+    def curvature(self, kappa: float) -> float:
+        """Curvature of (log|A x - l|, log|x|) by log kappa (Hansen, O'Leary 1993)."""
+        norm, residual = self.norm2(kappa), self.residual2(kappa)
+        slope, second = self.norm2_slopes(kappa)
+        eta = 0.5 * kappa * slope / norm
+        rho = -0.5 * kappa**2 * slope / residual
+        eta2 = 0.5 * (kappa * slope + kappa**2 * second) / norm - 2.0 * eta**2
+        rho2 = -0.5 * (2.0 * kappa**2 * slope + kappa**3 * second) / residual - 2.0 * rho**2
+        return float((rho * eta2 - rho2 * eta) / (rho**2 + eta**2) ** 1.5)
+
+    def gcv(self, kappa: float) -> float:
+        """GCV function n |(I - H) l|^2/(tr(I - H))^2 (Golub, Heath, Wahba 1979)."""
+        trace = self.rows - float(np.sum(self.values**2 / (self.values**2 + kappa)))
+        return self.rows * self.residual2(kappa) / trace**2
+
+    def creso(self, kappa: float) -> float:
+        """X + 2 kappa dX/dkappa = d(kappa X - R)/dkappa (Colli-Franzone et al. 1985)."""
+        return self.norm2(kappa) + 2.0 * kappa * self.norm2_slopes(kappa)[0]
+
+    def creso_slope(self, kappa: float) -> float:
+        """Derivative of the CRESO function, free of cancellation where the function is flat."""
+        weight, squares = (self.values * self.beta) ** 2, self.values**2
+        return float(6.0 * np.sum(weight * (kappa - squares) / (squares + kappa) ** 4))
+
+    def likelihood(self, kappa: float) -> float:
+        """Logarithm of the marginal likelihood but for a constant, sigma estimated (Wahba 1985)."""
+        shares = kappa / (self.values**2 + kappa)  # eigenvalues of I - H
+        quadratic = float(np.sum(shares * self.beta**2)) + self.outside
+        return 0.5 * float(np.sum(np.log(shares))) - 0.5 * self.rows * float(np.log(quadratic))
+
+    def change2(self, kappa: float) -> float:
+        """|kappa dx/dkappa|^2, the quasi-optimality function (Tikhonov, Glasko 1965)."""
+        return float(np.sum((kappa * self.values * self.beta / (self.values**2 + kappa) ** 2) ** 2))
+
+    def change2_slope(self, kappa: float) -> float:
+        """Half the derivative of :meth:`change2` by log kappa."""
+        squares = self.values**2
+        terms = (kappa * self.values * self.beta / (squares + kappa) ** 2) ** 2
+        return float(np.sum(terms * (squares - kappa) / (squares + kappa)))

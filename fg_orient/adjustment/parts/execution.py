@@ -1,0 +1,134 @@
+"""Parts and workers of a block or study; its processes and its work folder."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final
+
+from fg_orient.adjustment.parts import tasks
+from fg_orient.adjustment.parts.pool import Cluster, Pool
+from fg_orient.model.errors import InputError
+
+#: Seconds to wait for the answer of a scheduler.
+CONNECT_S: Final = 10.0
+#: Maximum number of workers started on one machine.
+MAX_WORKERS: Final = 256
+
+
+@dataclass(frozen=True)
+class Execution:
+    """Parts of a block and workers of a block or study.
+
+    Parameters
+    ----------
+    parts : int or None
+        Parts of the ground points; None: by the size of the block.
+    workers : int
+        Processes on this machine; 0 or 1: only this process.
+    cluster : str, dask.distributed.Client or None
+        Address of the scheduler of a running cluster, or a client of it; replaces ``workers``.
+    work_dir : path or None
+        Folder accessible to all workers; a temporary folder is made in it. Default: the system's folder for temporary
+        files, to which other machines have no access.
+
+    Raises
+    ------
+    InputError
+        An invalid value.
+    """
+
+    parts: int | None = None
+    workers: int = 0
+    cluster: Any = None
+    work_dir: str | Path | None = None
+
+    def __post_init__(self) -> None:
+        _require_kind("parts", self.parts, int, type(None))
+        _require_kind("workers", self.workers, int)
+        _require_kind("work_dir", self.work_dir, str, Path, type(None))
+        if not (self.cluster is None or isinstance(self.cluster, str) or hasattr(self.cluster, "submit")):
+            raise InputError.of("parallel.kind", option="cluster", value=self.cluster, expected="address or client")
+        if self.parts is not None and self.parts < 1:
+            raise InputError.of("parallel.number", option="parts", value=self.parts, low=1, high="the ground points")
+        if not 0 <= self.workers <= MAX_WORKERS:
+            raise InputError.of("parallel.number", option="workers", value=self.workers, low=0, high=MAX_WORKERS)
+
+
+def _require_kind(option: str, value: Any, *kinds: type) -> None:
+    if isinstance(value, bool) or not isinstance(value, kinds):
+        expected = " or ".join("nothing" if kind is type(None) else kind.__name__ for kind in kinds)
+        raise InputError.of("parallel.kind", option=option, value=repr(value), expected=expected)
+
+
+@contextmanager
+def opened(execution: Execution) -> Iterator[Pool]:
+    """Pool of an execution; processes started here end with it.
+
+    InputError: dask is missing, or the scheduler does not answer.
+    """
+    if execution.cluster is None and execution.workers <= 1:
+        yield Pool()
+        return
+    if find_spec("distributed") is None:
+        raise InputError.of("parallel.dask", option="cluster" if execution.cluster is not None else "workers")
+    if execution.cluster is not None and not isinstance(execution.cluster, str):
+        yield Cluster(execution.cluster)
+        return
+    with _local(execution.workers) if execution.cluster is None else _connected(execution.cluster) as client:
+        yield Cluster(client)
+
+
+def _connected(address: str) -> Any:
+    """Client of a running scheduler; InputError if it does not answer."""
+    try:
+        return import_module("distributed").Client(address, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise InputError.of("parallel.unreachable", option="scheduler", value=address) from error
+
+
+@contextmanager
+def _local(workers: int) -> Iterator[Any]:
+    """Client of processes on this machine, one thread each.
+
+    dask does not limit their memory: the need of a block is estimated before, and a paused worker would never continue.
+    """
+    import dask.config
+
+    distributed = import_module("distributed")
+    one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
+    with (
+        tempfile.TemporaryDirectory(prefix="fg-orient-", ignore_cleanup_errors=True) as scratch,
+        dask.config.set({"distributed.scheduler.work-stealing": False}),
+        distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False}, memory_limit=0, env=one,
+            silence_logs=logging.CRITICAL, local_directory=scratch,
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):  # fmt: skip
+        yield client
+
+
+@contextmanager
+def work_folder(execution: Execution, pool: Pool) -> Iterator[Path]:
+    """New folder inside the work folder, removed at the end; InputError if it cannot be made."""
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="fg-orient-", dir=execution.work_dir)).absolute()
+    except OSError as error:
+        raise InputError.of("output.unwritable", file=execution.work_dir, value=error.strerror) from error
+    try:
+        yield folder
+    finally:
+        try:
+            pool.forget(str(folder))
+        finally:
+            tasks.forget(str(folder))
+            shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,148 @@
+"""Pools that run tasks: in this process, or on the workers of a dask cluster, with the same results bit by bit.
+
+A pool runs one function over many arguments. Sums follow a binary tree of the numbers of the parts: neither the number
+of workers nor the order in which tasks end changes the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any, TypeVar
+
+from fg_orient.adjustment.parts import tasks
+from fg_orient.adjustment.runtime import one_blas_thread
+from fg_orient.model.errors import FgOrientError, NoSolutionError
+
+T = TypeVar("T")
+
+
+def tree(arguments: Sequence[Any], depth: float, leaf: Callable[[Sequence[Any]], Any]) -> Any:
+    """Sum of ``leaf(branch)`` over the branches of a binary tree at a depth; a branch of one is not divided."""
+    if depth == 0 or len(arguments) == 1:
+        return leaf(arguments)
+    half = len(arguments) // 2
+    return tree(arguments[:half], depth - 1, leaf) + tree(arguments[half:], depth - 1, leaf)
+
+
+def branches(arguments: Sequence[Any], depth: int) -> list[Sequence[Any]]:
+    """Branches of this tree at a depth, in order."""
+    return list(tree(arguments, depth, lambda branch: [branch]))
+
+
+def summed(task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
+    """Sum of a task over arguments, in this tree."""
+    return tree(arguments, math.inf, lambda branch: task(*branch[0]))
+
+
+def _summed_on_worker(task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
+    """Sum in another process, whose BLAS may use more threads, which would change last bits."""
+    with one_blas_thread():
+        return summed(task, arguments)
+
+
+class Pool:
+    """Runs tasks in this process, one after another; ``threads`` is for the kernels of a task."""
+
+    threads: int | None = None
+
+    def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
+        """Sum of ``task(*a)`` over the arguments, in a tree by their number."""
+        return summed(task, arguments)
+
+    def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
+        """Number and result of each task when it has ended."""
+        for k, argument in enumerate(arguments):
+            yield k, task(*argument)
+
+    def forget(self, folder: str) -> None:
+        """Close the parts of a work folder."""
+        tasks.forget(folder)
+
+
+class Cluster(Pool):
+    """Runs tasks on the workers of a dask cluster.
+
+    Parameters
+    ----------
+    client : dask.distributed.Client
+    """
+
+    threads: int | None = 1
+
+    def __init__(self, client: Any) -> None:
+        self.client = client
+
+    def workers(self) -> list[str]:
+        """Addresses of the running workers, sorted."""
+        return sorted(self.client.nthreads())
+
+    def _submit(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
+        """Futures; an argument goes to the same worker each time, as long as this worker runs."""
+        workers: list[str | None] = [*self.workers()] or [None]
+        homes = [workers[k * len(workers) // len(arguments)] for k in range(len(arguments))]
+        return [
+            self.client.submit(task, *argument, pure=False, workers=home, allow_other_workers=home is not None)
+            for home, argument in zip(homes, arguments, strict=True)
+        ]
+
+    def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
+        """See :class:`Pool`; workers sum the branches of the tree, this process sums its top.
+
+        NoSolutionError: workers fail repeatedly, or the connection to the scheduler is lost.
+        """
+        with _failures():
+            workers = max(len(self.workers()), 1)
+            depth, parts = 0, branches(arguments, 0)
+            while len(parts) < min(4 * workers, len(arguments)) and (len(parts) < workers or len(parts) % workers):
+                depth += 1
+                parts = branches(arguments, depth)
+            sums = iter(self.client.gather(self._submit(_summed_on_worker, [(task, branch) for branch in parts])))
+            return tree(arguments, depth, lambda branch: next(sums))
+
+    def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
+        """See :class:`Pool`; raises as :meth:`total`."""
+        with _failures():
+            futures = [self.client.submit(task, *argument, pure=False) for argument in arguments]
+            number = {future.key: k for k, future in enumerate(futures)}
+            try:
+                for future in _distributed().as_completed(futures, loop=self.client.loop):
+                    yield number[future.key], future.result()
+                    future.release()
+            finally:
+                self.client.cancel(futures)
+
+    def forget(self, folder: str) -> None:
+        """See :class:`Pool`."""
+        with _failures():
+            self.client.run(tasks.forget, folder, on_error="ignore")
+
+
+def _distributed() -> Any:
+    """The optional package ``distributed``, without types."""
+    return import_module("distributed")
+
+
+@contextmanager
+def _failures() -> Iterator[None]:
+    """Convert exceptions of a cluster to NoSolutionError."""
+    from concurrent.futures import CancelledError
+
+    dask = _distributed()
+    try:
+        yield
+    except FgOrientError:
+        raise
+    except dask.KilledWorker as error:
+        raise NoSolutionError.of("parallel.killed", option="workers", value=str(error.last_worker)) from error
+    except (dask.comm.CommClosedError, dask.CancelledError, CancelledError, TimeoutError) as error:
+        raise NoSolutionError.of("parallel.lost", option="scheduler", value=type(error).__name__) from error
+    except (OSError, RuntimeError) as error:
+        # dask has no classes for these: an OSError without number, or a pool that is closed
+        timed_out = isinstance(error, OSError) and error.errno is None
+        closed = type(error) is RuntimeError and "closed" in str(error)
+        if not (timed_out or closed):
+            raise
+        raise NoSolutionError.of("parallel.lost", option="scheduler", value=type(error).__name__) from error
