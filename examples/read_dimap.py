@@ -17,7 +17,7 @@ import fg_orient as fg
 from fg_orient.model.names import COMPONENTS
 from fg_orient.model.parameters import UNITS
 from fg_orient.sensors.correction import fit_eop
-from fg_orient.sensors.geometry import frame_records, ground_records
+from fg_orient.sensors.ground import frame_records, ground_records
 
 
 def main() -> int:

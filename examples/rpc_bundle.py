@@ -17,7 +17,7 @@ import numpy as np
 import fg_orient as fg
 from fg_orient.model.names import Role
 from fg_orient.quality.accuracy import rms_px, y_parallaxes
-from fg_orient.rpc.fitting import fit_sensor
+from fg_orient.rpc.virtual_grid import fit_sensor
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 

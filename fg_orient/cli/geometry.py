@@ -71,7 +71,7 @@ def locate(
     _exclude({"--line": line, "--sample": sample}, {"--points": points}, {"--frame": frame or None})
     if height is not None and dem is not None:
         raise InputError.of("cli.two_heights", file=image, option="height, dem")
-    from fg_orient.sensors.geometry import frame_records
+    from fg_orient.sensors.ground import frame_records
 
     sensor = read_image(image, model, extrapolate_attitude, result)
     surface = read_dem(dem, dem_vertical_crs)
@@ -98,7 +98,7 @@ def _located(
     """Records of one pixel or of a CSV file of pixels."""
     import numpy as np
 
-    from fg_orient.sensors.geometry import ground_records
+    from fg_orient.sensors.ground import ground_records
 
     given_height = height is not None or dem is not None
     if points is not None:
@@ -143,7 +143,7 @@ def project(
     import numpy as np
 
     from fg_orient.geodesy import geodetic_to_ecef
-    from fg_orient.sensors.geometry import pixel_records
+    from fg_orient.sensors.ground import pixel_records
 
     if points is not None:
         ids, columns = _columns(points, ("lon_deg", "lat_deg", "height_m"))
@@ -171,7 +171,7 @@ def intersect(
     file are not used. Sigmas of a point are those that its image points give it (--pixel: 1 pixel each), the
     orientation held as free of error.
     """
-    from fg_orient.sensors.geometry import intersection_records
+    from fg_orient.sensors.ground import intersection_records
 
     if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
         from fg_orient.formats.project import read_project
@@ -292,7 +292,8 @@ def footprint(
     On the ground at --height or on --dem.
     """
     from fg_orient.formats.atomic import require_free_files, write_text
-    from fg_orient.sensors.geometry import View, feature_collection, viewing_records
+    from fg_orient.sensors.footprints import feature_collection
+    from fg_orient.sensors.viewing import View, viewing_records
 
     if (height is None) == (dem is None):
         code = "cli.no_height" if height is None else "cli.two_heights"

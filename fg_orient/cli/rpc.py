@@ -181,7 +181,8 @@ def fit(
         sensor = read_image(source, "auto", extrapolate_attitude, result)
         if heights is None:
             raise InputError.of("rpc.no_heights", file=source, option="heights")
-        from fg_orient.rpc.fitting import SHAPE, fit_image
+        from fg_orient.rpc.fitting import fit_image
+        from fg_orient.rpc.virtual_grid import SHAPE
 
         with progress_bar("fitting"):
             model, record = fit_image(sensor, heights, chosen, grid or SHAPE)

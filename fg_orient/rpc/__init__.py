@@ -9,10 +9,11 @@ _HOME = names_of(__name__, {
     "compensate": "Compensation",
     "estimate": "fit_linear fit_true fit_weighted",
     "fit": "CrossValidation RfmFit cross_validate",
-    "fitting": "SensorRfm fit_sensor",
     "form": "RfmForm",
-    "points": "ControlPoints MeasuredPoints read_gcp read_measured",
+    "points": "MeasuredPoints read_measured",
+    "rfm_points": "ControlPoints read_gcp",
     "select": "fit_selected",
+    "virtual_grid": "SensorRfm fit_sensor",
 })  # fmt: skip
 __all__ = sorted(_HOME)
 __getattr__ = on_first_use(globals(), _HOME)

@@ -13,7 +13,7 @@ from fg_orient.cli.common import Extrapolate
 from fg_orient.formats.metadata.dimap import read_dimap
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError, OutOfImage, OutOfTimeRange
-from fg_orient.sensors.geometry import frame_records
+from fg_orient.sensors.ground import frame_records
 from fg_orient.sensors.metadata import AngleAttitude, FramePoint, LookAnglePolynomial, PushbroomMetadata
 from fg_orient.sensors.pushbroom import MAX_EXTRAPOLATION_S, PushbroomSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block

@@ -11,7 +11,7 @@ import pytest
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError
 from fg_orient.rpc.fit import rms
-from fg_orient.rpc.fitting import SensorRfm, fit_sensor
+from fg_orient.rpc.virtual_grid import SensorRfm, fit_sensor
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.published_rays import misses_m
