@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -28,7 +27,7 @@ import numpy.typing as npt
 
 from factors._contract import NotFiniteError
 from factors.conditions.control import POINT
-from fg_orient.adjustment.point_groups import PointGroup, numbers_of_groups, square_root, vector_parts
+from fg_orient.adjustment.point_groups import GroupRows, PointGroup, numbers_of_groups, square_root, vector_parts
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import FixedWeights, Weighing
 from fg_orient.adjustment.schur import SchurBackend
@@ -58,28 +57,6 @@ IMPOSSIBLE: Final = 1e30
 
 class NotIntersected(RuntimeError):
     """A point moves on, step after step."""
-
-
-@dataclass(frozen=True)
-class GroupRows:
-    """Rows of a group at given image vectors: Jacobian (n + 2, n), error (n + 2,), and where they were computed.
-
-    The last row is the part of the cost that the images cannot change.
-    """
-
-    at: Array
-    jacobian: Array
-    error: Array
-
-    @property
-    def cost(self) -> float:
-        """Half the sum of squares."""
-        return 0.5 * float(self.error @ self.error)
-
-    def cost_along(self, step: Array) -> float:
-        """Cost that the linear model predicts after a step (n,)."""
-        moved = self.error + self.jacobian @ step
-        return 0.5 * float(moved @ moved)
 
 
 class Elimination:

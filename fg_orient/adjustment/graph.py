@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.graph import eliminated_factor
-from fg_orient.adjustment.eliminated import Elimination, GroupRows
+from fg_orient.adjustment.eliminated import Elimination
 from fg_orient.adjustment.explicit import (
     ExplicitBackend,
     ExplicitSystem,
@@ -25,6 +25,7 @@ from fg_orient.adjustment.explicit import (
     point_key,
     vector_keys,
 )
+from fg_orient.adjustment.point_groups import GroupRows
 from fg_orient.adjustment.problem import Problem, State, schur_possible
 from fg_orient.adjustment.robust import Robust
 from fg_orient.adjustment.schur import SchurSystem

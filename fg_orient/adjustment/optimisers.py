@@ -132,7 +132,10 @@ def _optimise(
     final = carried.control == FINAL  # before an interrupt, as the next
     changed = kind == "gauss-newton" and not (math.isnan(carried.control) or final)
     first = "levenberg-marquardt" if changed else "gauss-newton" if final else kind
-    run, tried = _begin(first, backend, carried.state, carried.control), False
+    is_free = backend.problem.least_damping > 0.0  # Gauss-Newton's equations are singular
+    # once at most, and not under a loss, whose weights follow each step
+    tried = is_free or backend.robust is not None
+    run = _begin(first, backend, carried.state, carried.control)
     for _ in course.remaining(max_iterations):
         carried, before, here, control = course.carried, run.error, run.state, run.control
         step, newton = run.iterate(), run.kind == "gauss-newton"
@@ -154,12 +157,12 @@ def _optimise(
             rate = step.length / carried.previous  # of the steps, and of the gradient
             step = replace(step, length=rate * step.length, gradient=rate * step.gradient)
         if step.length == 0.0 or small(step.length, carried.previous, tolerance, shrink):
-            if newton or backend.problem.least_damping > 0.0:
+            if newton or is_free:
                 return _end(course, backend, run, step, changed=changed)
             run, final = _begin("gauss-newton", backend, run.state, math.nan), True
             course.go_on(state=run.state, control=FINAL, previous=math.inf, rejected=0)
             continue
-        if not newton and not tried and step.length < SHORT and backend.robust is None:
+        if not (newton or tried) and step.length < SHORT:
             run, final = _Run("gauss-newton", backend, run.values, math.nan), True
             course.go_on(state=run.state, control=FINAL, previous=step.length, rejected=0)
             continue

@@ -20,8 +20,10 @@ Mask = npt.NDArray[np.bool_]
 
 #: Work of a group that does not depend on its size, in multiplications: calls, and small matrices.
 OVERHEAD: Final = 1_500_000
-#: Sets of images that are compared with each other; neighbours of more sets are joined before.
+#: Sets of images that are compared with each other, and those of them that are joined by the work; neighbours of more
+#: sets are joined before.
 MOST_SETS: Final = 2000
+MOST_JOINED: Final = 400
 #: Share of the unchanged part of the error up to which the rest of the gradient is returned, see :func:`square_root`.
 RETURNED: Final = 1e-3
 #: Pivot of the factor, its rows scaled to length one, that is kept whatever rounding says.
@@ -77,6 +79,28 @@ class PointGroup:
     entries: tuple[int, int]
 
 
+@dataclass(frozen=True)
+class GroupRows:
+    """Rows of a group at given image vectors: Jacobian (n + 2, n), error (n + 2,), and where they were computed.
+
+    The last row is the part of the cost that the images cannot change.
+    """
+
+    at: Array
+    jacobian: Array
+    error: Array
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squares."""
+        return 0.5 * float(self.error @ self.error)
+
+    def cost_along(self, step: Array) -> float:
+        """Cost that the linear model predicts after a step (n,)."""
+        moved = self.error + self.jacobian @ step
+        return 0.5 * float(moved @ moved)
+
+
 def numbers_of_groups(first: Small, image: Small, size: Index) -> Index:
     """Number of the group of each ground point, from 0 in the order of the points.
 
@@ -100,7 +124,12 @@ def numbers_of_groups(first: Small, image: Small, size: Index) -> Index:
     seen = np.zeros((int(bunch.max()) + 1, len(size)), bool)
     seen[np.repeat(bunch, np.diff(first)), image] = True
     sets = np.unique(seen, axis=0)
-    groups = _joined(sets[np.count_nonzero(_contains(sets, sets), axis=0) == 1], size)
+    sets = sets[np.count_nonzero(_contains(sets, sets), axis=0) == 1]
+    sets = np.logical_or.reduceat(sets, np.arange(0, len(sets), len(sets) // MOST_JOINED + 1))
+    groups = _joined(np.unique(sets, axis=0), size)
+    every = groups.any(axis=0)
+    if float(every @ size) ** 3 + OVERHEAD < np.sum((groups @ size).astype(float) ** 3 + OVERHEAD):
+        groups = every[None]
     work = np.where(_contains(groups, seen), (groups @ size)[:, None], np.inf)
     return _in_order(work.argmin(axis=0)[bunch])
 
@@ -119,7 +148,7 @@ def _in_order(label: npt.NDArray[Any]) -> Index:
 
 
 def _joined(sets: Mask, size: Index) -> Mask:
-    """Sets of images (G, M), no two of which would take less work as one, from sets (S, M), none within another."""
+    """Sets of images (G, M), no two of which would take less work as one, from different sets (S, M)."""
 
     def gains(k: int) -> Array:
         """Work (S,) that is saved where set k is joined with each other one."""
@@ -130,7 +159,10 @@ def _joined(sets: Mask, size: Index) -> Mask:
 
     left = np.ones(len(sets), bool)
     work = (sets @ size).astype(float) ** 3 + OVERHEAD
-    gain = np.array([gains(k) for k in range(len(sets))])
+    weighted = (sets * np.sqrt(size)).astype(np.float32)
+    together = (sets @ size)[:, None] + (sets @ size) - (weighted @ weighted.T).round()
+    gain = work[:, None] + work - (together.astype(float) ** 3 + OVERHEAD)
+    np.fill_diagonal(gain, -np.inf)
     while True:
         a, b = np.unravel_index(int(gain.argmax()), gain.shape)
         if gain[a, b] <= 0.0:

@@ -78,6 +78,8 @@ class Estimate:
         Weights at the state under a loss.
     resumed_at : int
         Iterations of an interrupted run that this run continued.
+    widest : int
+        Image unknowns of the widest factor of the graph.
     """
 
     state: State
@@ -93,6 +95,7 @@ class Estimate:
     solve_s: float
     weights: Weights | None = None
     resumed_at: int = 0
+    widest: int = 0
 
     @property
     def reason(self) -> str:
@@ -354,7 +357,8 @@ def _run_graph(job: _Job) -> Estimate:
         result = job.optimise(backend, _same, _same, GTSAM_OPTIMIZERS)
         job.mark()
         linear = backend.linearise(result.state)
-    return job.estimate(backend, result, result.state, linear)
+    widest = max(len(group.free) for group in backend.elimination.groups)
+    return replace(job.estimate(backend, result, result.state, linear), widest=widest)
 
 
 def _run_explicit(job: _Job) -> Estimate:

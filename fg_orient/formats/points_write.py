@@ -101,11 +101,14 @@ def write_project(
     *,
     name: str,
     images: Sequence[tuple[str, str]],
+    points: str = "points.csv",
     crs: str = "EPSG:4979",
+    observations: str = "observations.csv",
     options: Options | None = None,
+    points_seen_once: str = "error",
     comments: Sequence[str] = (),
 ) -> None:
-    """Write a project file; the tables beside it are points.csv and observations.csv.
+    """Write a project file; its paths are relative to its folder.
 
     Parameters
     ----------
@@ -113,19 +116,23 @@ def write_project(
     name : str
         Name of the block.
     images : sequence of (id, metadata path)
+    points, observations : str
+        Paths of the tables.
     crs : str
         EPSG code of the points.
     options : Options, optional
         Every option is written, also the defaults.
+    points_seen_once : str
+        "error" or "drop".
     comments : sequence of str
         First lines, after ``#``.
     """
     lines = [*_comments(comments), *entries({"schema": 1, "name": name})]
     tables: list[tuple[str, Mapping[str, object]]] = [
         *(("[[images]]", {"id": image, "metadata": metadata}) for image, metadata in images),
-        ("[points]", {"file": "points.csv", "crs": crs}), ("[observations]", {"file": "observations.csv"}),
+        ("[points]", {"file": points, "crs": crs}), ("[observations]", {"file": observations}),
         ("[orientation]", _options(options or Options(), "orientation")),
-        ("[adjustment]", {**_options(options or Options(), "adjustment"), "points_seen_once": "error"}),
+        ("[adjustment]", {**_options(options or Options(), "adjustment"), "points_seen_once": points_seen_once}),
     ]  # fmt: skip
     for head, values in tables:
         lines += ["", head, *entries(values)]

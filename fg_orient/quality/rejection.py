@@ -208,6 +208,11 @@ class Search:
         return tuple(one.test for one in self.left_out)
 
     @property
+    def points(self) -> tuple[str, ...]:
+        """Ids of the points of these observations."""
+        return tuple(dict.fromkeys(test.point for test in self.tests))
+
+    @property
     def complete(self) -> bool:
         """Whether no observation is suspicious any more."""
         return not self.given_up

@@ -85,8 +85,15 @@ class RfmFit:
         line, sample = (normalised * self.scaling.scales[RANGE.image] + self.scaling.offsets[RANGE.image]).T
         return line, sample
 
-    def model(self) -> RpcModel:
+    def model(self, n_lines: int | None = None, n_samples: int | None = None, file: str = "") -> RpcModel:
         """Model for projection, location and files; its validity range is that of the points.
+
+        Parameters
+        ----------
+        n_lines, n_samples : int, optional
+            Size of the image.
+        file : str
+            Name for messages.
 
         Raises
         ------
@@ -96,8 +103,8 @@ class RfmFit:
         low, high = self.points.columns.min(axis=0), self.points.columns.max(axis=0)
         ranges = zip(low.tolist(), high.tolist(), strict=True)
         return RpcModel(
-            self.scaling.offsets, self.scaling.scales, self.coefficients, RpcValidity(*ranges),
-            notes=tuple(finding("rpc.of_solver", note=note) for note in self.notes),
+            self.scaling.offsets, self.scaling.scales, self.coefficients, RpcValidity(*ranges), n_lines, n_samples,
+            file=file, notes=tuple(finding("rpc.of_solver", note=note) for note in self.notes),
         )  # fmt: skip
 
     def residuals_px(self, points: ControlPoints | None = None) -> Array:

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 
 from fg_orient.adjustment import point_groups, schur_structure
 from fg_orient.adjustment.dense import assemble
-from fg_orient.adjustment.eliminated import IMPOSSIBLE, Elimination, GroupRows, square_root
+from fg_orient.adjustment.eliminated import IMPOSSIBLE, Elimination
 from fg_orient.adjustment.graph import GraphBackend
+from fg_orient.adjustment.point_groups import GroupRows, square_root
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.model.block import Block

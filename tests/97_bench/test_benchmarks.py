@@ -87,7 +87,7 @@ def test_bound_of_an_iteration_by_hand() -> None:
 
 def record(solver: str, size: str, solve: float, cost: float | None, **more: Any) -> dict[str, Any]:
     stages = {"linearise": 0.1 * solve, "solve": 0.1 * solve, "retract": 0.05 * solve, "kernel:pair_blocks": 0.01}
-    points = int(float(size))
+    points = int(float(size.removesuffix(" mixed")))
     base = {
         "problem": "spot", "size": size, "solver": solver, "repeat": 0, "repeats": 3, "n_images": 4,
         "n_ground_points": points // 3, "n_image_points": points, "n_observations": 2 * points, "n_unknowns": points,

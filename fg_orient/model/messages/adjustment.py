@@ -246,6 +246,9 @@ solution.check_far (warning): check points beyond {limit:.1f} standard deviation
 solution.check_beyond (warning): check points beyond 3 standard deviations of the difference: {points:10}; {count}
     of {n} check coordinates, {expected:.1f} expected by chance, up to {limit} not unusual
 solution.no_check (warning): no check points: the accuracy is not verified independently
+solution.wide_factor (note): the images see points together in such a way that a factor of the graph has {n} unknowns:
+    GTSAM needs about {seconds:.0f} s for each iteration -> backend schur solves the same equations by LAPACK in less
+    time
 solution.few_check (warning): {n} check point(s): ASPRS (2023) asks for at least {least}
 solution.check_not_located (warning): {n} excluded check point(s) whose rays hardly meet have no coordinates:
     {points:10}
