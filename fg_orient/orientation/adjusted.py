@@ -13,7 +13,8 @@ from fg_orient.model.block import Block
 from fg_orient.model.errors import Finding, NoSolutionError
 from fg_orient.model.names import Status
 from fg_orient.quality.covariance import Cofactors
-from fg_orient.quality.outliers import OutlierTests, outlier_tests
+from fg_orient.quality.outlier_records import OutlierTests
+from fg_orient.quality.outliers import outlier_tests
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.suspects import Kind
 from fg_orient.quality.variance_components import VarianceComponents

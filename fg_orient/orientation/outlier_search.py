@@ -22,7 +22,7 @@ from fg_orient.model.names import Role, Status
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.quality.freedom import least_freedom
 from fg_orient.quality.observation_groups import groups_of, scaled
-from fg_orient.quality.outliers import GroupTest, OutlierTests
+from fg_orient.quality.outlier_records import GroupTest, OutlierTests
 from fg_orient.quality.prediction import ConsistencyTest, Suspect, prediction
 from fg_orient.quality.rejection import MOST, ExcludedObservation, Rejection, Round, Search, reject
 from fg_orient.quality.variance_components import VarianceComponents

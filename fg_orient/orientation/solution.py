@@ -20,17 +20,18 @@ from fg_orient.model.errors import Finding, InputError, NoSolutionError
 from fg_orient.model.options import USUAL_GROUPS
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.quality.accuracy import Accuracy
+from fg_orient.quality.component_round import Method
 from fg_orient.quality.freedom import UnknownFreedom
 from fg_orient.quality.hypotheses import GlobalTest, global_test
 from fg_orient.quality.joint import NamedMatrix, joint_cofactors
 from fg_orient.quality.observability import BlockObservability, ImageObservability
-from fg_orient.quality.outliers import GroupTest
+from fg_orient.quality.outlier_records import GroupTest
 from fg_orient.quality.rejection import Search
 from fg_orient.quality.reliability import ALPHA, POWER, BlockReliability, reliability
 from fg_orient.quality.significance import LEVEL as SIGNIFICANCE_LEVEL
 from fg_orient.quality.significance import Significance, significance
 from fg_orient.quality.suspects import Kind
-from fg_orient.quality.variance_components import Method, VarianceComponents, variance_components
+from fg_orient.quality.variance_components import VarianceComponents, variance_components
 from fg_orient.result.record import Result, html_table, one_line, overview
 
 if TYPE_CHECKING:

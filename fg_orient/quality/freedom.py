@@ -20,9 +20,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.model.errors import NoSolutionError
+from fg_orient.quality.grouped_residuals import GroupedResiduals
 from fg_orient.quality.observation_groups import groups_of
 from fg_orient.quality.residuals import ResidualCofactors
-from fg_orient.quality.variance_components import GroupedResiduals, VarianceComponents
+from fg_orient.quality.variance_components import VarianceComponents
 
 if TYPE_CHECKING:
     from fg_orient.quality.suspects import Suspects

@@ -23,7 +23,7 @@ import numpy as np
 from fg_orient.model.errors import Finding, finding
 
 if TYPE_CHECKING:
-    from fg_orient.quality.outliers import GroupTest
+    from fg_orient.quality.outlier_records import GroupTest
     from fg_orient.quality.prediction import ConsistencyTest
 
 F = TypeVar("F")

@@ -19,26 +19,20 @@ half of a group, if they neither change the solution nor affect other groups.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.problem import participates
-from fg_orient.model.distributions import chi_square_median
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.options import USUAL_GROUPS
-from fg_orient.quality.hypotheses import CHECKED
+from fg_orient.quality.component_round import Method, Round, one_round
+from fg_orient.quality.grouped_residuals import GroupedResiduals
 from fg_orient.quality.observation_groups import Groups, groups_of
-from fg_orient.quality.residuals import LARGEST, GroupCofactors, ResidualCofactors, cost
+from fg_orient.quality.residuals import ResidualCofactors
 
 Array = npt.NDArray[np.float64]
-
-Index = npt.NDArray[np.intp]
-Method = Literal["helmert", "median"]
 
 METHODS: Final = ("helmert", "median")
 
@@ -111,166 +105,6 @@ class VarianceComponents:
             "method": self.method, "rounds": self.rounds, "exact": self.exact,
             "components": [{**vars(c), "held": c.held or None} for c in self.components],
         }  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class GroupedResiduals:
-    """Residuals of a solution by any backend, with the groups of its observations.
-
-    Parameters
-    ----------
-    known : ResidualCofactors
-    groups : Groups
-    """
-
-    known: ResidualCofactors
-    groups: Groups
-
-    @cached_property
-    def labels(self) -> Index:
-        """Group of every row: image points, control points, priors, extra observations."""
-        g, problem = self.groups, self.known.problem
-        prior = np.concatenate([*g.prior, np.zeros(0, np.intp)])
-        if len(prior) and problem.ties is not None:
-            prior = prior[problem.ties.place]  # the prior of a shared unknown is one observation
-        n_extra = sum(e.n_residuals for e in problem.block.extra)
-        return np.concatenate([
-            np.repeat(g.image[participates(problem.block)], 2), np.tile(g.axes, len(self.known.v_control)), prior,
-            np.full(n_extra, -1),
-        ]).astype(np.intp)  # fmt: skip
-
-    def sums(self) -> tuple[Array, Array, Index]:
-        """Sums of squares q, redundancies r and numbers of rows of all groups."""
-        known = self.known
-        v = np.concatenate([known.v_image.ravel(), known.v_control.ravel(), known.v_prior])
-        blocks = (known.image, known.control)
-        r = np.concatenate([*(np.einsum("nii->ni", block).ravel() for block in blocks), known.prior])
-        rows, size = self.labels[: len(v)], len(self.groups.names)
-        named = rows >= 0
-        q, total = (np.bincount(rows[named], w[named], size).astype(float) for w in (v**2, r))
-        return q, total, np.bincount(rows[named], minlength=size)
-
-    @cached_property
-    def parts(self) -> GroupCofactors | None:
-        """Contributions of the groups to the cofactors; None if the block is too large."""
-        if cost(self.known.problem, len(self.groups.names)) > LARGEST:
-            return None
-        return GroupCofactors(self.known, self.labels, len(self.groups.names))
-
-    def medians(self) -> Array:
-        """Median of the quadratic form of each group's units over that of chi-square; nan if nothing is checked.
-
-        Points with a single image point are left out: their form is the same for image and ground.
-        """
-        known, parts = self.known, dict[int, list[float]]()
-        problem, o = known.problem, known.problem.observations
-        many = np.bincount(o.point, minlength=len(problem.active)) > 1
-        rays, seen = many[o.point], many[problem.observed]
-        image, prior = self.labels[: 2 * len(o)].reshape(-1, 2), self.labels[2 * len(o) + known.v_control.size :]
-        for labels, v, q in (
-            (image[rays], known.v_image[rays], known.image[rays]),
-            (np.tile(self.groups.axes, (int(seen.sum()), 1)), known.v_control[seen], known.control[seen]),
-            (prior[:, None], known.v_prior[:, None], known.prior[:, None, None]),
-        ):
-            for unit in zip(labels, v, q, strict=False):  # extra observations belong to no group
-                _add(parts, *unit)
-        return np.array([np.median(parts[g]) if g in parts else np.nan for g in range(len(self.groups.names))])
-
-
-def _add(parts: dict[int, list[float]], labels: Index, v: Array, q: Array) -> None:
-    """Add the quadratic form of one unit, over the median of chi-square, to each of its groups."""
-    for label in set(labels.tolist()) - {-1}:
-        mine = np.flatnonzero(labels == label)
-        size, axes = np.linalg.eigh(q[np.ix_(mine, mine)])
-        if size[0] > CHECKED:
-            form = float(np.sum((axes.T @ v[mine]) ** 2 / size))
-            parts.setdefault(label, []).append(form / float(chi_square_median(len(mine))))
-
-
-@dataclass(frozen=True, eq=False)
-class Round:
-    """Result of one round.
-
-    Parameters
-    ----------
-    variance : (g,) array
-        Factors of the variances; 1 if the component is held.
-    negative : (g,) bool array
-        Groups without a positive variance from Helmert's equations.
-    held : tuple of str
-        Reasons why components are held, one per group.
-    covariance : (g, g) array
-        Of the variances; nan in rows and columns of held components.
-    count, redundancy : (g,) arrays
-    exact : bool
-    """
-
-    variance: Array
-    negative: npt.NDArray[np.bool_]
-    held: tuple[str, ...]
-    covariance: Array
-    count: Index
-    redundancy: Array
-    exact: bool
-
-
-def one_round(
-    residuals: GroupedResiduals, method: Method = "helmert", *, keep: Sequence[bool] = (), judge: bool = True
-) -> Round:
-    """Estimate the components from one solution.
-
-    Parameters
-    ----------
-    residuals : GroupedResiduals
-    method : str
-    keep : sequence of bool
-        Components that are held in any case.
-    judge : bool
-        False: hold only groups that no observation checks. Helmert's equations are unbiased for any weights and
-        correct sigmas that are wrong by orders of magnitude, even if a group has no redundancy with these sigmas.
-    """
-    q, r, count = residuals.sums()
-    shared = None if residuals.parts is None else residuals.parts.shared
-    s = np.diag(np.append(r, 0.0)) if shared is None else shared
-    medians = residuals.medians() if method == "median" else np.ones(len(r))
-    nothing = (r <= CHECKED) | np.isnan(medians)
-    held = ["nothing checks them" if none else "" for none in nothing]
-    free, inverse = _hold(s[:-1, :-1], r, held, keep, judge)
-    variance, negative = np.ones(len(r)), np.zeros(len(r), bool)
-    if free.any():
-        known = s[:-1][:, [*np.flatnonzero(~free), len(r)]].sum(axis=1)[free]
-        helmert = inverse @ (q[free] - known)
-        negative[free] = (helmert <= 0.0) & judge & (shared is not None)
-        positive = np.where((helmert > 0.0) & (shared is not None), helmert, q[free] / r[free])
-        variance[free] = medians[free] if method == "median" else positive
-    covariance = np.full((len(r), len(r)), np.nan)
-    covariance[np.ix_(free, free)] = 2.0 * inverse
-    return Round(variance, negative & (method == "helmert"), tuple(held), covariance, count, r, shared is not None)
-
-
-def _hold(
-    s: Array, r: Array, held: list[str], keep: Sequence[bool], judge: bool
-) -> tuple[npt.NDArray[np.bool_], Array]:
-    """Hold components, the worst first, until each estimate is larger than its standard deviation.
-
-    Adds the reasons to ``held``; returns the free components and the inverse of their S.
-    """
-    kept = np.array(keep or [False] * len(r), bool)
-    while True:
-        free = np.array([not text for text in held], bool)
-        scale = np.sqrt(np.outer(r[free], r[free]))  # redundancies may differ by orders of magnitude
-        inverse = np.linalg.pinv(s[np.ix_(free, free)] / scale, rcond=1e-10, hermitian=True) / scale
-        sd = np.zeros(len(r))
-        # 1 / r: the least possible variance, for a singular S
-        sd[free] = np.sqrt(2.0 * np.maximum(np.diag(inverse), 1.0 / r[free]))
-        worst = int(np.argmax(np.where(kept & free, np.inf, sd)))
-        if not (kept & free).any() and (sd[worst] < 1.0 or not judge):
-            return free, inverse
-        held[worst] = f"a redundancy of {r[worst]:.1f} leaves its variance uncertain by {100.0 * sd[worst]:.0f} %"
-        if kept[worst]:  # redundancy and uncertainty are those at the given sigma
-            held[worst] = (
-                f"estimated it would leave itself too little redundancy; at the given sigma it is {r[worst]:.1f}"
-            )
 
 
 def components_of(

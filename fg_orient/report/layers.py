@@ -56,7 +56,7 @@ class Layer:
     columns: dict[str, npt.NDArray[Any]]
 
     @classmethod
-    def of(cls, name: str, kind: str, geometries: list[dict[str, Any]], columns: dict[str, Any]) -> Layer:
+    def typed(cls, name: str, kind: str, geometries: list[dict[str, Any]], columns: dict[str, Any]) -> Layer:
         """Layer with the values of its columns as arrays of their types; None is nan in a column of numbers."""
         typed: dict[str, npt.NDArray[Any]] = {}
         for column, values in columns.items():
@@ -74,7 +74,7 @@ def points(table: Table) -> Layer:
     rows = np.flatnonzero(np.isfinite(place).all(axis=1)).tolist()
     geometries = [{"type": "Point", "coordinates": lon_lat} for lon_lat in place[rows].tolist()]
     given = {name: [table.values[name][k] for k in rows] for name in POINT_FIELDS if name in table.values}
-    return Layer.of("points", "Point", geometries, given)
+    return Layer.typed("points", "Point", geometries, given)
 
 
 def error_vectors(table: Table, scale: float | None) -> Layer:
@@ -93,7 +93,7 @@ def error_vectors(table: Table, scale: float | None) -> Layer:
     lon, lat, _ = ecef_to_geodetic(ends)
     lon = place[:, 0] + (lon - place[:, 0] + 180.0) % 360.0 - 180.0  # near its point, over the 180th meridian too
     lines = np.stack([place, np.stack([lon, lat], axis=1)], axis=1).tolist()
-    return Layer.of("error_vectors", "LineString", [{"type": "LineString", "coordinates": line} for line in lines], {
+    return Layer.typed("error_vectors", "LineString", [{"type": "LineString", "coordinates": line} for line in lines], {
         **{name: [table.words[name][k] for k in rows.tolist()] for name in ("id", "role")},
         **{f"difference_{a}": enu[:, k] for k, a in enumerate(ENU)},
         "length_m": np.hypot(enu[:, 0], enu[:, 1]),
@@ -120,7 +120,7 @@ def footprints(result: Result) -> Layer:
     rings = [np.array(i["footprint_lon_lat_deg"], float) for i in images]
     geometries = [polygon_geometry(np.column_stack([np.unwrap(r[:, 0], period=360.0), r[:, 1]])) for r in rings]
     rows = [summaries.get(i["id"], {}) for i in images]
-    return Layer.of("footprints", "MultiPolygon", geometries, {
+    return Layer.typed("footprints", "MultiPolygon", geometries, {
         "image": [str(i["id"]) for i in images],
         "file": [str(i["file"]) for i in images],
         "sensor": [f"{i.get('mission', '')} {i.get('instrument', '')}".strip() for i in images],

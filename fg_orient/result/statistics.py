@@ -16,7 +16,7 @@ from fg_orient.result.plain import Column, Table, of_axes, table_of_rows
 if TYPE_CHECKING:
     from fg_orient.orientation.solution import Solution
     from fg_orient.quality.joint import NamedMatrix
-    from fg_orient.quality.outliers import GroupTest, OutlierTests
+    from fg_orient.quality.outlier_records import GroupTest, OutlierTests
     from fg_orient.quality.rejection import Search
     from fg_orient.quality.reliability import BlockReliability, Reliability
 

@@ -12,7 +12,7 @@ import fg_orient as fg
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.model.block import Block, Coordinates
 from fg_orient.model.names import Role
-from fg_orient.quality.outliers import GroupTest
+from fg_orient.quality.outlier_records import GroupTest
 from fg_orient.quality.residuals import ResidualCofactors
 from tests.support.rpc_block import rpc_twin
 

@@ -14,7 +14,7 @@ from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.model.names import Role
 from fg_orient.orientation import outlier_search
-from fg_orient.quality.outliers import OutlierTests
+from fg_orient.quality.outlier_records import OutlierTests
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 

@@ -15,11 +15,11 @@ from factors.conditions.control import POINT
 from fg_orient.adjustment.dense import assemble
 from fg_orient.model.block import Block
 from fg_orient.orientation.components import adjust_with_components
-from fg_orient.quality import variance_components as module
+from fg_orient.quality import grouped_residuals as module
 from fg_orient.quality.freedom import freedoms
+from fg_orient.quality.grouped_residuals import GroupedResiduals
 from fg_orient.quality.observation_groups import groups_of
 from fg_orient.quality.suspects import suspects
-from fg_orient.quality.variance_components import GroupedResiduals
 from tests.support.full_statistics import turned_design
 from tests.support.planted_errors import planted
 

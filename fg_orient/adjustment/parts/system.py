@@ -1,0 +1,140 @@
+"""States, steps and linearisations of a block in parts.
+
+The sum of the reduced systems of all parts, with the priors, is solved in this process; then each part moves its points
+by the step of the images.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.cofactors import SummedSystem
+from fg_orient.adjustment.loop import share_at_radius
+from fg_orient.adjustment.parts import tasks
+from fg_orient.adjustment.parts.tasks import Partial, Sums
+from fg_orient.adjustment.problem import State
+from fg_orient.adjustment.schur_reduced import Reduced
+
+if TYPE_CHECKING:
+    from fg_orient.adjustment.parts.backend import PartedBackend
+
+Array = npt.NDArray[np.float64]
+
+
+class PartedState(State):
+    """A state with ground points in the files of the parts; ``ground`` reads those of this name with ``gather``."""
+
+    name: str
+    _gather: Callable[[str], Array]
+
+    def __init__(self, image: Array, name: str, gather: Callable[[str], Array]) -> None:
+        for key, value in (("image", image), ("name", name), ("_gather", gather)):
+            object.__setattr__(self, key, value)
+
+    @property
+    def ground(self) -> Array:
+        """Ground points (N, 3), m in the local frame."""
+        return self._gather(self.name)
+
+
+@dataclass(frozen=True)
+class PartedStep:
+    """A step; see ``loop.Step``. ``base`` and ``target`` are the names of the states before and after it."""
+
+    image: Array
+    base: str
+    target: str
+    length: float
+    predicted_error: float
+    norm: float
+
+
+class PartedSystem:
+    """One linearisation; see ``loop.System``."""
+
+    def __init__(self, backend: PartedBackend, state: PartedState) -> None:
+        self._backend, self.state = backend, state
+        self._prior_gradient = backend.prior * backend.problem.image_vector(state)
+        self._newton: PartedStep | None = None
+        self._known = backend.known_error(state)
+        self._least = backend.problem.least_damping
+        self._partial: Partial | None = None
+
+    @property
+    def error(self) -> float:
+        """Half the weighted sum of squares, or the cost under a loss."""
+        if self._known is None:
+            self._eliminated(self._least)  # the next Gauss-Newton step requires it
+        assert self._known is not None
+        return self._known
+
+    def _eliminated(self, damping: float) -> Partial:
+        """Sum of all parts."""
+        if damping == self._least and self._partial is not None:
+            return self._partial
+        partial: Partial = self._backend.total(tasks.eliminate, self.state, damping)
+        self._known = partial.error + self._backend.prior_error(self.state.image)
+        if damping == self._least:
+            self._partial = partial
+        return partial
+
+    def solve(self, damping: float) -> PartedStep:
+        """Eliminate the points of all parts, solve for the images, substitute back; see ``SchurSystem.solve``."""
+        damping = max(damping, self._least)
+        if damping == self._least and self._newton is not None:
+            return self._newton
+        partial, target = self._eliminated(damping), self._backend.new_name()
+        image = self._backend.reduced(partial, damping).solve(partial.gradient + self._prior_gradient)
+        step = self._step(image, target, self._backend.total(tasks.substitute, self.state, damping, image, target))
+        if damping == self._least:
+            self._newton = step
+        return step
+
+    def dogleg(self, radius: float) -> PartedStep:
+        """Blend of the steepest-descent and the Gauss-Newton step."""
+        newton, backend = self.solve(0.0), self._backend
+        if newton.norm <= radius:
+            return newton
+        image, of_points = backend.total(tasks.gradient, self.state)
+        image = image + self._prior_gradient
+        squares = float(np.sum(image**2)) + of_points
+        curvature, product = backend.total(tasks.bend, self.state, self._least, image, newton.image)
+        factor = -squares / (curvature + backend.prior * float(np.sum(image**2)))
+        length = abs(factor) * float(np.sqrt(squares))
+        along_slope, along_newton = factor * min(1.0, radius / length), 0.0
+        if length < radius:
+            product = factor * (product + float(np.sum(image * newton.image)))
+            across = max(newton.norm**2 - 2.0 * product + length**2, 0.0)
+            along_newton = share_at_radius(across, product - length**2, length, radius)
+            along_slope = factor * (1.0 - along_newton)
+        target = backend.new_name()
+        moved = backend.total(
+            tasks.blend, self.state, self._least, image, newton.image, (along_slope, along_newton), target
+        )  # fmt: skip
+        return self._step(along_slope * image + along_newton * newton.image, target, moved)
+
+    def _step(self, image: Array, target: str, moved: Sums) -> PartedStep:
+        backend, (largest, squares, predicted) = self._backend, moved
+        error = predicted + backend.prior_error(self.state.image + backend.problem.image_matrix(image))
+        length, norm = max(float(np.abs(image).max()), float(largest)), float(np.sqrt(np.sum(image**2) + squares))
+        return PartedStep(image, self.state.name, target, length, error, norm)
+
+    def summed(self) -> SummedSystem:
+        """Reduced system for the covariance, without the parts; a singular system raises its error when it is used."""
+        partial: Partial | RuntimeError
+        try:
+            partial = self._eliminated(0.0)
+        except RuntimeError as error:
+            partial = error
+
+        def reduced(damping: float) -> Reduced:
+            if isinstance(partial, RuntimeError):
+                raise partial
+            return self._backend.reduced(partial, damping)
+
+        return SummedSystem(State(self.state.image, self.state.ground), reduced)
