@@ -235,7 +235,7 @@ def _pixel(text: str) -> tuple[float, float]:
 
 def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[list[str], list[Array]]:
     """Ids and numeric columns of a CSV file, the last is ``optional``; InputError lists all faults of the file."""
-    from fg_orient.formats.tables import read_numbers
+    from fg_orient.formats.table_files import read_numbers
 
     layouts = [("id", *names), *([("id", *names, optional)] if optional else [])]
     values, table = read_numbers(path, layouts, ("id",))

@@ -17,10 +17,11 @@ import numpy.typing as npt
 
 from fg_orient.formats.exchange.convert import filled, read_survey
 from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.faults import Faults, did_you_mean, sigma_remarks
 from fg_orient.formats.observations import PLAUSIBLE_SIGMA_PX, ObservationFile
 from fg_orient.formats.points import PointFile, point_file
 from fg_orient.formats.registry import Holds, Settings, format_named
-from fg_orient.formats.tables import Faults, did_you_mean, sha256_of, sigma_remarks
+from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.block import Coordinates, GroundPoints, ImagePoints
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role

@@ -13,7 +13,9 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.formats.tables import Faults, read_table, sha256_of, sigma_remarks
+from fg_orient.formats.faults import Faults, sigma_remarks
+from fg_orient.formats.table_files import read_table
+from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import Finding
 

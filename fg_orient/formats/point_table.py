@@ -16,7 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.tables import Faults, Row, Table, read_table
+from fg_orient.formats.faults import Faults
+from fg_orient.formats.table_files import read_table
+from fg_orient.formats.tables import Row, Table
 from fg_orient.geodesy import COORDINATE_COLUMNS, Kind, Operation, crs_kind, to_ecef_with_operation
 from fg_orient.model.block import Coordinates
 from fg_orient.model.errors import InputError

@@ -15,9 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.faults import Faults, sigma_remarks
 from fg_orient.formats.point_table import located, parse_points
 from fg_orient.formats.scenes import Scene, check_positions
-from fg_orient.formats.tables import Faults, sha256_of, sigma_remarks
+from fg_orient.formats.text_files import sha256_of
 from fg_orient.geodesy import Operation
 from fg_orient.model.block import Coordinates, GroundPoints, WithheldCoordinates
 from fg_orient.model.errors import Finding, InputError, finding

@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from fg_orient.formats.assemble import assemble, geometry_remarks
+from fg_orient.formats.faults import Faults
 from fg_orient.formats.foreign import Table, read_foreign_observations, read_foreign_points
 from fg_orient.formats.observations import ObservationFile, read_observations
 from fg_orient.formats.points import LOSES_IDS, PointFile, read_points
 from fg_orient.formats.registry import format_named
 from fg_orient.formats.scenes import Scene
-from fg_orient.formats.tables import Faults, sha256_of
+from fg_orient.formats.text_files import sha256_of
 from fg_orient.formats.toml import parse_toml
 from fg_orient.geodesy import crs_kind
 from fg_orient.model.block import Block, Image, Options, Source

@@ -19,7 +19,7 @@ from pkgutil import iter_modules
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from fg_orient.formats.tables import did_you_mean
+from fg_orient.formats.faults import did_you_mean
 from fg_orient.model.errors import Finding, InputError
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.tables import Faults
+from fg_orient.formats.faults import Faults
 from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind, geodetic_to_ecef, to_ecef
 from fg_orient.model.errors import InputError
 

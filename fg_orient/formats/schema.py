@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, create_model
 from pydantic.fields import FieldInfo
 
-from fg_orient.formats.tables import did_you_mean
+from fg_orient.formats.faults import did_you_mean
 from fg_orient.formats.toml import parse_toml
 from fg_orient.model import declaration as option_types
 from fg_orient.model.declaration import Option, declared, toml

@@ -1,99 +1,31 @@
-"""CSV tables, read strictly: every cell is text until a number is read from it.
+"""CSV tables as read: every cell is text until a number is read from it.
 
-A table is UTF-8 (a byte order mark is fine) with commas, one header line that names the
-columns, and one record per line. Lines starting with ``#`` and blank lines are skipped.
-Ids stay text: ``01`` is not ``1``. Faults are collected and listed together in the order of
-the lines, each with file, line, column, value and remedy; see ``docs/file-formats.md``.
+Ids stay text: ``01`` is not ``1``.
 """
 
 from __future__ import annotations
 
-import csv
-import difflib
-import hashlib
 import math
 import re
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.formats.faults import MAX_FAULTS, Faults, did_you_mean
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
-#: Faults listed per file; the rest is counted.
-MAX_FAULTS: Final = 20
-#: A longer line than this is not a record of ours.
-MAX_LINE: Final = 100_000
 #: Texts that are read as numbers, and numbers with a decimal comma.
 NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 DECIMAL_COMMA: Final = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
 #: Of texts that consist of these characters, ``float`` accepts exactly those that match :data:`NUMBER`.
 _OF_NUMBERS: Final = b"0123456789eE+.-"
-#: Characters that ``strip`` removes from ASCII text, except line ends.
-_SPACES: Final = "\t\v\f\x1c\x1d\x1e\x1f "
-#: Lines that start otherwise are neither blank nor a comment.
-_ODD_STARTS: Final = frozenset(("", "#", " ", "\t", ","))
-
-
-class Faults:
-    """Collects the faults of one file, keeps the first 20 and counts the rest.
-
-    Parameters
-    ----------
-    file : str
-        Name of the file, for the messages.
-
-    Attributes
-    ----------
-    codes : set of str
-        Codes of all faults noted, listed or not.
-    """
-
-    def __init__(self, file: str) -> None:
-        self.file = file
-        self._problems: list[Finding] = []
-        self._dropped = 0
-        self.codes: set[str] = set()
-
-    def add(self, code: str, *, place: object = "", value: object = "", **fields: object) -> None:
-        """Note one fault from the message catalogue."""
-        self.take(finding(code, file=self.file, place=place, value=value, **fields))
-
-    def take(self, *faults: Finding) -> None:
-        """Note faults built elsewhere."""
-        room = MAX_FAULTS - len(self._problems)
-        self._problems.extend(faults[:room])
-        self.codes.update(fault.code for fault in faults)
-        self._dropped += max(0, len(faults) - room)
-
-    def count(self, code: str, n: int) -> None:
-        """Count ``n`` faults that are not listed."""
-        self.codes.add(code)
-        self._dropped += n
-
-    def __bool__(self) -> bool:
-        return bool(self._problems)
-
-    @property
-    def problems(self) -> tuple[Finding, ...]:
-        """Listed faults, and one line that counts the others."""
-        if not self._dropped:
-            return tuple(self._problems)
-        more = finding("table.more_faults", file=self.file, value=f"{self._dropped} more")
-        return (*self._problems, more)
-
-    def raise_if_any(self) -> None:
-        """Raise all faults as one InputError, if there are any."""
-        if self:
-            raise InputError(*self.problems)
 
 
 @dataclass(frozen=True)
@@ -211,115 +143,6 @@ class Table:
         faults.raise_if_any()
 
 
-def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> Table | None:
-    """Read a CSV file that has the columns of one of several layouts.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    columns : sequence of sequences of str
-        The allowed layouts, each a complete set of column names; their order in the file is free.
-    faults : Faults
-        Receives the faults.
-
-    Returns
-    -------
-    Table or None
-        None if the file as a whole is unusable. Records with a wrong number of cells are left out, and noted.
-    """
-    text = read_text(path, faults)
-    if text is None:
-        return None
-    numbers, lines = _lines(text, faults)
-    headers = ((n, delimited(n, line, faults)) for n, line in zip(numbers, lines, strict=True))
-    first, cells = next(((n, cells) for n, cells in headers if cells is not None), (0, None))
-    if cells is None:
-        faults.add("table.empty", place="line 1", columns=", ".join(columns[0]))
-        return None
-    names = _header(first, cells, columns, faults)
-    if names is None:
-        return None
-    start = numbers.index(first) + 1
-    kept, by_column = _records(numbers[start:], lines[start:], names, faults)
-    if not kept and not faults:
-        faults.add("table.no_records", place=f"line {first}")
-    return Table(names, by_column, np.array(kept, np.int64), str(path))
-
-
-def require_table(path: Path, layouts: Sequence[Sequence[str]]) -> Table:
-    """Read a CSV file as :func:`read_table` does; InputError with its faults if it is unusable."""
-    faults = Faults(str(path))
-    table = read_table(path, layouts, faults)
-    faults.raise_if_any()
-    assert table is not None  # else there is a fault
-    return table
-
-
-def read_numbers(path: Path, layouts: Sequence[Sequence[str]], words: Sequence[str] = ()) -> tuple[Array, Table]:
-    """Read numbers of a CSV file.
-
-    Parameters
-    ----------
-    path : Path
-    layouts : sequence of sequences of str
-        As in :func:`read_table`.
-    words : sequence of str
-        Columns of text.
-
-    Returns
-    -------
-    (n, k) array
-        The other columns in the order of the layout.
-    Table
-
-    Raises
-    ------
-    InputError
-        All faults of the file.
-    """
-    table = require_table(path, layouts)
-    layout = next(one for one in layouts if set(one) == set(table.columns))
-    values = table.numbers(*(name for name in layout if name not in words))
-    table.require_valid()
-    return values, table
-
-
-def read_text(path: Path, faults: Faults) -> str | None:
-    """Text of a UTF-8 file without byte order mark, with LF as line end; None, with the fault noted, if unusable."""
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        faults.add("table.missing_file")
-        return None
-    except OSError as error:
-        faults.add("table.unreadable", value=error.strerror or type(error).__name__)
-        return None
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        faults.add("table.utf16", place="line 1")
-        return None
-    if b"\0" in data:
-        faults.add("table.nul", place=f"line {data[: data.index(0)].count(10) + 1}")
-        return None
-    try:
-        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
-    except UnicodeDecodeError as error:
-        line = data[: error.start].count(b"\n") + 1
-        faults.add("table.not_utf8", place=f"line {line}", value=f"byte 0x{data[error.start]:02x}")
-        return None
-
-
-def sha256_of(*paths: Path) -> str:
-    """SHA-256 of one file; of several files, or those of a folder, of their names and contents."""
-    files = [f for p in paths for f in (sorted(q for q in p.rglob("*") if q.is_file()) if p.is_dir() else [p])]
-    if len(files) == 1 and not paths[0].is_dir():
-        return hashlib.sha256(files[0].read_bytes()).hexdigest()
-    digest = hashlib.sha256()
-    for file in files:
-        digest.update(file.name.encode() + b"\0" + hashlib.sha256(file.read_bytes()).digest())
-    return digest.hexdigest()
-
-
 def number(row: Row, column: str, faults: Faults) -> float:
     """Read a cell as a finite number; nan, with the fault noted, if it is not a number."""
     text = row.cells[column]
@@ -348,103 +171,3 @@ def finite(cells: Sequence[str]) -> Array | None:
     except ValueError:
         return None
     return values if np.isfinite(values).all() else None
-
-
-def sigma_remarks(
-    code: str, file: str, sigma: Array, limits: tuple[float, float], place_of: Callable[[int], str]
-) -> tuple[Finding, ...]:
-    """Remark on standard deviations (n, k) outside plausible limits; ``place_of`` gives the place of a row."""
-    low, high = limits
-    odd = np.flatnonzero(((sigma < low) | (sigma > high)).any(axis=1))
-    if not len(odd):
-        return ()
-    place, value = f"{place_of(int(odd[0]))}, sigma", " ".join(f"{s:g}" for s in sigma[odd[0]])
-    return (finding(code, file=file, place=place, value=value, low=low, high=high, count=len(odd)),)
-
-
-def did_you_mean(word: str, known: Sequence[str]) -> str:
-    """Hint "did you mean X?", or the known words (shortened)."""
-    if not known:
-        return "there is none"
-    close = difflib.get_close_matches(word, known, n=1)
-    if close:
-        return f"did you mean {close[0]}?"
-    more = " ..." if len(known) > 10 else ""
-    return f"known: {', '.join(known[:10])}{more}"
-
-
-# --- from text to records ------------------------------------------------------------------------
-
-
-def _lines(text: str, faults: Faults) -> tuple[list[int], list[str]]:
-    """Numbers and text of the lines that are neither blank nor a comment."""
-    lines = text.split("\n")
-    kept = [
-        n for n, line in enumerate(lines, start=1)
-        if line[:1] not in _ODD_STARTS or (not line.startswith("#") and line.strip(" \t,"))
-    ]  # fmt: skip
-    long = [n for n in kept if len(lines[n - 1]) > MAX_LINE]
-    for n in long:
-        faults.add("table.long_line", place=f"line {n}", value=f"{len(lines[n - 1])} characters", limit=MAX_LINE)
-    if long:
-        kept = sorted(set(kept) - set(long))
-    return kept, [lines[n - 1] for n in kept]
-
-
-def delimited(number: int, line: str, faults: Faults, width: int | None = None, *, mark: str = ",") -> list[str] | None:
-    """Stripped cells of a line; None, with the fault noted, if quotes or the number of cells are wrong.
-
-    Empty cells beyond the last column are left out.
-    """
-    try:
-        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=mark, strict=True))]
-    except csv.Error as error:
-        faults.add("table.quotes", place=f"line {number}", value=str(error))
-        return None
-    while cells and not cells[-1] and (width is None or len(cells) > width):
-        cells.pop()
-    if width not in (None, len(cells)):
-        faults.add("table.cell_count", place=f"line {number}", value=f"{len(cells)} cells", count=width)
-        return None
-    return cells
-
-
-def _records(
-    numbers: list[int], lines: list[str], names: tuple[str, ...], faults: Faults
-) -> tuple[list[int], dict[str, Sequence[str]]]:
-    """Line numbers and cells by column of the records; those with a wrong number of cells are left out, and noted.
-
-    A table without quotes and with the right number of commas everywhere is split at once.
-    """
-    width, text = len(names), ",".join(lines)
-    if '"' not in text and all(line.count(",") == width - 1 for line in lines):
-        flat = text.split(",") if lines else []
-        if not text.isascii() or any(space in text for space in _SPACES):
-            flat = [cell.strip() for cell in flat]
-        return numbers, {name: flat[k::width] for k, name in enumerate(names)}
-    split = {n: delimited(n, line, faults, width) for n, line in zip(numbers, lines, strict=True)}
-    rows = {n: cells for n, cells in split.items() if cells is not None}
-    return list(rows), {name: [cells[k] for cells in rows.values()] for k, name in enumerate(names)}
-
-
-def _header(line: int, cells: list[str], layouts: Sequence[Sequence[str]], faults: Faults) -> tuple[str, ...] | None:
-    """Column names, checked against the layouts; None if they fit none of them."""
-    place = f"line {line}"
-    if len(cells) == 1 and any(mark in cells[0] for mark in ";\t|"):
-        faults.add("table.delimiter", place=place, value=cells[0])
-        return None
-    before = len(faults.problems)
-    for name in sorted({name for name in cells if cells.count(name) > 1}):
-        faults.add("table.column_twice", place=place, value=name or "an unnamed column")
-    layout = max(layouts, key=lambda one: len(set(one) & set(cells)))
-    everything = sorted({name for one in layouts for name in one})
-    for name in dict.fromkeys(cells):
-        if name and name not in everything:
-            faults.add("table.column_unknown", place=place, value=name, hint=did_you_mean(name, everything))
-        elif name and name not in layout:
-            faults.add("table.column_foreign", place=place, value=name, columns=", ".join(layout))
-    misspelt = [match for name in cells for match in difflib.get_close_matches(name, layout, n=1)]
-    for name in layout:
-        if name not in cells and name not in misspelt:
-            faults.add("table.column_missing", place=place, value=name, columns=", ".join(layout))
-    return None if len(faults.problems) > before else tuple(cells)

@@ -13,7 +13,7 @@ import numpy as np
 from factors._contract import Array
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.formats.atomic import require_free, staged_folder, writing
-from fg_orient.formats.tables import require_table
+from fg_orient.formats.table_files import require_table
 from fg_orient.model.errors import InputError
 from fg_orient.model.installation import versions
 from fg_orient.rectification.folder import CONTENTS, write_folder

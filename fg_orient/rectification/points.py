@@ -15,7 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Array
-from fg_orient.formats.tables import Table, require_table, sha256_of
+from fg_orient.formats.table_files import require_table
+from fg_orient.formats.tables import Table
+from fg_orient.formats.text_files import sha256_of
 from fg_orient.geodesy import crs_kind, from_geographic
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.fit import Observations, TransformationFit, fit, plain_rmse, require_redundancy

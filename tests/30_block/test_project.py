@@ -10,11 +10,11 @@ import pyproj
 import pytest
 
 from fg_orient import geodesy
+from fg_orient.formats.faults import Faults
 from fg_orient.formats.points import read_points
 from fg_orient.formats.points_write import write_points
 from fg_orient.formats.project import checked_project, read_project
 from fg_orient.formats.schema import Adjustment, Orientation
-from fg_orient.formats.tables import Faults
 from fg_orient.model.block import Options
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role

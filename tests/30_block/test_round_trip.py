@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fg_orient.formats.faults import Faults
 from fg_orient.formats.observations import read_observations
 from fg_orient.formats.points import read_points
 from fg_orient.formats.points_write import write_observations, write_points, write_project
 from fg_orient.formats.project import read_project
-from fg_orient.formats.tables import Faults
 from fg_orient.model.block import Options
 from fg_orient.model.names import Role
 

@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fg_orient.formats.tables import MAX_FAULTS, Faults, Row, number, read_table
+from fg_orient.formats.faults import MAX_FAULTS, Faults
+from fg_orient.formats.table_files import read_table
+from fg_orient.formats.tables import Row, number
 
 
 def read(tmp_path: Path, data: bytes | str, columns=(("id", "x_m"),)):

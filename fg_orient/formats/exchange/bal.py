@@ -20,7 +20,8 @@ from fg_orient.formats.atomic import require_free_files, write_bytes
 from fg_orient.formats.exchange.bundle_model import BalData, bundle_format, frame_model_of
 from fg_orient.formats.exchange.text import read_packed, whole
 from fg_orient.formats.frame_model import frame_block
-from fg_orient.formats.tables import finite, sha256_of
+from fg_orient.formats.tables import finite
+from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.block import Block, Source
 from fg_orient.model.errors import Finding, InputError
 

@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from fg_orient.formats.atomic import require_free_files
 from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.faults import Faults
 from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.scenes import Scene, check_positions
-from fg_orient.formats.tables import Faults
 from fg_orient.geodesy import area_of_use, crs_kind, to_ecef, to_ecef_with_operation, to_geographic
 from fg_orient.geodesy.crs import WGS84, from_ecef
 from fg_orient.model.block import ImagePoints

@@ -26,7 +26,8 @@ from fg_orient.formats.atomic import write_bytes, write_lines
 from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
 from fg_orient.formats.exchange.text import digits, named, numbers, row_of, separator_of, sigma, stated_in
 from fg_orient.formats.registry import Format, Holds, Settings
-from fg_orient.formats.tables import Row, delimited, read_text
+from fg_orient.formats.tables import Row
+from fg_orient.formats.text_files import delimited, read_text
 from fg_orient.formats.xml import XmlNode, read_xml
 from fg_orient.geodesy.crs import wkt
 from fg_orient.model.errors import InputError, finding

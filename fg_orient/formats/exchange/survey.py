@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.tables import Faults
+from fg_orient.formats.faults import Faults
 from fg_orient.geodesy import crs_kind
 from fg_orient.geodesy.crs import epsg_code, same_horizontal
 from fg_orient.model.block import ImagePoints

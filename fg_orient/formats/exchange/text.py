@@ -17,7 +17,9 @@ from typing import Any, Final, Literal, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.tables import Faults, Row, delimited, finite, number, read_text
+from fg_orient.formats.faults import Faults
+from fg_orient.formats.tables import Row, finite, number
+from fg_orient.formats.text_files import delimited, read_text
 from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]

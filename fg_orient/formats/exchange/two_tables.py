@@ -21,8 +21,8 @@ import numpy as np
 from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.survey import Gathering, Survey
 from fg_orient.formats.exchange.text import Separator, digits, numbers, read_rows, require_plain, row_of, sigma
+from fg_orient.formats.faults import Faults
 from fg_orient.formats.registry import POINTS_AND_MARKS, Format, Holds, Settings
-from fg_orient.formats.tables import Faults
 from fg_orient.geodesy.crs import north_first
 from fg_orient.model.names import Role
 

@@ -1,0 +1,97 @@
+"""Faults of one file, collected and listed together; remarks and hints.
+
+Faults are listed in the order of the lines, each with file, line, column, value and remedy; see
+``docs/file-formats.md``.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.model.errors import Finding, InputError, finding
+
+Array = npt.NDArray[np.float64]
+
+#: Faults listed per file; the rest is counted.
+MAX_FAULTS: Final = 20
+
+
+class Faults:
+    """Collects the faults of one file, keeps the first 20 and counts the rest.
+
+    Parameters
+    ----------
+    file : str
+        Name of the file, for the messages.
+
+    Attributes
+    ----------
+    codes : set of str
+        Codes of all faults noted, listed or not.
+    """
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self._problems: list[Finding] = []
+        self._dropped = 0
+        self.codes: set[str] = set()
+
+    def add(self, code: str, *, place: object = "", value: object = "", **fields: object) -> None:
+        """Note one fault from the message catalogue."""
+        self.take(finding(code, file=self.file, place=place, value=value, **fields))
+
+    def take(self, *faults: Finding) -> None:
+        """Note faults built elsewhere."""
+        room = MAX_FAULTS - len(self._problems)
+        self._problems.extend(faults[:room])
+        self.codes.update(fault.code for fault in faults)
+        self._dropped += max(0, len(faults) - room)
+
+    def count(self, code: str, n: int) -> None:
+        """Count ``n`` faults that are not listed."""
+        self.codes.add(code)
+        self._dropped += n
+
+    def __bool__(self) -> bool:
+        return bool(self._problems)
+
+    @property
+    def problems(self) -> tuple[Finding, ...]:
+        """Listed faults, and one line that counts the others."""
+        if not self._dropped:
+            return tuple(self._problems)
+        more = finding("table.more_faults", file=self.file, value=f"{self._dropped} more")
+        return (*self._problems, more)
+
+    def raise_if_any(self) -> None:
+        """Raise all faults as one InputError, if there are any."""
+        if self:
+            raise InputError(*self.problems)
+
+
+def sigma_remarks(
+    code: str, file: str, sigma: Array, limits: tuple[float, float], place_of: Callable[[int], str]
+) -> tuple[Finding, ...]:
+    """Remark on standard deviations (n, k) outside plausible limits; ``place_of`` gives the place of a row."""
+    low, high = limits
+    odd = np.flatnonzero(((sigma < low) | (sigma > high)).any(axis=1))
+    if not len(odd):
+        return ()
+    place, value = f"{place_of(int(odd[0]))}, sigma", " ".join(f"{s:g}" for s in sigma[odd[0]])
+    return (finding(code, file=file, place=place, value=value, low=low, high=high, count=len(odd)),)
+
+
+def did_you_mean(word: str, known: Sequence[str]) -> str:
+    """Hint "did you mean X?", or the known words (shortened)."""
+    if not known:
+        return "there is none"
+    close = difflib.get_close_matches(word, known, n=1)
+    if close:
+        return f"did you mean {close[0]}?"
+    more = " ..." if len(known) > 10 else ""
+    return f"known: {', '.join(known[:10])}{more}"

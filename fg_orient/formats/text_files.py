@@ -1,0 +1,62 @@
+"""Text of a file: decoded, split into cells; and its SHA-256."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from pathlib import Path
+
+from fg_orient.formats.faults import Faults
+
+
+def read_text(path: Path, faults: Faults) -> str | None:
+    """Text of a UTF-8 file without byte order mark, with LF as line end; None, with the fault noted, if unusable."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        faults.add("table.missing_file")
+        return None
+    except OSError as error:
+        faults.add("table.unreadable", value=error.strerror or type(error).__name__)
+        return None
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        faults.add("table.utf16", place="line 1")
+        return None
+    if b"\0" in data:
+        faults.add("table.nul", place=f"line {data[: data.index(0)].count(10) + 1}")
+        return None
+    try:
+        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        faults.add("table.not_utf8", place=f"line {line}", value=f"byte 0x{data[error.start]:02x}")
+        return None
+
+
+def sha256_of(*paths: Path) -> str:
+    """SHA-256 of one file; of several files, or those of a folder, of their names and contents."""
+    files = [f for p in paths for f in (sorted(q for q in p.rglob("*") if q.is_file()) if p.is_dir() else [p])]
+    if len(files) == 1 and not paths[0].is_dir():
+        return hashlib.sha256(files[0].read_bytes()).hexdigest()
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.name.encode() + b"\0" + hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def delimited(number: int, line: str, faults: Faults, width: int | None = None, *, mark: str = ",") -> list[str] | None:
+    """Stripped cells of a line; None, with the fault noted, if quotes or the number of cells are wrong.
+
+    Empty cells beyond the last column are left out.
+    """
+    try:
+        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=mark, strict=True))]
+    except csv.Error as error:
+        faults.add("table.quotes", place=f"line {number}", value=str(error))
+        return None
+    while cells and not cells[-1] and (width is None or len(cells) > width):
+        cells.pop()
+    if width not in (None, len(cells)):
+        faults.add("table.cell_count", place=f"line {number}", value=f"{len(cells)} cells", count=width)
+        return None
+    return cells
