@@ -34,12 +34,7 @@ from fg_orient.orientation.solution import Seconds, Solution
 from fg_orient.quality import verdict
 from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
 from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
-from fg_orient.quality.deficiency import (
-    compiled_problem,
-    judge_observability,
-    refuse_deficient,
-    require_determined,
-)
+from fg_orient.quality.deficiency import compiled_problem, judge_observability, refuse_deficient, require_determined
 from fg_orient.quality.free_network import (
     FreeNetwork,
     held_unknowns,

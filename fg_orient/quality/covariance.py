@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     import gtsam
 
 Array = npt.NDArray[np.float64]
-
 Index = npt.NDArray[np.intp]
 
 #: Condition of the column-scaled Jacobian beyond which the dense backend withholds the covariance: there the

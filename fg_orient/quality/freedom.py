@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from fg_orient.quality.suspects import Suspects
 
 Array = npt.NDArray[np.float64]
-
 Index = npt.NDArray[np.intp]
 
 #: Degrees of freedom of a known variance: the F distribution is that of chi-square to 1e-8.

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     import pandas
 
 Array = npt.NDArray[np.float64]
-
 Index = npt.NDArray[np.intp]
 
 

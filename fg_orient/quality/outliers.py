@@ -25,7 +25,6 @@ from fg_orient.quality.suspects import KINDS, Kind, Suspects, suspects
 from fg_orient.quality.variance_components import VarianceComponents
 
 Array = npt.NDArray[np.float64]
-
 Index = npt.NDArray[np.intp]
 
 #: Two suspects are inseparable if their T agree to this relative difference.

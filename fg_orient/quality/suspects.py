@@ -29,7 +29,6 @@ from fg_orient.quality.elimination import PointRows, eliminated_points, free_cof
 from fg_orient.quality.residuals import ResidualCofactors
 
 Array = npt.NDArray[np.float64]
-
 Index = npt.NDArray[np.intp]
 #: Image points, positions and heights; single coordinates; ground points with all their observations.
 Kind = Literal["groups", "coordinates", "points"]

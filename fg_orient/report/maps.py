@@ -18,7 +18,6 @@ from fg_orient.report.words import signed
 from fg_orient.result.record import Result
 
 Array = npt.NDArray[np.float64]
-
 Index = npt.NDArray[np.intp]
 
 #: Maximum number of points of a map on a page; a paper shows more.

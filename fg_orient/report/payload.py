@@ -19,7 +19,6 @@ from fg_orient.report.maps import KM_PER_DEGREE, footprints, shrink_at, view_of
 from fg_orient.result.record import Result
 
 Array = npt.NDArray[np.float64]
-
 Index = npt.NDArray[np.intp]
 
 #: Maximum number of image points in the page; of more the page contains a sample.

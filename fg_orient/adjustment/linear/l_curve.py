@@ -11,11 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.adjustment.linear.kappa import (
-    KappaRule,
-    choose_kappa,
-    kappa_rules,
-)
+from fg_orient.adjustment.linear.kappa import KappaRule, choose_kappa, kappa_rules
 from fg_orient.adjustment.linear.ridge import Ridge
 from fg_orient.adjustment.linear.system import Array, LinearSystem
 from fg_orient.model.errors import FgOrientError

@@ -22,15 +22,7 @@ from factors._contract import Equation, registered
 from fg_orient import __version__
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.formats.atomic import write_bytes
-from fg_orient.model.block import (
-    Block,
-    Coordinates,
-    GroundPoints,
-    Image,
-    ImagePoints,
-    Options,
-    WithheldCoordinates,
-)
+from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
 from fg_orient.model.errors import InputError
 from fg_orient.model.parameters import ImageParameters
 from fg_orient.sensors.base import ImageModel, Sensor
