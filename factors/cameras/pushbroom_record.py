@@ -14,8 +14,9 @@ import numpy as np
 from factors._contract import compiled, inlined
 from factors.records import Record
 
-#: P m, V m/s, angles rad, M row-major; tau, look angles rad, s; A row-major; whether the frame follows P and V and the
-#: attitude has the small-angle form (1/0); reference ground point m (local), the same point minus P m (ECEF axes).
+#: Units: position m, velocity m/s, angles and look angles rad; matrices row by row. The two flags are 1 or 0: the frame
+#: follows position and velocity; the attitude has the small-angle form. The reference ground point is in local m; the
+#: difference from the position to it has ECEF axes, m.
 RECORD: Final = Record(
     position=3, velocity=3, angles=3, mounting="m11 m12 m13 m21 m22 m23 m31 m32 m33", tau=1, look="psi_x psi_y", s=1,
     whitening="a11 a12 a21 a22", follows=1, small_angle=1, reference=3, from_position=3,

@@ -45,7 +45,7 @@ Index = npt.NDArray[np.int64]
 INTERSECTED: Final = 1e-6
 #: Largest step of the images, in prior sigmas, after which the predicted points are expected to be intersected.
 SMALL_STEP: Final = 1e-4
-#: Newton decrement, in sigmas, from which a step is not tested: it cannot increase the cost by more than rounding.
+#: Newton decrement, in sigmas, up to which steps are taken without a test of the cost, which hardly changes then.
 SAFE: Final = 1e-4
 #: Steps of the points until a group counts as impossible.
 MAX_STEPS: Final = 40

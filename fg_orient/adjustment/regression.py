@@ -100,7 +100,7 @@ class CurveFit:
 
     @property
     def sigma0(self) -> float | None:
-        """Standard deviation of unit weight; without sigmas of one observation; None without redundancy."""
+        """Standard deviation of unit weight, without given sigmas that of an observation; None without redundancy."""
         return float(np.sqrt(self.chi2 / self.redundancy)) if self.redundancy > 0 else None
 
     @cached_property

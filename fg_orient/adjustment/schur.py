@@ -155,7 +155,7 @@ class SchurSystem:
         return b.blocks
 
     def _eliminate(self, damping: float, *, fresh: bool = False) -> None:
-        """Eliminate the points by tiles: point blocks, sums, gradients of the chunks; ``fresh``: compute all rows."""
+        """Eliminate the points, one tile after the other; with ``fresh`` all rows are computed before."""
         s, backend = self.structure, self._backend
         b = backend.buffers if fresh else self.buffers()
         self._eliminated_at, backend.last_damping, wide = None, damping, s.widened(self.state.image)

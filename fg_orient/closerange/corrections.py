@@ -41,7 +41,7 @@ SETS: Final[dict[str, tuple[str, ...]]] = {
 
 
 def parameters_of(words: Sequence[str], place: str) -> tuple[str, ...]:
-    """Camera parameters of names of parameters and of sets, each once, in the given order; InputError for others."""
+    """Camera parameters for words that name a parameter or a set, each once; InputError for other words."""
     out: list[str] = []
     for word in words:
         if word not in SETS and word not in NAMES:

@@ -223,5 +223,5 @@ def rows_of_form(
     return bad
 
 
-#: Full rotation only; with small-angle forms.
+#: Rows for images with the full rotation only, and for blocks with images in the small-angle form.
 pushbroom_rows, small_angle_rows = partial(rows_of_form, None), partial(rows_of_form, True)

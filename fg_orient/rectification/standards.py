@@ -22,7 +22,7 @@ from fg_orient.rectification.fit import plain_rmse
 from fg_orient.rectification.options import AccuracyOptions
 
 INCH_M: Final = 0.0254
-#: NMAS at map scale: at 1:20 000 and smaller, and at larger scales.
+#: Limits of the NMAS in the map: for scales of 1:20 000 and smaller, and for larger scales.
 NMAS_SMALL_M: Final = INCH_M / 50.0
 NMAS_LARGE_M: Final = INCH_M / 30.0
 NMAS_LIMIT_SCALE: Final = 20_000.0

@@ -30,8 +30,9 @@ LIVING = {5: 5, 13: 14, 17: 11, 19: 8, 20: 20}
 def _icp_change(study: Study, eop_set: int, solver: str, iterations: int = 1) -> float:
     """Largest change of a check-point RMSE by the EOP set; inf without a result.
 
-    The reference is the bundle with fixed EOPs or the intersection before it, whichever is closer: a solver that drops
-    small eigenvalues also drops the check points, because their columns are the smallest in raw units.
+    Two solutions can be the reference: the bundle with fixed EOPs, and the intersection before the bundle. The closer
+    one is taken. A solver that drops small eigenvalues also drops the check points: in raw units their columns are the
+    smallest.
     """
     return min(_icp_changes(study, eop_set, solver, iterations))
 

@@ -45,7 +45,7 @@ Paragraph = list[tuple[int, list[str]]]
 HEAD: Final = "Bundle Soln"
 #: First columns of the table of 2D points.
 TABLE: Final = "Object Point ID,Photo #,X (pixels),Y (pixels)"
-#: Number of cells of a line of points, and of marks.
+#: Number of cells in a line with a point, and in a line with a mark.
 _POINT, _MARK = 7, 6
 #: Lines before the camera of the first photo; cells of a line of a camera, in the head and before each further photo.
 _HEAD_LINES, _CAMERA = 3, (10, 11)
