@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
+from fg_orient.adjustment.problem import compile_problem
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Status
+from fg_orient.quality import verdict
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 
 
@@ -96,6 +98,15 @@ def test_rays_that_do_not_intersect_at_given_values_are_named(twin: Block) -> No
     far.update(key, values.atVector(key) + 1e6)
     with pytest.raises(fg.NoSolutionError):
         graph.solution(far)
+
+
+@pytest.mark.behaviour
+def test_a_wide_factor_is_told_with_its_seconds(twin: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "solution.wide_factor" not in {one.code for one in fg.adjust(twin).findings}
+    monkeypatch.setattr(verdict, "WIDE", 10)
+    (told,) = (one for one in fg.adjust(twin).findings if one.code == "solution.wide_factor")
+    assert f"{compile_problem(twin).n_image_unknowns} unknowns" in str(told)
+    assert "solution.wide_factor" not in {one.code for one in fg.adjust(twin, backend="schur").findings}
 
 
 @pytest.mark.behaviour
