@@ -127,9 +127,9 @@ def numbers_of_groups(first: Small, image: Small, size: Index) -> Index:
     sets = sets[np.count_nonzero(_contains(sets, sets), axis=0) == 1]
     sets = np.logical_or.reduceat(sets, np.arange(0, len(sets), len(sets) // MOST_JOINED + 1))
     groups = _joined(np.unique(sets, axis=0), size)
-    every = groups.any(axis=0)
+    every = np.logical_or.reduce(groups, axis=0)
     if float(every @ size) ** 3 + OVERHEAD < np.sum((groups @ size).astype(float) ** 3 + OVERHEAD):
-        groups = every[None]
+        groups = every.reshape(1, -1)
     work = np.where(_contains(groups, seen), (groups @ size)[:, None], np.inf)
     return _in_order(work.argmin(axis=0)[bunch])
 
