@@ -53,6 +53,8 @@ FINAL: Final = 0.0
 SHORT: Final = 0.1
 #: Relative increase of the cost that is more than rounding.
 RISE: Final = 1e-9
+#: Relative decrease of the cost that is rounding.
+FLAT: Final = 1e-15
 #: First damping of Levenberg-Marquardt in prior sigmas, first radius of Dogleg.
 DAMPING: Final = 1e-5
 RADIUS: Final = 100.0
@@ -156,7 +158,9 @@ def _optimise(
         if newton and settled(step.length, carried.previous, tolerance):
             rate = step.length / carried.previous  # of the steps, and of the gradient
             step = replace(step, length=rate * step.length, gradient=rate * step.gradient)
-        if step.length == 0.0 or small(step.length, carried.previous, tolerance, shrink):
+        # a free datum allows no Gauss-Newton steps, and the next damped steps cannot decrease the cost
+        flat = is_free and step.length < ROUNDING_STEP and before - run.error <= FLAT * before
+        if flat or step.length == 0.0 or small(step.length, carried.previous, tolerance, shrink):
             if newton or is_free:
                 return _end(course, backend, run, step, changed=changed)
             run, final = _begin("gauss-newton", backend, run.state, math.nan), True
