@@ -195,15 +195,18 @@ def square_root(matrix: Array, gradient: Array, twice_cost: float) -> tuple[Arra
     jacobian, error = np.zeros((n + 2, n), order="F"), np.zeros(n + 2)
     diagonal = np.diag(matrix)
     root = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    factor, pivots, rank, _ = lapack.dpstrf(matrix / np.outer(root, root), lower=1)
+    scaled = matrix / root[:, None]
+    scaled /= root
+    # the transposed views are in Fortran's order: LAPACK takes them without a copy
+    factor, pivots, rank, _ = lapack.dpstrf(scaled.T, lower=1, overwrite_a=1)
     order = pivots - 1
-    lower = np.tril(factor)[:, :rank]
-    jacobian[:rank, order] = lower.T
+    upper = np.triu(factor.T)[:rank]
+    jacobian[:rank, order] = upper
     jacobian[:rank] *= root
-    error[:rank] = lapack.dtrtrs(lower[:rank], (gradient / root)[order[:rank]], lower=1)[0]
+    error[:rank] = lapack.dtrtrs(upper[:, :rank].T, (gradient / root)[order[:rank]], lower=1)[0]
     squares = np.cumsum(error[:rank] ** 2)
     if rank and squares[-1] > twice_cost:  # rounding, divided by small pivots: these rows are left out, too
-        strong = int(np.count_nonzero(np.diag(lower) >= STRONG))
+        strong = int(np.count_nonzero(np.diag(upper) >= STRONG))
         kept = max(strong, int(np.searchsorted(squares, twice_cost)))
         jacobian[kept:], error[kept:] = 0.0, 0.0
     unchanged = math.sqrt(max(twice_cost - float(error @ error), 0.0))
