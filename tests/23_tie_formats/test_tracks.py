@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fg_orient.formats.exchange.ties import Tracks, conflict_note, join
+from fg_orient.formats.exchange.ties import conflict_note, join
 from tests.support.work import counted
 
 
@@ -26,12 +26,12 @@ def union_find(n: int, matches: list[tuple[int, int]]) -> dict[int, set[int]]:
     return {min(members): members for members in sets.values()}
 
 
-def members(tracks: Tracks) -> list[set[int]]:
+def members(tracks: tuple[np.ndarray, np.ndarray]) -> list[set[int]]:
     keypoint, track = tracks
     return [set(keypoint[track == k].tolist()) for k in range(number(tracks))]
 
 
-def number(tracks: Tracks) -> int:
+def number(tracks: tuple[np.ndarray, np.ndarray]) -> int:
     return len(set(tracks[1].tolist()))
 
 

@@ -114,12 +114,7 @@ def model_survey(model: FrameModel) -> Survey:
 # --- tracks --------------------------------------------------------------------------------------
 
 
-#: Rows of the given keypoints, and the group of each, sorted by group, then image. Groups count from 0 in the order of
-#: their first keypoints.
-Tracks = tuple[Index, Index]
-
-
-def join(image: Index, line: Array, sample: Array, matches: Index) -> tuple[Tracks, Tracks]:
+def join(image: Index, line: Array, sample: Array, matches: Index) -> tuple[tuple[Index, Index], tuple[Index, Index]]:
     """Join matches to tie points.
 
     Parameters
@@ -133,8 +128,9 @@ def join(image: Index, line: Array, sample: Array, matches: Index) -> tuple[Trac
 
     Returns
     -------
-    tracks, conflicts : Tracks
-        Tie points, and groups with two places in one image: int arrays (k,), (k,).
+    tracks, conflicts : pairs of (k,) int arrays
+        Tie points, and groups with two places in one image: rows of the given keypoints, and the group of each, sorted
+        by group, then image. Groups count from 0 in the order of their first keypoints.
 
     Raises
     ------
@@ -160,7 +156,7 @@ def join(image: Index, line: Array, sample: Array, matches: Index) -> tuple[Trac
 
 
 def conflict_note(
-    n_tracks: int, conflicts: Tracks, names: Sequence[str], image: Index, line: Array, sample: Array
+    n_tracks: int, conflicts: tuple[Index, Index], names: Sequence[str], image: Index, line: Array, sample: Array
 ) -> tuple[Finding, ...]:
     """Note with the number of tie points left out and the first of them; nothing if there is no conflict.
 
