@@ -348,26 +348,26 @@ class Elimination:
         Rows that are not kept are used for the sums of pairs, which cost most, if the points are ``near`` the
         intersection.
         """
-        backend, s, b = self.backend, self.backend.structure, self.backend.buffers
-        wide = s.widened(state.image)
-        b.owner = self._name
+        wide = self.backend.structure.widened(state.image)
         for tile, lo, hi in self._ranges(groups):
-            pairs = near and not tile.kept
-            backend.workers.run(
-                backend.stages.chunks, s.cost[lo : hi + 1], b.rows(tile), state, wide, 0.0, b, pairs, start=lo
-            )  # fmt: skip
-            b.held = b.held if tile.kept else None
+            self._chunks(tile, lo, hi, state, wide, pairs=near and not tile.kept)
 
     def _sum(self, groups: Sequence[int], state: State, *, near: bool) -> None:
         """Sums of the pairs of rays of eliminated groups; ``near``: of the kept rows only, the others are done."""
-        backend, s, b = self.backend, self.backend.structure, self.backend.buffers
-        wide = s.widened(state.image)
+        wide = self.backend.structure.widened(state.image)
         for tile, lo, hi in self._ranges(groups):
             if tile.kept or not near:
-                again = None if tile.kept else wide
-                backend.workers.run(
-                    backend.stages.chunks, s.cost[lo : hi + 1], b.rows(tile), state, again, 0.0, b, start=lo
-                )  # fmt: skip
+                self._chunks(tile, lo, hi, state, None if tile.kept else wide, pairs=True)
+
+    def _chunks(self, tile: Tile, lo: int, hi: int, state: State, wide: Array | None, *, pairs: bool) -> None:
+        """Eliminate the points of chunks of a tile; see :meth:`Stages.chunks`."""
+        backend, b = self.backend, self.backend.buffers
+        b.owner = self._name
+        backend.workers.run(
+            backend.stages.chunks, backend.structure.cost[lo : hi + 1], b.rows(tile), state, wide, 0.0, b, pairs,
+            start=lo,
+        )  # fmt: skip
+        b.held = b.held if tile.kept else None
 
     def _decrements(self, places: Index) -> Array:
         """Newton decrements (n,) of points in sigmas: roots of twice the decrease that a Newton step predicts."""

@@ -133,7 +133,8 @@ def _optimise(
     carried = course.carried
     final = carried.control == FINAL  # before an interrupt, as the next
     changed = kind == "gauss-newton" and not (math.isnan(carried.control) or final)
-    first = "levenberg-marquardt" if changed else "gauss-newton" if final else kind
+    damped = "levenberg-marquardt" if kind == "gauss-newton" else kind  # where Gauss-Newton raises the cost
+    first = damped if changed else "gauss-newton" if final else kind
     is_free = backend.problem.least_damping > 0.0  # Gauss-Newton's equations are singular
     # once at most, and not under a loss, whose weights follow each step
     tried = is_free or backend.robust is not None
@@ -145,14 +146,11 @@ def _optimise(
         course.assess(
             before, math.inf if rises else run.error, step, 0.0 if math.isnan(control) else control, always=not rises
         )  # fmt: skip
-        if rises and final and run.kind != kind and not tried:  # a short step was not the last but one
-            run, final, tried = _begin(kind, backend, here, math.nan), False, True
-            course.go_on(control=run.control, rejected=carried.rejected + 1)
-            continue
         if rises:
-            if final or not newton:
+            if not newton or (final and tried):
                 return course.end(here, before, False, finding("loop.no_step"))
-            run, changed = _begin("levenberg-marquardt", backend, here, math.nan), True
+            tried, changed = tried or final, changed or not final
+            run, final = _begin(damped, backend, here, math.nan), False
             course.go_on(control=run.control, rejected=carried.rejected + 1)
             continue
         if newton and settled(step.length, carried.previous, tolerance):

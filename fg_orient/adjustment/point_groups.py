@@ -127,11 +127,16 @@ def numbers_of_groups(first: Small, image: Small, size: Index) -> Index:
     sets = sets[np.count_nonzero(_contains(sets, sets), axis=0) == 1]
     sets = np.logical_or.reduceat(sets, np.arange(0, len(sets), len(sets) // MOST_JOINED + 1))
     groups = _joined(np.unique(sets, axis=0), size)
-    every = np.logical_or.reduce(groups, axis=0)
-    if float(every @ size) ** 3 + OVERHEAD < np.sum((groups @ size).astype(float) ** 3 + OVERHEAD):
-        groups = every.reshape(1, -1)
+    every = np.logical_or.reduce(groups, axis=0).reshape(1, -1)
+    if _work(every, size).sum() < _work(groups, size).sum():
+        groups = every
     work = np.where(_contains(groups, seen), (groups @ size)[:, None], np.inf)
     return _in_order(work.argmin(axis=0)[bunch])
+
+
+def _work(groups: Mask, size: Index) -> Array:
+    """Predicted work (G,) of groups of images (G, M)."""
+    return np.asarray((groups @ size).astype(float) ** 3 + OVERHEAD)
 
 
 def _contains(groups: Mask, sets: Mask) -> Mask:
@@ -152,17 +157,12 @@ def _joined(sets: Mask, size: Index) -> Mask:
 
     def gains(k: int) -> Array:
         """Work (S,) that is saved where set k is joined with each other one."""
-        together = (sets | sets[k]) @ size
-        saved = work + work[k] - (together.astype(float) ** 3 + OVERHEAD)
+        saved = work + work[k] - _work(sets | sets[k], size)
         saved[k] = -np.inf
         return np.where(left, saved, -np.inf)
 
-    left = np.ones(len(sets), bool)
-    work = (sets @ size).astype(float) ** 3 + OVERHEAD
-    weighted = (sets * np.sqrt(size)).astype(np.float32)
-    together = (sets @ size)[:, None] + (sets @ size) - (weighted @ weighted.T).round()
-    gain = work[:, None] + work - (together.astype(float) ** 3 + OVERHEAD)
-    np.fill_diagonal(gain, -np.inf)
+    left, work = np.ones(len(sets), bool), _work(sets, size)
+    gain = np.array([gains(k) for k in range(len(sets))])
     while True:
         a, b = np.unravel_index(int(gain.argmax()), gain.shape)
         if gain[a, b] <= 0.0:
@@ -170,7 +170,7 @@ def _joined(sets: Mask, size: Index) -> Mask:
         sets[a] |= sets[b]
         inside = left & ~(sets & ~sets[a]).any(axis=1)
         inside[a] = False
-        left[inside], work[a] = False, float(sets[a] @ size) ** 3 + OVERHEAD
+        left[inside], work[a] = False, _work(sets[[a]], size)[0]
         gain[inside], gain[:, inside] = -np.inf, -np.inf
         gain[a] = gains(int(a))
         gain[:, a] = gain[a]
