@@ -111,6 +111,7 @@ OWN_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
     "docs/rpc-commands.md": (page_files.rpc_points,),
     "docs/rectification.md": (page_files.map_points,),
     "docs/rfm.md": (page_files.gcp_file,),
+    "docs/terminal.md": (page_files.two_campaigns,),
     "docs/how-to/photomodeler.md": (photomodeler.write_projects,),
     "docs/closerange.md": (page_files.photos_and_control, page_files.surface_points),
     **{f"docs/formats/{name}.md": write for name, write in FORMAT_FILES.items()},

@@ -58,6 +58,12 @@ def satellite_files(folder: Path) -> None:
     shutil.copy(folder / "RPC.XML", folder / "RPC_SPOT7.XML")
 
 
+def two_campaigns(folder: Path) -> None:
+    """Copy the project as the second campaign, and the result as that of the first."""
+    shutil.copy(folder / "project.toml", folder / "second.toml")
+    shutil.copytree(folder / "result", folder / "first" / "result")
+
+
 def write_image(path: Path, lines: int = 12000, samples: int = 12000) -> None:
     """Write an image of the twin's size, nearly all of it without data; the file is small."""
     import rasterio
