@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pytest
 
 import fg_orient as fg
+from fg_orient.adjustment.problem import compile_problem
 from fg_orient.model.block import Block, Coordinates
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
@@ -20,6 +21,7 @@ from fg_orient.result.joint import JointCofactors
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process as run
+from tests.support.full_statistics import Dense
 
 
 @lru_cache
@@ -59,7 +61,7 @@ def campaigns(whole: Block) -> tuple[Block, Block]:
     return part(whole, (0, 1, 2), first), part(later, (1, 2, 3), ~first)
 
 
-def require_equal(two: fg.Solution, whole: fg.Solution, within: float) -> None:
+def require_equal(two: fg.Solution, whole: fg.Solution | Dense, within: float) -> None:
     """Compare images and points of the second campaign with the whole block, in standard deviations."""
     assert whole.cofactors is not None
     assert two.cofactors is not None
@@ -90,11 +92,14 @@ def counted_again(one: fg.Solution, two: fg.Solution) -> tuple[float, int]:
     return float(v @ v), prior.n_residuals
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["graph", "dense"])
 def test_two_campaigns_equal_the_whole_block(backend: fg.Backend) -> None:
-    """Solution and covariance; sum of squares and redundancy, with priors and common control counted once."""
-    whole, (first, second) = fg.adjust(block(), backend=backend), campaigns(block())
+    """Solution and covariance; sum of squares and redundancy, with priors and common control counted once.
+
+    The whole block is solved by numpy.
+    """
+    whole, (first, second) = Dense.of(compile_problem(block())), campaigns(block())
     one = fg.adjust(first, backend=backend)
     two = fg.adjust(second, start=one, start_prior=True, backend=backend)
     require_equal(two, whole, 1e-6)
@@ -111,10 +116,10 @@ def test_two_campaigns_equal_the_whole_block(backend: fg.Backend) -> None:
     assert whole.redundancy == two.redundancy + one.redundancy - counted + images + 3 * points
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_the_difference_to_the_whole_block_is_of_second_order() -> None:
-    """Errors ten times as large: a hundred times the difference, at most."""
-    whole, (first, second) = fg.adjust(block(0.1)), campaigns(block(0.1))
+    """Errors ten times as large: a hundred times the difference to numpy, at most."""
+    whole, (first, second) = Dense.of(compile_problem(block(0.1))), campaigns(block(0.1))
     require_equal(fg.adjust(second, start=fg.adjust(first), start_prior=True), whole, 1e-4)
 
 
@@ -132,15 +137,16 @@ def test_a_result_folder_gives_the_same_as_the_solution(tmp_path: Path) -> None:
     assert third.status is two.status
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_unknowns_that_images_share_are_counted_once() -> None:
+    """Against the whole block by numpy."""
     options = replace(block().options, look_polynomial=1, look_shared=True)
     whole = replace(block(), options=options)
     first, second = campaigns(whole)
     one = fg.adjust(first)
     assert one.problem.ties is not None
     two = fg.adjust(second, start=one, start_prior=True)
-    require_equal(two, fg.adjust(whole), 1e-6)
+    require_equal(two, Dense.of(compile_problem(whole)), 1e-6)
 
 
 @pytest.mark.consistency
@@ -172,15 +178,15 @@ def test_rows_have_the_information_of_the_earlier_observations() -> None:
     assert not zero.any()
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["graph", "schur", "dense"])
 def test_the_start_does_not_change_the_solution(backend: fg.Backend) -> None:
-    """The start alone: the same minimum, and fewer iterations from the solution itself."""
-    plain = fg.adjust(block(1.0), backend=backend)
+    """The start alone: the minimum that numpy finds without it, and fewer iterations from the solution itself."""
+    plain, expected = fg.adjust(block(1.0), backend=backend), Dense.of(compile_problem(block(1.0)))
     first, _ = campaigns(block(1.0))
-    require_equal(fg.adjust(block(1.0), start=fg.adjust(first), backend=backend), plain, 1e-6)
+    require_equal(fg.adjust(block(1.0), start=fg.adjust(first), backend=backend), expected, 1e-6)
     again = fg.adjust(block(1.0), start=plain, backend=backend)
-    require_equal(again, plain, 1e-6)
+    require_equal(again, expected, 1e-6)
     assert again.iterations < plain.iterations
     assert again.redundancy == plain.redundancy
 

@@ -11,8 +11,9 @@ from scipy.stats import chi2
 
 import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
+from fg_orient.adjustment.irls import find_loss
 from fg_orient.adjustment.problem import compile_problem
-from fg_orient.adjustment.robust import FLOOR, weighted_problem
+from fg_orient.adjustment.robust import FLOOR, scaled, weighted_problem
 from fg_orient.adjustment.rows import residuals
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.adjustment.stages import EXACT, PLAIN, SCHEDULES, Graduated, stages_left
@@ -20,7 +21,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.orientation.run import run_project
 from fg_orient.quality.verdict import DOWN
 from fg_orient.simulate.block import BlockOptions, simulate_block
-from tests.support.full_statistics import step_of_numpy
+from tests.support.full_statistics import Dense, step_of_numpy
 
 from .conftest import clean_block, spoiled_block, with_options
 
@@ -82,29 +83,31 @@ def test_truncated_weights_are_all_or_nothing_and_limits_are_quantiles() -> None
     assert plan.control_limit == pytest.approx(np.sqrt(chi2.ppf(0.99, 3)), rel=1e-12)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("loss", SCHEDULES)
 def test_without_gross_errors_it_stays_least_squares(loss: str) -> None:
-    """Limits far beyond all residuals: one plain stage and the loss itself."""
+    """Limits far beyond all residuals: one plain stage and the loss itself, at the least squares of numpy."""
     block = clean_block(2, 2, 40)
     found = adjusted(block, loss=loss, inlier_probability=1.0 - 1e-15)
-    plain = adjusted(block, loss="none", gnc=False)
+    plain = Dense.of(compile_problem(block))
     assert list(dict.fromkeys(r.mu for r in found.log)) == [PLAIN, EXACT] or loss == "geman_mcclure"
     limit = 1e-8 if loss == "tls" else 0.3  # Geman-McClure weighs all residuals, if little
     assert np.abs(found.state.image - plain.state.image).max() <= limit
 
 
-@pytest.mark.consistency
+@pytest.mark.truth
 @pytest.mark.parametrize("name", SCHEDULES)
 def test_surrogates_start_where_all_count_and_end_at_the_loss(name: str) -> None:
+    """The bounded losses as Yang et al. 2020 write them (eq. 3, and eq. 9 with mu = 1)."""
     u, schedule = np.linspace(1e-3, 50.0, 4001), SCHEDULES[name]
     weight, _ = schedule.curves(schedule.first(50.0**2))
     assert weight(u).min() > 0.0
     _, last = schedule.curves(1e9 if name == "tls" else 1.0)
+    bounded = 0.5 * (np.minimum(u**2, 1.0) if name == "tls" else u**2 / (1.0 + u**2))
+    assert np.abs(last(u) - bounded).max() <= 1e-6
+    # the loss of the last stage keeps a little of least squares
     exact = Graduated(name, 1.0, 1.0).robust(EXACT).image
-    scale = 1.0 - FLOOR
-    expected = exact.costs(u) - 0.5 * FLOOR * u**2
-    assert np.abs(scale * last(u) - expected).max() <= 1e-6
+    assert np.abs(exact.costs(u) - (1.0 - FLOOR) * bounded - 0.5 * FLOOR * u**2).max() <= 1e-6
     assert schedule.first(0.4) == EXACT
 
 
@@ -131,16 +134,20 @@ def test_refusals() -> None:
         with_options(block, inlier_probability=1.0)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("loss", ["geman_mcclure", "welsch", "tukey", "tls"])
 def test_bounded_losses_start_from_least_squares(loss: str) -> None:
-    """At the metadata most residuals lie beyond c: without the plain stage they would have no weight."""
+    """At the metadata most residuals lie beyond c: without the plain stage they would have no weight.
+
+    The end is a minimum of the loss beside the least squares of numpy.
+    """
     block = clean_block(2, 2, 40)
-    found, plain = adjusted(block, loss=loss, gnc=False), adjusted(block, loss="none", gnc=False)
+    found, plain = adjusted(block, loss=loss, gnc=False), Dense.of(compile_problem(block))
     assert found.weights is not None
     assert np.count_nonzero(found.weights.image < DOWN) <= 0.05 * len(block.observations)
     assert np.abs(found.state.image - plain.state.image).max() <= 0.5
     problem = compile_problem(block)
+    assert step_of_numpy(problem, found.state, scaled(find_loss(loss)))[0] <= 1e-6
     residual = residuals(problem, problem.start)
     assert np.median(np.linalg.norm(residual, axis=1)) > 10.0
 

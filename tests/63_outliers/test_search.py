@@ -10,6 +10,7 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.adjustment.loop import IterationRecord
+from fg_orient.adjustment.problem import compile_problem
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.model.names import Role
@@ -17,6 +18,7 @@ from fg_orient.orientation import outlier_search
 from fg_orient.quality.outlier_records import OutlierTests
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from tests.support.full_statistics import Dense, turned_rows
 
 
 def twin(seed: int = 1) -> Block:
@@ -83,23 +85,42 @@ def test_what_went_with_it_is_counted_and_named() -> None:
     assert (control.snooping.went_with, control.snooping.check_points) == ((), ())
 
 
-@pytest.mark.consistency
+def left_out_by_numpy(block: Block, rows: list[int]) -> tuple[int, float]:
+    """Dimension, and root of F or F, of rows left out: sums of squares of the linear problem with and without them."""
+    all_of_it = Dense.of(compile_problem(block))
+    v, design = turned_rows(all_of_it.problem, all_of_it.state)
+    design = design / np.linalg.norm(design, axis=0)
+    squares, freedom = [], []
+    for kept in (np.ones(len(v), bool), ~np.isin(np.arange(len(v)), rows)):
+        x, _, rank, _ = np.linalg.lstsq(design[kept], -v[kept], rcond=1e-10)
+        squares.append(float(np.sum((design[kept] @ x + v[kept]) ** 2)))
+        freedom.append(int(kept.sum()) - int(rank))
+    d = freedom[0] - freedom[1]
+    f = (squares[0] - squares[1]) / d / (squares[1] / freedom[1])
+    return d, float(np.sqrt(f)) if d == 1 else f
+
+
+@pytest.mark.oracle
 @pytest.mark.parametrize("role", [Role.CONTROL, Role.CHECK])
 def test_prediction_is_the_test_with_the_observation_inside(role: Role) -> None:
-    """Statistic and probability from the rest are those of the adjustment with it, for points that vanish, too.
+    """Statistic from the rest and from the adjustment with it are those of numpy, for points that vanish, too.
 
     Of a point seen twice without coordinates the other ray goes along; both are intersected and judged by what is
     left over.
     """
     block = twin()
     row = row_of(block, role, 2)
-    searched = fg.adjust(with_error(block, row, 5.0, 1.0), snoop=True, outlier_level=0.001)
+    wrong = with_error(block, row, 5.0, 1.0)
+    searched = fg.adjust(wrong, snoop=True, outlier_level=0.001)
     found, solution = searched.snooping.found, searched
     assert [f.test.name for f in found] == [name_of(block, row)]
     only, fit = found[0], found[0].fit
     assert fit is not None
     assert fit.dimension == only.test.dimension
-    assert fit.statistic == pytest.approx(only.test.statistic, rel=1e-4)
+    dimension, statistic = left_out_by_numpy(wrong, [2 * row, 2 * row + 1])
+    assert fit.dimension == dimension
+    assert only.test.statistic == pytest.approx(statistic, rel=1e-6)
+    assert fit.statistic == pytest.approx(statistic, rel=1e-4)
     assert len(only.with_it) == (role is Role.CHECK)
     if role is Role.CHECK:
         assert fit.dimension == 1
@@ -107,10 +128,10 @@ def test_prediction_is_the_test_with_the_observation_inside(role: Role) -> None:
         assert only.test.inseparable == only.with_it
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("error", [(8.0, 0.0, 0.0), (0.0, 0.0, 30.0)])
 def test_prediction_of_coordinates(error: tuple[float, float, float]) -> None:
-    """Position or height of a control point: it becomes a tie point, and its test from the rest is the same."""
+    """Position or height of a control point: it becomes a tie point, and its test from the rest is that of numpy."""
     block = twin()
     j, known = int(block.points.where(Role.CONTROL)[5]), block.points.known
     turn = fg.adjust(block).problem.axes(known.ecef_m[j][None])[0]
@@ -121,7 +142,11 @@ def test_prediction_of_coordinates(error: tuple[float, float, float]) -> None:
     only = found.snooping.found[0]
     assert (only.test.point, only.test.part) == (block.points.ids[j], "height" if error[2] else "position")
     assert only.fit is not None
-    assert only.fit.statistic == pytest.approx(only.test.statistic, rel=1e-3)
+    first = 2 * len(wrong.observations) + 3 * 5
+    dimension, statistic = left_out_by_numpy(wrong, [first + 2] if error[2] else [first, first + 1])
+    assert only.fit.dimension == only.test.dimension == dimension
+    assert only.test.statistic == pytest.approx(statistic, rel=1e-6)
+    assert only.fit.statistic == pytest.approx(statistic, rel=1e-3)
     assert found.block.points.roles[j] is Role.TIE
     assert found.snooping.rounds[0].redundancy - found.snooping.rounds[1].redundancy == 3
 

@@ -35,6 +35,61 @@ class Full:
         return cls(v, design, half @ half.T, np.eye(len(v)) - u @ u.T, problem)
 
 
+@dataclass(frozen=True)
+class DenseCofactors:
+    """Cofactors of all unknowns of all images, a shared one in each of its images, and of the unknown points."""
+
+    problem: Problem
+    matrix: np.ndarray
+
+    def image(self, k: int) -> np.ndarray:
+        part = self.problem.image_slice(k)
+        return self.matrix[part, part]
+
+    def points(self, index: np.ndarray) -> np.ndarray:
+        parts = [self.problem.point_slice(j) for j in index]
+        return np.array([self.matrix[part, part] for part in parts])
+
+
+@dataclass(frozen=True)
+class Dense:
+    """Least squares by numpy alone, from the rows of a problem, with the names of a solution."""
+
+    problem: Problem
+    state: State
+    chi2: float
+    redundancy: int
+    cofactors: DenseCofactors
+
+    @classmethod
+    def of(cls, problem: Problem) -> Dense:
+        """Gauss-Newton from the start of the problem until the steps are rounding."""
+        state = problem.start
+        for _ in range(30):
+            last, state = state, after_numpy(problem, state)
+            if max(largest(problem, state, last)) < 1e-7:
+                break
+        else:
+            raise AssertionError("no convergence")
+        v, design = assemble(problem, state)
+        ties = problem.ties
+        design = design if ties is None else ties.columns(design)
+        scale = np.linalg.norm(design, axis=0)
+        _, s, vt = np.linalg.svd(design / scale, full_matrices=False)
+        half = vt.T / s / scale[:, None]
+        half = half if ties is None else ties.widened(half)
+        redundancy = len(v) - int((s > 1e-12 * s[0]).sum())
+        return cls(problem, state, float(v @ v), redundancy, DenseCofactors(problem, half @ half.T))
+
+    @property
+    def block(self) -> Block:
+        return self.problem.block
+
+    @property
+    def ground_m(self) -> np.ndarray:
+        return self.state.ground + self.problem.origin_m
+
+
 def after_numpy(problem: Problem, state: State, robust: Robust | None = None) -> State:
     """State after a Gauss-Newton step by numpy's least squares, with the weights of a loss at the state."""
     v, design = assemble(problem, state)
@@ -51,10 +106,12 @@ def after_numpy(problem: Problem, state: State, robust: Robust | None = None) ->
 
 
 def stepped(problem: Problem, state: State, step: np.ndarray) -> State:
-    """Add a step (u,) of all unknowns, images before points."""
-    ground = state.ground.copy()
+    """Add a step (u,) of all unknowns, images before points, a shared unknown in each of its images."""
+    image, ground = state.image.copy(), state.ground.copy()
+    for k, parameters in enumerate(problem.parameters):
+        image[k, : len(parameters)] += step[problem.image_slice(k)]
     ground[problem.active] += step[problem.n_image_unknowns :].reshape(-1, 3)
-    return State(state.image + problem.image_matrix(step[: problem.n_image_unknowns]), ground)
+    return State(image, ground)
 
 
 def damped_of_numpy(problem: Problem, v: np.ndarray, design: np.ndarray, damping: float) -> np.ndarray:
