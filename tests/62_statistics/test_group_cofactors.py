@@ -104,17 +104,20 @@ def test_unknowns_in_common(twin: Block) -> None:
     assert_equal_to_full_matrix(solution)
 
 
-@pytest.mark.consistency
-def test_any_division_gives_the_same(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.oracle
+def test_any_division_gives_the_full_matrix(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     solution = fg.adjust(grid, backend="schur")
     found = suspects(solution.residual_cofactors)[0]
     whole = residuals_of(solution)
-    monkeypatch.setattr(elimination, "CHUNK", 3000)  # a few points at once
-    parts = residuals_of(solution)
     given = found.point, found.rows, found.columns
-    assert whole.parts is not None and parts.parts is not None
-    assert np.abs(parts.parts.shared - whole.parts.shared).max() < 1e-10
-    assert np.abs(parts.parts.shares(*given) - whole.parts.shares(*given)).max() < 1e-10
+    assert whole.parts is not None
+    shared, shares = whole.parts.shared, whole.parts.shares(*given)
+    monkeypatch.setattr(elimination, "CHUNK", 3000)  # a few points at once
+    assert_equal_to_full_matrix(solution)
+    parts = residuals_of(solution)
+    assert parts.parts is not None
+    assert np.abs(parts.parts.shared - shared).max() < 1e-10
+    assert np.abs(parts.parts.shares(*given) - shares).max() < 1e-10
 
 
 @pytest.mark.oracle

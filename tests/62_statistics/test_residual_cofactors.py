@@ -11,7 +11,6 @@ import fg_orient as fg
 from factors.conditions.control import POINT
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.robust import weighted_problem
-from fg_orient.adjustment.rows import whitened_records
 from fg_orient.model.block import Block
 from fg_orient.model.names import Role
 from fg_orient.orientation.solution import Solution
@@ -130,18 +129,3 @@ def test_any_division_gives_the_full_matrix(grid: Block, monkeypatch: pytest.Mon
         monkeypatch.setattr("fg_orient.adjustment.cofactors.CHUNK", chunk)
         monkeypatch.setattr("fg_orient.adjustment.cofactors.WHOLE_LIMIT", limit)
         assert_equal_to_full_matrix(solution)
-
-
-@pytest.mark.consistency
-def test_wrong_weights_are_found(grid: Block) -> None:
-    """The sum is the redundancy only with the weights of the adjustment: one sigma of many 20 % off is seen."""
-    solution = fg.adjust(grid)
-    o = solution.problem.observations
-    sigma = o.sigma_line_px.copy()
-    sigma[5] *= 1.2
-    records = solution.problem.records.copy()
-    wrong = replace(solution.problem, observations=replace(o, sigma_line_px=sigma), records=records)
-    start = wrong.start.ground + wrong.origin_m
-    wrong = replace(wrong, records=whitened_records(wrong.models, wrong.observations, start, wrong.origin_m))
-    found = ResidualCofactors(wrong, solution.state, solution.cofactors)
-    assert abs(found.redundancy_sum - solution.redundancy) > 0.01

@@ -20,7 +20,7 @@ from fg_orient.quality.freedom import freedoms
 from fg_orient.quality.grouped_residuals import GroupedResiduals
 from fg_orient.quality.observation_groups import groups_of
 from fg_orient.quality.suspects import suspects
-from tests.support.full_statistics import turned_design
+from tests.support.full_statistics import turned_design, turned_rows
 from tests.support.planted_errors import planted
 
 GROUPS = ("image", "position", "height")
@@ -137,17 +137,42 @@ def test_after_the_rounds_each_group_has_the_squares_that_its_redundancy_says(so
     assert [c.factor for c in once.components] == pytest.approx([1.0] * 3, abs=1e-5)
 
 
-@pytest.mark.consistency
+def moments(solution: fg.Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Sums of squares (3,) of the groups, their redundancies (3,) and S (3, 3) of the full matrix, with its weights."""
+    v, a = turned_rows(solution.problem, solution.state)
+    n, m = 2 * len(solution.problem.observations), int(solution.problem.observed.sum())
+    basis = np.linalg.qr(a / np.linalg.norm(a, axis=0)).Q
+    r = np.eye(len(v)) - basis @ basis.T
+    select = np.eye(4)[np.concatenate([np.zeros(n, int), np.tile([1, 1, 2], m), np.full(len(v) - n - 3 * m, 3)])][:, :3]
+    return v**2 @ select, np.diag(r) @ select, select.T @ r**2 @ select
+
+
+@pytest.mark.oracle
 def test_all_backends_and_both_equations_have_one_fixed_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There the sum of squares of each group is its redundancy by numpy, with the sigmas found."""
     block, factors = drawn(1), []
+
+    def require_fixed(solution: fg.Solution) -> None:
+        given, known = block.observations.sigma_line_px[0], block.points.known.sigma_enu_m[0]
+        now, components = solution.block, solution.components
+        assert components is not None
+        ratio = [now.observations.sigma_line_px[0] / given, *(now.points.known.sigma_enu_m[0] / known)[1:]]
+        assert [c.factor for c in components.components] == pytest.approx(ratio, rel=1e-12)
+        squares, redundancy, _ = moments(solution)
+        assert squares == pytest.approx(redundancy, rel=1e-4)
+
     for backend in ("graph", "schur", "dense"):
-        found = estimated(block, backend=backend).components
+        solution = estimated(block, backend=backend)
+        found = solution.components
         assert found is not None and found.exact
         factors.append([c.factor for c in found.components])
+        require_fixed(solution)
     np.testing.assert_allclose(factors[1:], factors[:1] * 2, rtol=1e-7)
     monkeypatch.setattr(module, "LARGEST", 0)  # Foerstner's equation, as for very large blocks
-    found = estimated(block).components
+    solution = estimated(block)
+    found = solution.components
     assert found is not None and not found.exact
+    require_fixed(solution)
     assert [c.factor for c in found.components] == pytest.approx(factors[0], rel=1e-4)
     assert "lower bounds" in str(found.findings[-1]) and "too many false alarms" in str(found.findings[-1])
 
@@ -190,12 +215,23 @@ def with_sigmas(block: Block, image: float, control: float) -> Block:
     return replace(block, observations=o, points=replace(block.points, known=known))
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_the_start_does_not_matter() -> None:
-    """Given sigmas of image points and coordinates wrong by 100, against each other."""
+    """Given sigmas of image points and coordinates wrong by 100, against each other.
+
+    Sums of squares and standard deviations at the end are those of the full matrix by numpy.
+    """
     block = drawn(1)
-    right, wrong = estimated(block).components, estimated(with_sigmas(block, 10.0, 0.1)).components
+    from_right, from_wrong = estimated(block), estimated(with_sigmas(block, 10.0, 0.1))
+    right, wrong = from_right.components, from_wrong.components
     assert right is not None and wrong is not None
+    for solution, found in ((from_right, right), (from_wrong, wrong)):
+        squares, redundancy, s = moments(solution)
+        assert squares == pytest.approx(redundancy, rel=1e-4)
+        of_variances = np.sqrt(2.0 * np.diag(np.linalg.inv(s)))
+        assert [c.sd for c in found.components] == pytest.approx(
+            [0.5 * c.factor * sd for c, sd in zip(found.components, of_variances, strict=True)], rel=1e-3
+        )
     given = [10.0, 0.1, 0.1]
     assert [c.factor * g for c, g in zip(wrong.components, given, strict=True)] == pytest.approx(
         [c.factor for c in right.components], rel=1e-4
