@@ -12,6 +12,7 @@ import matplotlib
 import numpy as np
 import pytest
 from lxml import etree
+from scipy.stats import norm
 
 from fg_orient.formats.atomic import RESULT
 from fg_orient.model.errors import InputError
@@ -183,12 +184,14 @@ def test_band_of_normal_quantiles(rng: np.random.Generator) -> None:
     assert np.abs((samples < middle).mean(axis=0) - 0.5).max() < 4.0 * 0.5 / np.sqrt(4000)
 
 
-@pytest.mark.consistency
-def test_quantiles_draw_every_value(folder: Result) -> None:
+@pytest.mark.oracle
+def test_quantiles_draw_every_value(folder: Result, adjusted: Path) -> None:
+    """Sorted values of the table over quantiles of scipy's normal distribution."""
     (chart,) = charts_of(folder, "quantiles", ["right"])
-    w = folder.residuals.figures["w_sample"][folder.rows["right"]]
+    w = np.sort([float(r["w_sample"]) for r in rows(adjusted / "residuals.csv") if r["image"] == "right"])
     (drawn,) = (mark for mark in marks_of(chart, "dots") if mark.label == "sample")
-    assert np.array_equal(drawn.y, np.sort(w))
+    assert np.array_equal(drawn.y, w)
+    assert drawn.x == pytest.approx(norm.ppf((np.arange(len(w)) + 0.5) / len(w)), abs=1e-9)
     kept = plots._spread_ranks(100_000, 2000)
     assert len(kept) <= 2000 and {0, 99_999} <= set(kept.tolist())
 

@@ -81,3 +81,21 @@ def misses_m(
     """Distances (n,) of ground points from the rays of their pixels."""
     centre, direction = rays(m, line, sample, correction)
     return np.asarray(np.linalg.norm(np.cross(ground_m - centre, direction), axis=1))
+
+
+def published_pixels(m: PushbroomMetadata, ground_m: np.ndarray) -> np.ndarray:
+    """Lines and samples (n, 2) whose rays meet ground points, by Newton from the middle with difference quotients."""
+
+    def off(at: np.ndarray) -> np.ndarray:
+        centre, direction = rays(m, *at.T)
+        to_point = ground_m - centre
+        return to_point / np.linalg.norm(to_point, axis=1, keepdims=True) - direction
+
+    found = np.tile(0.5 * np.array([m.n_lines - 1.0, m.n_samples - 1.0]), (len(ground_m), 1))
+    for _ in range(20):
+        slopes = np.stack([0.5 * (off(found + h) - off(found - h)) for h in np.eye(2)], axis=2)
+        step = np.einsum("nij,nj->ni", np.linalg.pinv(slopes), off(found))
+        found = found - step
+        if np.abs(step).max() < 1e-6:
+            return found
+    raise AssertionError("no convergence")
