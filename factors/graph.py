@@ -1,9 +1,8 @@
 """Equations as GTSAM factors: checked shapes, types and values, named in every message.
 
-GTSAM 4.3.0 takes a Jacobian of the wrong width, nan and sigma 0 without a word
-(docs/equations.md 9). Every callback here checks what its kernel returned and raises a
-ValueError that names equation, image and point; GTSAM passes it on unchanged.
-The only module of ``factors`` that imports gtsam.
+GTSAM 4.3.0 takes a Jacobian of the wrong width, nan and sigma 0 without a word (docs/equations.md 9). Every callback
+here checks what its kernel returned and raises a ValueError that names equation, image and point; GTSAM passes it on
+unchanged. The only module of ``factors`` that imports gtsam.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from factors._contract import Array, Equation, check_blocks
 from factors.split import Split
 
 Unknown = int | Array | Split
+Rows = tuple[Array, Array | None]
 
 
 def factor(
@@ -73,31 +73,31 @@ def factor(
 
 
 def eliminated_factor(
-    keys: Sequence[int], sizes: Sequence[int], evaluate: Callable[[Any, bool], tuple[Array, Array]], *, label: str
+    keys: Sequence[int], sizes: Sequence[int], evaluate: Callable[[Any, bool], Rows], *, label: str
 ) -> gtsam.CustomFactor:
     """Factor between image vectors of these sizes only, n unknowns: eliminated ground points with all their rays.
 
     Parameters
     ----------
     evaluate : callable
-        Error (n + 2,) and Jacobian (n + 2, n) with ``J^T J``, ``J^T e``, ``|e|^2 / 2`` the reduced normal matrix, its
-        gradient and the cost, from GTSAM's values and whether J is wanted; the error must not depend on the latter.
+        Error e (n + 1,) and, if it is wanted, Jacobian J (n + 1, n) from GTSAM's values: ``J^T J``, ``J^T e``,
+        ``|e|^2 / 2`` are the reduced normal matrix, its gradient and the cost.
     label : str
         Named in every message.
     """
-    ends = list(itertools.accumulate(sizes, initial=0))
-    n = ends[-1]
+    ends, n = list(itertools.accumulate(sizes, initial=0)), sum(sizes)
 
     def error(_this: Any, values: Any, jacobians: Any) -> Array:
         value, jacobian = evaluate(values, jacobians is not None)
-        if value.shape != (n + 2,) or jacobian.shape != (n + 2, n) or not np.isfinite(value).all():
-            raise ValueError(f"{label}: error {value.shape}, Jacobian {jacobian.shape} of {n} unknowns, or nan")
+        if value.shape != (n + 1,) or not np.isfinite(value).all():
+            raise ValueError(f"{label}: error {value.shape} of {n} unknowns, or nan")
         if jacobians is not None:
+            assert jacobian is not None and jacobian.shape == (n + 1, n), label
             for k, (lo, hi) in enumerate(itertools.pairwise(ends)):
                 jacobians[k] = jacobian[:, lo:hi]
         return value
 
-    return gtsam.CustomFactor(_noise(n + 2, None), list(keys), error)
+    return gtsam.CustomFactor(_noise(n + 1, None), list(keys), error)
 
 
 def _noise(n_residuals: int, loss: Any) -> Any:

@@ -2,13 +2,9 @@
 
 A group is a set of ground points with all their rays. For given image vectors x its points are intersected again with
 the images held (variable projection: Golub & Pereyra 1973), and eliminated. What remains is a function of x alone, with
-the cost c(x), its gradient g(x) and the reduced normal matrix S(x) of Gauss-Newton. With ``S = R^T R`` the group gives
-
-    Jacobian  (R, 0),    error  (R^-T g, sqrt(2 c - |R^-T g|^2)),
-
-so that ``J^T J = S``, ``J^T e = g`` and ``|e|^2 = 2 c``. S of a group without control is singular: R is its pivoted
-Cholesky factor (LAPACK dpstrf), whose rank may be lower than the number of columns. R is not the derivative of the
-error vector; only the cost has a derivative.
+the cost c(x), its gradient g(x) and the reduced normal matrix S(x) of Gauss-Newton, which GTSAM is given as rows, see
+:class:`GroupRows`. S of a group without control is singular. The rows are not the derivative of the error vector but
+for the last; only the cost has a derivative.
 
 Points are intersected by Newton's steps with 3 unknowns. They begin where the last linearised solution, moved along
 the step of the images, predicts them; near the solution this start is exact to second order and no step is needed. The
@@ -27,7 +23,7 @@ import numpy.typing as npt
 
 from factors._contract import NotFiniteError
 from factors.conditions.control import POINT
-from fg_orient.adjustment.point_groups import GroupRows, PointGroup, numbers_of_groups, square_root, vector_parts
+from fg_orient.adjustment.point_groups import GroupRows, PointGroup, numbers_of_groups, vector_parts
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import FixedWeights, Weighing
 from fg_orient.adjustment.schur import SchurBackend
@@ -230,12 +226,11 @@ class Elimination:
         self._assemble(good, full)
         for g in groups:
             if g not in good:
-                n, places = len(self.groups[g].free), slice(*self.groups[g].places)
+                own, places = full[self.groups[g].free], slice(*self.groups[g].places)
                 number = self.backend.structure.number[places]
                 self._ground[number] = self._base[g][1] if g in self._base else self.problem.start.ground[number]
-                error = np.zeros(n + 2)
-                error[-1] = np.sqrt(2.0 * IMPOSSIBLE)
-                self._rows[g] = GroupRows(full[self.groups[g].free].copy(), np.zeros((n + 2, n)), error)
+                zero = np.zeros((len(own), len(own)))
+                self._rows[g] = GroupRows(own, zero, np.zeros(len(own)), 2.0 * IMPOSSIBLE)
 
     def _predict(self, groups: Sequence[int], free: Array) -> None:
         """Move the points of groups to where the last linearised solution predicts them."""
@@ -414,7 +409,7 @@ class Elimination:
             at = slice(*group.places)
             points = control[inside].sum() - _squares(b.root[at], b.gradient[at]).sum()
             total = float(np.vdot(value, value) + points) + 2.0 * self._excess[g]
-            self._rows[g] = GroupRows(free[group.free].copy(), *square_root(matrix, own, total))
+            self._rows[g] = GroupRows(free[group.free], matrix, own, total)
 
     def _matrix(self, group: PointGroup, blocks: Array) -> Array:
         """Reduced normal matrix (w, w) of the images of a group."""

@@ -57,10 +57,10 @@ def group_factor(elimination: Elimination, g: int, keys: Mapping[int, int], labe
                 free[part] = values.atVector(key)
         return free
 
-    def evaluate(values: gtsam.Values, accepted: bool) -> tuple[Array, Array]:
+    def evaluate(values: gtsam.Values, accepted: bool) -> tuple[Array, Array | None]:
         x = np.concatenate([values.atVector(key) for key in own])
         rows = elimination.rows(g, x, lambda: everything(values), accepted=accepted)
-        return rows.error, rows.jacobian
+        return rows.error, rows.jacobian if accepted else None
 
     sizes = [part.stop - part.start for key, part in vectors if key in own]
     return eliminated_factor(own, sizes, evaluate, label=label)
@@ -166,7 +166,7 @@ class GraphBackend:
         step = self.free(after) - self.free(before)
         moves = [step[group.free] for group in self.elimination.groups]
         cost = sum(own.cost_along(move) for own, move in zip(rows, moves, strict=True))
-        along = sum(float(own.error @ (own.jacobian @ move)) for own, move in zip(rows, moves, strict=True))
+        along = sum(float(own.gradient @ move) for own, move in zip(rows, moves, strict=True))
         gradient, delta = self.others.linearize(before).gradientAtZero(), before.localCoordinates(after)
         along += sum(float(gradient.at(key) @ delta.at(key)) for key in self.others.keyVector())
         return cost + float(self.others.error(after)), along

@@ -24,10 +24,6 @@ OVERHEAD: Final = 1_500_000
 #: sets are joined before.
 MOST_SETS: Final = 2000
 MOST_JOINED: Final = 400
-#: Share of the unchanged part of the error up to which the rest of the gradient is returned, see :func:`square_root`.
-RETURNED: Final = 1e-3
-#: Pivot of the factor, its rows scaled to length one, that is kept whatever rounding says.
-STRONG: Final = 1e-5
 
 
 def vector_names(problem: Problem) -> list[str]:
@@ -79,16 +75,42 @@ class PointGroup:
     entries: tuple[int, int]
 
 
-@dataclass(frozen=True)
 class GroupRows:
-    """Rows of a group at given image vectors: Jacobian (n + 2, n), error (n + 2,), and where they were computed.
+    """Rows of a group at given image vectors: error (n + 1,) and Jacobian (n + 1, n).
 
-    The last row is the part of the cost that the images cannot change.
+    With the reduced normal matrix S of the group, its gradient g and its cost c
+
+        error  (0, t),    Jacobian  (R, g^T / t),    t^2 = 2 c,    R^T R = S - g g^T / t^2,
+
+    so that ``J^T J = S``, ``J^T e = g`` and ``|e|^2 = 2 c``. The last row is the length of all residuals of the group
+    and its derivative. R is made when it is first asked for: a cost needs no factorisation.
+
+    Parameters
+    ----------
+    at : (n,) array
+        The unknowns.
+    matrix, gradient : (n, n), (n,) arrays
+        S, positive semidefinite; overwritten later; and g.
+    twice_cost : float
+        2 c, not below ``g^T S^+ g``.
     """
 
-    at: Array
-    jacobian: Array
-    error: Array
+    def __init__(self, at: Array, matrix: Array, gradient: Array, twice_cost: float) -> None:
+        self.at, self.gradient = at, gradient
+        self._matrix: Array | None = matrix
+        self._jacobian = np.zeros((0, len(at)))
+        self.error = np.zeros(len(at) + 1)
+        # rounding may leave less than one unknown alone can decrease
+        diagonal = np.diag(matrix)
+        least = gradient**2 / np.where(diagonal > 0.0, diagonal, np.inf)
+        self.error[-1] = math.sqrt(max(twice_cost, float(least.max(initial=0.0))))
+
+    @property
+    def jacobian(self) -> Array:
+        """Jacobian (n + 1, n)."""
+        if self._matrix is not None:
+            self._jacobian, self._matrix = square_root(self._matrix, self.gradient, float(self.error[-1])), None
+        return self._jacobian
 
     @property
     def cost(self) -> float:
@@ -176,44 +198,30 @@ def _joined(sets: Mask, size: Index) -> Mask:
         gain[:, a] = gain[a]
 
 
-def square_root(matrix: Array, gradient: Array, twice_cost: float) -> tuple[Array, Array]:
-    """Jacobian (n + 2, n) and error (n + 2,) with ``J^T J = S``, ``J^T e = g``, ``|e|^2 = 2 c``.
+def square_root(matrix: Array, gradient: Array, length: float) -> Array:
+    """Jacobian (n + 1, n) with ``J^T J = S`` whose last row is the gradient divided by the length of the error.
 
-    The pivoted Cholesky factor leaves out pivots that are rounding, and with them up to 1e-7 of the gradient. Row n
-    returns this rest r to the gradient: its error is a part t of the cost that the images cannot change, its Jacobian
-    ``r / t``, which adds ``r r^T / t^2`` to the matrix: with S scaled to a unit diagonal, at most
-    ``2 RETURNED^2``.
+    The other rows are a pivoted Cholesky factor of the rest of S, scaled to a unit diagonal; pivots that are rounding
+    are left out.
 
     Parameters
     ----------
     matrix, gradient : (n, n), (n,) arrays
-        S, positive semidefinite, and g in the range of S.
-    twice_cost : float
-        2 c, not below ``g^T S^+ g``.
+        S, which is overwritten, and g.
+    length : float
+        Not below ``sqrt(g^T S^+ g)``.
     """
     n = len(gradient)
-    jacobian, error = np.zeros((n + 2, n), order="F"), np.zeros(n + 2)
+    jacobian = np.zeros((n + 1, n), order="F")
     diagonal = np.diag(matrix)
     root = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    scaled = matrix / root[:, None]
-    scaled /= root
-    # the transposed views are in Fortran's order: LAPACK takes them without a copy
-    factor, pivots, rank, _ = lapack.dpstrf(scaled.T, lower=1, overwrite_a=1)
-    order = pivots - 1
-    upper = np.triu(factor.T)[:rank]
-    jacobian[:rank, order] = upper
+    if length > 0.0:
+        jacobian[n] = gradient / length
+        matrix -= np.outer(jacobian[n], jacobian[n])
+    matrix /= root[:, None]
+    matrix /= root
+    # the transposed view is in Fortran's order: LAPACK takes it without a copy
+    factor, pivots, rank, _ = lapack.dpstrf(matrix.T, tol=n * np.finfo(float).eps, lower=1, overwrite_a=1)
+    jacobian[:rank, pivots - 1] = np.triu(factor.T)[:rank]
     jacobian[:rank] *= root
-    error[:rank] = lapack.dtrtrs(upper[:, :rank].T, (gradient / root)[order[:rank]], lower=1)[0]
-    squares = np.cumsum(error[:rank] ** 2)
-    if rank and squares[-1] > twice_cost:  # rounding, divided by small pivots: these rows are left out, too
-        strong = int(np.count_nonzero(np.diag(upper) >= STRONG))
-        kept = max(strong, int(np.searchsorted(squares, twice_cost)))
-        jacobian[kept:], error[kept:] = 0.0, 0.0
-    unchanged = math.sqrt(max(twice_cost - float(error @ error), 0.0))
-    rest = gradient - jacobian.T @ error
-    if unchanged > 0.0 and np.abs(rest / root).max(initial=0.0) <= RETURNED * unchanged:
-        error[n] = unchanged / math.sqrt(2.0)
-        jacobian[n] = rest / error[n]
-        unchanged = error[n]
-    error[n + 1] = unchanged
-    return jacobian, error
+    return jacobian

@@ -17,7 +17,7 @@ from fg_orient.adjustment import point_groups, schur_structure
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.eliminated import IMPOSSIBLE, Elimination
 from fg_orient.adjustment.graph import GraphBackend
-from fg_orient.adjustment.point_groups import GroupRows, square_root
+from fg_orient.adjustment.point_groups import GroupRows
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.model.block import Block
@@ -146,16 +146,17 @@ def test_the_error_does_not_depend_on_jacobians_order_or_threads(kind: str) -> N
 
 @pytest.mark.oracle
 @settings(max_examples=40, deadline=None)
-@given(st.integers(1, 12), st.integers(0, 12), st.integers(0, 10_000))
-def test_square_root_of_any_semidefinite_matrix(n: int, rank: int, seed: int) -> None:
-    """Matrix, gradient and cost come back from Jacobian and error, whatever the rank and the units."""
+@given(st.integers(1, 12), st.integers(0, 12), st.sampled_from([0.0, 1e-6, 1.0]), st.integers(0, 10_000))
+def test_rows_of_any_semidefinite_matrix(n: int, rank: int, unchanged: float, seed: int) -> None:
+    """Matrix, gradient and cost come back from Jacobian and error, whatever rank and units, also of a perfect fit."""
     rng = np.random.default_rng(seed)
     units = 10.0 ** rng.uniform(-6, 6, n)
     rows = rng.normal(size=(min(rank, n), n)) * units
     residual = rng.normal(size=len(rows))
     matrix, gradient = rows.T @ rows, rows.T @ residual
-    cost = float(residual @ residual) + 1.0
-    jacobian, error = square_root(matrix, gradient, cost)
+    cost = float(residual @ residual) + unchanged
+    own = GroupRows(np.zeros(n), matrix.copy(), gradient, cost)
+    jacobian, error = own.jacobian, own.error
     assert np.abs((jacobian.T @ jacobian - matrix) / np.outer(units, units)).max(initial=0.0) <= 1e-11
     assert np.abs((jacobian.T @ error - gradient) / units).max(initial=0.0) <= 1e-12
     assert error @ error == pytest.approx(cost, rel=1e-12)
