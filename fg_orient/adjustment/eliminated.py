@@ -413,16 +413,16 @@ class Elimination:
 
     def _matrix(self, group: PointGroup, blocks: Array) -> Array:
         """Reduced normal matrix (w, w) of the images of a group."""
-        size = self.backend.structure.size
-        at = np.cumsum(np.concatenate([[0], size[group.images]]))
-        place = {int(k): (int(a), int(e)) for k, a, e in zip(group.images, at[:-1], at[1:], strict=True)}
-        out = np.zeros((len(group.wide), len(group.wide)))
-        for n in range(*group.entries):
-            (a, c), (d, e) = place[int(self._row[n])], place[int(self._column[n])]
-            out[a:c, d:e] = blocks[n, : c - a, : e - d]
-            if a != d:
-                out[d:e, a:c] = blocks[n, : c - a, : e - d].T
-        return out
+        size, entries = self.backend.structure.size[group.images], slice(*group.entries)
+        m, widest = len(size), int(size.max(initial=0))
+        a, b = (np.searchsorted(group.images, k[entries]) for k in (self._row, self._column))
+        own = blocks[entries, :widest, :widest]
+        out = np.zeros((m, widest, m, widest))
+        out[b, :, a, :] = own.transpose(0, 2, 1)
+        out[a, :, b, :] = own
+        used = np.flatnonzero(np.arange(widest) < size[:, None])
+        whole = out.reshape(m * widest, m * widest)
+        return whole if len(used) == len(whole) else whole[np.ix_(used, used)]
 
 
 def _squares(root: Array, gradient: Array) -> Array:

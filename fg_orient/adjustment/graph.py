@@ -171,6 +171,18 @@ class GraphBackend:
         along += sum(float(gradient.at(key) @ delta.at(key)) for key in self.others.keyVector())
         return cost + float(self.others.error(after)), along
 
+    def steepest(self, rows: Sequence[GroupRows], values: gtsam.Values) -> float:
+        """Longest Gauss-Newton step of one image unknown alone, in standard deviations from the groups of points."""
+        slope = self.others.linearize(values).gradientAtZero()
+        gradient, diagonal = np.zeros(self._vectors[-1][1].stop), np.zeros(self._vectors[-1][1].stop)
+        for key, part in self._vectors:
+            if slope.exists(key):
+                gradient[part] = slope.at(key)
+        for own, group in zip(rows, self.elimination.groups, strict=True):
+            gradient[group.free] += own.gradient
+            diagonal[group.free] += np.einsum("ij,ij->j", own.jacobian, own.jacobian)
+        return float((np.abs(gradient) / np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))).max(initial=0.0))
+
     def squares(self, state: State) -> tuple[Array, Array]:
         """See ``robust.RobustBackend``; image points in the order of the structure."""
         return self.elimination.backend.squares(state)

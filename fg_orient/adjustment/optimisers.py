@@ -55,6 +55,8 @@ SHORT: Final = 0.1
 RISE: Final = 1e-9
 #: Relative decrease of the cost that is rounding.
 FLAT: Final = 1e-15
+#: Relative change of the cost after a refused step up to which more damping is not tried: the step was short enough.
+UNCHANGED: Final = 1e-12
 #: First damping of Levenberg-Marquardt in prior sigmas, first radius of Dogleg.
 DAMPING: Final = 1e-5
 RADIUS: Final = 100.0
@@ -62,7 +64,7 @@ RADIUS: Final = 100.0
 
 @dataclass(frozen=True)
 class _Step(Step):
-    """A step with the whitened gradient before it, if it is a Gauss-Newton step."""
+    """A step with the whitened gradient before it, if it is a Gauss-Newton step; a refused one: its least size."""
 
     gradient: float = math.nan
 
@@ -90,12 +92,15 @@ class _Run:
         self.optimizer.iterate()
         # a copy: the values of an optimiser are gone after its next iteration
         self.values, self.error = gtsam.Values(self.optimizer.values()), float(self.optimizer.error())
-        self.state = backend.state(self.values)
         step = backend.free(self.values) - backend.free(before)
+        if not step.any():
+            backend.graph.error(before)  # the last evaluation was that of a refused step
+        self.state = backend.state(self.values)
         moved = np.abs(self.state.ground - here.ground) if step.any() else np.zeros(1)
         length = max(float(np.abs(step).max(initial=0.0)), float(np.nanmax(moved, initial=0.0)))
         predicted, along = backend.linear_model(rows, before, self.values)
-        return _Step(None, length, predicted, gradient=math.sqrt(max(-along, 0.0)))
+        gradient = math.sqrt(max(-along, 0.0)) if step.any() else backend.steepest(rows, before)
+        return _Step(None, length, predicted, gradient=gradient)
 
 
 def _optimizer(kind: str, backend: GraphBackend, values: gtsam.Values, control: float) -> Any:
@@ -111,6 +116,7 @@ def _optimizer(kind: str, backend: GraphBackend, values: gtsam.Values, control: 
         set_tolerance(0.0)
     params.setOrdering(backend.ordering)
     if kind == "levenberg-marquardt":
+        params.setRelativeErrorTol(UNCHANGED)
         params.setlambdaInitial(DAMPING if math.isnan(control) else control)
     elif kind == "dogleg":
         params.setDeltaInitial(RADIUS if math.isnan(control) else control)

@@ -122,6 +122,19 @@ def test_gradient_is_that_of_the_scalar_cost(kind: str) -> None:
         assert central == pytest.approx(gradient @ direction, rel=1e-8, abs=1e-8 * np.linalg.norm(gradient))
 
 
+@pytest.mark.oracle
+@pytest.mark.parametrize("kind", KINDS)
+def test_longest_step_of_one_unknown_is_that_of_numpy(kind: str) -> None:
+    """What is left where an optimiser refuses every step: gradient with the priors, diagonal of the groups."""
+    problem = problem_of(kind)
+    backend, free = GraphBackend(problem), away(problem, 9, 0.1)
+    values = values_at(backend, free)
+    backend.graph.linearize(values)
+    found = backend.steepest(backend.elimination.last_rows(), values)
+    matrix, gradient, _ = reduced_of_dense(problem, backend.state(values, complete=True))
+    assert found == pytest.approx((np.abs(gradient + free) / np.sqrt(np.diag(matrix))).max(), rel=1e-8)
+
+
 @pytest.mark.consistency
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_error_does_not_depend_on_jacobians_order_or_threads(kind: str) -> None:
