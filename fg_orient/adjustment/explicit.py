@@ -20,7 +20,7 @@ from factors.graph import factor, image_point_factors
 from factors.split import Split
 from fg_orient.adjustment.loop import Step, share_at_radius
 from fg_orient.adjustment.native import NativeObservation
-from fg_orient.adjustment.point_groups import vector_parts
+from fg_orient.adjustment.point_groups import vector_names, vector_parts
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust, ScaledLoss, squares
 from fg_orient.adjustment.rows import groups
@@ -48,6 +48,12 @@ def vector_keys(problem: Problem) -> list[tuple[int, slice]]:
     """GTSAM vectors of the images, with their parts of ``Problem.image_vector``; none of length zero."""
     m = problem.n_images
     return [(image_key(n) if n < m else shared_key(n - m), part) for n, part in vector_parts(problem)]
+
+
+def key_names(problem: Problem) -> dict[int, str]:
+    """Name "image:ID" or "shared:ID" of each of these keys."""
+    names = vector_names(problem)
+    return {key: names[n] for (key, _), (n, _) in zip(vector_keys(problem), vector_parts(problem), strict=True)}
 
 
 def image_unknown(problem: Problem, k: int) -> int | Split | Array:

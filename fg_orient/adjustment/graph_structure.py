@@ -16,7 +16,7 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.explicit import image_key, image_unknown, shared_key, vector_keys
+from fg_orient.adjustment.explicit import image_unknown, key_names, vector_keys
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.problem import Problem
 
@@ -167,9 +167,7 @@ class _Variables:
     def __init__(self, problem: Problem, images: Sequence[int], points: Sequence[int]) -> None:
         self._problem = problem
         wanted = set().union(*(self._keys(k) for k in images)) if len(images) else set()
-        names = {image_key(k): f"image:{image.id}" for k, image in enumerate(problem.block.images)}
-        if problem.ties is not None:
-            names |= {shared_key(g): f"shared:{one}" for g, one in enumerate(problem.ties.ids)}
+        names = key_names(problem)
         vectors = [(key, part) for key, part in vector_keys(problem) if key in wanted]
         self.vector = {key: n for n, (key, _) in enumerate(vectors)}
         self.point = {j: len(vectors) + n for n, j in enumerate(points)}

@@ -121,12 +121,10 @@ class FactorGraph:
 
     def _names(self) -> dict[str, int]:
         """Key of each variable by its name."""
-        from fg_orient.adjustment.explicit import point_key, vector_keys
-        from fg_orient.adjustment.point_groups import vector_names, vector_parts
+        from fg_orient.adjustment.explicit import key_names, point_key
 
         problem = self.prepared.problem
-        names, numbers = vector_names(problem), [n for n, _ in vector_parts(problem)]
-        out = {names[n]: key for n, (key, _) in zip(numbers, vector_keys(problem), strict=True)}
+        out = {name: key for key, name in key_names(problem).items()}
         points = self._backend.points if self.points == "eliminated" else np.flatnonzero(problem.active)
         return out | {f"point:{problem.block.points.ids[j]}": point_key(j) for j in points.tolist()}
 
