@@ -96,7 +96,7 @@ def correction(d: Any, i: Any, n: Any) -> Any:
 
 @inlined
 def _sum(y: Any) -> Any:
-    """Sum of a row of derivatives."""
+    """Sum of the derivatives of one quantity by all unknowns."""
     p, v, a, g, look = y
     return (p[0] + p[1] + p[2] + v[0]) + (v[1] + v[2] + a[0] + a[1]) + (a[2] + g[0] + g[1] + g[2]) + (look[0] + look[1])
 

@@ -144,7 +144,7 @@ def _truncated_cost(mu: float, u: Array) -> Array:
 
 
 def _truncated_next(mu: float, excess: Array) -> float:
-    """Next mu; EXACT if no residual lies in the band."""
+    """Next mu; EXACT (the loss itself) if no residual lies between its quadratic and its constant part."""
     inside = (excess > mu / (mu + 1.0)) & (excess < (mu + 1.0) / mu)
     return mu * FACTOR if inside.any() and mu < LARGEST_MU else EXACT
 

@@ -98,7 +98,7 @@ def folded(problems: Sequence[Finding]) -> list[Finding]:
 
 
 def _places(group: Sequence[Finding]) -> str:
-    """First places without repetition of their common beginning, and the number of the other places."""
+    """List the first places, their common beginning once, and count the others."""
     first = [p.place for p in group[:NAMED]]
     same = takewhile(lambda letters: len(set(letters)) == 1, zip(*first, strict=False))
     alike = "".join(letters[0] for letters in same)

@@ -164,7 +164,7 @@ class Format:
 
     @property
     def verified(self) -> bool:
-        """True if a foreign file was read, or another program has read our file."""
+        """Whether the reader was tested with a file of another program, or another program has read our file."""
         return bool(self.evidence)
 
     @property

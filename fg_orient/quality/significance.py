@@ -6,9 +6,10 @@ is zero: an insignificant orientation parameter keeps the value of the metadata,
 polynomial or an RPC compensation is dropped. Of many single tests 5 % are significant by chance: ``adjusted`` is Holm's
 (1979) probability over all coefficients. F tests of groups are not adjusted.
 
-A prior observation agrees with the hypothesis. It contributes to x and Q, and an unknown that its prior holds
-(``prior_share`` near 1) is never significant: the observations contain no information about it. Correlated unknowns may
-each be insignificant but significant together, so they are dropped one at a time (``fg_orient.orientation.reduction``).
+A prior observation has the value that the hypothesis states. It contributes to x and Q, and an unknown that its prior
+holds (``prior_share`` near 1) is never significant: the observations contain no information about it. Correlated
+unknowns may each be insignificant but significant together, so they are dropped one at a time
+(``fg_orient.orientation.reduction``).
 """
 
 from __future__ import annotations

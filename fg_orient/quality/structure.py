@@ -2,9 +2,9 @@
 
 Unknowns and observations form a bipartite graph. Its coarse decomposition (Dulmage & Mendelsohn 1958) gives the
 unknowns that have no observation under the best assignment. All unknowns of an image occur in the same observations,
-and so do the three coordinates of a ground point. The decomposition of the scalars is therefore one of a flow between
-whole images, ground points and observations: an image point supplies two, a control point three; an image needs as many
-as it has unknowns, a ground point three.
+and so do the three coordinates of a ground point. Whole images and ground points therefore take the place of single
+unknowns. The assignment is a flow: an image point supplies two observations, a control point three; an image needs as
+many as it has unknowns, a ground point three.
 
 Most blocks need no flow. Each point may take its three in equal shares from its image points. If the rest is enough for
 each image, these shares are a fractional flow, and an integer flow exists too (the constraints of a flow are totally

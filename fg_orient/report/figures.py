@@ -18,7 +18,7 @@ from fg_orient.result.record import Result, read_result
 
 __all__ = ["write_figures"]
 
-#: Charts of a figure; None is skipped.
+#: Charts of a figure; None stands for a chart without data, which is not drawn.
 Charts = Sequence[Chart | None]
 FORMATS: Final = ("svg", "pdf")
 CAPTIONS_FILE: Final = "captions.md"

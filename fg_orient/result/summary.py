@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 
 SCHEMA_VERSION: Final = 1
-#: Image points of least weight that are named.
+#: Number of image points named in the record, those with the smallest weights.
 MAX_NAMED: Final = 50
 #: Singular values of a block that the record keeps: the smallest ones.
 KEPT: Final = 1000

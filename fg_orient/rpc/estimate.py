@@ -195,7 +195,7 @@ def _minimise(form: RfmForm, m: Array, image: Array, x: Array, penalty: Array) -
 
 
 def _misfit(form: RfmForm, m: Array, image: Array, x: Array, root: Array) -> tuple[Array, float]:
-    """Residuals with those of the penalty, and their sum of squares; inf across a pole."""
+    """Residuals of observations and penalty, and their sum of squares; inf if a denominator is not positive."""
     if not (form.below(x, m) > 0.0).all():
         return np.zeros(0), np.inf
     v = image - form.image(x, m)

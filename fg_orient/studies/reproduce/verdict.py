@@ -106,9 +106,9 @@ def declared(name: str) -> dict[str, Any]:
 
 
 _DECLARED: Final = declared("rules.toml")
-#: Kind of quantity to its rule.
+#: Rule of each kind of quantity.
 RULES: Final = {name: Rule(**row | {"tests": tuple(row["tests"])}) for name, row in _DECLARED["rules"].items()}
-#: Verdict to its sign, name and meaning, in the order of reports.
+#: Sign, name and meaning of each verdict, in the order of reports.
 LEGEND: Final[dict[Kind, list[str]]] = _DECLARED["legend"]
 KINDS: Final[tuple[Kind, ...]] = tuple(LEGEND)
 
