@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from fg_orient.cli.command import argument, command, option
-from fg_orient.cli.common import Overwrite, command_line
+from fg_orient.cli.common import ImageSize, Overwrite, command_line, image_sizes
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings
 from fg_orient.cli.progress import progress
 from fg_orient.closerange.options import BundleOptions, DltOptions, ImageOptions, SurfaceOptions
@@ -120,12 +120,13 @@ def bundle(
 @app.command("import")
 @command()
 def import_(
-    export: Annotated[Path, argument("EXPORT", "File or folder of the project.")],
+    export: Annotated[list[Path], argument("EXPORT", "File or folder of the project, or all files of its format.")],
     out: Annotated[Path, option("Folder of the tables.", "DIR")],
     source: Annotated[str, option("A format that holds cameras and poses.", "FORMAT", flag="--from")] = "photomodeler",
     control: Annotated[Path | None, option("Control points: id, name, X, Y, Z and sigmas if wanted.", "FILE")] = None,
     stations: Annotated[Path | None, option("Observed projection centres: photo, X, Y, Z, sigma.", "FILE")] = None,
     sigma_image: Annotated[float | None, option("Sigma of image coordinates, pixels.", "PX")] = None,
+    image_size: ImageSize = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write the tables of the bundle from a project of another program (PhotoModeler)."""
@@ -134,8 +135,8 @@ def import_(
 
     if sigma_image is not None:
         require_sigmas(sigma_image, "<sigma_image>")
-    record = run_import(export, source=source, control=control, stations=stations, sigma_image_px=sigma_image,
-                        out=out, overwrite=overwrite)  # fmt: skip
+    record = run_import(*export, source=source, control=control, stations=stations, sigma_image_px=sigma_image,
+                        image_sizes=image_sizes(image_size), out=out, overwrite=overwrite)  # fmt: skip
     answer(record, _show_imported)
 
 
@@ -145,6 +146,7 @@ def _show_imported(record: dict[str, Any]) -> None:
     if any(record["shift_m"]):
         moved = ", ".join(f"{v:.4f}" for v in record["shift_m"])
         say(f"shifted by {moved} m into the system of the control points")
+    tell_findings(record)
     say(f"written: {record['out']}")
 
 

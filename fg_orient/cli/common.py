@@ -26,12 +26,27 @@ Extrapolate = Annotated[
 ]
 Project = Annotated[Path, argument("PROJECT.toml", "Project file.")]
 Scheduler = Annotated[str | None, option("Scheduler of a running dask cluster, instead of processes.", "ADDRESS")]
+ImageSize = Annotated[
+    list[str] | None, option("Size of an image, for formats that need it; may be repeated.", "NAME=LINES,SAMPLES")
+]
 Overwrite = Annotated[bool, option("Replace an existing output once the new one is complete.", flag="--overwrite")]
 
 
 def command_line() -> list[str]:
     """Words of this command line, for the record of a result."""
     return ["fg-orient", *sys.argv[1:]]
+
+
+def image_sizes(words: list[str] | None) -> dict[str, tuple[int, int]]:
+    """Sizes of images by name: lines, samples; InputError for other words."""
+    sizes = {}
+    for word in words or []:
+        name, _, size = word.rpartition("=")
+        parts = size.split(",")
+        if not name or len(parts) != 2 or not all(part.isdecimal() and int(part) > 0 for part in parts):
+            raise InputError.of("interchange.image_size", option="image_size", value=word)
+        sizes[name] = int(parts[0]), int(parts[1])
+    return sizes
 
 
 def require_project(path: Path) -> None:

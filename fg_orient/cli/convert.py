@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from fg_orient.cli.command import argument, command, option
-from fg_orient.cli.common import Overwrite
+from fg_orient.cli.common import ImageSize, Overwrite, image_sizes
 from fg_orient.cli.output import answer, flag, say, table, tell
 from fg_orient.model.errors import Finding, InputError
 
@@ -37,9 +37,7 @@ def convert(
     check: Annotated[list[str] | None, option("Make this a check point; may be repeated.", "ID")] = None,
     image: Annotated[str, option("The image, of formats that hold one image without its name.", "NAME")] = "",
     sigma_axes: Annotated[str, option("Axes of the standard deviations in ASP's .gcp.", "ecef|enu")] = "ecef",
-    image_size: Annotated[
-        list[str] | None, option("Size of an image, for formats that need it; may be repeated.", "NAME=LINES,SAMPLES")
-    ] = None,
+    image_size: ImageSize = None,
     metadata: Annotated[
         list[Path] | None, option("Metadata of an image: points far from all of them are refused.")
     ] = None,
@@ -68,7 +66,7 @@ def convert(
     writer = format_named(target, place="<to>") if target else format_of(out[0], place="<to>")
     _require_crs(crs, "crs")
     _require_crs(to_crs, "to_crs")
-    settings = Settings(crs, image, sigma_axes, _sizes(image_size or []))
+    settings = Settings(crs, image, sigma_axes, image_sizes(image_size))
     if reader.read_model is not None and writer.write_model is not None:
         from fg_orient.formats.exchange.convert import convert_model
         from fg_orient.formats.exchange.ties import model_survey
@@ -114,18 +112,6 @@ def _require_crs(crs: str, option: str) -> None:
             crs_kind(crs)
     except InputError as error:
         raise InputError(*(replace(problem, place="", option=option) for problem in error.problems)) from None
-
-
-def _sizes(words: list[str]) -> dict[str, tuple[int, int]]:
-    """Sizes of images as given: lines, samples."""
-    sizes = {}
-    for word in words:
-        name, _, size = word.rpartition("=")
-        parts = size.split(",")
-        if not name or len(parts) != 2 or not all(part.isdecimal() and int(part) > 0 for part in parts):
-            raise InputError.of("interchange.image_size", option="image_size", value=word)
-        sizes[name] = int(parts[0]), int(parts[1])
-    return sizes
 
 
 def _scenes(paths: list[Path]) -> list[Any]:

@@ -7,7 +7,8 @@ mean difference of these points, because programs export a shifted system. A rot
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import compress
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,10 +19,11 @@ from fg_orient.closerange.files import photo_text
 from fg_orient.closerange.job import rows
 from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
+from fg_orient.formats.exchange.convert import require_usable
 from fg_orient.formats.exchange.photomodeler import read_centres, read_control
 from fg_orient.formats.frame_model import FrameModel
 from fg_orient.formats.registry import Settings, format_named
-from fg_orient.model.errors import InputError
+from fg_orient.model.errors import InputError, as_record, finding
 from fg_orient.rectification.folder import write_rows
 from fg_orient.result.plain import plain
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL
@@ -34,20 +36,24 @@ CONTENTS: Final = Contents("photos.toml", ("photos.toml", "image.csv", "control.
 
 
 def run_import(
-    export: Path, *, source: str = "photomodeler", control: Path | None = None, stations: Path | None = None,
-    sigma_image_px: float | None = None, out: Path, overwrite: bool = False,
+    *export: Path, source: str = "photomodeler", control: Path | None = None, stations: Path | None = None,
+    sigma_image_px: float | None = None, image_sizes: Mapping[str, tuple[int, int]] | None = None,
+    out: Path, overwrite: bool = False,
 ) -> Record:  # fmt: skip
     """Write the tables of ``closerange bundle`` from a project of another program.
 
     Parameters
     ----------
-    export, source
-        File or folder of the project; name of a format with cameras and poses.
+    *export, source
+        Files or folder of the project; name of a format with cameras and poses.
     control, stations : Path, optional
         Control points: lines of id, name, X, Y, Z and, unless exact, one standard deviation or three. Observed
-        projection centres: lines of photo, X, Y, Z and one standard deviation or three.
+        projection centres: lines of photo, X, Y, Z and one standard deviation or three. Control points that the
+        project does not have are left out, with a note.
     sigma_image_px : float, optional
         Standard deviation of image coordinates, pixels, added to the table.
+    image_sizes : mapping of str to (n_lines, n_samples), optional
+        Sizes of photos that the project does not state.
     out, overwrite
         Folder of the tables; replace it.
 
@@ -59,13 +65,23 @@ def run_import(
     require_free(out, overwrite=overwrite, contents=CONTENTS)
     format_ = format_named(source, place="<from>")
     if format_.read_model is None:
-        raise InputError.of("closerange.no_model", file=export, place="<from>", value=source)
-    model = format_.read_model((export,), Settings())
-    ids, known = read_control(control) if control else ([], np.empty((0, 6)))
+        raise InputError.of("closerange.no_model", file=export[0], place="<from>", value=source)
+    require_usable(export, format_, True)
+    settings = Settings(image_sizes=image_sizes or {})
+    model = format_.read_model(export, settings)
+    settings.require_images([pose.name for pose in model.poses], export[0])
+    stated, known = read_control(control) if control else ([], np.empty((0, 6)))
+    present = np.isin(np.array(stated, str), model.point_ids)
+    ids, known, missing = list(compress(stated, present)), known[present], list(compress(stated, ~present))
+    if missing and not ids:
+        raise InputError.of("closerange.not_in_project", file=control, value=", ".join(missing),
+                            known=", ".join(model.point_ids[:10]))  # fmt: skip
+    left_out = finding("closerange.control_left_out", file=control, n=len(missing), names=missing)
+    notes = (*model.notes, left_out) if missing else model.notes
     weighted = np.isfinite(known[:, 3])
     if weighted.any() and not weighted.all():
         raise InputError.of("closerange.control_mixed", file=control, place=f"point {ids[int(np.argmin(weighted))]}")
-    shift = _shift(model, ids, known, control)
+    shift = _shift(model, ids, known)
     centres = read_centres(stations) if stations else {}
     tables = {"image.csv": _marks(model, sigma_image_px)}
     new = [k for k in np.unique(model.point).tolist() if model.point_ids[k] not in set(ids)]
@@ -75,7 +91,7 @@ def run_import(
         tables["control.csv"] = {"id": ids, **_spread(known[:, : 6 if weighted.all() else 3])}
     if centres:
         tables["stations.csv"] = {"photo": [*centres], **_spread(np.array([*centres.values()]))}
-    photos = _photos(model, shift, export)
+    photos = _photos(model, shift, export[0])
     with staged_folder(out, overwrite=overwrite, contents=CONTENTS) as folder, writing(out):
         (folder / "photos.toml").write_text("schema = 1\n\n" + "\n".join(photos), encoding="utf-8")
         for name, columns in tables.items():
@@ -84,6 +100,7 @@ def run_import(
         "kind": "import", "format": source, "photos": len(model.poses), "points": len(np.unique(model.point)),
         "image_points": len(model.point), "control": len(ids), "stations": len(centres), "shift_m": shift.tolist(),
         "unit": "px" if _unit(model) == 1.0 else "mm", "files": ["photos.toml", *tables], "out": str(out),
+        **as_record(notes),
     }  # fmt: skip
 
 
@@ -93,15 +110,11 @@ def _unit(model: FrameModel) -> float:
     return units.pop() if len(units) == 1 else 1.0
 
 
-def _shift(model: FrameModel, ids: Sequence[str], known: Array, file: Path | None) -> Array:
-    """Mean difference (3,) of the control points from the project's points, which must contain them; 0 without any."""
+def _shift(model: FrameModel, ids: Sequence[str], known: Array) -> Array:
+    """Mean difference (3,) of the control points from the project's points, which contain them; 0 without any."""
     if not len(ids):
         return np.zeros(3)
     place = {name: k for k, name in enumerate(model.point_ids)}
-    missing = [name for name in ids if name not in place]
-    if missing:
-        raise InputError.of("closerange.not_in_project", file=file, place=f"point {missing[0]}",
-                            known=", ".join(model.point_ids[:10]))  # fmt: skip
     return np.asarray((known[:, :3] - model.points_m[[place[name] for name in ids]]).mean(axis=0))
 
 
@@ -135,8 +148,13 @@ def _interior(camera: FrameInterior, unit_px: float, file: Path) -> PhotoInterio
     """Camera in the unit of the image coordinates; k1 k2 k3 P1 P2 for x right, y down, from measured to ideal ones."""
     if camera.model != MEASURED_TO_IDEAL and np.any(camera.distortion):
         raise InputError.of("closerange.direction", file=file, place=f"camera {camera.name}", value=camera.model)
+    stretch = 1.0 + camera.aspect  # of x; the principal distance is that of x, and B compresses y
+    if camera.aspect and np.any(camera.distortion):
+        raise InputError.of("closerange.camera", file=file, place=f"camera {camera.name}",
+                            value=f"aspect {camera.aspect:g}", expected="aspect 0 with distortion")  # fmt: skip
     ratio = (camera.unit_px or camera.focal_px) / unit_px  # of the polynomial's unit to that of the coordinates
     k1, k2, k3, first, second = camera.distortion.tolist()
-    corrections = np.array([k1 / ratio**2, k2 / ratio**4, k3 / ratio**6, second / ratio, first / ratio, 0.0, 0.0])
+    corrections = np.array([k1 / ratio**2, k2 / ratio**4, k3 / ratio**6, second / ratio, first / ratio, 0.0,
+                            1.0 / stretch - 1.0])  # fmt: skip
     principal = np.array([camera.principal_px[1], camera.principal_px[0]]) / unit_px
-    return PhotoInterior(camera.focal_px / unit_px, principal, corrections, "down")
+    return PhotoInterior(camera.focal_px / stretch / unit_px, principal, corrections, "down")

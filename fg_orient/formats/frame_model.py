@@ -147,8 +147,11 @@ def frame_block(
         camera = _in_pixels(sensor.camera, unknowns, model.line[own], model.sample[own], model.points_m[point])
         images.append(Image(pose.name, sensor.with_camera(camera, name)))
     used = ~(alone | behind & (not keep_behind))[model.point]
+    # the observation equation of a camera with an aspect has residuals in stretched samples
+    stretch = np.array([1.0 + model.cameras[pose.camera].aspect for pose in model.poses])[model.image[used]]
     sigma = np.full(int(used.sum()), sigma_px)
-    seen = ImagePoints(model.image[used], model.point[used], model.line[used], model.sample[used], sigma, sigma)
+    seen = ImagePoints(model.image[used], model.point[used], model.line[used], model.sample[used], sigma,
+                       sigma * stretch)  # fmt: skip
     counts = (("points.alone", int(alone.sum())), ("points.behind", int(behind.sum())))
     notes = tuple(finding(code, n=count) for code, count in counts if count)
     known = Coordinates(model.points_m, np.full((n, 3), np.nan), np.zeros(n, bool))

@@ -57,7 +57,26 @@ def test_angles_are_kappa_phi_omega_of_successive_turns(tmp_path: Path) -> None:
     assert np.abs(rotation - np.diag([1.0, -1.0, -1.0]) @ kappa @ phi @ omega).max() < 1e-15
 
 
+@pytest.mark.truth
+@pytest.mark.real_data
+def test_published_exports_without_their_image_size_have_the_same_cameras(real_data: Path, tmp_path: Path) -> None:
+    exports = sorted((real_data / "dbat").rglob("*pmexport.txt"))
+    assert len(exports) == 7
+    for export in exports:
+        lines = export.read_text().split("\n")
+        lines[1] = " ".join(lines[1].split()[:2])
+        (tmp_path / "export.txt").write_text("\n".join(lines))
+        whole, without = read_photomodeler(export), read_photomodeler(tmp_path / "export.txt")
+        (note,) = map(str, without.notes)
+        ours, theirs = without.cameras["1"], whole.cameras["1"]
+        assert (ours.n_lines, ours.n_samples) == (theirs.n_lines, theirs.n_samples), export.name
+        assert (ours.focal_px, ours.principal_px.tolist()) == (theirs.focal_px, theirs.principal_px.tolist())
+        assert f"{theirs.n_lines} lines, {theirs.n_samples} samples" in note
+
+
 FAULTS = [
+    ("1000 800", "", "photomodeler.size", "line 2"),  # three marks determine no size
+    ("10.0 8.0", "10.0 0.0", "interchange.cells", "line 4"),
     ("Bundle Soln", "Bundle", "interchange.cells", "line 1"),
     ("1000 800", "1000", "interchange.cells", "line 2"),
     ("-3e-4\n", "\n", "interchange.cells", "line 4"),

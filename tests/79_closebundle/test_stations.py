@@ -259,12 +259,40 @@ def test_a_project_becomes_tables_that_the_bundle_takes(project: Path) -> None:
     assert all(abs(n["value"] - truth[n["name"]]) < 4.0 * n["sigma"] < 5e-5 for n in more), more
 
 
+@pytest.mark.oracle
+def test_a_project_as_it_comes_has_the_tables_of_the_complete_one(project: Path) -> None:
+    """No image size, Latin-1 in a path, two control points too many: a note each, and the known camera."""
+    names = [f"{n}.jpg" for n in (8811, 8936, 8937, 8938, 9111)]
+    photomodeler.write_project(project / "pmexport.txt", project / "ctrlpts.txt", [317, 375, 403, 410, *range(24)], 6,
+                               names, off_m=0.0)  # fmt: skip
+    complete = imported(project, "--json").json
+    tables = {path.name: path.read_text("utf-8") for path in (project / "tables").iterdir()}
+    text = (project / "pmexport.txt").read_text("utf-8")
+    assert " 0.000500 20 1000 1000\n" in text
+    text = text.replace(" 20 1000 1000\n", " 20\n").replace("photos/8811", "Büro/8811")
+    (project / "pmexport.txt").write_bytes(text.encode("latin-1"))
+    with (project / "ctrlpts.txt").open("a", encoding="utf-8") as control:
+        control.write("318, CP318, 1, 2, 3, 0.1\n319, CP319, 1, 2, 4, 0.1\n")
+    done = imported(project, "--overwrite", "--json")
+    assert done.code == 0, done.stderr
+    assert {path.name: path.read_text("utf-8") for path in (project / "tables").iterdir()} == tables
+    assert (complete["warnings"], complete["shift_m"]) == ([], done.json["shift_m"])
+    latin, size, control_points = done.json["warnings"]
+    assert latin == "pmexport.txt, line 6: the file is not UTF-8: it is read as Latin-1"
+    assert size.startswith("pmexport.txt: the export holds no image size: 1000 lines, 1000 samples are the whole")
+    assert control_points.endswith(
+        "ctrlpts.txt: 2 control points that the project does not have are left out: 318, 319"
+    )
+    stated = imported(project, "--overwrite", "--image-size", "8936.jpg=1000,1000")
+    assert stated.code == 0 and "the whole numbers" not in stated.stdout + stated.stderr
+
+
 @pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("change", "text"),
     [
         ({"control": "317, CP, 1, 2, 3\n375, CP, 1, 2, 3, 0.1\n"}, "point 317: the point is exact, and others have"),
-        ({"control": "318, CP, 1, 2, 3\n"}, "point 318: the project has no such point; points in it: 0, 1,"),
+        ({"control": "318, CP, 1, 2, 3\n"}, "the project has none of the control points (found 318); points in it: 0"),
         ({"control": "317, CP, 1, 2\n"}, "line 1"),
         ({"stations": "a.jpg, 1, 2, 3\n"}, "sigmaX"),
         ({"stations": "a.jpg, 1, 2, 3, 0\n"}, "sigmaX"),

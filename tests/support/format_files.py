@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -59,6 +60,27 @@ PHOTOMODELER = r"""Bundle Soln a project
 
   9  7
 """
+
+
+#: Files of sba: two cameras, sixteen points in both, pixels rounded to a tenth.
+_PLACES = np.round(np.random.default_rng(4).uniform([-2.0, -1.5, 8.0], [3.0, 1.5, 13.0], (16, 3)), 2)
+_PIXELS = [np.round(850.0 * (_PLACES - [x, 0, 0])[:, :2] / _PLACES[:, 2:] + [320.0, 240.0], 1) for x in (0.0, 1.0)]
+SBA_CAMS = "1 0 0 0 0 0 0\n1 0 0 0 -1 0 0\n"
+SBA_PTS = "".join(
+    f"{' '.join(map(repr, at.tolist()))} 2 0 {a[0]} {a[1]} 1 {b[0]} {b[1]}\n"
+    for at, a, b in zip(_PLACES, *_PIXELS, strict=True)
+)
+
+
+def binary(folder: Path) -> None:
+    """Write the problem of libmv with the numbers of the files of sba."""
+    camera = struct.pack("<8f", 850.0, 320.0, 240.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    poses = b"".join(struct.pack("<i12f", k + 1, *np.eye(3).ravel(), -float(k), 0.0, 0.0) for k in range(2))
+    points = b"".join(struct.pack("<i3f", k, *at) for k, at in enumerate(_PLACES.tolist()))
+    marks = [struct.pack("<iiff", k + 1, j, *at) for k in range(2) for j, at in enumerate(_PIXELS[k].tolist())]
+    tables = ((2, poses), (len(_PLACES), points), (len(marks), b"".join(marks)))
+    whole = b"vP" + camera + b"".join(struct.pack("<i", n) + table for n, table in tables)
+    (folder / "problem_01.bin").write_bytes(whole)
 
 
 def samples(page: str) -> list[str]:
@@ -154,5 +176,7 @@ FORMAT_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
     "odm": (shown("odm", ("gcp_list.txt", "{}")),),
     "photomodeler": (texts(pmexport=PHOTOMODELER), shown("photomodeler", ("2dpts.txt", "{}"))),
     "pix4d": (shown("pix4d", ("gcp.csv", "{}"), ("marks.csv", "{}")),),
+    "libmv": (binary,),
+    "sba": (texts(**{"7cams": SBA_CAMS, "7pts": SBA_PTS, "calib": "850 0 320\n0 850 240\n0 0 1\n"}),),
     "qgis-points": (shown("qgis-points", ("scene.tif.points", f"#CRS: {UTM}\n{{}}")),),
 }

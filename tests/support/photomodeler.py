@@ -129,7 +129,9 @@ def write_positions(path: Path, photos: Sequence[str]) -> None:
     path.write_text("\n".join(["#Label,X,Y,Z,Accuracy_X/Y/Z_(m)", *rows, ""]), "utf-8")
 
 
-def write_project(path: Path, control: Path, ids: Sequence[int], columns: int, names: Sequence[str]) -> None:
+def write_project(
+    path: Path, control: Path, ids: Sequence[int], columns: int, names: Sequence[str], off_m: float = 0.01
+) -> None:
     """Write an export of five photos of points of which the first four are control; 0.1 px of noise in the marks.
 
     Parameters
@@ -142,6 +144,8 @@ def write_project(path: Path, control: Path, ids: Sequence[int], columns: int, n
         3: control points are exact, 6: they have standard deviations.
     names : sequence of str
         Files of the photos.
+    off_m : float
+        Errors of the exported projection centres, along each axis.
     """
     rng = np.random.default_rng(7)
     n, px = len(ids), 1000.0 / SIDE_MM
@@ -159,7 +163,7 @@ def write_project(path: Path, control: Path, ids: Sequence[int], columns: int, n
         at = Photo.of(name, interior, rotation, place).project(points) * px + rng.normal(0.0, 0.1, (n, 2))
         marks += [f"   {k}    {i} {x:.4f} {y:.4f} 1.0 1.0" for i, (x, y) in zip(ids, at.tolist(), strict=True)]
         omega, phi, turn = np.degrees(aerial_from_rotation(rotation))
-        begin = np.array(place) + 0.01
+        begin = np.array(place) + off_m
         if k:
             text += ["", f"   {k}{head}"]
         text += ["   0.0 0.0 0.0 0.5 0.5 0.001 0.0001 0.0001 0.001 0.001", f"   {k} photos/{name}",

@@ -10,7 +10,7 @@ images.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -74,11 +74,10 @@ def frame_model_of(
     """
     n, side = len(data.cameras), assumed_side(data)
     keys = tuple(names) if names is not None else tuple(map(str, range(n)))
-    given = dict(zip(keys, sizes or (None,) * n, strict=True))
-    assumed = [key for key, size in given.items() if size is None and not from_middle]
-    if assumed:
-        notes = (*notes, finding("points.sizes_assumed", side=side, images=assumed))
-    size = np.array([given[key] or (side, side) for key in keys], int).reshape(n, 2)
+    given = {key: size for key, size in zip(keys, sizes or (None,) * n, strict=True) if size}
+    found, assumed = sizes_of(keys, given, side)
+    notes = notes if from_middle else (*notes, *assumed)
+    size = np.array(found, int).reshape(n, 2)
     middle = np.zeros((n, 2)) if from_middle else (size - 1) / 2.0
     cameras, poses = {}, []
     for k, (key, row) in enumerate(zip(keys, data.cameras, strict=True)):
@@ -90,6 +89,15 @@ def frame_model_of(
     return FrameModel(
         cameras, tuple(poses), ids, data.points, data.camera, data.point, line, sample, notes, from_middle
     )  # fmt: skip
+
+
+def sizes_of(
+    names: Sequence[str], given: Mapping[str, tuple[int, int]], side: int
+) -> tuple[list[tuple[int, int]], tuple[Finding, ...]]:
+    """Lines and samples of each image, those not given as a square of this side, px, with a note that names them."""
+    assumed = [name for name in names if name not in given]
+    notes = (finding("points.sizes_assumed", side=side, images=assumed),) if assumed else ()
+    return [given.get(name, (side, side)) for name in names], notes
 
 
 def assumed_side(data: BalData) -> int:

@@ -64,7 +64,7 @@ def read_survey(
     file = paths[0]
     if format_.read is None:
         raise InputError.of("interchange.no_reader", file=file, option="from", value=format_.name)
-    _require_usable(paths, format_, accept_unverified)
+    require_usable(paths, format_, accept_unverified)
     survey = format_.read(tuple(paths), settings)
     settings.require_images(survey.images, file)
     remarks = check_ground(survey, str(file), scenes) if survey.crs else ()
@@ -73,7 +73,7 @@ def read_survey(
     return survey, remarks
 
 
-def _require_usable(paths: Sequence[Path], format_: Format, accept_unverified: bool) -> None:
+def require_usable(paths: Sequence[Path], format_: Format, accept_unverified: bool) -> None:
     """Refuse more files than a format has, and an unverified format that the user does not accept."""
     if len(paths) > len(format_.files):
         value, names = f"{len(paths)} files", ", ".join(format_.files)
@@ -145,7 +145,7 @@ def write_survey(
     """
     if format_.write is None:
         raise InputError.of("interchange.no_writer", file=paths[0], option="to", value=format_.name)
-    _require_usable(paths, format_, True)
+    require_usable(paths, format_, True)
     targets = tuple(paths) if len(paths) == len(format_.files) else format_.paths(paths[0])
     wanted = targets if len(survey.observed) else targets[:1]  # the second file contains image points
     require_free_files(*wanted, overwrite=overwrite)
@@ -218,7 +218,7 @@ def convert_model(
     """
     if reader.read_model is None or writer.write_model is None:
         raise InputError.of("interchange.no_writer", file=out, option="to", value=writer.name)
-    _require_usable(paths, reader, accept_unverified)
+    require_usable(paths, reader, accept_unverified)
     model = reader.read_model(tuple(paths), settings)
     settings.require_images([pose.name for pose in model.poses], paths[0])
     lost = writer.write_model(out, model, overwrite)

@@ -4,7 +4,8 @@ Exports of PhotoModeler: the text export of a project ("Bundle Soln") and the ta
 
 The text export has parts between empty lines: image size and camera; each photo with its projection centre and the
 angles kappa, phi, omega (degrees); known points; all points, in a shifted system; marks. Lengths of the camera are in
-mm. Its polynomial leads from measured to ideal coordinates with y up. Photos count from 0 (from 1 in tables).
+mm. Its polynomial leads from measured to ideal coordinates with y up. Photos count from 0 (from 1 in tables). Without
+an image size, the size that fits the marks best is taken, with a note.
 Pixels run right and down. Neither file states their origin, which marks and principal point have in common. It is
 assumed to be the centre of the first pixel, because DBAT's results are reproduced with it (docs/frame-cameras.md).
 
@@ -20,6 +21,8 @@ Observed projection centres: photo, X, Y, Z, one standard deviation or three; ``
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import Final
@@ -30,11 +33,12 @@ import numpy.typing as npt
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import TextLines, positions, require_once
 from fg_orient.formats.exchange.ties import model_survey, tie_survey
+from fg_orient.formats.faults import Faults
 from fg_orient.formats.frame_model import FrameModel, Pose
 from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.tables import finite
 from fg_orient.model.block import ImagePoints
-from fg_orient.model.errors import InputError
+from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, rotation_of_opk
 from fg_orient.sensors.interior import Interior
@@ -45,46 +49,84 @@ Paragraph = list[tuple[int, list[str]]]
 HEAD: Final = "Bundle Soln"
 #: First columns of the table of 2D points.
 TABLE: Final = "Object Point ID,Photo #,X (pixels),Y (pixels)"
+#: Standard deviation of the image size from marks above which it is not rounded, px.
+SIZE_SIGMA_PX: Final = 0.25
 #: Number of cells in a line with a point, and in a line with a mark.
 _POINT, _MARK = 7, 6
 #: Lines before the camera of the first photo; cells of a line of a camera, in the head and before each further photo.
 _HEAD_LINES, _CAMERA = 3, (10, 11)
 
 
-def read_photomodeler(path: str | Path) -> FrameModel:
-    """Read a text export; InputError if it cannot be read, has another format, or a line is faulty."""
-    text = TextLines(Path(path))
+def read_photomodeler(path: str | Path, image_sizes: Mapping[str, tuple[int, int]] | None = None) -> FrameModel:
+    """Read a text export, UTF-8 or Latin-1.
+
+    Parameters
+    ----------
+    path : str or Path
+    image_sizes : mapping of str to (n_lines, n_samples), optional
+        Size of any of its photos, for an export without it; default: the size that fits its marks.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, has another format, a line is faulty, or the image size is neither stated nor found.
+    """
+    text = TextLines(Path(path), latin1=True)
     rows = [(n, line.split()) for n, line in enumerate(text.lines, start=1)]
     if not text.lines[0].startswith(HEAD):
         text.refuse(1, f"{HEAD} ...")
+    settings = 2 if len(rows) > 1 and len(rows[1][1]) == 2 else 4
     size, camera = (text.numbers(rows[k : k + 1] or [(k + 1, [])], n, "image size and camera")[0]
-                    for k, n in ((1, 4), (3, 10)))  # fmt: skip
-    if not (size[2:] > 0).all():
-        text.refuse(2, "image size and camera")
-    interior = _interior(size, camera)
+                    for k, n in ((1, settings), (3, 10)))  # fmt: skip
+    if not ((size[2:] > 0).all() and (camera[3:5] > 0).all()):
+        text.refuse(2 if (camera[3:5] > 0).all() else 4, "image size and camera")
     paragraphs = [list(group) for filled, group in groupby(rows, lambda row: bool(row[1])) if filled]
     poses = _poses(text, paragraphs)
     points, marks = _table(text, paragraphs[::-1], _POINT, "points"), _table(text, paragraphs, _MARK, "marks")
     ids, first = np.unique(points[:, 0], return_index=True)
     at = positions(ids, marks[:, 1])
     bad = marks[(at < 0) | (marks[:, 0] >= len(poses))]
-    if len(bad):
-        value = f"photo {bad[0, 0]:g}, point {bad[0, 1]:g}"
-        raise InputError.of("photomodeler.mark", file=text.path.name, value=value)
-    return FrameModel(
-        {"1": interior}, poses, tuple(str(int(i)) for i in ids), points[first, 1:4],
-        marks[:, 0].astype(np.intp), at, marks[:, 3], marks[:, 2],
+    faults = Faults(text.path.name)
+    for photo, point in bad[:, :2]:
+        faults.add("photomodeler.mark", value=f"photo {photo:g}, point {point:g}")
+    faults.raise_if_any()
+    model = FrameModel(
+        {}, poses, tuple(str(int(i)) for i in ids), points[first, 1:4], marks[:, 0].astype(np.intp), at, marks[:, 3],
+        marks[:, 2], text.notes,
     )  # fmt: skip
+    given = image_sizes or {}
+    stated = [(int(size[3]), int(size[2]))] if len(size) == 4 else [given[p.name] for p in poses if p.name in given]
+    (lines, samples), notes = (stated[0], ()) if stated else _size_of_marks(model, camera, text.path.name)
+    return replace(model, cameras={"1": _interior(lines, samples, camera)}, notes=(*text.notes, *notes))
 
 
-def _interior(size: Array, camera: Array) -> Interior:
-    """Camera of the head: focal length, principal point, format (mm), k1 to k3, p1, p2."""
+def _size_of_marks(model: FrameModel, camera: Array, file: str) -> tuple[tuple[int, int], tuple[Finding, ...]]:
+    """Lines and samples that fit the marks to the poses and points of the export, and the note on them."""
+    photo = model.poses[0].name if model.poses else "PHOTO"
+    in_mm = replace(model, cameras={"1": _interior(1, 1, camera, 1.0)}, line=0.0 * model.line, sample=0.0 * model.line)
+    computed, marks = in_mm.residuals_px(), np.column_stack([model.line, model.sample])
+    seen = np.isfinite(computed).all(axis=1)
+    computed, marks = computed[seen], marks[seen]
+    squares = np.sum(computed**2, axis=0)
+    with np.errstate(all="ignore"):
+        scale = np.sum(computed * marks, axis=0) / squares
+        sigma = np.sqrt(np.mean((marks - scale * computed) ** 2, axis=0) / squares)
+        fit, sigma = scale * camera[[4, 3]], sigma * camera[[4, 3]]
+    if not (seen.sum() > 3 and (fit >= 1.0).all() and (sigma <= SIZE_SIGMA_PX).all()):
+        value = " x ".join(f"{n:.1f}" for n in fit)
+        raise InputError.of("photomodeler.size", file=file, place="line 2", value=value, photo=photo)
+    lines, samples = (round(n) for n in fit.tolist())
+    note = finding("photomodeler.size_found", file=file, photo=photo, n_lines=lines, n_samples=samples,
+                   fit_lines=fit[0], fit_samples=fit[1])  # fmt: skip
+    return (lines, samples), (note,)
+
+
+def _interior(n_lines: int, n_samples: int, camera: Array, px: float = 0.0) -> Interior:
+    """Camera of the head: focal length, principal point, format (mm), k1 to k3, p1, p2; ``px`` are pixels per mm."""
     f, x, y, _, height_mm, k1, k2, k3, p1, p2 = camera.tolist()
-    px = float(size[3]) / height_mm
+    px = px or n_lines / height_mm
     polynomial = np.array([k1, k2, k3, -p2, p1])  # y up becomes y down
-    return Interior(
-        int(size[3]), int(size[2]), f * px, np.array([y, x]) * px, polynomial, MEASURED_TO_IDEAL, px, name="1"
-    )  # fmt: skip
+    return Interior(n_lines, n_samples, f * px, np.array([y, x]) * px, polynomial, MEASURED_TO_IDEAL, px, name="1")
 
 
 def _poses(text: TextLines, paragraphs: list[Paragraph]) -> tuple[Pose, ...]:
@@ -114,7 +156,7 @@ def _table(text: TextLines, paragraphs: list[Paragraph], width: int, what: str) 
 
 def read_points_2d(path: str | Path) -> Survey:
     """Read a table of 2D points; photos are named by their numbers. Errors as in :func:`read_photomodeler`."""
-    text = TextLines(Path(path))
+    text = TextLines(Path(path), latin1=True)
     head = next((k for k, line in enumerate(text.lines) if line.startswith(TABLE)), None)
     if head is None:
         text.refuse(1, f"{HEAD} ..., or a table with {TABLE}")
@@ -127,13 +169,14 @@ def read_points_2d(path: str | Path) -> Survey:
         lambda k: (f"line {rows[k][0]}", ",".join(rows[k][1])),
     )  # fmt: skip
     names = [str(int(photo)) for photo in photos]
-    return tie_survey(names, [str(int(i)) for i in ids], image, point, table[:, 3], table[:, 2])
+    return tie_survey(names, [str(int(i)) for i in ids], image, point, table[:, 3], table[:, 2],
+                      text.notes)  # fmt: skip
 
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     """Read the image points of either file."""
-    if TextLines(paths[0]).lines[0].startswith(HEAD):
-        return model_survey(read_photomodeler(paths[0]))
+    if TextLines(paths[0], latin1=True).lines[0].startswith(HEAD):
+        return model_survey(read_photomodeler(paths[0], settings.image_sizes))
     return read_points_2d(paths[0])
 
 
@@ -146,7 +189,7 @@ FORMAT: Final = Format(
     ground_axes="local X, Y, Z (left out: they are results)",
     holds=frozenset({Holds.IMAGE, Holds.TIES}),
     read=read,
-    read_model=lambda paths, settings: read_photomodeler(paths[0]),
+    read_model=lambda paths, settings: read_photomodeler(paths[0], settings.image_sizes),
     evidence="the projects published with DBAT; the pixel origin is an assumption",
 )
 

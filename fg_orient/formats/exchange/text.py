@@ -20,7 +20,7 @@ import numpy.typing as npt
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.tables import Row, finite, number
 from fg_orient.formats.text_files import delimited, read_text
-from fg_orient.model.errors import InputError
+from fg_orient.model.errors import Finding, InputError, finding
 
 Array = npt.NDArray[np.float64]
 Separator = Literal["comma", "blank", "either"]
@@ -148,6 +148,8 @@ class TextLines:
     path : Path
     text : str, optional
         Content of the file, if it was read before.
+    latin1 : bool, optional
+        Read a file that is not UTF-8 as Latin-1, with a note in ``notes``.
 
     Raises
     ------
@@ -155,10 +157,15 @@ class TextLines:
         The file does not exist, cannot be read, or is not text.
     """
 
-    def __init__(self, path: Path, text: str | None = None) -> None:
+    def __init__(self, path: Path, text: str | None = None, *, latin1: bool = False) -> None:
         faults = Faults(path.name)
         text = read_text(path, faults) if text is None else text
-        faults.raise_if_any()
+        self.notes: tuple[Finding, ...] = ()
+        if latin1 and faults.codes == {"table.not_utf8"}:
+            self.notes = (finding("points.latin1", file=path.name, place=faults.problems[0].place),)
+            text = path.read_text("latin-1")
+        else:
+            faults.raise_if_any()
         self.path, self.lines = path, (text or "").split("\n")
 
     def content(self) -> list[tuple[int, str]]:

@@ -102,8 +102,9 @@ closerange.no_model: the format holds no cameras and poses
     -> choose photomodeler, or a format of docs/formats that bundle programs have
 closerange.control_mixed: the point is exact, and others have standard deviations
     -> give all control points standard deviations, or none
-closerange.not_in_project: the project has no such point
+closerange.not_in_project: the project has none of the control points
     -> points in it: {known}, ...
+closerange.control_left_out (note): {n} control point(s) that the project does not have are left out: {names}
 closerange.direction: the distortion of this camera leads from ideal to measured coordinates, that of close range
     the other way
     -> take the camera without distortion and determine k1 to p2: <shared> k1,k2,p1,p2

@@ -140,9 +140,29 @@ bundle.list: the list has fewer images than the bundle ({last} at least)
     -> give the list of this bundle
 bundle.camera: the camera has coefficients that the files of Bundler and BAL do not have
     -> needed: k1 and k2 alone; write a text model of COLMAP
+photomodeler.size: the export holds no image size, and its marks do not determine it
+    -> give it: <image_size> {photo}=LINES,SAMPLES
+photomodeler.size_found (note): the export holds no image size: {n_lines} lines, {n_samples} samples are the whole
+    numbers next to those that fit its marks best ({fit_lines:.2f}, {fit_samples:.2f}); <image_size>
+    {photo}=LINES,SAMPLES gives another
 photomodeler.mark: a mark of a photo or point that the export does not hold
 photomodeler.part: this part of the export is missing
     -> export the whole project
+sba.calibration: cameras of 7 numbers need the file of their camera matrix, and cameras of 12 or 17 have their own
+    -> give the cameras, the points and, for 7 numbers, the camera matrix
+sba.camera: there is no frame camera with these numbers
+    -> needed: fx and aspect above 0, skew 0, and aspect 1 where the camera has distortion
+libmv.head: the file does not begin with the letters vP, for little-endian numbers and pixels
+    -> give a problem_NN.bin that Ceres Solver publishes; other layouts are not known
+libmv.length: the counts do not fit the length of the file
+    -> the file is truncated, damaged or has another layout: copy it again
+libmv.camera: the focal length is not above 0, or a number is not finite
+libmv.rotation: the matrix is not a rotation
+libmv.mark: the file has no such image or point
+libmv.number: a number is not finite
+    -> the file is damaged: copy it again
+libmv.distortion: the camera has distortion, and the order and direction of its coefficients are not known
+    -> undistort the image points, and give zeros
 dbat.order: no comment tells the order of the cells
     -> begin the file with a line such as: # image id, point id, x, y, sxy
 colmap.database: the file is no database of COLMAP, or damaged

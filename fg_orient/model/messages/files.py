@@ -309,6 +309,7 @@ points.model_left_out (note): {poses} poses with {cameras} cameras and the local
     left out
 points.sizes_assumed (note): the file holds no sizes of images: {side} x {side} pixels, out to the outermost image
     point, are assumed for {images:5}; <image_size> NAME=LINES,SAMPLES gives a size
+points.latin1 (note): the file is not UTF-8: it is read as Latin-1
 points.conflicts (note): {n} of {total} tie point(s) left out ({image_points} image points): their matches chain two
     places of one image, the first ({first[0]:g}, {first[1]:g}) and ({second[0]:g}, {second[1]:g}) of {image}
 """)
