@@ -66,7 +66,7 @@ def cofactors_of_points(problem: Problem, state: State, index: Index, blocks: Ca
     order = _order(problem)
     pairs, block = _pairs(problem, order)
     q, size = blocks(pairs), np.diff(problem.first)
-    for part in _parts(problem, state, index[wanted], order):
+    for part in parts_of(problem, state, index[wanted], order):
         q_points, free = np.empty((len(part.points), 3, 3)), np.ones(len(part.points), np.int64)
         ray_cofactors(
             0, len(q_points), part.first, part.image, size, free, part.d_image, part.d_ground, part.inverse, block, q,
@@ -117,7 +117,7 @@ def cofactors_of_rays(problem: Problem, state: State, blocks: Callable[[Index], 
     roots = inverse_roots(images, size)
     upper = np.swapaxes(q, 1, 2) @ np.swapaxes(roots[pairs[:, 0]], 1, 2)
     lower = q @ np.swapaxes(roots[pairs[:, 1]], 1, 2)
-    for part in _parts(problem, state, np.unique(problem.observations.point), order):
+    for part in parts_of(problem, state, order=order):
         rays = len(part.rows)
         q_points, squared = np.empty((len(part.points), 3, 3)), np.empty((rays, 2))
         fitted, response = np.empty((rays, 2, 2)), np.empty((rays, 3, 2))
@@ -141,7 +141,7 @@ def inverse_roots(q: Array, size: Index) -> Array:
     return out
 
 
-class _Part(NamedTuple):
+class Part(NamedTuple):
     """Some ground points with all their rays, about :data:`CHUNK` rays in the order of points and images."""
 
     places: slice  # of the points among the requested points
@@ -159,8 +159,14 @@ def _order(problem: Problem) -> Index:
     return np.lexsort((problem.observations.image, problem.observations.point)).astype(np.intp)
 
 
-def _parts(problem: Problem, state: State, points: Index, order: Index) -> Iterator[_Part]:
-    """Ground points with their rays, part by part."""
+def parts_of(
+    problem: Problem, state: State, points: Index | None = None, order: Index | None = None
+) -> Iterator[Part]:  # fmt: skip
+    """Ground points, by default all that are measured, with their rays, linearised at a state; part by part."""
+    order = _order(problem) if order is None else order
+    points = np.unique(problem.observations.point) if points is None else points
+    if not len(points):
+        return
     begin = np.concatenate([[0], np.cumsum(np.bincount(problem.observations.point, minlength=len(problem.active)))])
     rays = begin[points + 1] - begin[points]
     cuts = np.searchsorted(np.cumsum(rays), np.arange(CHUNK, rays.sum() + CHUNK, CHUNK), side="left") + 1
@@ -172,7 +178,7 @@ def _parts(problem: Problem, state: State, points: Index, order: Index) -> Itera
             yield _part(problem, state, slice(lo, hi), points[lo:hi], first, rows)
 
 
-def _part(problem: Problem, state: State, places: slice, points: Index, first: Index, rows: Index) -> _Part:
+def _part(problem: Problem, state: State, places: slice, points: Index, first: Index, rows: Index) -> Part:
     """Jacobians and H^-1 of some points."""
     image, (_, d_image, d_ground) = problem.observations.image[rows], linearised(problem, state, rows)
     normal = np.add.reduceat(np.einsum("nri,nrj->nij", d_ground, d_ground), first[:-1])
@@ -181,7 +187,7 @@ def _part(problem: Problem, state: State, places: slice, points: Index, first: I
     normal[known] += np.swapaxes(w, 1, 2) @ w
     inverse, free = np.zeros_like(normal), problem.active[points]
     inverse[free] = _inverses(normal[free])
-    return _Part(places, points, first, rows, image, d_image, d_ground, inverse)
+    return Part(places, points, first, rows, image, d_image, d_ground, inverse)
 
 
 def _inverses(normal: Array) -> Array:
@@ -302,10 +308,10 @@ class ReducedCofactors:
 
     def points(self, index: npt.NDArray[np.intp]) -> Array:
         """See ``Cofactors``."""
-        return cofactors_of_points(self._problem, self._state, index, self._blocks)
+        return cofactors_of_points(self._problem, self._state, index, self.blocks)
 
-    def _blocks(self, pairs: npt.NDArray[np.intp]) -> Array:
-        """Joint blocks (B, k, k) of pairs of images."""
+    def blocks(self, pairs: npt.NDArray[np.intp]) -> Array:
+        """See ``Cofactors``."""
         return blocks_of_images(self._problem, self._of, pairs)
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:

@@ -29,6 +29,7 @@ from fg_orient.adjustment.robust import FixedWeights, Weighing
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.schur_structure import Small, Tile
+from fg_orient.kernels.batch_matrix import add_shared
 from fg_orient.kernels.batch_pairs import gather_blocks, gather_gradients
 from fg_orient.kernels.batch_points import ROOT
 from fg_orient.model.errors import NoSolutionError
@@ -398,12 +399,17 @@ class Elimination:
                 self._begin[lo : hi + 1], self._slots, s.slot_own, self._row[lo:hi], self._column[lo:hi], b.gradients,
                 s.wide, s.scale, s.size, s.n_components, gradient,
             )  # fmt: skip
-            matrix = self._matrix(group, blocks)
             own = gradient[group.wide]
-            if group.fold is not None:
-                turn = np.zeros((len(group.wide), len(group.free)))
-                turn[np.arange(len(group.wide)), group.fold] = 1.0
-                matrix, own = turn.T @ matrix @ turn, turn.T @ own
+            if group.fold is None:
+                matrix = self._matrix(group, blocks)
+            else:
+                own = np.bincount(group.fold, own, len(group.free)).astype(float)
+                matrix = np.zeros((len(own), len(own)))
+                of = np.zeros(len(gradient), np.int64)
+                of[group.wide] = group.fold
+                add_shared(
+                    self._row[lo:hi], self._column[lo:hi], self.problem.first, of, s.size, blocks[lo:hi], matrix
+                )  # fmt: skip
             value = b.value[slice(*group.points)]
             inside = slice(*np.searchsorted(place, group.places))
             at = slice(*group.places)

@@ -7,14 +7,15 @@ Gauss-Newton, Levenberg-Marquardt or Dogleg solve this graph (:mod:`fg_orient.ad
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
 
 from factors.graph import eliminated_factor
+from fg_orient.adjustment.border import Border, divided, small_enough
 from fg_orient.adjustment.eliminated import Elimination
 from fg_orient.adjustment.explicit import (
     ExplicitBackend,
@@ -29,7 +30,7 @@ from fg_orient.adjustment.point_groups import GroupRows
 from fg_orient.adjustment.problem import Problem, State, schur_possible
 from fg_orient.adjustment.robust import Robust
 from fg_orient.adjustment.schur import SchurSystem
-from fg_orient.model.block import ExtraObservation
+from fg_orient.adjustment.schur_reduced import Singular
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -66,32 +67,6 @@ def group_factor(elimination: Elimination, g: int, keys: Mapping[int, int], labe
     return eliminated_factor(own, sizes, evaluate, label=label)
 
 
-def _divided(problem: Problem, points: Index) -> tuple[Problem, Problem | None]:
-    """Problem of the points to eliminate, and that of the named points with all that is not a group, if there are any.
-
-    Raises
-    ------
-    InputError
-        No point is left to eliminate.
-    """
-    if not len(points):
-        return problem, None
-    named = np.zeros(len(problem.active), bool)
-    named[points] = True
-    ray = named[problem.observations.point]
-    return _part(problem, ~ray, ~named, ()), _part(problem, ray, named, problem.block.extra)
-
-
-def _part(
-    problem: Problem, rays: npt.NDArray[np.bool_], points: npt.NDArray[np.bool_], extra: tuple[ExtraObservation, ...]
-) -> Problem:  # fmt: skip
-    """Problem with some of the image points, ground points and extra observations; the images stay."""
-    return replace(
-        problem, block=replace(problem.block, extra=extra), observations=problem.observations.take(rays),
-        records=problem.records[rays], active=problem.active & points, observed=problem.observed & points,
-    )  # fmt: skip
-
-
 class GraphBackend:
     """The problem as a GTSAM graph over its images, and the ground points that extra observations name.
 
@@ -108,7 +83,7 @@ class GraphBackend:
         self.problem = problem
         #: Ground points that are variables of the graph.
         self.points = np.array(problem.named_points(), np.int64)
-        reduced, explicit = _divided(problem, self.points)
+        reduced, explicit = divided(problem)
         self.elimination = Elimination(reduced, threads)
         self.robust: Robust | None = None
         self._vectors = vector_keys(problem)
@@ -187,9 +162,12 @@ class GraphBackend:
         """See ``robust.RobustBackend``; image points in the order of the structure."""
         return self.elimination.backend.squares(state)
 
-    def linearise(self, state: State) -> SchurSystem | ExplicitSystem:
-        """Linearise at a solution, for cofactors: the arrays where the Schur backend takes the block, else all rows."""
+    def linearise(self, state: State) -> SchurSystem | Border | ExplicitSystem:
+        """Linearise at a solution, for cofactors: arrays, or all rows where these do not determine the unknowns."""
         if not schur_possible(self.problem.block):
+            with contextlib.suppress(Singular):
+                if self.robust is None and small_enough(self.problem):
+                    return Border(self.problem, state)
             explicit = ExplicitBackend(self.problem)
             explicit.robust = self.robust
             return explicit.linearise(explicit.values(state))

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
-from fg_orient.kernels.batch_matrix import fill_lower
+from fg_orient.kernels.batch_matrix import add_shared, fill_lower
 
 if TYPE_CHECKING:
     import gtsam
@@ -109,7 +109,8 @@ class LapackReduced:
             regular = fill_lower(*at, diagonal, self._banded, s, self._scale, sums)
             s.ravel()[:: s.shape[1] + (0 if self._banded else 1)] = 1.0
         else:
-            s = _tied(pattern, first, blocks, ties) + diagonal * np.eye(n)
+            s = full_matrix(pattern, first, blocks, ties)
+            s[np.arange(n), np.arange(n)] += diagonal
             d = np.diag(s)
             regular = bool((d > 0.0).all())
             self._scale = 1.0 / np.sqrt(np.where(d > 0.0, d, 1.0))
@@ -178,16 +179,13 @@ class LapackReduced:
         return self._condition
 
 
-def _tied(pattern: Pattern, first: Bounds, blocks: Array, ties: Ties) -> Array:
-    """Symmetric matrix ``T^T S T`` (z, z) of the blocks."""
-    whole = np.zeros((int(first[-1]), int(first[-1])))
-    for b, (i, j) in enumerate(zip(pattern.block_row.tolist(), pattern.block_column.tolist(), strict=True)):
-        at = (slice(first[i], first[i + 1]), slice(first[j], first[j + 1]))
-        whole[at] = blocks[b, : pattern.size[i], : pattern.size[j]]
-        if i != j:
-            whole[at[::-1]] = whole[at].T
-    s = np.asarray(ties.matrix.T @ np.asarray(whole @ ties.matrix))
-    return np.asarray(0.5 * (s + s.T))
+def full_matrix(pattern: Pattern, first: Bounds, blocks: Array, ties: Ties | None) -> Array:
+    """Symmetric matrix (z, z) of the free unknowns from the blocks: ``T^T S T`` where images share unknowns."""
+    of = np.arange(first[-1]) if ties is None else ties.of
+    n = len(of) if ties is None else len(ties)
+    out = np.zeros((n, n))
+    add_shared(pattern.block_row, pattern.block_column, first, of, pattern.size, blocks, out)
+    return out
 
 
 def inverse_norm(solve: Callable[[Array], Array], n: int) -> float:

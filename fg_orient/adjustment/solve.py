@@ -46,6 +46,7 @@ from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.model.options import Backend
 
 if TYPE_CHECKING:
+    from fg_orient.adjustment.border import Border
     from fg_orient.adjustment.cofactors import SummedSystem
     from fg_orient.adjustment.dense import DenseSystem
     from fg_orient.adjustment.explicit import ExplicitSystem
@@ -70,7 +71,7 @@ class Estimate:
         Weighted sum of squares; under a loss with the weights at the state held fixed.
     backend, solver : str
         "graph", "schur" or "dense"; linear solver of the dense backend, else "".
-    linear : ExplicitSystem, SchurSystem, DenseSystem or SummedSystem
+    linear : ExplicitSystem, SchurSystem, DenseSystem, SummedSystem or Border
         The undamped linearisation at the state, for cofactors.
     structure_s, solve_s : float
         Wall-clock seconds of compilation and optimisation.
@@ -90,7 +91,7 @@ class Estimate:
     iterations: int
     backend: str
     solver: str
-    linear: ExplicitSystem | SchurSystem | DenseSystem | SummedSystem
+    linear: ExplicitSystem | SchurSystem | DenseSystem | SummedSystem | Border
     structure_s: float
     solve_s: float
     weights: Weights | None = None
@@ -164,7 +165,7 @@ def eliminates_points(problem: Problem) -> bool:
     condition. Under a loss the rays of points that extra observations name would need weights of their own.
     """
     options, block = problem.block.options, problem.block
-    if not (options.priors or options.datum == "free"):
+    if not (options.priors or options.datum in ("free", "inner")):
         return False
     if schur_possible(block):
         return True

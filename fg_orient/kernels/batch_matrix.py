@@ -132,3 +132,29 @@ def _fill_column(
         sums[r + q] += abs(value)
         total += abs(value)
     sums[c] += total
+
+
+@threaded
+def add_shared(
+    row: Index, column: Index, first: Index, of: Index, size: Index, blocks: Array, out: Array
+) -> None:  # fmt: skip
+    """Add blocks (B, k, k) of images, and their mirror images, to the matrix (z, z) of the free unknowns.
+
+    Parameters
+    ----------
+    row, column : (B,) int arrays
+        Images of each block, row <= column; blocks of one image are symmetric.
+    first, size : (M + 1,), (M,) int arrays
+        First unknown of each image among those of all images, and their number.
+    of : (w,) int array
+        Free unknown of each of these; images may have free unknowns in common.
+    """
+    for b in range(len(row)):
+        i, j = row[b], column[b]
+        for p in range(size[i]):
+            r = of[first[i] + p]
+            for q in range(size[j]):
+                c = of[first[j] + q]
+                out[r, c] += blocks[b, p, q]
+                if i != j:
+                    out[c, r] += blocks[b, p, q]

@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from factors._preparation import preparing_seconds, working_clock
 from fg_orient.adjustment.checkpoint import Checkpoint
-from fg_orient.adjustment.cofactors import blocks_of_images
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.memory import require_memory
 from fg_orient.adjustment.native import with_observations
@@ -194,7 +193,8 @@ def _compiled(block: Block) -> tuple[Problem, tuple[ImageObservability, ...], Bl
     compiled = compiled_problem(without_priors(block) if inner else block)
     observability = judge_observability(compiled)
     block_view = refuse_deficient(compiled, observability)
-    compiled = with_minimal_datum(compiled) if inner else compiled
+    if inner and block_view.null is not None:
+        compiled = with_minimal_datum(compiled, block_view.null)
     return compiled, observability, block_view, working_clock() - start
 
 
@@ -419,7 +419,7 @@ def _differences(
         q[~after] = cofactors.points(index[~after])
         if located is not None and after.any():
             own = replace(located, index=index[after])
-            q[after] = own.cofactors(lambda pairs: blocks_of_images(compiled, lambda k: cofactors.joint(k, ()), pairs))
+            q[after] = own.cofactors(cofactors.blocks)
     sigma = measured.sigma_enu_m[rows].reshape(-1, 3)
     # East, North, Up of the adjusted point: no estimated sigma may depend on a check coordinate
     return differences(ids, index, ground[index], measured_m, sigma, q, compiled.axes(ground[index].reshape(-1, 3)))

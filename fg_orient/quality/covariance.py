@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.cofactors import WHOLE_LIMIT, ReducedCofactors, SummedSystem
+from fg_orient.adjustment.border import Border
+from fg_orient.adjustment.cofactors import WHOLE_LIMIT, ReducedCofactors, SummedSystem, cofactors_of_points
 from fg_orient.adjustment.dense import DenseSystem
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.runtime import one_blas_thread
@@ -61,6 +62,10 @@ class Cofactors(Protocol):
         """Joint cofactors of images, then unknown points, in the given order."""
         ...
 
+    def blocks(self, pairs: Index) -> Array:
+        """Joint blocks (B, k, k) of pairs of images (B, 2), row <= column; shorter blocks end with zeros."""
+        ...
+
 
 def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
     """Cofactors from the backend of the solution; Indeterminate if the normal equations are nearly singular."""
@@ -70,12 +75,15 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
     if isinstance(linear, DenseSystem):
         return dense_cofactors(problem, linear.design)
     try:
+        if isinstance(linear, Border):
+            with one_blas_thread():
+                return BorderCofactors(problem, linear)
         if not isinstance(linear, SchurSystem | SummedSystem):
             return GraphCofactors(problem, estimate.state, linear.linear, linear.zero)
         with one_blas_thread():
             return ReducedCofactors(problem, linear)
     except RuntimeError as error:
-        reduced = isinstance(linear, SchurSystem | SummedSystem)
+        reduced = isinstance(linear, SchurSystem | SummedSystem | Border)
         raise Indeterminate(str(error) if reduced else "GTSAM finds the normal equations indeterminate") from error
 
 
@@ -111,6 +119,90 @@ class MatrixCofactors:
         parts += [self.problem.point_slice(j) for j in points if self.problem.active[j]]
         index = np.concatenate([np.arange(part.start, part.stop) for part in parts])
         return np.asarray(self.cofactors[np.ix_(index, index)])
+
+    def blocks(self, pairs: Index) -> Array:
+        """See :class:`Cofactors`."""
+        place, whole = self.problem.columns, np.pad(self.joint(tuple(range(self.problem.n_images)), ()), (0, 1))
+        return np.asarray(whole[place[pairs[:, 0]][:, :, None], place[pairs[:, 1]][:, None, :]])
+
+    def times(self, columns: Array) -> Array:
+        """Cofactors times columns (n, d)."""
+        return np.asarray(self.cofactors @ columns)
+
+
+class BorderCofactors:
+    """Cofactors from the inverse of the border; see :class:`Cofactors`.
+
+    Parameters
+    ----------
+    problem : Problem
+    border : Border
+        At the solution.
+
+    Raises
+    ------
+    RuntimeError
+        The normal equations are too close to singular.
+    """
+
+    def __init__(self, problem: Problem, border: Border) -> None:
+        self.problem, self.border, self._q = problem, border, border.inverse
+        free = np.arange(problem.n_image_unknowns) if problem.ties is None else problem.ties.of
+        self._columns = [free[problem.image_slice(k)] for k in range(problem.n_images)]
+
+    def image(self, k: int) -> Array:
+        """See :class:`Cofactors`."""
+        return np.asarray(self._q[np.ix_(self._columns[k], self._columns[k])])
+
+    def point(self, j: int) -> Array:
+        """See :class:`Cofactors`."""
+        return np.asarray(self.points(np.array([j]))[0])
+
+    def points(self, index: Index) -> Array:
+        """See :class:`Cofactors`."""
+        border = self.border
+        out = cofactors_of_points(border.eliminated, border.state, index, self.blocks)
+        for place in np.flatnonzero(np.isin(index, border.named)).tolist():
+            at = border.columns_of(int(index[place]))
+            out[place] = self._q[np.ix_(at, at)]
+        return out
+
+    def blocks(self, pairs: Index) -> Array:
+        """See :class:`Cofactors`."""
+        widest = max(len(columns) for columns in self._columns)
+        place = np.full((len(self._columns), widest), len(self._q))
+        for row, columns in zip(place, self._columns, strict=True):
+            row[: len(columns)] = columns
+        padded = np.pad(self._q, (0, 1))
+        return np.asarray(padded[place[pairs[:, 0]][:, :, None], place[pairs[:, 1]][:, None, :]])
+
+    def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
+        """See :class:`Cofactors`."""
+        border, unknown = self.border, [j for j in points if self.problem.active[j]]
+        at = np.concatenate([np.zeros(0, np.intp), *(self._columns[k] for k in images)])
+        if not unknown:
+            return np.asarray(self._q[np.ix_(at, at)])
+        n = len(at)
+        effect, own = np.zeros((n + 3 * len(unknown), len(self._q))), np.zeros((n + 3 * len(unknown),) * 2)
+        effect[np.arange(n), at] = 1.0
+        gain, inverse = border.gains(np.array(unknown))
+        effect[n:] = gain.reshape(-1, len(self._q))
+        for a, (j, block) in enumerate(zip(unknown, inverse, strict=True)):
+            for b in np.flatnonzero(np.equal(unknown, j)):
+                own[n + 3 * a : n + 3 * a + 3, n + 3 * b : n + 3 * b + 3] = block
+        out = effect @ self._q @ effect.T + own
+        return np.asarray(0.5 * (out + out.T))
+
+    def times(self, columns: Array) -> Array:
+        """Cofactors times columns (n, d), as in ``Problem.vector``."""
+        problem, d = self.problem, columns.shape[1]
+        w, z = problem.n_image_unknowns, problem.n_free_unknowns
+        right = np.zeros((len(self._q), d))
+        np.add.at(right[:z], np.concatenate(self._columns), columns[:w])
+        ground = np.zeros((len(problem.active), 3, d))
+        ground[problem.active] = columns[w:].reshape(-1, 3, d)
+        image, ground = self.border.times(right, ground)
+        return np.vstack([image[np.concatenate(self._columns)], ground[problem.active].reshape(-1, d)])
 
 
 def dense_cofactors(problem: Problem, design: Array) -> MatrixCofactors:

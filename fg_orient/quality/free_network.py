@@ -13,14 +13,18 @@ unknowns, the trace of their part is least (Koch 1999, 3.3).
 The adjustment uses a minimal datum: d image unknowns, as many as motions, each with one observation, selected by
 pivoting so that the datum is well conditioned. These observations get no residual, so shape and residuals are those of
 the free network, every backend solves regular equations, and no factor connects more variables. (Inner constraints as
-factors would connect all points.) An S-transformation then leads to the requested datum: for the state in steps with
-repeated adjustments, because a motion is not linear, and for the cofactors once.
+factors would connect all points.) The state is moved to the requested datum in steps with repeated adjustments, because
+a motion is not linear. The cofactors are those of the border of the normal equations (``fg_orient.adjustment.border``),
+transformed where they are asked for.
 """
 
 from __future__ import annotations
 
+import contextlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -28,26 +32,34 @@ import numpy.typing as npt
 from scipy.linalg import qr
 
 from factors._contract import Argument, Equation
+from fg_orient.adjustment.border import Border, small_enough
+from fg_orient.adjustment.dense import DenseSystem
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.robust import weighted_problem
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.runtime import one_blas_thread
+from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import InputError, finding
-from fg_orient.quality.covariance import Cofactors, Indeterminate, MatrixCofactors
+from fg_orient.quality.covariance import BorderCofactors, Cofactors, Indeterminate, MatrixCofactors
 from fg_orient.quality.elimination import UNOBSERVABLE, followed_by_ground, reduced_rows, spectrum
 from fg_orient.quality.joint import NamedMatrix
+from fg_orient.quality.structure import analyse_structure
+from fg_orient.quality.weakest import weakest
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
-#: Number of unknowns up to which all cofactors of a free network are formed.
+#: Number of unknowns up to which all cofactors of a free network are formed from those of GTSAM.
 MAX_UNKNOWNS: Final = 3000
 #: A datum is reached when its step is below this, in prior sigmas and metres.
 REACHED: Final = 1e-9
 #: Steps to the datum; convergence is quadratic.
 MAX_STEPS: Final = 10
+#: Gauss-Newton steps after each of them.
+MAX_CORRECTIONS: Final = 50
 _LABEL: Final = "minimal datum"
 
 
@@ -67,18 +79,46 @@ HELD_UNKNOWNS: Final = Equation(
 )  # fmt: skip
 
 
-def null_space(problem: Problem, state: State) -> Array:
-    """Motions (n, d) without effect on the observations: image unknowns in prior sigmas, then unknown points in m.
+@dataclass(frozen=True)
+class Motions:
+    """Motions without effect on the observations.
 
-    Columns are orthonormal in the image unknowns. Extra observations are not included.
+    Parameters
+    ----------
+    whole : (n, d) array
+        Image unknowns in prior sigmas, then unknown points in m; orthonormal in the image unknowns (shared ones once).
+    border : Border or None
+        Border of the normal equations with its null space; None where it does not determine the points.
     """
-    rows = linearised(problem, state)
+
+    whole: Array
+    border: Border | None
+
+
+def motions_of(problem: Problem, state: State, near: Border | None = None) -> Motions:
+    """Motions at a state; the minimal datum is not an observation. ``near``: border at a neighbouring state."""
+    problem = _holding(problem, np.zeros(0, np.intp))
     with one_blas_thread():
-        s, vt = spectrum(reduced_rows(problem, rows))
-    motions = np.asarray(vt[s <= UNOBSERVABLE].T)
-    motions = motions if problem.ties is None else problem.ties.widened(motions)
-    ground = followed_by_ground(problem, rows, motions)[problem.active]
-    return np.vstack([motions, ground.reshape(3 * len(ground), motions.shape[1])])
+        with contextlib.suppress(Singular):
+            if small_enough(problem):
+                border = Border(problem, state) if near is None else near.at(state)
+                start = None if near is None else near.moves
+                moves = weakest(border, UNOBSERVABLE, analyse_structure(problem).n_parts, start).directions
+                border.null = np.linalg.qr(moves / border.scale[:, None])[0]
+                return Motions(_widened(problem, moves, border.follow(moves).ground), border)
+        rows = linearised(problem, state)
+        s, vt = spectrum(reduced_rows(problem, rows, state))
+        moves = np.asarray(vt[s <= UNOBSERVABLE].T)
+        wide = moves if problem.ties is None else problem.ties.widened(moves)
+        return Motions(_widened(problem, moves, followed_by_ground(problem, rows, wide)), None)
+
+
+def _widened(problem: Problem, moves: Array, ground: Array) -> Array:
+    """Motions (n, d) from those of the free image unknowns (z, d), or of the border, and of the points (N, 3, d)."""
+    z = problem.n_free_unknowns
+    wide = moves[:z] if problem.ties is None else problem.ties.widened(moves[:z])
+    own = ground[problem.active]
+    return np.vstack([wide, own.reshape(3 * len(own), moves.shape[1])])
 
 
 def without_priors(block: Block) -> Block:
@@ -86,9 +126,9 @@ def without_priors(block: Block) -> Block:
     return replace(block, options=replace(block.options, priors=False))
 
 
-def with_minimal_datum(problem: Problem) -> Problem:
-    """Hold image unknowns at their start values, as many as motions."""
-    motions = null_space(problem, problem.start)[: problem.n_image_unknowns]
+def with_minimal_datum(problem: Problem, null: Array) -> Problem:
+    """Hold image unknowns at their start values, as many as motions (z, d) of the unknowns, shared ones once."""
+    motions = null if problem.ties is None else problem.ties.widened(null)
     d = motions.shape[1]
     chosen = np.sort(qr(motions.T, mode="r", pivoting=True)[1][:d]) if d else np.zeros(0)
     return _holding(problem, chosen.astype(np.intp))
@@ -137,22 +177,46 @@ def to_inner_datum(
     The problem with its minimal datum at the values of the result; the estimate, not converged if the datum is not
     reached.
     """
-    chosen, first = held_unknowns(problem), estimate
-    reference, at = problem.vector(problem.start), problem
-    datum = datum_points(problem)
+    chosen, reference, state = held_unknowns(problem), problem.vector(problem.start), estimate.state
+    weighted = problem if estimate.weights is None else weighted_problem(problem, estimate.weights)
+    datum, near = datum_points(problem), None
     for _ in range(MAX_STEPS):
-        motions = null_space(problem, estimate.state)
-        step = datum_step(problem.vector(estimate.state) - reference, motions, datum)
-        if not len(chosen) or not estimate.converged or np.abs(step).max() < REACHED:
+        motions = motions_of(weighted, state, near)
+        step = datum_step(problem.vector(state) - reference, motions.whole, datum)
+        if not len(chosen) or not estimate.converged:
             break
-        at = _holding(_undamped(replace(at, start=problem.moved(estimate.state, step))), chosen)
-        estimate = run(at)
+        if np.abs(step).max() < REACHED:
+            state = problem.moved(state, step)
+            break
+        moved = problem.moved(state, step)
+        if motions.border is None:
+            again = run(_holding(_undamped(replace(problem, start=moved)), chosen))
+            state = again.state
+        else:
+            near, state = motions.border, _minimised(motions.border, moved)
     else:
         estimate = replace(estimate, converged=False, end=finding("loop.free_datum"))
-    whole = replace(estimate, log=first.log, iterations=first.iterations, structure_s=first.structure_s,
-                    solve_s=first.solve_s + (estimate.solve_s if estimate is not first else 0.0))  # fmt: skip
-    block = replace(at.block, options=problem.block.options)
-    return replace(at, start=problem.start, block=block), whole
+        motions = motions_of(weighted, state, near)
+    held = _holding(replace(problem, start=state), chosen)
+    if motions.border is None or isinstance(estimate.linear, DenseSystem):
+        estimate = replace(estimate, state=state, linear=run(replace(_undamped(held), start=state)).linear)
+    else:
+        estimate = replace(estimate, state=state, linear=motions.border)
+    return replace(held, start=problem.start), estimate
+
+
+def _minimised(near: Border, state: State) -> State:
+    """State of least cost near a state, by Gauss-Newton steps across the motions; weights are held."""
+    size = math.inf
+    with one_blas_thread():
+        for _ in range(MAX_CORRECTIONS):
+            near = near.at(state)
+            ahead = near.newton()
+            before, size = size, float(np.abs(near.problem.vector(ahead) - near.problem.vector(state)).max())
+            state = ahead
+            if size < REACHED or (before < math.inf and size**2 < REACHED * before):
+                break
+    return state
 
 
 def _undamped(problem: Problem) -> Problem:
@@ -181,15 +245,21 @@ def datum_points(problem: Problem, names: tuple[str, ...] = ()) -> Mask:
 
 
 @dataclass(frozen=True, eq=False)
-class FreeNetwork(MatrixCofactors):
+class FreeNetwork:
     """A free network in one datum, with its cofactors (``fg_orient.quality.covariance.Cofactors``).
+
+    With the size ``A = (E^T D E)^-1 E^T D`` of each motion and the cofactors Q of any datum
+
+        S Q S^T = Q - E (A Q) - (A Q)^T E^T + E (A Q A^T) E^T,
+
+    of which only those elements are formed that are asked for.
 
     Parameters
     ----------
     problem : Problem
         With its minimal datum.
-    cofactors : (n, n) array
-        In prior scale, columns as in ``Problem.vector``.
+    given : MatrixCofactors or BorderCofactors
+        In another datum.
     state : State
     null_space : (n, d) array
         Motions at the state; unknowns of all images in prior sigmas, then of all unknown points in m.
@@ -197,24 +267,78 @@ class FreeNetwork(MatrixCofactors):
         Unknowns of the datum.
     """
 
+    problem: Problem
+    given: MatrixCofactors | BorderCofactors
     state: State
     null_space: Array
     datum: Mask
 
     @classmethod
-    def of(cls, problem: Problem, state: State, minimal: Cofactors) -> FreeNetwork:
-        """Inner constraints on the ground points, from a solution and its cofactors in the minimal datum.
+    def of(cls, problem: Problem, state: State, given: Cofactors) -> FreeNetwork:
+        """Inner constraints on the ground points, from a solution and its cofactors in another datum.
 
-        Indeterminate is raised for more than 3000 unknowns.
+        Indeterminate is raised for more than 3000 unknowns where only GTSAM determines them.
         """
-        if problem.n_unknowns > MAX_UNKNOWNS:
-            raise Indeterminate(
-                f"the free network has {problem.n_unknowns} unknowns; all its cofactors are formed up to {MAX_UNKNOWNS}"
-            )
-        motions, datum = null_space(problem, state), datum_points(problem)
         with one_blas_thread():
-            every = minimal.joint(tuple(range(problem.n_images)), tuple(np.flatnonzero(problem.active).tolist()))
-            return cls(problem, s_transform(every, motions, datum), state, motions, datum)
+            if isinstance(given, BorderCofactors):
+                moves = given.border.moves
+                motions = _widened(problem, moves, given.border.follow(moves).ground)
+            else:
+                motions = motions_of(problem, state).whole
+            if not isinstance(given, MatrixCofactors | BorderCofactors):
+                if problem.n_unknowns > MAX_UNKNOWNS:
+                    raise Indeterminate(f"the free network has {problem.n_unknowns} unknowns that only GTSAM's QR "
+                                        f"determines; all its cofactors are formed up to {MAX_UNKNOWNS}")  # fmt: skip
+                every = given.joint(tuple(range(problem.n_images)), tuple(np.flatnonzero(problem.active).tolist()))
+                given = MatrixCofactors(problem, every)
+            return cls(problem, given, state, motions, datum_points(problem))
+
+    @cached_property
+    def _moved(self) -> tuple[Array, Array, Array]:
+        """``E`` and ``Q A^T`` (n + 1, d), whose last rows are zero, and ``A Q A^T`` (d, d)."""
+        a = _coordinates(self.null_space, self.datum)
+        qa = self.given.times(a.T)
+        return np.pad(self.null_space, ((0, 1), (0, 0))), np.pad(qa, ((0, 1), (0, 0))), a @ qa
+
+    def _in_datum(self, q: Array, rows: Index, columns: Index) -> Array:
+        """Elements Q (..., r, c) in this datum; ``rows`` (..., r), ``columns`` (..., c) of the unknowns, -1: zero."""
+        if not self.datum_defect:
+            return q
+        e, w, aqa = self._moved
+        left, right = e[rows], np.swapaxes(e[columns], -1, -2)
+        return np.asarray(q - left @ np.swapaxes(w[columns], -1, -2) - w[rows] @ right + left @ aqa @ right)
+
+    def image(self, k: int) -> Array:
+        """See :class:`Cofactors`."""
+        return self.joint((k,), ())
+
+    def point(self, j: int) -> Array:
+        """See :class:`Cofactors`."""
+        return self.joint((), (j,)) if self.problem.active[j] else np.zeros((3, 3))
+
+    def points(self, index: Index) -> Array:
+        """See :class:`Cofactors`."""
+        at = np.where(self.problem.active[index], self.problem.point_columns[index], -1)
+        at = np.where(at[:, None] < 0, -1, at[:, None] + np.arange(3))
+        return self._in_datum(self.given.points(index), at, at)
+
+    def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
+        """See :class:`Cofactors`."""
+        parts = [self.problem.image_slice(k) for k in images]
+        parts += [self.problem.point_slice(j) for j in points if self.problem.active[j]]
+        index = np.concatenate([np.arange(part.start, part.stop) for part in parts])
+        return self._in_datum(self.given.joint(images, points), index, index)
+
+    def blocks(self, pairs: Index) -> Array:
+        """See :class:`Cofactors`."""
+        place = np.where(self.problem.columns < self.problem.n_image_unknowns, self.problem.columns, -1)
+        return self._in_datum(self.given.blocks(pairs), place[pairs[:, 0]], place[pairs[:, 1]])
+
+    @cached_property
+    def cofactors(self) -> Array:
+        """Cofactors (n, n) of all unknowns, columns as in ``Problem.vector``."""
+        every = tuple(np.flatnonzero(self.problem.active).tolist())
+        return self.joint(tuple(range(self.problem.n_images)), every)
 
     @property
     def datum_defect(self) -> int:
@@ -230,8 +354,7 @@ class FreeNetwork(MatrixCofactors):
         problem, datum = self.problem, datum_points(self.problem, names)
         difference = problem.vector(self.state) - problem.vector(problem.start)
         state = problem.moved(self.state, datum_step(difference, self.null_space, datum))
-        q = s_transform(self.cofactors, self.null_space, datum)
-        return FreeNetwork(problem, q, state, self.null_space, datum)
+        return FreeNetwork(problem, self.given, state, self.null_space, datum)
 
     def cofactor_matrix(self) -> NamedMatrix:
         """Cofactors of all unknowns in physical units: m, m/s, rad, px for images, m for points."""
@@ -248,31 +371,6 @@ class FreeNetwork(MatrixCofactors):
 
 #: Maximum condition of the motions, restricted to the unknowns of a datum that fixes them.
 FIXES: Final = 1e8
-
-
-def s_transform(cofactors: Array, null_space: Array, select: Mask) -> Array:
-    """Cofactors ``S Q S^T`` (n, n) in the datum of some unknowns.
-
-    Parameters
-    ----------
-    cofactors : (n, n) array
-        In any datum: of a minimally constrained adjustment, or of another choice of inner constraints.
-    null_space : (n, d) array
-        Free motions, any basis.
-    select : (n,) bool array
-        Unknowns of the datum.
-
-    Raises
-    ------
-    InputError
-        These unknowns do not fix all motions.
-    """
-    # Q - E (A Q) - (A Q)^T E^T + E (A Q A^T) E^T: cheaper than two products with S
-    a = _coordinates(null_space, select)
-    aq = a @ cofactors
-    moved = null_space @ aq
-    out = cofactors - moved - moved.T + null_space @ (aq @ a.T) @ null_space.T
-    return np.asarray(0.5 * (out + out.T))
 
 
 def datum_step(difference: Array, null_space: Array, select: Mask) -> Array:

@@ -12,6 +12,7 @@ if its share in such directions is at least :data:`HELD`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -26,6 +27,8 @@ from fg_orient.sensors.frame import NAVIGATION
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
+
+Effect = Callable[[Array, Array], Array]
 
 #: Images follow a motion if less than this share of its effect on their image coordinates remains.
 FOLLOWED: Final = 0.1
@@ -126,10 +129,10 @@ class _Part:
                 whole.append(b)
         return cls(images, mine, points, control, axes, middle, shift, moves, np.vstack(left), np.vstack(whole))
 
-    def effect(self, problem: Problem, rows: Rows, reduced: Array | None) -> Array:
+    def effect(self, problem: Problem, rows: Rows, effect_of: Effect | None) -> Array:
         """Effect (q, 7) of each motion on the observations, in sigmas."""
-        if reduced is not None:
-            return np.asarray(reduced @ _free(problem, self.moves))
+        if effect_of is not None:
+            return effect_of(_free(problem, self.moves), self.shift)
         observed = self.control[problem.observed[self.control]]
         w = problem.control_weights(observed)
         at_control = np.einsum("nij,njd->nid", w, self.shift[observed]).reshape(-1, 7)
@@ -172,7 +175,7 @@ def _free(problem: Problem, wide: Array) -> Array:
     return wide if problem.ties is None else np.asarray(wide[problem.ties.place])
 
 
-def free_motions(problem: Problem, rows: Rows, reduced: Array | None, images: Index) -> FreeMotions:
+def free_motions(problem: Problem, rows: Rows, effect_of: Effect | None, images: Index) -> FreeMotions:
     """Motions of a part of the block that its observations do not fix.
 
     Without control points a followed motion by 10 m is free if it changes the residuals by less than their sigma (root
@@ -184,8 +187,9 @@ def free_motions(problem: Problem, rows: Rows, reduced: Array | None, images: In
     problem : Problem
     rows : Rows
         At the start.
-    reduced : (q, z) array or None
-        Rows of all images with the ground points eliminated; None: the points take part in a motion as they are.
+    effect_of : callable or None
+        Effect (q, d) on all observations of movements of the images (z, d), shared unknowns once, and of named points
+        (N, 3, d); the other points follow. None: the points take part in a motion as they are.
     images : int array
         The images of the part.
     """
@@ -193,7 +197,7 @@ def free_motions(problem: Problem, rows: Rows, reduced: Array | None, images: In
     ids = tuple(problem.block.images[k].id for k in images)
     control = tuple(problem.block.points.ids[j] for j in part.control)
     names: list[tuple[str, Array]] = []
-    effect = part.effect(problem, rows, reduced)
+    effect = part.effect(problem, rows, effect_of)
     if len(part.points):
         size = np.asarray(np.linalg.qr(part.shift[part.points].reshape(-1, 7), mode="r"))
         followed = _weakest(part.left, part.whole, FOLLOWED)

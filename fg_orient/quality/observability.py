@@ -16,20 +16,24 @@ directions of the block with its motions (``fg_orient.quality.motions``).
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.adjustment.border import Border, small_enough
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
+from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.model.errors import Finding, finding
 from fg_orient.model.parameters import ImageParameters
 from fg_orient.quality.elimination import UNOBSERVABLE, reduced_rows, spectrum
-from fg_orient.quality.motions import SHIFT_M, FreeMotions, free_motions, held_on_board, without
+from fg_orient.quality.motions import SHIFT_M, Effect, FreeMotions, free_motions, held_on_board, without
 from fg_orient.quality.structure import Structure, analyse_structure, named
+from fg_orient.quality.weakest import Weakest, weakest
 from fg_orient.sensors.base import ImageModel
 
 Array = npt.NDArray[np.float64]
@@ -195,7 +199,7 @@ class BlockObservability:
     Parameters
     ----------
     singular_values : (u,) array, descending
-        u unknowns of all images, shared ones once; empty for a block that is too large.
+        u unknowns of all images, shared ones once; empty for a large block.
     sentences : tuple of str
         One per unobservable direction: motions of the block by name, others by their largest components.
     weak : int
@@ -210,6 +214,8 @@ class BlockObservability:
         Number of unobservable directions that are not motions of the block.
     on_board : tuple of str
         One per shift, drift, lever arm or boresight of the navigation that the priors hold.
+    null : (z, d) array or None
+        Unobservable directions of the unknowns of all images (shared ones once); None where they were not computed.
     """
 
     singular_values: Array
@@ -220,6 +226,7 @@ class BlockObservability:
     structure: Structure
     unexplained: int = 0
     on_board: tuple[str, ...] = ()
+    null: Array | None = None
 
     @property
     def counts(self) -> dict[str, int] | None:
@@ -280,10 +287,19 @@ def affordable(problem: Problem) -> bool:
     return 2.0 * len(problem.observations) * problem.n_image_unknowns**2 <= WORK_LIMIT
 
 
+def _least(problem: Problem, parts: int) -> Weakest | None:
+    """Weakest directions at the start; None where the border of the normal equations does not determine the points."""
+    with contextlib.suppress(Singular):
+        if small_enough(problem):
+            return weakest(Border(problem, problem.start), WEAK_WITHOUT_PRIORS, parts)
+    return None
+
+
 def analyse_block(problem: Problem, structure: Structure | None = None, *, whole: bool = True) -> BlockObservability:
     """Analyse the block without priors, with the unknown ground points eliminated.
 
-    Extra observations are included up to 2000 unknowns; in larger blocks they count in the structure only.
+    Large blocks are analysed by the border of their normal equations (``fg_orient.quality.weakest``), without the
+    singular values of well-determined directions.
 
     Parameters
     ----------
@@ -295,12 +311,29 @@ def analyse_block(problem: Problem, structure: Structure | None = None, *, whole
     """
     structure = structure or analyse_structure(problem)
     rows = linearised(problem, problem.start)
-    extra = bool(problem.block.extra) and problem.n_unknowns <= MAX_UNKNOWNS
-    reduced = reduced_rows(problem, rows, problem.start if extra else None) if whole else None
+    extra = bool(problem.block.extra)
+    quick = whole and not (affordable(problem) and not (extra and problem.n_unknowns > MAX_UNKNOWNS))
+    least = _least(problem, structure.n_parts) if quick else None
+    reduced = None
+    effect_of: Effect | None = None if least is None else least.border.effect_of
+    if whole and least is None:
+        extra = extra and problem.n_unknowns <= MAX_UNKNOWNS
+        reduced = reduced_rows(problem, rows, problem.start if extra else None)
+
+        def effect(moves: Array, ground: Array) -> Array:
+            return np.asarray(reduced @ moves)
+
+        effect_of = effect
     parts = [np.flatnonzero(structure.part == p) for p in range(structure.n_parts)]
-    motions = tuple(m for m in (free_motions(problem, rows, reduced, p) for p in parts) if len(m))
+    motions = tuple(m for m in (free_motions(problem, rows, effect_of, p) for p in parts) if len(m))
     texts = [_motion_sentences(m, problem, alone=structure.n_parts == 1) for m in motions]
     datum = tuple(text for part in texts for text in part)
+    if least is not None:
+        dead = least.values <= UNOBSERVABLE
+        null = least.directions[: problem.n_free_unknowns, dead]
+        sentences, unexplained = _unobservable_sentences(problem, null, motions, texts)
+        weak = int((~dead).sum())
+        return BlockObservability(np.zeros(0), sentences, weak, datum, motions, structure, unexplained, null=null)
     if reduced is None:
         return BlockObservability(np.zeros(0), (), 0, datum, motions, structure)
     s, vt = spectrum(reduced)
@@ -308,7 +341,7 @@ def analyse_block(problem: Problem, structure: Structure | None = None, *, whole
     sentences, unexplained = _unobservable_sentences(problem, vt[dead].T, motions, texts)
     weak = int(((s < WEAK_WITHOUT_PRIORS) & ~dead).sum())
     on_board = held_on_board(problem, s, vt, DETERMINED)
-    return BlockObservability(s, sentences, weak, datum, motions, structure, unexplained, on_board)
+    return BlockObservability(s, sentences, weak, datum, motions, structure, unexplained, on_board, vt[dead].T)
 
 
 def _unobservable_sentences(

@@ -235,7 +235,11 @@ def test_images_that_do_not_follow_have_no_motion() -> None:
 
     problem = compile_problem(options(with_control(rpc("shift"), ()), datum="priors"))
     rows = linearised(problem, problem.start)
-    rest = reduced_rows(problem, rows)
+    reduced = reduced_rows(problem, rows)
+
+    def rest(moves: np.ndarray, _: np.ndarray) -> np.ndarray:
+        return np.asarray(reduced @ moves)
+
     assert len(free_motions(problem, rows, rest, np.arange(2))) == 3
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "FOLLOWED", np.inf)

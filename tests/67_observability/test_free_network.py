@@ -15,10 +15,12 @@ from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.model.names import Role
 from fg_orient.orientation.solution import Solution
-from fg_orient.quality.free_network import datum_step, null_space, s_transform, with_minimal_datum
+from fg_orient.quality.covariance import MatrixCofactors
+from fg_orient.quality.free_network import FreeNetwork, datum_step
 from fg_orient.quality.residuals import ResidualCofactors
 from tests.support.degenerate_blocks import options, pinhole, pushbroom, rpc, two_pinhole_blocks, with_control
 from tests.support.full_statistics import Full, stepped
+from tests.support.pinhole import pinhole_block
 
 
 @cache
@@ -154,6 +156,12 @@ def minimal(solution: Solution, held: np.ndarray) -> np.ndarray:
     return q
 
 
+def transformed(solution: Solution, q: np.ndarray, select: np.ndarray) -> np.ndarray:
+    """Cofactors (n, n) in the datum of some unknowns, from those of any other datum."""
+    problem, motions = solution.problem, solution.in_datum().null_space
+    return FreeNetwork(problem, MatrixCofactors(problem, q), solution.state, motions, select).cofactors
+
+
 @pytest.mark.oracle
 def test_s_transformation_equals_adjusting_with_that_datum() -> None:
     """Seven coordinates of three points held exactly, by numpy, against the transformation of inner constraints."""
@@ -162,12 +170,12 @@ def test_s_transformation_equals_adjusting_with_that_datum() -> None:
     held = first + np.array([0, 1, 2, 3 * 9, 3 * 9 + 1, 3 * 9 + 2, 3 * 20 + 2])
     select = np.isin(np.arange(len(network.cofactors)), held)
     expected = minimal(solution, held)
-    found = s_transform(network.cofactors, network.null_space, select)
+    found = transformed(solution, network.cofactors, select)
     free = ~select
     assert scaled((found - expected)[np.ix_(free, free)], expected[np.ix_(free, free)]) < 1e-7
     assert np.abs(found[select]).max() < 1e-10 * np.abs(found).max(), "what carries it has no variance"
     # and back, from the one that was adjusted so
-    again = s_transform(expected, network.null_space, network.datum)
+    again = transformed(solution, expected, network.datum)
     assert scaled(again - network.cofactors, network.cofactors) < 1e-7
     unit = np.eye(len(network.cofactors))
     s = unit + datum_step(unit, network.null_space, select)
@@ -340,22 +348,13 @@ def test_simulated_errors_have_these_cofactors() -> None:
     assert np.einsum("ni,ij,nj->n", 2.0 * errors, inverse, 2.0 * errors).mean() > high
 
 
-@pytest.mark.behaviour
-def test_large_networks_have_no_covariance_but_a_shape(monkeypatch: pytest.MonkeyPatch) -> None:
-    from fg_orient.quality import free_network
-
-    monkeypatch.setattr(free_network, "MAX_UNKNOWNS", 50)
-    solution = fg.adjust(pinhole(), datum="inner")
-    assert solution.status is fg.Status.CONVERGED and solution.cofactors is None
-    assert "111 unknowns" in str(solution.unavailable[0])
-    assert solution.chi2 == pytest.approx(solved("graph").chi2, rel=1e-12)
-
-
-@pytest.mark.behaviour
+@pytest.mark.oracle
 def test_minimal_datum_holds_as_many_unknowns_as_there_are_motions() -> None:
-    problem = compile_problem(options(pinhole(), datum="inner", priors=False))
-    held = with_minimal_datum(problem)
-    assert sum(e.n_residuals for e in held.block.extra) == null_space(problem, problem.start).shape[1] == 7
+    """The rank defect of numpy's Jacobian is the number of held unknowns; with them it is regular."""
+    held = solved("graph").problem
+    free = assemble(replace(held, block=replace(held.block, extra=())), held.start)[1]
+    s = np.linalg.svd(free / np.linalg.norm(free, axis=0), compute_uv=False)
+    assert sum(e.n_residuals for e in held.block.extra) == np.count_nonzero(s < 1e-12 * s[0]) == 7
     design = assemble(held, held.start)[1]
     assert np.linalg.cond(design / np.linalg.norm(design, axis=0)) < 1e6
     assert Role.CONTROL not in held.block.points.roles
@@ -372,3 +371,23 @@ def test_control_that_holds_the_datum_is_said(priors: bool) -> None:
     assert ("switched off" in told[0]) is priors
     free = solved("dense")
     assert not [w for w in free.warnings if "nothing to do" in w]
+
+
+@pytest.mark.oracle
+def test_network_with_many_images_has_the_cofactors_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twelve images, 200 points: unobservable directions and cofactors of the border against numpy's SVD of J."""
+    monkeypatch.setattr("fg_orient.quality.observability.WORK_LIMIT", 0.0)
+    block, _ = pinhole_block(12, 200, views=5, seed=4)
+    solution = fg.adjust(block, datum="inner")
+    assert solution.status is fg.Status.CONVERGED and solution.block_view.n_free_motions == 7
+    assert solution.block_view.counts is None and solution.block_view.null.shape == (108, 7)
+    _, design = jacobian(solution)
+    assert np.linalg.matrix_rank(design / np.linalg.norm(design, axis=0), 1e-10) == design.shape[1] - 7
+    q = with_datum(design, np.arange(design.shape[1]) >= 108)
+    assert scaled(solution.in_datum().cofactors - q, q) < 1e-8
+    points = np.array([q[k : k + 3, k : k + 3] for k in range(108, len(q), 3)])
+    found = solution.cofactors.points(np.arange(200))
+    assert np.abs(found - points).max() < 1e-8 * np.abs(points).max()
+    expected = 1.0 - np.einsum("ni,ij,nj->n", design, q, design)
+    redundancy = ResidualCofactors(solution.problem, solution.state, solution.cofactors)
+    assert np.einsum("nii->ni", redundancy.image).ravel() == pytest.approx(expected, abs=1e-7)

@@ -1,0 +1,328 @@
+"""Normal equations reduced to a border: the image unknowns, and the ground points that extra observations name.
+
+All other ground points are eliminated, each by itself (``fg_orient.adjustment.schur``). With the rows B, G of a point
+to the border and to the point, H = G^T G and K = H^-1 G^T B
+
+    S = sum (B^T B - B^T G K) + extra observations + priors,    x_p = H^-1 g_p - K x_b
+
+The border of a free network is singular. With a basis U of its null space, orthonormal in the unknowns scaled to a unit
+diagonal of S, ``(S + U U^T)^-1 - U U^T`` is its pseudo-inverse in this scale (Koch 1999, 1.59). No unknown is held, so
+that the condition is that of the network itself, whatever its datum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import lapack
+
+from fg_orient.adjustment.cofactors import Part, parts_of
+from fg_orient.adjustment.dense import extra_blocks
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.rows import linearised
+from fg_orient.adjustment.schur import SchurBackend
+from fg_orient.adjustment.schur_reduced import CONDITION_LIMIT, FULL_LIMIT, Singular, full_matrix, inverse_norm
+from fg_orient.model.block import ExtraObservation
+
+if TYPE_CHECKING:
+    from scipy import sparse
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
+
+#: Image points whose Jacobians are kept; of larger blocks they are computed at each use.
+KEPT: Final = 100_000
+
+
+def divided(problem: Problem) -> tuple[Problem, Problem | None]:
+    """Problem of the points to eliminate, and that of the named points with all extra observations.
+
+    The second is None where no extra observation names a point; the first then has all extra observations.
+    """
+    points = problem.named_points()
+    if not points:
+        return problem, None
+    named = np.zeros(len(problem.active), bool)
+    named[points] = True
+    ray = named[problem.observations.point]
+    return _part(problem, ~ray, ~named, ()), _part(problem, ray, named, problem.block.extra)
+
+
+def _part(problem: Problem, rays: Mask, points: Mask, extra: tuple[ExtraObservation, ...]) -> Problem:
+    """Problem with some of the image points, ground points and extra observations; the images stay."""
+    return replace(
+        problem, block=replace(problem.block, extra=extra), observations=problem.observations.take(rays),
+        records=problem.records[rays], active=problem.active & points, observed=problem.observed & points,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Movements (b, d) of the border with the ground points that follow them best.
+
+    Parameters
+    ----------
+    ground : (N, 3, d) array
+        Movements of the ground points, m.
+    effect : (q, d) array
+        Effect on all observations, whitened, compressed by QR: its singular values are those of all rows.
+    gradient : (b, d) array
+        ``S`` times the movements, from the rows: not squared.
+    """
+
+    ground: Array
+    effect: Array
+    gradient: Array
+
+
+class Border:
+    """The border of a problem, linearised at a state.
+
+    Its unknowns are those of the images (shared ones once, prior sigmas), then three of each named ground point (m).
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State
+    near : Border, optional
+        Of the same problem at another state, which gives the arrays that do not change.
+
+    Raises
+    ------
+    Singular
+        A ground point that is not named is not determined by its rays.
+    """
+
+    def __init__(self, problem: Problem, state: State, near: Border | None = None) -> None:
+        self.problem, self.state, self.named = problem, state, problem.named_points()
+        if near is None:
+            plain = replace(problem.block.options, priors=False, datum="control")  # the border adds priors itself
+            own, _ = divided(replace(problem, block=replace(problem.block, options=plain)))
+            self._backend = SchurBackend(replace(own, block=replace(own.block, extra=())))
+        else:
+            self._backend = near._backend
+        #: Problem of the eliminated points.
+        self.eliminated = self._backend.problem
+        #: Basis U (b, d) of the null space of a free network, in scaled unknowns.
+        self.null: Array | None = None
+        self._kept: list[Part] = []
+        self._system = self._backend.linearise(state)
+        self.matrix, self.gradient = self._normal()
+        diagonal = np.diag(self.matrix)
+        if not (diagonal > 0.0).all():
+            raise Singular("an unknown of an image is in no observation")
+        #: Units (b,) of the scaled unknowns.
+        self.scale = 1.0 / np.sqrt(diagonal)
+
+    def __len__(self) -> int:
+        return self.problem.n_free_unknowns + 3 * len(self.named)
+
+    @property
+    def moves(self) -> Array:
+        """Motions (b, d) without effect on the observations."""
+        return np.zeros((len(self), 0)) if self.null is None else self.null * self.scale[:, None]
+
+    @property
+    def n_images(self) -> int:
+        """Number of unknowns of images."""
+        return self.problem.n_free_unknowns
+
+    def _normal(self) -> tuple[Array, Array]:
+        """S (b, b), and the gradient (b,) with the points at the intersection of their rays."""
+        z, blocks_gradient = self.n_images, self._system.partial(0.0)
+        out, gradient = np.zeros((len(self), len(self))), np.zeros(len(self))
+        pattern = self._system.structure.pattern
+        out[:z, :z] = full_matrix(pattern, self.problem.first, blocks_gradient[0], self.problem.ties)
+        gradient[:z] = blocks_gradient[1]
+        for columns, value, design in self._explicit_rows():
+            np.add.at(out, (columns[:, None], columns[None]), design.T @ design)
+            np.add.at(gradient, columns, design.T @ value)
+        if self.problem.block.options.priors:
+            out[np.arange(z), np.arange(z)] += 1.0
+            gradient[:z] += self.problem.image_vector(self.state)
+        return out, gradient
+
+    def _explicit_rows(self) -> Iterator[tuple[Index, Array, Array]]:
+        """Rows of named points and of extra observations: columns (c,), residuals (r,), Jacobian (r, c), whitened.
+
+        Columns may occur twice.
+        """
+        problem, state, z = self.problem, self.state, self.n_images
+        free, place = self._free_columns, {j: z + 3 * k for k, j in enumerate(self.named)}
+        if self.named:
+            o = problem.observations
+            rays = np.flatnonzero(np.isin(o.point, self.named))
+            for row, value, by_image, by_point in zip(rays.tolist(), *linearised(problem, state, rays), strict=True):
+                k, j = int(o.image[row]), int(o.point[row])
+                size = len(problem.parameters[k])
+                own = free[problem.first[k] : problem.first[k] + size]
+                yield np.append(own, place[j] + np.arange(3)), value, np.hstack([by_image[:, :size], by_point])
+            for j in (j for j in self.named if problem.observed[j]):
+                yield place[j] + np.arange(3), problem.control_residuals(state, j), problem.control_weights(j)
+        for extra in problem.block.extra:
+            value, blocks = extra_blocks(problem, extra, state, jacobian=True)
+            at = [
+                free[problem.image_slice(a.index)] if a.is_image else place[a.index] + np.arange(3) for a, _ in blocks
+            ]
+            yield np.concatenate(at).astype(np.intp), value, np.hstack([block for _, block in blocks])
+
+    def columns_of(self, j: int) -> Index:
+        """Columns (3,) of a named point."""
+        return self.n_images + 3 * self.named.index(j) + np.arange(3)
+
+    def gains(self, points: Index) -> tuple[Array, Array]:
+        """``-K`` (n, 3, b) and H^-1 (n, 3, 3) of ground points; for a named point its columns and zero."""
+        gain, inverse = np.zeros((len(points), 3, len(self))), np.zeros((len(points), 3, 3))
+        for place in np.flatnonzero(np.isin(points, self.named)).tolist():
+            gain[place, :, self.columns_of(int(points[place]))] = np.eye(3)
+        eliminated = np.setdiff1d(points, self.named)
+        for part, design in self._with_rows(parts_of(self.eliminated, self.state, eliminated)):
+            slope = np.einsum("nri,nrb->nib", part.d_ground, design.toarray().reshape(-1, 2, len(self)))
+            mine = -(part.inverse @ np.add.reduceat(slope, part.first[:-1]))
+            at = np.searchsorted(part.points, points)
+            for place in np.flatnonzero(np.isin(points, part.points)).tolist():
+                gain[place], inverse[place] = mine[at[place]], part.inverse[at[place]]
+        return gain, inverse
+
+    @cached_property
+    def _free_columns(self) -> Index:
+        """Column (w,) of each unknown of all images."""
+        ties = self.problem.ties
+        return np.arange(self.problem.n_image_unknowns) if ties is None else ties.of
+
+    def parts(self) -> Iterator[tuple[Part, sparse.csr_array]]:
+        """Eliminated points with all their rays, and the rows (2n, b) of these to the border."""
+        kept = len(self.eliminated.observations) <= KEPT
+        if kept and not self._kept:
+            self._kept = list(parts_of(self.eliminated, self.state))
+        return self._with_rows(iter(self._kept) if kept else parts_of(self.eliminated, self.state))
+
+    def _with_rows(self, parts: Iterator[Part]) -> Iterator[tuple[Part, sparse.csr_array]]:
+        """Parts with their rows to the border."""
+        from scipy import sparse
+
+        columns = np.append(self._free_columns, len(self))[np.minimum(self.problem.columns, len(self._free_columns))]
+        for part in parts:
+            n, _, k = part.d_image.shape
+            at = np.repeat(columns[part.image], 2, axis=0).ravel()
+            begin = np.arange(0, 2 * n * k + 1, k)
+            wide = sparse.csr_array((part.d_image.reshape(-1), at, begin), shape=(2 * n, len(self) + 1))
+            yield part, wide[:, : len(self)]
+
+    def follow(self, moves: Array) -> Followed:
+        """Movements (b, d) of the border, followed by the eliminated points so that the observations change least."""
+        d = moves.shape[1]
+        ground, gradient, rows = np.zeros((len(self.problem.active), 3, d)), np.zeros(moves.shape), [np.zeros((0, d))]
+        for part, design in self.parts():
+            seen = np.asarray(design @ moves).reshape(len(part.rows), 2, d)
+            slope = np.add.reduceat(np.einsum("nri,nrd->nid", part.d_ground, seen), part.first[:-1])
+            step = -(part.inverse @ slope)
+            ground[part.points] = step
+            left = seen + part.d_ground @ np.repeat(step, np.diff(part.first), axis=0)
+            flat = left.reshape(2 * len(left), d)
+            gradient += np.asarray(design.T @ flat)
+            control = np.flatnonzero(self.eliminated.observed[part.points])
+            held = self.eliminated.control_weights(part.points[control]) @ step[control]
+            rows.append(_triangle(np.vstack([flat, held.reshape(3 * len(held), d)])))
+        for columns, _, jacobian in self._explicit_rows():
+            own = jacobian @ moves[columns]
+            np.add.at(gradient, columns, jacobian.T @ own)
+            rows.append(own)
+        if self.named:
+            ground[self.named] = moves[self.n_images :].reshape(len(self.named), 3, d)
+        if self.problem.block.options.priors:
+            gradient[: self.n_images] += moves[: self.n_images]
+            rows.append(moves[: self.n_images])
+        return Followed(ground, _triangle(np.vstack(rows)), gradient)
+
+    def effect_of(self, images: Array, ground: Array) -> Array:
+        """Effect (q, d) of movements of the images (z, d) and of the named ones of the points (N, 3, d)."""
+        return self.follow(np.vstack([images, ground[self.named].reshape(-1, images.shape[1])])).effect
+
+    # --- solution ---------------------------------------------------------------------------------
+
+    @cached_property
+    def _factor(self) -> tuple[Any, float]:
+        """Cholesky factor of the scaled matrix with the null space added, and its 1-norm."""
+        s = self.matrix * np.outer(self.scale, self.scale)
+        if self.null is not None:
+            s += self.null @ self.null.T
+        norm = float(np.abs(s).sum(axis=0).max())
+        factor, info = lapack.dpotrf(s.T, lower=1, clean=0, overwrite_a=1)
+        if info != 0:
+            raise Singular("the reduced normal equations are not positive definite")
+        return factor, norm
+
+    def condition(self) -> float:
+        """Condition number of the scaled matrix in the 1-norm, without the null space of a free network."""
+        factor, norm = self._factor
+        return norm * inverse_norm(lambda right: np.asarray(lapack.dpotrs(factor, right, lower=1)[0]), len(self))
+
+    @cached_property
+    def inverse(self) -> Array:
+        """Cofactors (b, b) of the border; of a free network the pseudo-inverse in scaled unknowns.
+
+        Singular: the condition is too large.
+        """
+        if not self.condition() < CONDITION_LIMIT:
+            raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
+        half = np.tril(lapack.dpotri(self._factor[0], lower=1)[0])
+        out = half + np.tril(half, -1).T
+        if self.null is not None:
+            out -= self.null @ self.null.T
+        return np.asarray(out * np.outer(self.scale, self.scale))
+
+    def times(self, border: Array, ground: Array) -> tuple[Array, Array]:
+        """Cofactors of all unknowns times columns (b, d) and (N, 3, d): the same shapes."""
+        right, own = border.copy(), np.zeros(ground.shape)
+        if self.named:
+            right[self.n_images :] += ground[self.named].reshape(-1, ground.shape[2])
+        for part, design in self.parts():
+            own[part.points] = part.inverse @ ground[part.points]
+            along = part.d_ground @ np.repeat(own[part.points], np.diff(part.first), axis=0)
+            right -= np.asarray(design.T @ along.reshape(-1, ground.shape[2]))
+        solved = self.inverse @ right
+        return solved, own + self._following(solved)
+
+    def at(self, state: State) -> Border:
+        """Border of the same problem at another state, with the motions here as its own."""
+        out = Border(self.problem, state, self)
+        out.null = np.linalg.qr(self.moves / out.scale[:, None])[0]
+        return out
+
+    def newton(self) -> State:
+        """State after a Gauss-Newton step."""
+        step, s = -(self.inverse @ self.gradient), self._system.structure
+        moved = self._system.substitute(step[: self.n_images], 0.0)
+        ground = self.state.ground.copy()
+        ground[s.number] += moved.ground
+        if self.named:
+            ground[self.named] += step[self.n_images :].reshape(-1, 3)
+        return State(self.state.image + self.problem.image_matrix(step[: self.n_images]), ground)
+
+    def _following(self, border: Array) -> Array:
+        """Movements (N, 3, d) of the ground points with movements (b, d) of the border, observations without change."""
+        out = np.zeros((len(self.problem.active), 3, border.shape[1]))
+        for part, design in self.parts():
+            seen = np.asarray(design @ border).reshape(-1, 2, border.shape[1])
+            slope = np.add.reduceat(np.einsum("nri,nrd->nid", part.d_ground, seen), part.first[:-1])
+            out[part.points] = -(part.inverse @ slope)
+        if self.named:
+            out[self.named] = border[self.n_images :].reshape(-1, 3, border.shape[1])
+        return out
+
+
+def _triangle(rows: Array) -> Array:
+    """R of rows (n, d) by QR; the rows themselves if there are not more than columns."""
+    return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
+
+
+def small_enough(problem: Problem) -> bool:
+    """Whether the matrix of the border is formed as a whole."""
+    return problem.n_free_unknowns + 3 * len(problem.named_points()) <= FULL_LIMIT

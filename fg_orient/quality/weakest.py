@@ -1,0 +1,104 @@
+"""Directions of a block that its observations determine least, from the border of the normal equations.
+
+Inverse iteration with the border finds the space of the weakest directions. Their singular values and the directions in
+this space come from the rows themselves, so that nothing is squared: values down to 1e-12 of the largest are accurate.
+This takes a small part of the time of a decomposition of all rows (``fg_orient.quality.elimination``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import lapack, qr, solve_triangular
+
+from fg_orient.adjustment.border import Border
+from fg_orient.adjustment.schur_reduced import Singular
+
+Array = npt.NDArray[np.float64]
+
+#: Added to the diagonal of the scaled matrix: above its rounding, far below the eigenvalues of weak directions.
+SHIFT: Final = 1e-11
+#: Directions at first, beyond the seven of each part; steps of the inverse iteration, and of the correction by rows.
+BESIDE: Final = 9
+STEPS: Final = 3
+CORRECTIONS: Final = 2
+
+
+@dataclass(frozen=True)
+class Weakest:
+    """Weakest directions of a block.
+
+    Parameters
+    ----------
+    border : Border
+    values : (d,) array
+        Singular values, ascending: length of the whitened residuals per unit of the image unknowns in prior sigmas.
+    directions : (b, d) array
+        Of the border; orthonormal in the image unknowns.
+    """
+
+    border: Border
+    values: Array
+    directions: Array
+
+
+def weakest(border: Border, limit: float, parts: int = 1, start: Array | None = None) -> Weakest:
+    """Directions with a singular value below a limit.
+
+    Parameters
+    ----------
+    border : Border
+    limit : float
+    parts : int
+        Parts of the block, each with seven motions at most.
+    start : (b, d) array, optional
+        Directions at a neighbouring state: they are corrected only, and no others are looked for.
+
+    Raises
+    ------
+    Singular
+        Rounding has left no positive definite matrix.
+    """
+    n, count = len(border), 7 * parts + BESIDE
+    scaled = border.matrix * np.outer(border.scale, border.scale)
+    scaled[np.arange(n), np.arange(n)] += SHIFT
+    factor, info = lapack.dpotrf(scaled, lower=1, clean=0, overwrite_a=1)
+    if info != 0:
+        raise Singular("the reduced normal equations are not positive semidefinite")
+
+    def solved(right: Array) -> Array:
+        return np.asarray(lapack.dpotrs(factor, right, lower=1)[0])
+
+    def corrected(directions: Array) -> tuple[Array, Array]:
+        gradient = border.follow(directions).gradient * border.scale[:, None]
+        return _by_rows(border, directions - solved(gradient) * border.scale[:, None])
+
+    if start is not None:
+        return Weakest(border, *corrected(corrected(start)[1]))
+    while True:
+        count = min(count, border.n_images)
+        space = np.random.default_rng(0).standard_normal((n, count))
+        for _ in range(STEPS):
+            space = np.asarray(qr(solved(space), mode="economic")[0], float)
+        s, directions = _by_rows(border, space * border.scale[:, None])
+        for _ in range(CORRECTIONS):
+            s, directions = corrected(directions)
+        below = s < limit
+        if not below.all() or count == border.n_images:
+            return Weakest(border, s[below], directions[:, below])
+        count *= 2
+
+
+def _by_rows(border: Border, space: Array) -> tuple[Array, Array]:
+    """Singular values, ascending, and directions of a space (b, d) of movements, from all rows."""
+    z = border.n_images
+    r = np.linalg.qr(space[:z], mode="r")
+    own = np.asarray(solve_triangular(r, space.T, trans="T").T)
+    effect = border.follow(own).effect
+    _, s, vt = np.linalg.svd(effect, full_matrices=len(effect) < effect.shape[1])
+    s = np.append(s, np.zeros(effect.shape[1] - len(s)))
+    order = np.argsort(s)
+    return s[order], own @ vt.T[:, order]
