@@ -154,7 +154,7 @@ class Border:
         Columns may occur twice.
         """
         problem, state, z = self.problem, self.state, self.n_images
-        free, place = self._free_columns, {j: z + 3 * k for k, j in enumerate(self.named)}
+        free, place = self.free_columns, {j: z + 3 * k for k, j in enumerate(self.named)}
         if self.named:
             o = problem.observations
             rays = np.flatnonzero(np.isin(o.point, self.named))
@@ -191,7 +191,7 @@ class Border:
         return gain, inverse
 
     @cached_property
-    def _free_columns(self) -> Index:
+    def free_columns(self) -> Index:
         """Column (w,) of each unknown of all images."""
         ties = self.problem.ties
         return np.arange(self.problem.n_image_unknowns) if ties is None else ties.of
@@ -207,7 +207,7 @@ class Border:
         """Parts with their rows to the border."""
         from scipy import sparse
 
-        columns = np.append(self._free_columns, len(self))[np.minimum(self.problem.columns, len(self._free_columns))]
+        columns = np.append(self.free_columns, len(self))[np.minimum(self.problem.columns, len(self.free_columns))]
         for part in parts:
             n, _, k = part.d_image.shape
             at = np.repeat(columns[part.image], 2, axis=0).ravel()
@@ -229,7 +229,7 @@ class Border:
             gradient += np.asarray(design.T @ flat)
             control = np.flatnonzero(self.eliminated.observed[part.points])
             held = self.eliminated.control_weights(part.points[control]) @ step[control]
-            rows.append(_triangle(np.vstack([flat, held.reshape(3 * len(held), d)])))
+            rows.append(triangle(np.vstack([flat, held.reshape(3 * len(held), d)])))
         for columns, _, jacobian in self._explicit_rows():
             own = jacobian @ moves[columns]
             np.add.at(gradient, columns, jacobian.T @ own)
@@ -239,7 +239,7 @@ class Border:
         if self.problem.block.options.priors:
             gradient[: self.n_images] += moves[: self.n_images]
             rows.append(moves[: self.n_images])
-        return Followed(ground, _triangle(np.vstack(rows)), gradient)
+        return Followed(ground, triangle(np.vstack(rows)), gradient)
 
     def effect_of(self, images: Array, ground: Array) -> Array:
         """Effect (q, d) of movements of the images (z, d) and of the named ones of the points (N, 3, d)."""
@@ -288,7 +288,7 @@ class Border:
             along = part.d_ground @ np.repeat(own[part.points], np.diff(part.first), axis=0)
             right -= np.asarray(design.T @ along.reshape(-1, ground.shape[2]))
         solved = self.inverse @ right
-        return solved, own + self._following(solved)
+        return solved, own + self.follow(solved).ground
 
     def at(self, state: State) -> Border:
         """Border of the same problem at another state, with the motions here as its own."""
@@ -306,19 +306,8 @@ class Border:
             ground[self.named] += step[self.n_images :].reshape(-1, 3)
         return State(self.state.image + self.problem.image_matrix(step[: self.n_images]), ground)
 
-    def _following(self, border: Array) -> Array:
-        """Movements (N, 3, d) of the ground points with movements (b, d) of the border, observations without change."""
-        out = np.zeros((len(self.problem.active), 3, border.shape[1]))
-        for part, design in self.parts():
-            seen = np.asarray(design @ border).reshape(-1, 2, border.shape[1])
-            slope = np.add.reduceat(np.einsum("nri,nrd->nid", part.d_ground, seen), part.first[:-1])
-            out[part.points] = -(part.inverse @ slope)
-        if self.named:
-            out[self.named] = border[self.n_images :].reshape(-1, 3, border.shape[1])
-        return out
 
-
-def _triangle(rows: Array) -> Array:
+def triangle(rows: Array) -> Array:
     """R of rows (n, d) by QR; the rows themselves if there are not more than columns."""
     return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
 

@@ -162,7 +162,8 @@ def eliminates_points(problem: Problem) -> bool:
     """Whether the graph eliminates points inside its factors; else it has one factor for each image point.
 
     Without priors the normal equations may be too ill-conditioned for it: GTSAM's QR of the rows does not square the
-    condition. Under a loss the rays of points that extra observations name would need weights of their own.
+    condition. A free or an inner datum holds what control would. Under a loss the rays of points that extra
+    observations name would need weights of their own.
     """
     options, block = problem.block.options, problem.block
     if not (options.priors or options.datum in ("free", "inner")):

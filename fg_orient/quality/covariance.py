@@ -17,7 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.border import Border
-from fg_orient.adjustment.cofactors import WHOLE_LIMIT, ReducedCofactors, SummedSystem, cofactors_of_points
+from fg_orient.adjustment.cofactors import (
+    WHOLE_LIMIT,
+    ReducedCofactors,
+    SummedSystem,
+    blocks_of_images,
+    cofactors_of_points,
+)
 from fg_orient.adjustment.dense import DenseSystem
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.runtime import one_blas_thread
@@ -122,8 +128,7 @@ class MatrixCofactors:
 
     def blocks(self, pairs: Index) -> Array:
         """See :class:`Cofactors`."""
-        place, whole = self.problem.columns, np.pad(self.joint(tuple(range(self.problem.n_images)), ()), (0, 1))
-        return np.asarray(whole[place[pairs[:, 0]][:, :, None], place[pairs[:, 1]][:, None, :]])
+        return blocks_of_images(self.problem, lambda images: self.joint(images, ()), pairs)
 
     def times(self, columns: Array) -> Array:
         """Cofactors times columns (n, d)."""
@@ -147,8 +152,7 @@ class BorderCofactors:
 
     def __init__(self, problem: Problem, border: Border) -> None:
         self.problem, self.border, self._q = problem, border, border.inverse
-        free = np.arange(problem.n_image_unknowns) if problem.ties is None else problem.ties.of
-        self._columns = [free[problem.image_slice(k)] for k in range(problem.n_images)]
+        self._columns = [border.free_columns[problem.image_slice(k)] for k in range(problem.n_images)]
 
     def image(self, k: int) -> Array:
         """See :class:`Cofactors`."""

@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.conditions.control import POINT
+from fg_orient.adjustment.border import triangle
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import Rows
@@ -226,18 +227,13 @@ def _compressed(parts: Iterable[PointRows], width: int) -> Array:
         order = np.lexsort(part.kind.T)
         new = (part.kind[order[1:]] != part.kind[order[:-1]]).any(axis=1)
         for mine in np.split(order, np.flatnonzero(new) + 1):
-            triangle = _triangle(part.reduced[mine].reshape(-1, part.columns.shape[1]))
-            out.append(_scattered(triangle, part.columns[mine[0]], width))
-            height += len(triangle)
+            short = triangle(part.reduced[mine].reshape(-1, part.columns.shape[1]))
+            out.append(_scattered(short, part.columns[mine[0]], width))
+            height += len(short)
             if height > largest:
-                out = [_triangle(np.vstack(out))]
+                out = [triangle(np.vstack(out))]
                 height = len(out[0])
-    return _triangle(np.vstack(out))
-
-
-def _triangle(rows: Array) -> Array:
-    """R (u, u) of rows (n, u) by QR; the rows themselves if there are not more than columns."""
-    return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
+    return triangle(np.vstack(out))
 
 
 def _scattered(rows: Array, columns: Index, width: int) -> Array:
@@ -252,7 +248,7 @@ def _scattered(rows: Array, columns: Index, width: int) -> Array:
 
 def spectrum(rows: Array) -> tuple[Array, Array]:
     """Singular values (u,) of rows (n, u), descending, and right directions (u, u); zeros if n < u."""
-    short, u = _triangle(rows), rows.shape[1]
+    short, u = triangle(rows), rows.shape[1]
     _, s, vt = np.linalg.svd(np.vstack([short, np.zeros((max(0, u - len(short)), u))]), full_matrices=False)
     return s, vt
 
