@@ -155,6 +155,8 @@ def show(record: dict[str, Any]) -> None:
         say(f"heights of {found['n']} tie points from {Path(found['dem']).name}: RMS {number(found['rms_m'])} m "
             f"above it after {found['rounds']} adjustments, {len(found['outside'])} outside{rest}")  # fmt: skip
     say(f"report: {Path(record['out']) / 'report.html'}")
+    if record["status"] != Status.CONVERGED:
+        say(f"{record['status'].replace('_', ' ')}: {record['reason']}")
 
 
 @command(

@@ -70,7 +70,7 @@ def flag(option: str) -> str:
 
 
 def tell(kind: str, found: Finding | str, *, as_result: bool = False) -> None:
-    """Log an event (error, warning, note, remark, lost) and print it behind its kind; no notes under ``--quiet``."""
+    """Log an event (error, doubt, warning, note, remark, lost) and print it after its kind; no notes with `--quiet`."""
     text = found if isinstance(found, str) else found.text(flag)
     session().tell(kind, text=text)
     if not (session().quiet and kind == "note"):
@@ -80,7 +80,7 @@ def tell(kind: str, found: Finding | str, *, as_result: bool = False) -> None:
 def tell_findings(record: Mapping[str, Any], *, as_result: bool = False) -> None:
     """Log and print the findings of a result."""
     for found in findings_of(record):
-        tell("note" if found.severity == "note" else "warning", found, as_result=as_result)
+        tell(found.severity, found, as_result=as_result)
 
 
 def fault(found: Finding) -> None:

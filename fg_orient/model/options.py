@@ -178,6 +178,18 @@ class Options(Checked):
         "any false alarm; benjamini_hochberg: share of false alarms among the alarms.",
         iterates=False,
     )
+    accept: Names = option(
+        (), TESTS,
+        "Known doubts, which do not decide on the status. Each is CODE, CODE:OBJECT or CODE:OBJECT<=LIMIT, as the "
+        "remedy of the doubt writes it; LIMIT is the largest accepted size.",
+        such=("gross_error:point 12",), left_out="none", iterates=False,
+    )
+    required_accuracy_m: float | None = option(
+        None, TESTS,
+        "Required standard deviation of every adjusted point along each axis. A point above it makes the result "
+        "not trustworthy.",
+        unit="m", left_out="no requirement", iterates=False,
+    )
     variance_components: Names = option(
         (), TESTS,
         "Estimate the standard deviations of groups of observations. The usual groups are the image points, the "

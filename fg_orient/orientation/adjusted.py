@@ -40,6 +40,8 @@ class AdjustmentResult:
         Weights of image points (n,) and ground points (N,) under a loss.
     components : VarianceComponents or None
         Variance components that were applied to the sigmas of ``block``, if the options request them.
+    residuals : ResidualCofactors or None
+        Cofactors of the residuals, if the assessment of this solution has computed them.
     """
 
     problem: Problem
@@ -50,6 +52,7 @@ class AdjustmentResult:
     unavailable: tuple[Finding, ...] = ()
     weights: Weights | None = None
     components: VarianceComponents | None = None
+    residuals: ResidualCofactors | None = None
 
     @property
     def block(self) -> Block:
@@ -85,6 +88,9 @@ class AdjustmentResult:
     @cached_property
     def residual_cofactors(self) -> ResidualCofactors:
         """Residuals, their cofactors (whitened, prior scale) and redundancy numbers."""
+        known = self.residuals
+        if known is not None and known.problem is self.weighted and known.cofactors is self.cofactors:
+            return known
         return ResidualCofactors(self.weighted, self.state, self.required_cofactors())
 
     def outlier_tests(

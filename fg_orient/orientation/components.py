@@ -20,10 +20,11 @@ from fg_orient.model.names import Status
 from fg_orient.model.options import USUAL_GROUPS
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality.component_round import Method, Round, one_round
+from fg_orient.quality.doubts import gross_errors
 from fg_orient.quality.grouped_residuals import GroupedResiduals
 from fg_orient.quality.observation_groups import Groups, groups_of, require_groups, scaled
 from fg_orient.quality.variance_components import VarianceComponents, components_of, require_method
-from fg_orient.quality.verdict import NO_INTERVAL
+from fg_orient.quality.verdict import NO_INTERVAL, SolutionAssessment, decided
 
 #: Relative change of a variance at convergence: far below its standard deviation.
 CONVERGED: Final = 1e-5
@@ -92,15 +93,24 @@ def adjust_with_components(
 
 
 def _with_components(solution: Solution, components: VarianceComponents, groups: tuple[str, ...]) -> Solution:
-    """The last solution with its components; its sigma0 is no test of the model."""
+    """The last solution with its components; its sigma0 is not a test of the model.
+
+    The tests of gross errors are repeated with the degrees of freedom of the components.
+    """
     by_construction, block = finding("verdict.components"), solution.block
     block = replace(block, options=replace(block.options, variance_components=groups))
-    return replace(
-        solution, components=components, sigma0_interval=NO_INTERVAL,
-        verdict=by_construction if solution.status is Status.CONVERGED else solution.verdict,
-        findings=(*solution.findings, by_construction, *components.findings),
-        problem=replace(solution.problem, block=block),
+    whole = replace(solution, components=components, sigma0_interval=NO_INTERVAL,
+                    problem=replace(solution.problem, block=block))  # fmt: skip
+    findings = [f for f in solution.findings if f.code != "verdict.gross_error"]
+    if len(findings) < len(solution.findings):
+        findings += gross_errors(whole.outlier_tests(), block.options.accept)
+    converged = SolutionAssessment(Status.CONVERGED, by_construction, NO_INTERVAL)
+    status, reason, ordered = decided(
+        converged if solution.status is not Status.NOT_CONVERGED else replace(converged, status=solution.status),
+        by_construction, [*findings, by_construction, *components.findings], block.options.accept,
     )  # fmt: skip
+    reason = solution.verdict if status is Status.NOT_CONVERGED else reason
+    return replace(whole, status=status, verdict=reason, findings=ordered)
 
 
 class _Rounds:

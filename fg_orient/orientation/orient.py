@@ -30,7 +30,7 @@ from fg_orient.model.options import Backend, Datum, Options
 from fg_orient.model.parameters import with_options
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.orientation.solution import Seconds, Solution
-from fg_orient.quality import verdict
+from fg_orient.quality import doubts, verdict
 from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
 from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
 from fg_orient.quality.deficiency import compiled_problem, judge_observability, refuse_deficient, require_determined
@@ -154,6 +154,7 @@ def adjust(
         return own.solution(optimizer(own.graph, own.values))
     block = with_options(block, "adjust", optimizer=optimizer)
     require_possible(block.options)
+    doubts.require_acceptances(block.options.accept)
     shared = not (parts is None and workers is None and cluster is None)
     if work_dir is not None and not shared:
         raise InputError.of("parallel.no_parts", option="work_dir", value=work_dir)
@@ -184,7 +185,8 @@ def adjust(
     end, record = search(block, solution, next_round)
     whole = end.whole(solution.seconds.jit) if isinstance(end, Again) else end
     assert isinstance(whole, Solution)
-    return replace(whole, snooping=record, findings=(*record.findings(), *whole.findings), memory=solution.memory)
+    findings = doubts.with_accepted([*record.findings(), *whole.findings], block.options.accept)
+    return replace(whole, snooping=record, findings=tuple(findings), memory=solution.memory)
 
 
 def _compiled(block: Block) -> tuple[Problem, tuple[ImageObservability, ...], BlockObservability | None, float]:
@@ -273,7 +275,8 @@ class _Run:
         solution = conclude(compiled, observability, block_view, estimate, structure)
         if inner and not len(held_unknowns(compiled)):  # no datum defect
             code = "solution.no_inner_datum_nor_priors" if block.options.priors else "solution.no_inner_datum"
-            solution = replace(solution, findings=(finding(code), *solution.findings))
+            findings = doubts.with_accepted([finding(code), *solution.findings], block.options.accept)
+            solution = replace(solution, findings=tuple(findings))
         return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=preparing_seconds() - prepared))
 
     def again(self, block: Block, like: Problem, begin: State) -> Again:
@@ -342,20 +345,26 @@ def conclude(
         ground[located.index] = located.ground_m
     accuracy = _assess(compiled, ground, located, cofactors)
     assessment = verdict.assess_solution(compiled, estimate, unavailable)
-    findings = verdict.findings(compiled, estimate, assessment, observability, block_view, accuracy)
-    if assessment.status is Status.NOT_TRUSTWORTHY:
-        findings = (*findings[:1], *verdict.mix_ups(compiled.block), *findings[1:])
+    findings = [*verdict.findings(compiled, estimate, assessment, observability, block_view, accuracy)]
+    residuals = None
+    if assessment.status is not Status.NOT_CONVERGED:
+        raised, residuals = doubts.of_solution(compiled, estimate, ground, cofactors)
+        findings += raised
     if located is not None and len(located.lost):
         names = [compiled.block.points.ids[j] for j in located.lost]
-        findings += (finding("solution.check_not_located", n=len(names), points=names),)
+        findings.append(finding("solution.check_not_located", n=len(names), points=names))
+    accept = compiled.block.options.accept
+    status, reason, ordered = verdict.decided(assessment, estimate.end, findings, accept)
+    if status is Status.NOT_TRUSTWORTHY:
+        ordered = (*ordered[:1], *verdict.mix_ups(compiled.block), *ordered[1:])
     return Solution(
-        problem=compiled, status=assessment.status, verdict=assessment.finding, end=estimate.end,
+        problem=compiled, status=status, verdict=reason, end=estimate.end, residuals=residuals,
         backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,
         state=estimate.state, ground_m=ground, chi2=estimate.chi2,
         sigma0_interval=assessment.interval, log=estimate.log, iterations=estimate.iterations,
         residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, block_view=block_view,
         accuracy=accuracy,
-        cofactors=cofactors, unavailable=unavailable, findings=findings, weights=estimate.weights,
+        cofactors=cofactors, unavailable=unavailable, findings=ordered, weights=estimate.weights,
         resumed_at=estimate.resumed_at,
         seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, working_clock() - start),
     )  # fmt: skip

@@ -1,12 +1,14 @@
 """Assessment of a solution: status, reason and the most important findings.
 
-A converged solution is not trustworthy (exit code 4) for one of five reasons:
+A converged solution with a finding of the severity "doubt" is not trustworthy (exit code 4):
 
 - its datum is free (damped steps without priors and control);
 - it has no covariance, and no priors hold the weak directions;
 - ``sigma0`` is above the upper end of its two-sided 99.9 % interval: model and weights contradict the observations;
-- a robust loss down-weights more than half of the image points;
-- a robust loss down-weights more than half of the image points of one image.
+- a robust loss down-weights more than half of the image points, or of those of one image;
+- a test suspects a gross error, a correction is beyond its prior, or a required accuracy is missed
+  (``fg_orient.quality.doubts``);
+- check points contradict the adjusted points.
 
 ``sigma0`` below the lower end of the interval means that the sigmas are too large. This is reported and does not change
 the status.
@@ -17,7 +19,7 @@ Image coordinates that are exchanged or counted from the other side are detected
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -29,10 +31,11 @@ from fg_orient.adjustment.robust import UNWEIGHED, Weights, are_information
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.block import Block
 from fg_orient.model.distributions import chi_square_interval
-from fg_orient.model.errors import FgOrientError, Finding, finding
+from fg_orient.model.errors import DECISIVE, FgOrientError, Finding, finding
 from fg_orient.model.names import Role, Status
 from fg_orient.quality import conditioning
 from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy, PointDifferences
+from fg_orient.quality.doubts import with_accepted
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 
 #: Probability of the two-sided interval of sigma0.
@@ -70,6 +73,19 @@ def assess_solution(problem: Problem, estimate: Estimate, unavailable: tuple[Fin
     return SolutionAssessment(Status.CONVERGED, end, interval)
 
 
+def decided(
+    assessment: SolutionAssessment, end: Finding, findings: Sequence[Finding], accept: Sequence[str]
+) -> tuple[Status, Finding, tuple[Finding, ...]]:  # fmt: skip
+    """Status, its reason and all findings, the most serious first; accepted doubts do not decide."""
+    ordered = tuple(with_accepted(findings, accept))
+    if assessment.status is Status.NOT_CONVERGED:
+        return assessment.status, assessment.finding, ordered
+    worst = next((f for f in ordered if f.severity in DECISIVE), None)
+    if worst is not None:
+        return Status.NOT_TRUSTWORTHY, worst, ordered
+    return Status.CONVERGED, assessment.finding if assessment.status is Status.CONVERGED else end, ordered
+
+
 def _doubt(problem: Problem, estimate: Estimate, unavailable: tuple[Finding, ...], limit: float) -> Finding | None:
     """Reason not to trust a converged solution, or None; ``limit``: upper end of the interval of sigma0."""
     options, weights, f = problem.block.options, estimate.weights, problem.redundancy
@@ -81,7 +97,7 @@ def _doubt(problem: Problem, estimate: Estimate, unavailable: tuple[Finding, ...
     if f > 0 and weights is not None:
         return _doubt_of_weights(problem, weights)
     sigma0 = float(np.sqrt(estimate.chi2 / f)) if f > 0 else 0.0
-    return finding("verdict.sigma0", sigma0=sigma0, limit=limit) if sigma0 > limit else None
+    return finding("verdict.sigma0", size=sigma0, limit=limit) if sigma0 > limit else None
 
 
 def _doubt_of_weights(problem: Problem, weights: Weights) -> Finding | None:

@@ -90,7 +90,8 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
     record = result.record
     ended = verdict(record)
     truth = Section("truth", "Comparison with the simulated truth", values=lambda _: {"truth": comparison})
-    words: Values = {**ended, "text": [ended["text"], *accuracy_words(record)]}
+    doubts = [str(one) for one in findings_of(record) if one.severity in DECISIVE]
+    words: Values = {**ended, "text": [ended["text"], *doubts[1:], *accuracy_words(record)]}
     return _page(result, [*SECTIONS, *([truth] if comparison else [])], words, _problems(record))
 
 

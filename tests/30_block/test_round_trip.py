@@ -106,7 +106,8 @@ OPTIONS = [
         statistics="full", image_unknowns=("x_0", "roll_1"),
         variance_components=("image", "height"), snoop=True, snoop_kind="points",
         outlier_test="pope", outlier_level=0.01, multiple_testing="holm", look_shared=True, curve_intervals=4,
-        curve_position_sigma_m=2.5, curve_attitude_sigma_rad=3e-6,
+        curve_position_sigma_m=2.5, curve_attitude_sigma_rad=3e-6, accept=("gross_error:point 12<=20", "sigma0"),
+        required_accuracy_m=0.5,
     ),
 ]  # fmt: skip
 

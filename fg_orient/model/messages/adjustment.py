@@ -194,9 +194,26 @@ verdict.free_datum (doubt): the datum is free: position, orientation and scale o
     values, only its shape is determined
 verdict.weak_control (doubt): without priors the control points determine some directions too weakly for a
     covariance: coordinates must not be trusted
-verdict.sigma0 (doubt): sigma0 = {sigma0:.2f} lies above {limit:.2f}, the upper end of its 99.9 % interval: the
+verdict.sigma0 (doubt): sigma0 = {size:.2f} lies above {limit:.2f}, the upper end of its 99.9 % interval: the
     observations do not fit the model within their sigmas. The unknowns cannot take up the errors present, or the
     sigmas are too small, or there are gross errors; standard deviations and coordinates must not be trusted
+verdict.gross_error (doubt): gross error suspected
+    + , of about {error} {unit}
+    + ; {symbol} = {size:.1f}, which fewer than {level:g} % of blocks without gross errors exceed
+    + ; or in {also:5}, which cannot be separated from it
+    + ; {more} more observation(s) are above their limits, perhaps because of this error
+    -> correct the measurement or the coordinates, search with <snoop>, or <accept> "gross_error:{place}"
+verdict.beyond_prior (doubt): the adjusted value differs by {correction:+.3g} {unit} from the metadata, {size:.1f}
+    times the standard deviation of this difference; the prior standard deviation is {sigma:.3g} {unit}
+    + ; {more} more unknown(s) are beyond their priors
+    -> look for wrong metadata, exchanged images or wrong control points, give a larger prior standard deviation if
+    the metadata can be that wrong, or <accept> "beyond_prior:{place}"
+verdict.accuracy (doubt): {n} of {of} points have a standard deviation above the required {required:g} m, at most
+    {size:.3g} m: {points:10}
+    -> add control points or images, or <accept> "accuracy<={size:.3g}"
+verdict.accuracy_unknown (doubt): the required accuracy of {required:g} m is not verified, because there is no
+    covariance
+verdict.accepted (note): accepted by <accept>: {names:10}
 verdict.loss (doubt): {down} of {n} image points have a weight below {limit}: the model does not hold, or the sigmas
     are too small
 verdict.loss_of_images (doubt): most image points of {count} image(s) have a weight below {limit} ({images:10}):
@@ -252,7 +269,7 @@ solution.wide_factor (note): the images see points together in such a way that a
 solution.few_check (warning): {n} check point(s): ASPRS (2023) asks for at least {least}
 solution.check_not_located (warning): {n} excluded check point(s) whose rays hardly meet have no coordinates:
     {points:10}
-solution.mix_up (warning): image {image}: its control points lie {best_px:.3g} px from their places in the image
+solution.mix_up (doubt): image {image}: its control points lie {best_px:.3g} px from their places in the image
     with {reading}, and {given_px:.3g} px as they stand (medians)
     -> look at the columns of the table
 solution.no_inner_datum (warning): the control points hold the datum, so inner constraints have nothing to do

@@ -1,0 +1,182 @@
+"""Doubts that follow from tests: gross errors, corrections beyond their priors, a required accuracy that is missed.
+
+Each doubt has a share of the probability that a block without mistakes ends with exit code 4 (:data:`BUDGET`).
+A user accepts a doubt by its code, its place and, if wanted, a limit of its size (:func:`with_accepted`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.cofactors import full_statistics
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.solve import Estimate
+from fg_orient.model.distributions import chi_square_tail, sidak
+from fg_orient.model.errors import DECISIVE, Finding, InputError, finding
+from fg_orient.model.messages import CATALOGUE
+from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.hypotheses import CHECKED
+from fg_orient.quality.outlier_records import OutlierTests
+from fg_orient.quality.outliers import outlier_tests
+from fg_orient.quality.residuals import ResidualCofactors
+
+Array = npt.NDArray[np.float64]
+
+#: Largest probability of each doubt in a block without mistakes, all its tests together; docs/verdict.md prints it.
+BUDGET: Final = {
+    "sigma0": 0.0005, "gross_error": 0.002, "beyond_prior": 0.001, "check_beyond": 0.001, "check_far": 0.001,
+}  # fmt: skip
+#: Probability of Baarda's test of one observation, above which the given sigmas allow its error.
+ALPHA: Final = 0.001
+#: Points whose accuracy is computed at once.
+_CHUNK: Final = 100_000
+_ACCEPTANCE: Final = re.compile(r"(verdict\.)?(?P<code>[a-z0-9_]+)(:(?P<place>.*?))?(<=(?P<limit>[0-9.eE+-]+))?")
+
+
+def of_solution(
+    problem: Problem, estimate: Estimate, ground_m: Array, cofactors: Cofactors | None
+) -> tuple[list[Finding], ResidualCofactors | None]:  # fmt: skip
+    """Doubts that follow from tests of a solution, and the cofactors of its residuals if they were computed.
+
+    Parameters
+    ----------
+    problem : Problem
+    estimate : Estimate
+        A converged one.
+    ground_m : (N, 3) array
+        Adjusted points, ECEF or local.
+    cofactors : Cofactors or None
+    """
+    options, f = problem.block.options, problem.redundancy
+    scale = float(np.sqrt(estimate.chi2 / f)) if f > 0 and estimate.weights is None else 1.0
+    out = missed_accuracy(problem, ground_m, cofactors, scale)
+    if cofactors is None or estimate.weights is not None or f <= 0:
+        return out, None
+    out += exceeded_priors(problem, estimate.state, cofactors)
+    if not full_statistics(options, len(problem.observations), problem.n_image_unknowns):
+        return out, None
+    residuals = ResidualCofactors(problem, estimate.state, cofactors)
+    tests = outlier_tests(residuals, estimate.chi2, level=options.outlier_level, test=options.outlier_test,
+                          control=options.multiple_testing)  # fmt: skip
+    return out + gross_errors(tests, options.accept), residuals
+
+
+def gross_errors(tests: OutlierTests, accept: Sequence[str] = ()) -> list[Finding]:
+    """Doubt on the most suspicious observation that is not accepted, after the accepted ones.
+
+    A gross error makes other observations suspicious, too: they are counted only. An error that the given sigmas allow
+    (Baarda's test of this observation alone) is not a doubt, although it is large relative to a small sigma0.
+    """
+    level, d = BUDGET["gross_error"], tests.dimension
+    above = (d > 0) & (tests.probability <= sidak(level, max(tests.n_tested, 1)))
+    above = np.flatnonzero(above & (chi_square_tail(np.maximum(d, 1), np.nan_to_num(tests.quadratic)) <= ALPHA))
+    first = np.sort(np.unique(tests.of_class[above], return_index=True)[1])
+    out: list[Finding] = []
+    for rank, k in enumerate(above[first].tolist()):
+        test = tests[k]
+        also, error = test.inseparable, [f"{value:+.2f}" for value in test.error]
+        out.append(finding(
+            "verdict.gross_error", place=test.name, size=test.statistic, symbol=test.symbol, error=" ".join(error),
+            unit=test.unit, also=list(also), level=100.0 * level, more=len(first) - rank - 1 or None,
+        ))  # fmt: skip
+        if not _accepts(out[-1], accept):
+            break
+    return out
+
+
+def exceeded_priors(problem: Problem, state: State, cofactors: Cofactors) -> list[Finding]:
+    """Doubt on the image unknown that differs most from its prior, if its prior does not allow the difference.
+
+    The correction x of a prior has the variance ``1 - q`` in prior variances; q is its cofactor after the adjustment.
+    """
+    if not problem.block.options.priors:
+        return []
+    x = problem.image_columns(state)
+    q = np.concatenate([np.diag(cofactors.image(k)) for k in range(problem.n_images)])
+    squares = np.where(1.0 - q > CHECKED, x**2 / np.maximum(1.0 - q, CHECKED), 0.0)
+    above = chi_square_tail(1, squares) <= sidak(BUDGET["beyond_prior"], problem.n_free_unknowns)
+    if not above.any():
+        return []
+    worst = int(np.argmax(squares))
+    image = int(np.searchsorted(problem.first, worst, side="right")) - 1
+    parameters, k = problem.parameters[image], worst - int(problem.first[image])
+    return [finding(
+        "verdict.beyond_prior", place=f"{parameters.names[k]} of image {problem.block.images[image].id}",
+        size=float(np.sqrt(squares[worst])), correction=float(x[worst] * parameters.sigma[k]),
+        sigma=float(parameters.sigma[k]), unit=parameters.units[k], level=100.0 * BUDGET["beyond_prior"],
+        more=int(above.sum()) - 1 or None,
+    )]  # fmt: skip
+
+
+def missed_accuracy(problem: Problem, ground_m: Array, cofactors: Cofactors | None, scale: float) -> list[Finding]:
+    """Doubt on adjusted points whose standard deviation exceeds the required one along any axis.
+
+    Parameters
+    ----------
+    problem : Problem
+    ground_m : (N, 3) array
+        Adjusted points, ECEF or local.
+    cofactors : Cofactors or None
+    scale : float
+        Factor from roots of cofactors to standard deviations.
+    """
+    required = problem.block.options.required_accuracy_m
+    if required is None:
+        return []
+    if cofactors is None:
+        return [finding("verdict.accuracy_unknown", required=required)]
+    points = np.flatnonzero(problem.active & np.isfinite(ground_m).all(axis=1))
+    worst, beyond = 0.0, list[int]()
+    for begin in range(0, len(points), _CHUNK):
+        some = points[begin : begin + _CHUNK]
+        axes = problem.axes(ground_m[some])
+        variance = np.einsum("nij,njk,nik->ni", axes, cofactors.points(some), axes)
+        largest = scale * np.sqrt(np.maximum(variance, 0.0)).max(axis=1)
+        worst, beyond = max(worst, float(largest.max())), [*beyond, *some[largest > required].tolist()]
+    names = [problem.block.points.ids[j] for j in beyond]
+    return [finding("verdict.accuracy", n=len(names), of=len(points), required=required, size=worst, points=names)
+            ] if names else []  # fmt: skip
+
+
+def _accepts(doubt: Finding, accept: Sequence[str]) -> bool:
+    """Whether a doubt is accepted by code, place and limit."""
+    for text in accept:
+        part = _ACCEPTANCE.fullmatch(text)
+        if part is None or f"verdict.{part['code']}" != doubt.code or part["place"] not in (None, doubt.place):
+            continue
+        if part["limit"] is None or float(doubt.data.get("size", np.inf)) <= float(part["limit"]):
+            return True
+    return False
+
+
+def require_acceptances(accept: Iterable[str]) -> None:
+    """Raise InputError for an acceptance that cannot be read."""
+    for text in accept:
+        part = _ACCEPTANCE.fullmatch(text)
+        if part is None or not _is_number(part["limit"]):
+            form = "CODE, CODE:OBJECT or CODE:OBJECT<=LIMIT, such as gross_error:point 12<=20"
+            raise InputError.of("options.value", option="accept", value=repr(text), expected=form)
+
+
+def _is_number(text: str | None) -> bool:
+    try:
+        return text is None or np.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def with_accepted(findings: Sequence[Finding], accept: Sequence[str]) -> list[Finding]:
+    """Findings, the most serious first; accepted doubts are notes, and one note lists them."""
+    accepted = [f for f in findings if CATALOGUE[f.code].severity == "doubt" and _accepts(f, accept)]
+    out = [replace(f, severity="note") if f in accepted else f for f in findings if f.code != "verdict.accepted"]
+    if accepted:
+        names = [f"{f.code.removeprefix('verdict.')}{f':{f.place}' if f.place else ''}" for f in accepted]
+        out.append(finding("verdict.accepted", names=names))
+    order = (*reversed(DECISIVE), "warning", "note")
+    return sorted(out, key=lambda f: order.index(f.severity))
