@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.cameras.extended_collinearity import CAMERA, EXTENDED_COLLINEARITY, NAMES, RECORD
+from factors.cameras.extended_collinearity import CAMERA, EXTENDED_COLLINEARITY, NAMES, image_record, image_setup
 from factors.cameras.frame_camera import rotated
 from factors.conditions.control import CONTROL_POINT
 from factors.conditions.control import POINT as PLACE
@@ -232,7 +232,7 @@ def camera_steps(names: Sequence[str], reach: float) -> Array:
 
 
 def _add_photo(built: Built, photo: BundlePhoto, reach: float, extras: list[Observation]) -> tuple[Array, Array]:
-    """Add the variables of a photo; setup (2, k) and camera (40,) of the equations of its image points."""
+    """Add the variables of a photo; setup (2, k + 6) and camera (40,) of the equations of its image points."""
     start, key, name = camera_of(photo.interior), photo.key, f"photo {photo.name}"
     none: int | Array = np.zeros(0)
     own = _camera_variable(built, name, photo.unknown, reach, photo, extras) if photo.unknown else none
@@ -250,7 +250,7 @@ def _add_photo(built: Built, photo: BundlePhoto, reach: float, extras: list[Obse
     built.own.append(own)
     built.shared.append(built.camera_variables[key] if photo.shared else none)
     codes = [NAMES.index(n) for n in (*photo.unknown, *photo.shared)]
-    setup = np.ascontiguousarray(np.array([codes, steps], float))
+    setup = image_setup(np.array(codes, np.intp), steps)
     centre = photo.centre_m - built.origin
     if photo.held:
         built.turns.append(np.zeros(3))
@@ -315,9 +315,9 @@ def _image_point(
 ) -> Observation:
     """Observation of point ``j`` in photo ``k``; ``equation``: setup and camera of the photo."""
     photo, (setup, camera) = built.photos[k], equation
-    record = RECORD.pack(
-        x=image[0], y=image[1], w11=1.0 / sigma[0], w12=0.0, w22=1.0 / sigma[1], power=is_condition,
-        sign=photo.interior.sign, held_c=photo.interior.focal, camera=camera, rotation=np.ravel(photo.rotation),
+    record = image_record(
+        camera, line=image[1], sample=image[0], a_line=1.0 / sigma[1], a_sample=1.0 / sigma[0], w12=0.0,
+        power=is_condition, sign=photo.interior.sign, nominal=photo.interior.focal, rotation=np.ravel(photo.rotation),
         radius=built.rims[photo.key],
     )  # fmt: skip
     unknowns = (built.own[k], built.shared[k], built.turns[k], built.centres[k], built.points[j])

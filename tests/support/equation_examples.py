@@ -12,7 +12,16 @@ import numpy as np
 
 from factors._contract import Array, Equation
 from factors.cameras import dlt as dlt_equation
-from factors.cameras import extended_collinearity, frame, plane, pushbroom, pushbroom_record, rfm_equation
+from factors.cameras import (
+    extended_collinearity,
+    frame,
+    frame_corrections,
+    frame_extended,
+    plane,
+    pushbroom,
+    pushbroom_record,
+    rfm_equation,
+)
 from factors.conditions import circles, constraints, control, coplanarity, navigation, similarity, surfaces
 from factors.conditions.navigation import ATTITUDE, POSITION
 from factors.geometry import rotations
@@ -99,6 +108,28 @@ def rational_function(rng: np.random.Generator) -> Example:
     return Example(record, setup, (x, record[rfm_equation.RECORD.reference] + away))
 
 
+def frame_extended_collinearity(rng: np.random.Generator) -> Example:
+    """Frame image with all corrections: both directions, fisheye and perspective, lines up and down, conditions."""
+    plain = frame_collinearity(rng)
+    constants = dict(zip(frame.RECORD.fields, np.split(plain.record, np.cumsum([*frame.RECORD.sizes.values()])[:-1]),
+                         strict=True))  # fmt: skip
+    further, shear = frame_corrections.FURTHER, rng.normal(scale=1e-3)
+    values = {name: rng.normal(scale=1e-3, size=size) for name, size in further.sizes.items()} | {"shear": shear}
+    if rng.random() < 0.3:
+        values |= {name: np.zeros(further.sizes[name]) for name in ("additional", "variants")}
+    record = frame_extended.RECORD.pack(
+        **{name: value if frame.RECORD.sizes[name] > 1 else value[0] for name, value in constants.items()}, **values,
+        is_fisheye=rng.integers(0, 2), sign=rng.choice([-1.0, 1.0]), nominal=1.1, radius=rng.uniform(0.4, 1.0),
+        w12=rng.normal(), power=rng.integers(0, 2),
+    )  # fmt: skip
+    n = rng.integers(0, further.size + 1)
+    codes = frame_extended.N_UNKNOWNS - further.size + rng.permutation(further.size)[:n]
+    plain_codes = plain.setup[:, plain.setup[0] < frame.N_UNKNOWNS]
+    setup = np.concatenate([plain_codes, np.stack([codes, np.full(n, 1e-3)]), [[frame_extended.N_UNKNOWNS + 2.0], [1.0]]],
+                           axis=1)  # fmt: skip
+    return Example(record, np.ascontiguousarray(setup), (rng.normal(size=setup.shape[1]), plain.unknowns[1]))
+
+
 def extended(rng: np.random.Generator) -> Example:
     """Camera with any of its parameters as own or shared unknowns."""
     n_camera = extended_collinearity.CAMERA.size
@@ -108,11 +139,11 @@ def extended(rng: np.random.Generator) -> Example:
     n = int(rng.integers(1, len(codes)))
     image, power, sign = rng.normal(size=2), rng.integers(0, 2), rng.choice([-1.0, 1.0])
     camera = np.append(2.1, rng.normal(scale=0.02, size=n_camera - 1))
-    setup = np.ascontiguousarray(np.stack([codes.astype(float), rng.uniform(0.01, 0.1, len(codes))]))
+    setup = extended_collinearity.image_setup(codes, rng.uniform(0.01, 0.1, len(codes)))
     x = rng.normal(scale=0.3, size=len(codes))
-    record = extended_collinearity.RECORD.pack(
-        x=image[0], y=image[1], w11=1.3, w12=0.2, w22=0.7, power=power, sign=sign, held_c=2.0, camera=camera,
-        rotation=start.ravel(), radius=rng.uniform(0.8, 2.0),
+    record = extended_collinearity.image_record(
+        camera, sample=image[0], line=image[1], a_line=1.3, w12=0.2, a_sample=0.7, power=power, sign=sign,
+        nominal=2.0, rotation=start.ravel(), radius=rng.uniform(0.8, 2.0),
     )  # fmt: skip
     return Example(record, setup, (x[:n], x[n:], rng.normal(scale=0.02, size=3), centre, centre + start.T @ seen))
 
@@ -250,6 +281,7 @@ def _factors(n: int) -> Callable[[np.random.Generator], Array]:
 EXAMPLES: dict[str, Callable[[np.random.Generator], Example]] = {
     "look_angle_collinearity": look_angle_collinearity,
     "frame_collinearity": frame_collinearity,
+    "frame_extended": frame_extended_collinearity,
     "rational_function": rational_function,
     "extended_collinearity_measured_to_ideal": extended,
     "dlt_brown_measured_to_ideal": dlt,
