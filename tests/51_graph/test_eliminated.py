@@ -129,8 +129,7 @@ def test_longest_step_of_one_unknown_is_that_of_numpy(kind: str) -> None:
     problem = problem_of(kind)
     backend, free = GraphBackend(problem), away(problem, 9, 0.1)
     values = values_at(backend, free)
-    backend.graph.linearize(values)
-    found = backend.steepest(backend.elimination.last_rows(), values)
+    found = backend.linearised(values).steepest()
     matrix, gradient, _ = reduced_of_dense(problem, backend.state(values, complete=True))
     assert found == pytest.approx((np.abs(gradient + free) / np.sqrt(np.diag(matrix))).max(), rel=1e-8)
 
@@ -241,7 +240,9 @@ def test_only_groups_whose_images_moved_are_computed_again(monkeypatch: pytest.M
     elimination.start_at(0.0 * free, problem.start.ground)
     computed: list[int] = []
     monkeypatch.setattr(
-        elimination, "_evaluate", lambda groups, x, own=elimination._evaluate: (computed.extend(groups), own(groups, x))
+        elimination,
+        "_evaluate",
+        lambda groups, *more, own=elimination._evaluate: (computed.extend(groups), own(groups, *more)),
     )
     for g, group in enumerate(elimination.groups):
         elimination.rows(g, free[group.free], lambda: free, accepted=True)
