@@ -99,7 +99,7 @@ class GraphBackend:
             images = ", ".join(problem.block.images[k].id for k in group.images[:3].tolist())
             self.graph.add(group_factor(self.elimination, g, keys, f"group {g} (images {images} ...)"))
         self.graph.push_back(self.others)
-        self.sums = GroupSums(self.elimination, keys)
+        self.sums = GroupSums(self.elimination, keys, alone=explicit is None and not problem.block.extra)
 
     def factors_of_point(self, j: int) -> list[gtsam.NonlinearFactor]:
         """Factor of the group that holds the rays of ground point j; none for a point without rays."""

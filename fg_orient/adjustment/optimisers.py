@@ -87,7 +87,9 @@ class _Run:
     def _begin(self) -> None:
         """Make the graph and the optimiser of the next iteration."""
         self._linear = self._backend.linearised(self.values)
-        self._optimizer = _optimizer(self.kind, self._linear, self.values, self.control)
+        # with less damping GTSAM may find a free datum singular, and each trial takes a factorisation
+        least = DAMPING if self._backend.problem.least_damping > 0.0 else 0.0
+        self._optimizer = _optimizer(self.kind, self._linear, self.control, least)
         self.error = float(self._optimizer.error())
         self._done = False
 
@@ -99,14 +101,14 @@ class _Run:
         optimizer.iterate()
         self._done = True
         # a copy: the values of an optimiser are gone with it
-        self.values, self.error = gtsam.Values(optimizer.values()), float(optimizer.error())
+        self.values, self.error = linear.of_images(optimizer.values()), float(optimizer.error())
         if self.kind == "levenberg-marquardt":
             self.control = float(optimizer.lambda_())
         elif self.kind == "dogleg":
             self.control = float(optimizer.getDelta())
         step = backend.free(self.values) - backend.free(before)
         if not step.any():
-            linear.graph.error(before)  # the last evaluation was that of a refused step
+            linear.graph.error(linear.values)  # the last evaluation was that of a refused step
         self.state = backend.state(self.values)
         moved = np.abs(self.state.ground - here.ground) if step.any() else np.zeros(1)
         length = max(float(np.abs(step).max(initial=0.0)), float(np.nanmax(moved, initial=0.0)))
@@ -115,7 +117,7 @@ class _Run:
         return _Step(None, length, predicted, gradient=gradient)
 
 
-def _optimizer(kind: str, linear: ReducedGraph, values: gtsam.Values, control: float) -> Any:
+def _optimizer(kind: str, linear: ReducedGraph, control: float, least: float) -> Any:
     """Make an optimiser whose own tests for the end never hold."""
     makers: dict[str, tuple[Any, Any]] = {
         "gauss-newton": (gtsam.GaussNewtonParams, gtsam.GaussNewtonOptimizer),
@@ -130,9 +132,10 @@ def _optimizer(kind: str, linear: ReducedGraph, values: gtsam.Values, control: f
     if kind == "levenberg-marquardt":
         params.setRelativeErrorTol(UNCHANGED)
         params.setlambdaInitial(control)
+        params.setlambdaLowerBound(least)
     elif kind == "dogleg":
         params.setDeltaInitial(control)
-    return make(linear.graph, values, params)
+    return make(linear.graph, linear.values, params)
 
 
 def _optimise(
@@ -171,11 +174,12 @@ def _optimise(
             run, final = _begin(damped, backend, here, math.nan), False
             course.go_on(control=run.control, rejected=carried.rejected + 1)
             continue
-        if newton and settled(step.length, carried.previous, tolerance):
-            rate = step.length / carried.previous  # of the steps, and of the gradient
+        known = carried.previous < math.inf
+        rate = min(step.length / carried.previous, 1.0) if known else 1.0  # of the steps, and of the gradient
+        # a free datum allows no Gauss-Newton steps, and the next damped step cannot decrease the cost
+        flat = is_free and rate * step.length < ROUNDING_STEP and rate**2 * (before - run.error) <= FLAT * before
+        if flat or (newton and settled(step.length, carried.previous, tolerance)):
             step = replace(step, length=rate * step.length, gradient=rate * step.gradient)
-        # a free datum allows no Gauss-Newton steps, and the next damped steps cannot decrease the cost
-        flat = is_free and step.length < ROUNDING_STEP and before - run.error <= FLAT * before
         if flat or step.length == 0.0 or small(step.length, carried.previous, tolerance, shrink):
             if newton or is_free:
                 return _end(course, backend, run, step, changed=changed)

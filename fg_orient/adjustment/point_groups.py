@@ -49,6 +49,7 @@ class PointGroup:
 
     Parameters
     ----------
+    number : int
     chunks, places, points : (2,) int tuples
         First and end of its chunks, of its places among the ground points, and of its image points.
     images : (m,) int array
@@ -61,10 +62,9 @@ class PointGroup:
         Their unknowns among the free ones.
     fold : (w,) int array or None
         Column of each of ``wide`` among these n; None where they are the same.
-    entries : (2,) int tuple
-        First and end of its blocks among the blocks of all groups.
     """
 
+    number: int
     chunks: tuple[int, int]
     places: tuple[int, int]
     points: tuple[int, int]
@@ -73,7 +73,6 @@ class PointGroup:
     vectors: tuple[int, ...]
     free: Index
     fold: Index | None
-    entries: tuple[int, int]
 
 
 class GroupRows:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from itertools import combinations, pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
@@ -32,6 +33,10 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Pair = tuple[int, int]
 
+#: Vectors from which they are joined to variables of about so many unknowns, if all are linked: GTSAM then takes less
+#: time for few large factors.
+JOINED_FROM: Final = 40
+JOINED_SIZE: Final = 150
 #: Blocks of a factor of three vectors, in the order of GTSAM's arguments.
 _PLACES: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
@@ -76,23 +81,39 @@ class GroupSums:
     elimination : Elimination
     keys : mapping
         GTSAM key of each vector of unknowns, by its number.
+    alone : bool
+        There are no other factors but the priors of the vectors.
     """
 
-    def __init__(self, elimination: Elimination, keys: Mapping[int, int]) -> None:
+    def __init__(self, elimination: Elimination, keys: Mapping[int, int], *, alone: bool) -> None:
         self.elimination, self._ties = elimination, elimination.problem.ties
-        self._sets, seen = [], set[Pair]()
-        covered = cover(self._pairs())
-        alone = set(keys) - {n for own in covered for n in own}
-        for own in [*covered, *((n,) for n in sorted(alone))]:
-            pairs = [(own[a], own[b]) for a, b in _PLACES if b < len(own)]
-            self._sets.append((
-                [keys[n] for n in own], pairs, [pair not in seen for pair in pairs], [(n, n) not in seen for n in own]
-            ))  # fmt: skip
-            seen.update(pairs)
+        #: Keys of the images and shared unknowns, and their parts of the free unknowns.
         self.vectors = [(keys[n], part) for n, part in elimination.parts.items()]
-        self.cost = _cost_factor(elimination, self.vectors)
         #: Order of elimination, by the pattern of the first graph.
         self.ordering: gtsam.Ordering | None = None
+        self._parts, self._keys = elimination.parts, dict(keys)
+        pairs, n = self._pairs(), len(keys)
+        #: Vectors are joined to few variables: all are linked, so that no order of elimination saves anything.
+        self.is_joined = alone and n >= JOINED_FROM and len(pairs) == n * (n - 1) // 2
+        if self.is_joined:
+            cuts = np.linspace(0, n, 1 + -(-self.vectors[-1][1].stop // JOINED_SIZE)).astype(int)
+            first = [self.vectors[k][1].start if k < n else self.vectors[-1][1].stop for k in cuts.tolist()]
+            self._parts = {k: slice(*ends) for k, ends in enumerate(pairwise(first))}
+            self._keys = {k: int(gtsam.symbol("a", k)) for k in self._parts}
+            pairs = set(combinations(self._parts, 2))
+        #: Keys of the variables of the graph, and their parts.
+        self.variables = [(self._keys[n], part) for n, part in self._parts.items()]
+        self.cost = _cost_factor(elimination, self.variables, with_priors=self.is_joined)
+        covered = cover(pairs)
+        single = set(self._keys) - {n for own in covered for n in own}
+        self._sets, seen = [], set[Pair]()
+        for own in [*covered, *((n,) for n in sorted(single))]:
+            blocks = [(own[a], own[b]) for a, b in _PLACES if b < len(own)]
+            self._sets.append((
+                [self._keys[n] for n in own], blocks, [pair not in seen for pair in blocks],
+                [(n, n) not in seen for n in own],
+            ))  # fmt: skip
+            seen.update(blocks)
 
     def _pairs(self) -> set[Pair]:
         """Different vectors that a block of the reduced matrix links."""
@@ -112,12 +133,15 @@ class GroupSums:
         of = self._ties.of[problem.image_slice(k)]
         return [n for n, part in parts.items() if ((of >= part.start) & (of < part.stop)).any()]
 
-    def factors(self, blocks: Array, gradient: Array) -> list[gtsam.LinearContainerFactor]:
-        """Factors of blocks (B, k, k) and gradient (u,) of :meth:`Elimination.linearised`; their cost is zero."""
+    def factors(self, blocks: Array, gradient: Array, prior: Array) -> list[gtsam.LinearContainerFactor]:
+        """Factors of blocks (B, k, k) and gradient (u,) of :meth:`Elimination.linearised`; their cost is zero.
+
+        ``prior`` (u,) is added to the diagonal.
+        """
         elimination, s = self.elimination, self.elimination.backend.structure
-        parts, problem = elimination.parts, elimination.problem
+        parts, problem = self._parts, elimination.problem
         size = {n: part.stop - part.start for n, part in parts.items()}
-        if self._ties is None:
+        if self._ties is None and not self.is_joined:
             nothing = np.zeros(blocks.shape[1:])  # of an image that no eliminated point is seen in
             number = dict(zip(zip(s.block_row.tolist(), s.block_column.tolist(), strict=True), blocks, strict=True))
 
@@ -125,20 +149,21 @@ class GroupSums:
                 return np.asarray(number.get((n, m), nothing)[: size[n], : size[m]])
         else:
             whole = full_matrix(s.pattern, problem.first, blocks, self._ties)
+            whole[np.diag_indices(len(whole))] += prior
 
             def block(n: int, m: int) -> Array:
                 return whole[parts[n], parts[m]]
 
         zero = {(a, b): np.zeros((a, b)) for a in set(size.values()) for b in set(size.values())}
-        out = []
+        out = gtsam.GaussianFactorGraph()
         for keys, pairs, new, first in self._sets:
             g = [block(*pair) if is_new else zero[size[pair[0]], size[pair[1]]]
                  for pair, is_new in zip(pairs, new, strict=True)]  # fmt: skip
             own = [n for n, m in pairs if n == m]
             r = [-gradient[parts[n]] if is_new else np.zeros(size[n]) for n, is_new in zip(own, first, strict=True)]
             hessian: Any = gtsam.HessianFactor  # its overloads do not know a list of arguments
-            out.append(gtsam.LinearContainerFactor(hessian(*keys, *_arguments(g, r), 0.0)))
-        return out
+            out.add(hessian(*keys, *_arguments(g, r), 0.0))
+        return [gtsam.LinearContainerFactor(out.at(k)) for k in range(out.size())]
 
 
 class ReducedGraph:
@@ -158,11 +183,22 @@ class ReducedGraph:
         self._blocks, self._cost = blocks.copy(), sums.elimination.cost(self._free)
         self.graph = gtsam.NonlinearFactorGraph()
         self.graph.add(sums.cost)
-        for factor in sums.factors(blocks, self._gradient):
+        prior = 1.0 if sums.is_joined and backend.problem.block.options.priors else 0.0
+        for factor in sums.factors(blocks, self._gradient + prior * self._free, np.full(len(self._free), prior)):
             self.graph.add(factor)
-        self.graph.push_back(backend.others)
+        #: Values of the variables of the graph.
+        self.values = values
+        if sums.is_joined:
+            self.values = _values(self._free, sums.variables)
+        else:
+            self.graph.push_back(backend.others)
         sums.ordering = sums.ordering or self.graph.orderingCOLAMD()
         self.ordering = sums.ordering
+
+    def of_images(self, values: gtsam.Values) -> gtsam.Values:
+        """Values of images from those of the variables of the graph, as a copy."""
+        sums = self._backend.sums
+        return _values(free_unknowns(values, sums.variables), sums.vectors) if sums.is_joined else gtsam.Values(values)
 
     def after(self, values: gtsam.Values) -> tuple[float, float]:
         """Cost at other values as the linear model of the groups predicts it, and the gradient of everything along.
@@ -209,13 +245,24 @@ def _arguments(blocks: list[Array], right: list[Array]) -> list[Array]:
     return [*blocks[:3], right[0], *blocks[3:5], right[1], blocks[5], right[2]]
 
 
-def _cost_factor(elimination: Elimination, vectors: Sequence[tuple[int, slice]]) -> gtsam.CustomFactor:
-    """Factor with the cost of all groups at any values and a Jacobian of zeros for the first vector."""
-    key, part = vectors[0]
+def _values(free: Array, vectors: Sequence[tuple[int, slice]]) -> gtsam.Values:
+    """GTSAM values of image unknowns (u,)."""
+    values = gtsam.Values()
+    for key, part in vectors:
+        values.insert(key, free[part])
+    return values
+
+
+def _cost_factor(
+    elimination: Elimination, vectors: Sequence[tuple[int, slice]], *, with_priors: bool
+) -> gtsam.CustomFactor:  # fmt: skip
+    """Factor with the cost of all groups, and of the priors, at any values; its Jacobian for one vector is zero."""
+    prior = 1.0 if with_priors and elimination.problem.block.options.priors else 0.0
 
     def error(_this: Any, values: Any, jacobians: Any) -> Array:
+        free = free_unknowns(values, vectors)
         if jacobians is not None:
-            jacobians[0] = np.zeros((1, part.stop - part.start))
-        return np.array([math.sqrt(2.0 * elimination.cost(free_unknowns(values, vectors)))])
+            jacobians[0] = np.zeros((1, vectors[0][1].stop))
+        return np.array([math.sqrt(2.0 * elimination.cost(free) + prior * float(free @ free))])
 
-    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(1), [key], error)
+    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(1), [vectors[0][0]], error)
