@@ -8,19 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from fg_orient.adjustment.constraint_kinds import FIGURES, KINDS
 from fg_orient.adjustment.loop import OPTIMIZERS, levenberg_marquardt
 from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, Variable, bordered_inverse
 from fg_orient.closerange import bundle, surface_fit
 from fg_orient.closerange.bundle_network import observed_place
-from fg_orient.closerange.constraints import (
-    FIGURES,
-    KINDS,
-    Constraint,
-    figure_of,
-    figure_parts,
-    observed_element,
-    plain_observation,
-)
+from fg_orient.closerange.constraints import Constraint, figure_of, figure_parts, observed_element, plain_observation
 
 from .conftest import Array
 

@@ -1,0 +1,218 @@
+"""Constraints between ground points: against bordered normal equations with the figures as unknowns, by numpy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from factors._contract import Array
+from fg_orient.adjustment.dense import assemble
+from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.model.block import Block
+from tests.support.degenerate_blocks import with_control
+from tests.support.pinhole import NOISE_PX, pinhole_block
+
+#: Points of the figure, and shapes on which they lie (in a rotated frame), m.
+N = 8
+_T = np.linspace(0.0, 5.5, N)
+_WAVE = np.column_stack([np.cos(_T), np.sin(_T), 0.4 * np.cos(3.0 * _T)])
+SHAPES = {
+    "plane": 10.0 * np.column_stack([np.cos(_T) + 0.3 * _T, np.sin(2.0 * _T), 0.0 * _T]),
+    "line": 5.0 * np.column_stack([_T, 0.0 * _T, 0.0 * _T]),
+    "circle": 10.0 * np.column_stack([np.cos(_T), np.sin(_T), 0.0 * _T]),
+    "sphere": 10.0 * _WAVE / np.linalg.norm(_WAVE, axis=1, keepdims=True),
+}
+
+
+@cache
+def observed(kind: str, control: bool = False) -> tuple[Block, Array]:
+    """Noisy block of six images whose first points lie on a figure, and its true points; without priors."""
+    block, truth = pinhole_block(6, 40, views=4, seed=1)
+    rng, ground = np.random.default_rng(101), truth.ground_m.copy()
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    if kind in SHAPES:
+        ground[:N] = ground[:N].mean(axis=0) + SHAPES[kind] @ turn.T
+    o = block.observations
+    line, sample = o.line.copy(), o.sample.copy()
+    for k, image in enumerate(block.images):
+        rows = o.image == k
+        line[rows], sample[rows] = image.sensor.project(ground[o.point[rows]])
+    noise = rng.normal(scale=NOISE_PX, size=(2, len(line)))
+    known = replace(block.points.known, ecef_m=ground)
+    block = replace(
+        block, observations=replace(o, line=line + noise[0], sample=sample + noise[1]),
+        points=replace(block.points, known=known),
+    )  # fmt: skip
+    if not control:
+        return block, ground
+    block = with_control(block, (10, 15, 20, 30, 35), ground)
+    return replace(block, options=replace(block.options, datum="control", priors=False)), ground
+
+
+def started(block: Block, error_m: float, seed: int) -> Block:
+    """The block with other start coordinates of its points."""
+    known = block.points.known
+    at = known.ecef_m + np.random.default_rng(seed).normal(scale=error_m, size=known.ecef_m.shape)
+    return replace(block, points=replace(block.points, known=replace(known, ecef_m=at)))
+
+
+def stated(kind: str, block: Block, ground: Array, sigma: float | None = None) -> tuple[fg.Constraint, ...]:
+    ids = block.points.ids
+    if kind == "distance":
+        pairs = ((0, 1), (2, 3))
+        sizes = [float(np.linalg.norm(ground[a] - ground[b])) for a, b in pairs]
+        return tuple(fg.Constraint(kind, (ids[a], ids[b]), d, sigma) for (a, b), d in zip(pairs, sizes, strict=True))
+    return (fg.Constraint(kind, ids[:N], sigma=sigma),)
+
+
+def misclosures(kind: str, p: Array, f: Array, ground: Array) -> Array:
+    """Misclosures of all points of a figure f, m; a unit vector of f has its length as a further condition."""
+    if kind == "distance":
+        return np.array(
+            [np.linalg.norm(p[a] - p[b]) - np.linalg.norm(ground[a] - ground[b]) for a, b in ((0, 1), (2, 3))]
+        )
+    if kind == "sphere":
+        return np.asarray(np.linalg.norm(p - f[:3], axis=1) - f[3])
+    n = f[:3]
+    unit = [n @ n - 1.0]
+    if kind == "plane":
+        return np.concatenate([p @ n - f[3], unit])
+    if kind == "circle":
+        d = p - f[3:6]
+        return np.concatenate([d @ n, np.linalg.norm(d, axis=1) - f[6], unit])
+    # a line: direction n, foot point f[3:6] (nearest to the origin), and no component along the direction
+    d = p - f[3:6]
+    k = int(np.argmax(np.abs(n)))
+    across = [i for i in range(3) if i != k]
+    return np.concatenate([*(d[:, i] - n[i] / n[k] * d[:, k] for i in across), unit, [f[3:6] @ n]])
+
+
+def figure_start(kind: str, p: Array) -> Array:
+    middle = p.mean(axis=0)
+    v = np.linalg.svd(p - middle)[2]
+    if kind == "sphere" or kind == "circle":
+        x = np.linalg.lstsq(
+            np.column_stack([2.0 * (p - middle), np.ones(len(p))]), np.sum((p - middle) ** 2, axis=1), rcond=1e-9
+        )[0]
+        r = np.sqrt(x[3] + x[:3] @ x[:3])
+        return np.append(middle + x[:3], r) if kind == "sphere" else np.concatenate([v[2], middle + x[:3], [r]])
+    return {"plane": np.append(v[2], v[2] @ middle), "line": np.concatenate([v[0], middle - (middle @ v[0]) * v[0]]),
+            "distance": np.zeros(0)}[kind]  # fmt: skip
+
+
+def jacobian(function: Callable[[Array], Array], x: Array) -> Array:
+    """Central differences."""
+    steps = 1e-5 * np.eye(len(x))
+    return np.column_stack([(function(x + h) - function(x - h)) / 2e-5 for h in steps])
+
+
+def bordered(problem: Problem, kind: str, ground: Array) -> tuple[State, float, Array]:
+    """State, squares and cofactors of the unknowns by Lagrange's bordered equations; the datum is the shortest step."""
+    plain = replace(problem, block=replace(problem.block, extra=()))
+    state = plain.start
+    u, members = plain.n_columns, [plain.point_slice(j) for j in range(N)]
+    at = np.concatenate([np.arange(m.start, m.stop) for m in members])
+    f = figure_start(kind, state.ground[:N])
+
+    def conditions(x: Array) -> Array:
+        return misclosures(kind, x[: 3 * N].reshape(-1, 3), x[3 * N :], ground)
+
+    for _ in range(30):
+        r, design = assemble(plain, state)
+        design = np.hstack([design, np.zeros((len(r), len(f)))])
+        y = np.concatenate([state.ground[:N].ravel(), f])
+        border = np.zeros((len(conditions(y)), u + len(f)))
+        border[:, np.concatenate([at, u + np.arange(len(f))])] = jacobian(conditions, y)
+        scale = 1.0 / np.maximum(np.linalg.norm(design, axis=0), 1e-3)
+        normal = np.block([[design.T @ design, border.T], [border, np.zeros((len(border),) * 2)]])
+        whole = np.concatenate([scale, np.full(len(border), 30.0)])
+        solved = (
+            np.linalg.lstsq(
+                normal * np.outer(whole, whole), -np.concatenate([design.T @ r, conditions(y)]) * whole, rcond=1e-13
+            )[0]
+            * whole
+        )
+        state, f = plain.moved(state, solved[:u]), f + solved[u : u + len(f)]
+        if np.abs(solved[:u]).max() < 1e-11:
+            break
+    r, _ = assemble(plain, state, jacobian=False)
+    inverse = np.linalg.pinv(normal * np.outer(whole, whole), rcond=1e-13) * np.outer(whole, whole)
+    return state, float(r @ r), inverse[:u, :u]
+
+
+def shape(p: Array) -> Array:
+    """Distances between all points relative to their mean."""
+    d = np.linalg.norm(p[:, None] - p[None], axis=2)
+    return np.asarray(d / d.mean())
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("backend", ["graph", "dense"])
+@pytest.mark.parametrize("kind", ["distance", "plane", "line", "circle", "sphere"])
+def test_hard_in_a_free_network_from_wrong_starts(kind: str, backend: str) -> None:
+    """From two wrong starts: squares, redundancy and shape of Lagrange's equations."""
+    block, ground = observed(kind)
+    constraints = stated(kind, block, ground)
+    _, squares, _ = expected = _expected(kind)
+    plain = fg.adjust(block, datum="inner", priors=False, backend=backend)
+    for seed, error in ((3, 0.3), (4, 2.0)):
+        solution = fg.adjust(
+            replace(started(block, error, seed), extra=constraints), datum="inner", priors=False, backend=backend
+        )
+        assert solution.status is fg.Status.CONVERGED
+        p = solution.ground_m
+        assert np.abs(misclosures(kind, p[:N], _refined(kind, p[:N], ground), ground)).max() < 1e-10
+        assert solution.chi2 == pytest.approx(squares, rel=1e-9)
+        assert shape(p) == pytest.approx(shape(expected[0].ground), abs=1e-9)
+        assert (
+            solution.redundancy - plain.redundancy
+            == {"distance": 1, "plane": 5, "line": 12, "circle": 10, "sphere": 4}[kind]
+        )
+        known = solution.residual_cofactors
+        own = np.einsum("nii->", known.image)  # the datum is without redundancy, a hard constraint has no residual
+        assert own == pytest.approx(solution.redundancy, abs=1e-5)
+        assert solution.chi2 > plain.chi2 * (1.0 + 1e-6)
+
+
+@cache
+def _expected(kind: str) -> tuple[State, float, Array]:
+    block, ground = observed(kind)
+    options = replace(block.options, datum="free", priors=False)
+    return bordered(compile_problem(replace(block, options=options)), kind, ground)
+
+
+def _refined(kind: str, p: Array, ground: Array) -> Array:
+    """Figure of points by Gauss-Newton."""
+    f = figure_start(kind, p)
+    for _ in range(10 if len(f) else 0):
+        f = (
+            f
+            - np.linalg.lstsq(
+                jacobian(lambda x: misclosures(kind, p, x, ground), f), misclosures(kind, p, f, ground), rcond=None
+            )[0]
+        )
+    return f
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("kind", ["distance", "plane", "line", "circle", "sphere"])
+def test_hard_with_control_and_limit_of_soft_ones(kind: str) -> None:
+    """State and cofactors of Lagrange's equations; a constraint with a very small sigma gives the same state."""
+    block, ground = observed(kind, control=True)
+    solution = fg.adjust(replace(block, extra=stated(kind, block, ground)), priors=False)
+    state, squares, q = bordered(compile_problem(block), kind, ground)
+    assert solution.state.ground == pytest.approx(state.ground, abs=3e-8)
+    assert solution.chi2 == pytest.approx(squares, rel=1e-9)
+    problem = solution.problem
+    for j in (0, 3, 7, 12):
+        expected = q[problem.point_slice(j), problem.point_slice(j)]
+        size = np.sqrt(np.trace(expected))
+        assert np.abs(solution.cofactors.point(j) - expected).max() < 1e-5 * size**2
+    soft = fg.adjust(replace(block, extra=stated(kind, block, ground, 1e-6)), priors=False)
+    assert soft.state.ground == pytest.approx(solution.state.ground, abs=3e-8)
+    assert soft.redundancy == solution.redundancy
