@@ -39,8 +39,8 @@ Array = npt.NDArray[np.float64]
 HEAD: Final = Record(weight=1, scale=1, axes=9, frame=9)
 #: Figures with a frame.
 FRAMES: Final = {"plane": FIGURE, "line": FIGURE, "circle": CIRCLE_RECORD}
-#: Sigma of a hard constraint in the first adjustment and afterwards, in units of the smallest sigma of its points with
-#: the images held fixed. A small sigma at the start makes a narrow curved valley.
+#: Smallest sigma of a constraint in the first adjustment, and sigma of a hard one afterwards, in units of the smallest
+#: sigma of its points with the images held fixed. A smaller sigma at the start makes a narrow curved valley.
 FIRST: Final = 1.0
 HARD: Final = 1e-3
 #: Improvements of the correlates; misclosure of a hard constraint in units of its sigma, and ratio of misclosures, at
@@ -155,15 +155,19 @@ def _fitted(
     return x, design, value, blocks, figure
 
 
-def has_hard(block: Block) -> bool:
-    """Whether any extra observation of a block is a hard constraint."""
-    return any(isinstance(e, ConstraintObservation) and e.hard for e in block.extra)
+def has_constraints(block: Block) -> bool:
+    """Whether any extra observation of a block is a constraint, which :func:`hold` completes."""
+    return any(isinstance(e, ConstraintObservation) for e in block.extra)
+
+
+def _has_hard(problem: Problem) -> bool:
+    return any(isinstance(e, ConstraintObservation) and e.hard for e in problem.block.extra)
 
 
 def prepared(problem: Problem) -> Problem:
     """Problem with weights, axes and frames of its constraints from the start; correlates are zero."""
     extra = problem.block.extra
-    if not any(isinstance(e, ConstraintObservation) for e in extra):
+    if not has_constraints(problem.block):
         return problem
     named = problem.named_points()
     rays = np.flatnonzero(np.isin(problem.observations.point, named))
@@ -172,7 +176,7 @@ def prepared(problem: Problem) -> Problem:
     sigma[named] = np.linalg.eigvalsh(normal[named])[:, -1] ** -0.5
     extra = tuple(_prepared(problem, e, sigma) if isinstance(e, ConstraintObservation) else e for e in extra)
     problem = _with_extra(problem, extra)
-    if not has_hard(problem.block):
+    if not _has_hard(problem):
         return problem
     # elsewhere the motions of a free network would change the misclosures
     return replace(problem, start=_on_constraints(problem, problem.start))
@@ -198,7 +202,7 @@ def _on_constraints(problem: Problem, state: State) -> State:
 
 def _prepared(problem: Problem, extra: ConstraintObservation, sigma: Array) -> ConstraintObservation:
     c, members = extra.constraint, [a.index for a in problem.extra_arguments(extra)]
-    start, own, s = problem.start.ground[members], np.zeros(0), c.sigma or FIRST * sigma[members].min()
+    start, own, least = problem.start.ground[members], np.zeros(0), float(sigma[members].min())
     scale, frame, axes = 1.0, np.zeros(9), problem.axes(start.mean(axis=0)[None] + problem.origin_m)[0]
     if c.kind in SIZES:
         figure = figure_of(c, start @ axes.T)
@@ -209,11 +213,12 @@ def _prepared(problem: Problem, extra: ConstraintObservation, sigma: Array) -> C
         total = len(members) * SIZES[c.kind][0] + len(c.observed)
     else:
         _, total, own = relation(c, start)
-        if c.sigma is None and c.kind in ("parallel", "perpendicular"):
-            s /= max(np.linalg.norm(start[1] - start[0]), np.linalg.norm(start[3] - start[2]))
-    head = HEAD.pack(weight=1.0 / s, scale=scale, axes=axes.ravel(), frame=frame)
+        if c.kind in ("parallel", "perpendicular"):
+            least /= max(np.linalg.norm(start[1] - start[0]), np.linalg.norm(start[3] - start[2]))
+    last = c.sigma or HARD * least
+    head = HEAD.pack(weight=1.0 / max(last, FIRST * least), scale=scale, axes=axes.ravel(), frame=frame)
     record = np.concatenate([head, own, np.zeros(total)])
-    return replace(extra, record=record, final_weight=float(FIRST / HARD / s))
+    return replace(extra, record=record, final_weight=1.0 / last)
 
 
 def _with_extra(problem: Problem, extra: Iterable[ExtraObservation]) -> Problem:
@@ -235,26 +240,32 @@ def _linear(problem: Problem, state: State) -> tuple[Array, Array, list[str]]:
 
 
 def _tightened(extra: ConstraintObservation, correlates: Array) -> ConstraintObservation:
-    """Hard constraint with its final weight and the correlates (r,) of the present weight."""
+    """Constraint with its final weight, and the correlates (r,) of the present weight."""
     record, present = extra.record.copy(), extra.record[HEAD.weight]
     record[HEAD.weight] = extra.final_weight
     record[len(record) - len(correlates) :] = correlates * (present / record[HEAD.weight])
     return replace(extra, record=record)
 
 
-def _hard(problem: Problem, state: State) -> list[tuple[int, ConstraintObservation, Array, Array]]:
-    """Number, observation, misclosures (c,) and new correlates (r,) of each hard constraint."""
+def _constraints(problem: Problem, state: State) -> list[tuple[int, ConstraintObservation, Array, Array]]:
+    """Number, observation, misclosures (c,) and new correlates (r,) of each constraint."""
     out = []
     for n, e in enumerate(problem.block.extra):
-        if isinstance(e, ConstraintObservation) and e.hard:
+        if isinstance(e, ConstraintObservation):
             points = [np.ascontiguousarray(state.ground[a.index]) for a in problem.extra_arguments(e)]
-            observed = len(e.constraint.observed)
             total = e.n_residuals + SIZES.get(e.constraint.kind, (0, 0))[1]
-            value = _whole(e.constraint, e.record, points, total)[0]
-            value[total - observed :] = 0.0
-            closed = total - observed
-            out.append((n, e, (value - e.record[-total:])[:closed] / e.record[HEAD.weight], value))
+            closed, value = total - len(e.constraint.observed), _whole(e.constraint, e.record, points, total)[0]
+            misclosures = (value - e.record[-total:])[:closed] / e.record[HEAD.weight]
+            value[closed if e.hard else 0 :] = 0.0
+            out.append((n, e, misclosures, value))
     return out
+
+
+def tightened(problem: Problem) -> Problem:
+    """Problem whose constraints have their final weights, without correlates."""
+    return _with_extra(problem, [
+        _tightened(e, np.zeros(0)) if isinstance(e, ConstraintObservation) else e for e in problem.block.extra
+    ])  # fmt: skip
 
 
 def hold(problem: Problem, estimate: Estimate, run: Callable[[Problem, State], Estimate]) -> tuple[Problem, Estimate]:
@@ -264,16 +275,15 @@ def hold(problem: Problem, estimate: Estimate, run: Callable[[Problem, State], E
     """
     last = np.inf
     for _ in range(ROUNDS):
-        hard = _hard(problem, estimate.state)
-        if not hard or not estimate.converged:
+        stated, extra = _constraints(problem, estimate.state), list(problem.block.extra)
+        if not stated or not estimate.converged:
             break
-        size = max(np.abs(c).max() * e.final_weight for _, e, c, _ in hard)
-        extra = list(problem.block.extra)
-        for n, e, _, correlates in hard:
+        for n, e, _, correlates in stated:
             extra[n] = _tightened(e, correlates)
-        if size < HELD or size > SLOW * last:
+        tight = all(e.record[HEAD.weight] == e.final_weight for _, e, _, _ in stated)
+        size = max((np.abs(c).max() * e.final_weight for _, e, c, _ in stated if e.hard), default=0.0)
+        if tight and (size < HELD or size > SLOW * last):
             break
-        tight = hard[0][1].record[HEAD.weight] == hard[0][1].final_weight
         problem, before, last = _with_extra(problem, extra), estimate, size if tight else np.inf
         estimate = run(problem, before.state)
         estimate = replace(
@@ -285,7 +295,7 @@ def hold(problem: Problem, estimate: Estimate, run: Callable[[Problem, State], E
 
 def _require_held(problem: Problem, state: State) -> None:
     """Raise InputError for hard constraints that do not hold, or depend on each other."""
-    hard, (_, rows, labels) = _hard(problem, state), _linear(problem, state)
+    hard, (_, rows, labels) = [s for s in _constraints(problem, state) if s[1].hard], _linear(problem, state)
     away = np.nan_to_num([np.abs(c).max() for _, _, c, _ in hard], nan=np.inf)
     if away.max() > CONTRADICTION:
         names = [e.label for (_, e, _, _), size in zip(hard, away, strict=True) if size >= NAMED * away.max()]
@@ -301,11 +311,11 @@ def _require_held(problem: Problem, state: State) -> None:
 def released(problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate]:
     """Problem without correlates; state on the hard constraints, with its weighted sum of squares."""
     extra, chi2 = list(problem.block.extra), estimate.chi2
-    for n, e, _, correlates in _hard(problem, estimate.state):
+    for n, e, _, correlates in (s for s in _constraints(problem, estimate.state) if s[1].hard):
         extra[n] = replace(e, record=np.concatenate([e.record[: -len(correlates)], np.zeros(len(correlates))]))
         value, left = (extra_blocks(problem, one, estimate.state, jacobian=False)[0] for one in (e, extra[n]))
         chi2 += float(value @ (2.0 * left - value))  # without the rows, then the change by moving onto the constraints
     problem = _with_extra(problem, extra)
-    if not has_hard(problem.block) or not estimate.converged:
+    if not _has_hard(problem) or not estimate.converged:
         return problem, replace(estimate, chi2=chi2)
     return problem, replace(estimate, chi2=chi2, state=_on_constraints(problem, estimate.state))

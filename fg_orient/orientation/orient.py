@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from factors._preparation import preparing_seconds, working_clock
 from fg_orient.adjustment.checkpoint import Checkpoint
-from fg_orient.adjustment.constraints import has_hard, hold, released
+from fg_orient.adjustment.constraints import has_constraints, hold, released, tightened
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.memory import require_memory
 from fg_orient.adjustment.native import with_observations
@@ -172,7 +172,7 @@ def adjust(
         return adjust_with_components(block, run.once, begin)
 
     def next_round(block: Block, begin: State, like: Problem) -> AdjustmentResult:
-        if block.options.variance_components or block.options.datum == "inner" or has_hard(block):
+        if block.options.variance_components or block.options.datum == "inner" or has_constraints(block):
             return runner(block, begin)
         return run.again(block, like, begin)
 
@@ -234,6 +234,7 @@ def _factor_graph(
     from fg_orient.orientation.factor_graph import FactorGraph, Prepared
 
     compiled, observability, block_view, structure = _compiled(block)
+    compiled = tightened(compiled)
 
     def concluded(estimate: Estimate) -> Solution:
         return conclude(compiled, observability, block_view, estimate, structure)

@@ -9,6 +9,7 @@ metres (points); ``fg_orient.quality.joint`` converts them to physical units. Po
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.border import Border
+from fg_orient.adjustment.border import Border, small_enough
 from fg_orient.adjustment.cofactors import (
     WHOLE_LIMIT,
     ReducedCofactors,
@@ -27,6 +28,7 @@ from fg_orient.adjustment.cofactors import (
 from fg_orient.adjustment.dense import DenseSystem
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.runtime import one_blas_thread
+from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import Estimate
 
 if TYPE_CHECKING:
@@ -75,6 +77,7 @@ class Cofactors(Protocol):
 
 def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
     """Cofactors from the backend of the solution; Indeterminate if the normal equations are nearly singular."""
+    from fg_orient.adjustment.explicit import ExplicitSystem
     from fg_orient.adjustment.schur import SchurSystem
 
     linear = estimate.linear
@@ -89,6 +92,9 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
         with one_blas_thread():
             return ReducedCofactors(problem, linear)
     except RuntimeError as error:
+        if isinstance(linear, ExplicitSystem) and problem.named_points() and small_enough(problem):
+            with one_blas_thread(), contextlib.suppress(Singular):  # its scaled Cholesky factor exists more often
+                return BorderCofactors(problem, Border(problem, estimate.state))
         reduced = isinstance(linear, SchurSystem | SummedSystem | Border)
         raise Indeterminate(str(error) if reduced else "GTSAM finds the normal equations indeterminate") from error
 

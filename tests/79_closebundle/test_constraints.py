@@ -47,6 +47,16 @@ def _parallel(rng: np.random.Generator) -> Array:
     return np.array([a, a + rng.uniform(0.5, 2.0) * d, b, b + rng.uniform(0.5, 2.0) * d])
 
 
+def _perpendicular(rng: np.random.Generator) -> Array:
+    a, b, d = rng.normal(size=3), 3.0 + rng.normal(size=3), _frame(rng)
+    return np.array([a, a + rng.uniform(0.5, 2.0) * d[0], b, b + rng.uniform(0.5, 2.0) * d[1]])
+
+
+def _equal(rng: np.random.Generator) -> Array:
+    a, b, size = rng.normal(size=3), 3.0 + rng.normal(size=3), rng.uniform(0.5, 2.0)
+    return np.array([a, a + size * _frame(rng)[0], b, b + size * _frame(rng)[0]])
+
+
 def _plane(rng: np.random.Generator) -> Array:
     return rng.normal(size=3) + rng.normal(size=(6, 2)) @ _frame(rng)[:2]
 
@@ -73,7 +83,8 @@ def _spheroid(rng: np.random.Generator) -> Array:
 
 
 SHAPES: dict[str, Callable[[np.random.Generator], Array]] = {
-    "distance": _distance, "parallel": _parallel, "plane": _plane, "line": _line, "plumb line": _plumb,
+    "distance": _distance, "parallel": _parallel, "perpendicular": _perpendicular, "equal": _equal,
+    "plane": _plane, "line": _line, "plumb line": _plumb,
     "circle": _circle, "horizontal circle": _horizontal, "spheroid": _spheroid,
     "sphere": lambda rng: rng.normal(size=3) + rng.uniform(0.5, 2.0) * _sphere(rng, 10),
     "base": _distance, "equal attitude": lambda rng: np.vstack([_frame(rng), _frame(rng)]),
