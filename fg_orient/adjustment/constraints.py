@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from factors._contract import Argument, Equation
 from factors.conditions.circles import CIRCLE_RECORD
-from factors.conditions.constraints import FIGURE
+from factors.conditions.constraints import FACTOR, FIGURE
 from factors.records import Record
 from fg_orient.adjustment.constraint_kinds import OF_PHOTOS, SIZES, Constraint, Figure, figure_of, relation
 from fg_orient.adjustment.dense import extra_blocks
@@ -110,7 +110,7 @@ def _whole(constraint: Constraint, record: Any, points: Any, total: int) -> tupl
     correlates, real = record[len(record) - total :], [np.ascontiguousarray(np.real(p)) for p in points]
     if constraint.kind not in SIZES:
         equation, _, _ = relation(constraint, np.array(real))
-        own[0] *= head[HEAD.weight]
+        own[FACTOR.factor] *= head[HEAD.weight]
         blocks = equation.kernel(own, _NONE, *real, True)[1:]
         return equation.residual(own, _NONE, *points) + correlates, np.eye(total), list(blocks)
     axes = head[HEAD.axes].reshape(3, 3)
@@ -126,7 +126,7 @@ def _fitted(
     real = np.real(np.array(points))
     figure = figure_of(constraint, real)
     own, x, m = figure.record.copy(), figure.start, figure.n_residuals
-    own[0] = head[HEAD.weight] * head[HEAD.scale]
+    own[FACTOR.factor] = head[HEAD.weight] * head[HEAD.scale]
     if constraint.kind in FRAMES and head[HEAD.frame].any():  # the correlates have the axes of the start
         record, (normal, first, _) = FRAMES[constraint.kind], head[HEAD.frame].reshape(3, 3)
         n = own[record.normal] * (1.0 if own[record.normal] @ normal > 0.0 else -1.0)
@@ -187,17 +187,26 @@ def _on_constraints(problem: Problem, state: State) -> State:
 
     InputError: they cannot hold together, or depend on each other.
     """
-    named, least = np.array(problem.named_points()), np.inf
+    named, start = np.array(problem.named_points()), state.ground.copy()
+
+    def at(step: Array) -> State:
+        ground = start.copy()
+        ground[named] += step.reshape(-1, 3)
+        return State(state.image, ground)
+
+    x, least = np.zeros(3 * len(named)), np.inf
     for _ in range(_FITS):
-        rows, design, _ = _linear(problem, state)
+        rows, design, _ = _linear(problem, at(x))
         size, before = float(np.abs(rows).max()), least
         if not size < before and size < HELD:
             break
-        least, ground = min(size, least), state.ground.copy()
-        ground[named] -= np.linalg.lstsq(design, rows, rcond=DEPENDENT)[0].reshape(-1, 3)
-        state = State(state.image, ground)
-    _require_held(problem, state)
-    return state
+        least, x = min(size, least), x - np.linalg.lstsq(design, rows, rcond=DEPENDENT)[0]
+    else:  # the constraints with the largest misclosures at the least sum of squares are named
+        from scipy.optimize import least_squares
+
+        x = least_squares(lambda x: _linear(problem, at(x))[0], 0.0 * x, lambda x: _linear(problem, at(x))[1]).x
+    _require_held(problem, at(x))
+    return at(x)
 
 
 def _prepared(problem: Problem, extra: ConstraintObservation, sigma: Array) -> ConstraintObservation:
@@ -214,7 +223,7 @@ def _prepared(problem: Problem, extra: ConstraintObservation, sigma: Array) -> C
     else:
         _, total, own = relation(c, start)
         if c.kind in ("parallel", "perpendicular"):
-            least /= max(np.linalg.norm(start[1] - start[0]), np.linalg.norm(start[3] - start[2]))
+            least /= float(np.linalg.norm(start[1::2] - start[::2], axis=1).max())
     last = c.sigma or HARD * least
     head = HEAD.pack(weight=1.0 / max(last, FIRST * least), scale=scale, axes=axes.ravel(), frame=frame)
     record = np.concatenate([head, own, np.zeros(total)])
@@ -256,8 +265,7 @@ def _constraints(problem: Problem, state: State) -> list[tuple[int, ConstraintOb
             total = e.n_residuals + SIZES.get(e.constraint.kind, (0, 0))[1]
             closed, value = total - len(e.constraint.observed), _whole(e.constraint, e.record, points, total)[0]
             misclosures = (value - e.record[-total:])[:closed] / e.record[HEAD.weight]
-            value[closed if e.hard else 0 :] = 0.0
-            out.append((n, e, misclosures, value))
+            out.append((n, e, misclosures, np.where(np.arange(total) < (closed if e.hard else 0), value, 0.0)))
     return out
 
 

@@ -12,6 +12,7 @@ from factors.conditions import circles, constraints
 from fg_orient.adjustment import constraint_kinds as kinds
 from fg_orient.adjustment.constraint_kinds import AXES, MEASURED, Constraint, Figure, relation
 from fg_orient.adjustment.network import Observation, Variable
+from fg_orient.closerange.surface import Kind
 from fg_orient.closerange.surface_fit import fit_surface
 from fg_orient.model.errors import InputError
 
@@ -30,9 +31,10 @@ def figure_of(constraint: Constraint, points: Array, sigma_m: Array | None = Non
     """
     if constraint.kind not in FITTED_FIRST:
         return kinds.figure_of(constraint, points)
+    kind: Kind = "sphere" if constraint.kind == "sphere" else "spheroid"
     priors = {{"radius": "a"}.get(name, name): pair for name, pair in constraint.observed.items()} or None
-    surface = fit_surface(points, constraint.kind, axis=constraint.axis, priors=priors, sigma_m=sigma_m).surface
-    if constraint.kind == "sphere":
+    surface = fit_surface(points, kind, axis=constraint.axis, priors=priors, sigma_m=sigma_m).surface
+    if kind == "sphere":
         return kinds.sphere_figure(surface.centre, float(surface.semi_axes[0]))
     return kinds.spheroid_figure(surface.centre, surface.semi_axes, AXES.index(constraint.axis))
 
@@ -93,5 +95,5 @@ def plain_observation(constraint: Constraint, unknowns: Sequence[int | Array], s
         record = circles.ATTITUDE_RECORD.pack(factor=1.0, first=first, second=second, between=between)
     else:
         equation, n, record = relation(constraint, np.array(start))
-    record[0] /= constraint.sigma or 1.0
+    record[constraints.FACTOR.factor] /= constraint.sigma or 1.0
     return Observation(equation, tuple(unknowns), record, _NONE, n, constraint.label, constraint.sigma is None)

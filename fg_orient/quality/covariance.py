@@ -77,7 +77,6 @@ class Cofactors(Protocol):
 
 def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
     """Cofactors from the backend of the solution; Indeterminate if the normal equations are nearly singular."""
-    from fg_orient.adjustment.explicit import ExplicitSystem
     from fg_orient.adjustment.schur import SchurSystem
 
     linear = estimate.linear
@@ -92,10 +91,10 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
         with one_blas_thread():
             return ReducedCofactors(problem, linear)
     except RuntimeError as error:
-        if isinstance(linear, ExplicitSystem) and problem.named_points() and small_enough(problem):
+        reduced = isinstance(linear, SchurSystem | SummedSystem | Border)
+        if not reduced and problem.named_points() and small_enough(problem):
             with one_blas_thread(), contextlib.suppress(Singular):  # its scaled Cholesky factor exists more often
                 return BorderCofactors(problem, Border(problem, estimate.state))
-        reduced = isinstance(linear, SchurSystem | SummedSystem | Border)
         raise Indeterminate(str(error) if reduced else "GTSAM finds the normal equations indeterminate") from error
 
 

@@ -11,6 +11,8 @@ import pytest
 
 import fg_orient as fg
 from factors._contract import Array
+from fg_orient.adjustment.constraint_kinds import relation
+from fg_orient.adjustment.constraints import HEAD, constraint_observation
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.model.block import Block
@@ -216,3 +218,103 @@ def test_hard_with_control_and_limit_of_soft_ones(kind: str) -> None:
     soft = fg.adjust(replace(block, extra=stated(kind, block, ground, 1e-6)), priors=False)
     assert soft.state.ground == pytest.approx(solution.state.ground, abs=3e-8)
     assert soft.redundancy == solution.redundancy
+
+
+ALL = {
+    **SHAPES, "parallel": np.array([[0, 0, 0], [3, 1, 2], [5, 5, 0], [11, 7, 4.0]]),
+    "perpendicular": np.array([[0, 0, 0], [3, 1, 2], [5, 5, 0], [6, 4, -1.0]]),
+    "equal": np.array([[0, 0, 0], [3, 1, 2], [5, 5, 0], [6, 2, -2.0]]),
+    "plumb line": 5.0 * np.column_stack([0.0 * _T, 0.0 * _T, _T]), "horizontal circle": SHAPES["circle"],
+    "spheroid": SHAPES["sphere"] * [1.0, 0.6, 1.0],
+}  # fmt: skip
+
+
+def _record(extra: fg.ExtraObservation, sigma: float, shape: Array) -> Array:
+    """Record with this sigma, axes of the unit and the constants of parallel lines, correlates zero."""
+    constraint = extra.constraint  # type: ignore[attr-defined]
+    own = np.zeros(0)
+    if constraint.kind in ("parallel", "perpendicular", "equal"):
+        own = relation(constraint, shape)[2]
+    head = HEAD.pack(weight=1.0 / sigma, scale=0.05, axes=np.eye(3).ravel(), frame=np.zeros(9))
+    return np.concatenate([head, own, np.zeros(len(extra.record) - HEAD.size)])
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("kind", list(ALL))
+def test_derivatives_by_complex_steps(kind: str) -> None:
+    """Rows on the figure, where the basis N of the rows does not count; gradient of the squares anywhere."""
+    rng = np.random.default_rng(7)
+    shape = ALL[kind] + rng.normal(size=3)
+    observed = {"circle": {"radius": (9.0, 0.1)}, "spheroid": {"a": (9.9, 0.2)}}.get(kind, {})
+    extra = constraint_observation(fg.Constraint(kind, tuple(map(str, range(len(shape)))), observed=observed))
+    assert len(extra.constraint.members) == len(shape)
+    for noise in (0.0, 0.05):
+        at = shape + rng.normal(scale=noise, size=shape.shape) if noise else shape
+        record = _record(extra, 0.2, shape)
+        value, *blocks = extra.equation.kernel(record, np.zeros((2, 0)), *at, True)
+        assert value == pytest.approx(extra.equation.residual(record, np.zeros((2, 0)), *at), abs=1e-12)
+        assert value.shape == (extra.n_residuals,) and (np.abs(value).max() < 1e-11) == (not noise and not observed)
+        for k, block in enumerate(blocks):
+            for i in range(3):
+                moved = at.astype(complex)
+                moved[k, i] += 1e-30j
+                row = np.imag(extra.equation.residual(record, np.zeros((2, 0)), *moved)) / 1e-30
+                if not noise and not observed:
+                    assert block[:, i] == pytest.approx(row, abs=1e-9)
+                steps = [at + h * np.eye(len(at))[:, [k]] * np.eye(3)[i] for h in (1e-5, -1e-5)]
+                ahead, behind = (extra.equation.residual(record, np.zeros((2, 0)), *p) for p in steps)
+                slope = (ahead @ ahead - behind @ behind) / 4e-5
+                assert block[:, i] @ value == pytest.approx(slope, abs=1e-7 * max(1.0, value @ value) / 0.2)
+
+
+@pytest.mark.behaviour
+@pytest.mark.parametrize(
+    ("made", "code", "names"),
+    [
+        (lambda i, d: [("distance", i[:2], d), ("distance", i[1::-1], d)], "closerange.dependent",
+         ["distance of 1, 0"]),
+        (lambda i, d: [("distance", i[:2], d), ("distance", i[1::-1], 2 * d)], "closerange.contradiction",
+         ["distance of 0, 1", "distance of 1, 0"]),
+        (lambda i, d: [("distance", i[:2], d), ("distance", i[1:3], d), ("distance", (i[0], i[2]), 3 * d)],
+         "closerange.contradiction", ["distance of 0, 1", "distance of 1, 2", "distance of 0, 2"]),
+        (lambda i, d: [("plane", i[:6], None), ("plane", i[:5], None)], "closerange.dependent",
+         ["plane of 0, 1, 2, 3, 4"]),
+        (lambda i, d: [("plane", i[:3], None)], "closerange.constraint", ["plane of 0, 1, 2"]),
+        (lambda i, d: [("base", i[:2], d)], "closerange.constraint", ["base of 0, 1"]),
+    ],
+)  # fmt: skip
+def test_contradictions_and_dependent_constraints_are_named(
+    made: Callable[[tuple[str, ...], float], list[tuple[str, tuple[str, ...], float | None]]], code: str,
+    names: list[str],
+) -> None:  # fmt: skip
+    """One line that names constraints, before anything is adjusted."""
+    block, ground = observed("plane")
+    block = replace(block, points=replace(block.points, ids=tuple(map(str, range(len(block.points.ids))))))
+    size = float(np.linalg.norm(ground[0] - ground[1]))
+    extra = tuple(fg.Constraint(*one) for one in made(block.points.ids, size))
+    with pytest.raises(fg.InputError) as error:
+        fg.adjust(replace(block, extra=extra), datum="inner", priors=False)
+    (problem,) = error.value.problems
+    assert problem.code == code and all(name in str(error.value) for name in names)
+
+
+@pytest.mark.oracle
+def test_snooping_losses_and_components_with_hard_constraints() -> None:
+    """A gross error of 30 px at a point of a hard plane is found; losses and components keep the plane."""
+    block, ground = observed("plane", control=True)
+    o = block.observations
+    row = int(np.flatnonzero(o.point == 2)[0])
+    line = o.line.copy()
+    line[row] += 30.0
+    wrong = replace(block, observations=replace(o, line=line), extra=stated("plane", block, ground))
+    snooped = fg.adjust(wrong, priors=False, snoop=True)
+    assert [(t.image, t.point) for t in snooped.snooping.tests] == [
+        (block.images[o.image[row]].id, block.points.ids[2])
+    ]
+    clean = np.delete(np.arange(len(o)), row)
+    without = replace(wrong, observations=o.take(clean))
+    expected = bordered(compile_problem(replace(without, extra=())), "plane", ground)
+    assert snooped.chi2 == pytest.approx(expected[1], rel=1e-9)
+    for more in ({"loss": "huber"}, {"variance_components": ["image", "control"]}):
+        p = fg.adjust(wrong if "loss" in more else without, priors=False, **more).ground_m[:N]
+        assert np.abs(misclosures("plane", p, _refined("plane", p, ground), ground)).max() < 1e-10
