@@ -111,8 +111,8 @@ def _whole(constraint: Constraint, record: Any, points: Any, total: int) -> tupl
     if constraint.kind not in SIZES:
         equation, _, _ = relation(constraint, np.array(real))
         own[FACTOR.factor] *= head[HEAD.weight]
-        blocks = equation.kernel(own, _NONE, *real, True)[1:]
-        return equation.residual(own, _NONE, *points) + correlates, np.eye(total), list(blocks)
+        own_blocks = equation.kernel(own, _NONE, *real, True)[1:]
+        return equation.residual(own, _NONE, *points) + correlates, np.eye(total), list(own_blocks)
     axes = head[HEAD.axes].reshape(3, 3)
     _, design, value, blocks, _ = _fitted(constraint, head, [axes @ p for p in points], correlates)
     basis = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
@@ -204,7 +204,13 @@ def _on_constraints(problem: Problem, state: State) -> State:
     else:  # the constraints with the largest misclosures at the least sum of squares are named
         from scipy.optimize import least_squares
 
-        x = least_squares(lambda x: _linear(problem, at(x))[0], 0.0 * x, lambda x: _linear(problem, at(x))[1]).x
+        def rows_at(x: Array) -> Array:
+            return _linear(problem, at(x))[0]
+
+        def slopes_at(x: Array) -> Array:
+            return _linear(problem, at(x))[1]
+
+        x = least_squares(rows_at, 0.0 * x, slopes_at).x
     _require_held(problem, at(x))
     return at(x)
 

@@ -315,6 +315,6 @@ def test_snooping_losses_and_components_with_hard_constraints() -> None:
     without = replace(wrong, observations=o.take(clean))
     expected = bordered(compile_problem(replace(without, extra=())), "plane", ground)
     assert snooped.chi2 == pytest.approx(expected[1], rel=1e-9)
-    for more in ({"loss": "huber"}, {"variance_components": ["image", "control"]}):
+    for more in ({"loss": "huber", "max_iterations": 200}, {"variance_components": ["image", "control"]}):
         p = fg.adjust(wrong if "loss" in more else without, priors=False, **more).ground_m[:N]
         assert np.abs(misclosures("plane", p, _refined("plane", p, ground), ground)).max() < 1e-10
