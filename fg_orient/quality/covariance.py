@@ -25,6 +25,7 @@ from fg_orient.adjustment.cofactors import (
     blocks_of_images,
     cofactors_of_points,
 )
+from fg_orient.adjustment.constraints import has_constraints
 from fg_orient.adjustment.dense import DenseSystem
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.runtime import one_blas_thread
@@ -92,7 +93,7 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
             return ReducedCofactors(problem, linear)
     except RuntimeError as error:
         reduced = isinstance(linear, SchurSystem | SummedSystem | Border)
-        if not reduced and problem.named_points() and small_enough(problem):
+        if not reduced and has_constraints(problem.block) and small_enough(problem):
             with one_blas_thread(), contextlib.suppress(Singular):  # its scaled Cholesky factor exists more often
                 return BorderCofactors(problem, Border(problem, estimate.state))
         raise Indeterminate(str(error) if reduced else "GTSAM finds the normal equations indeterminate") from error
