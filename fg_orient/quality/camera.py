@@ -26,9 +26,9 @@ from fg_orient.sensors.frame import INTERIOR, FrameSensor
 #: Correlation from which on parameters count as inseparable: standard deviations are 3.2 times as large.
 INSEPARABLE: Final = 0.95
 #: Names in close range and of frame images.
-DISTANCE: Final = ("c", "focal")
-PRINCIPAL: Final = ("x0", "y0", "principal_sample", "principal_line")
-DECENTRING: Final = ("p1", "p2")
+DISTANCE: Final[tuple[str, ...]] = ("c", "focal")
+PRINCIPAL: Final[tuple[str, ...]] = ("x0", "y0", "principal_sample", "principal_line")
+DECENTRING: Final[tuple[str, ...]] = ("p1", "p2")
 
 
 @dataclass(frozen=True, eq=False)
