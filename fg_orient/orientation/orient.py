@@ -31,7 +31,7 @@ from fg_orient.model.options import Backend, Datum, Options
 from fg_orient.model.parameters import with_options
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.orientation.solution import Seconds, Solution
-from fg_orient.quality import doubts, verdict
+from fg_orient.quality import camera, doubts, verdict
 from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
 from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
 from fg_orient.quality.deficiency import compiled_problem, judge_observability, refuse_deficient, require_determined
@@ -356,6 +356,8 @@ def conclude(
     if assessment.status is not Status.NOT_CONVERGED:
         raised, residuals = doubts.of_solution(compiled, estimate, ground, cofactors)
         findings += raised
+        if cofactors is not None:
+            findings += camera.inseparable(camera.frame_cofactors(compiled, estimate.state, cofactors))
     if located is not None and len(located.lost):
         names = [compiled.block.points.ids[j] for j in located.lost]
         findings.append(finding("solution.check_not_located", n=len(names), points=names))
