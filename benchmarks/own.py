@@ -160,7 +160,7 @@ def eliminated(problem: Problem, optimizer: str) -> Callable[[], Outcome]:
 
     def once() -> Outcome:
         marks = [time.perf_counter()]
-        backend = GraphBackend(problem)
+        backend = GraphBackend(problem, grouped=False)
         marks.append(time.perf_counter())
         with one_blas_thread():
             result = GTSAM_OPTIMIZERS[optimizer](backend, problem.start, 50)

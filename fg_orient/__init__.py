@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from factors.losses import register as register_loss
     from factors.losses.construct import loss_from_weight
     from factors.records import Record
+    from fg_orient.adjustment.constraint_kinds import Constraint
     from fg_orient.adjustment.linear.kappa import KappaChoice, register_kappa_rule
     from fg_orient.adjustment.linear.registry import register_solver
     from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
@@ -75,6 +76,7 @@ _require_own_factors()
 _HOME: Final = {
     "Argument": "factors._contract",
     "Block": "fg_orient.model.block",
+    "Constraint": "fg_orient.adjustment.constraint_kinds",
     "Equation": "factors._contract",
     "ExtraObservation": "fg_orient.model.block",
     "FactorGraph": "fg_orient.orientation.factor_graph",
@@ -120,6 +122,7 @@ _HOME: Final = {
 __all__ = [
     "Argument",
     "Block",
+    "Constraint",
     "Equation",
     "ExtraObservation",
     "FactorGraph",

@@ -8,13 +8,12 @@ import numpy as np
 
 from factors._contract import Argument, Array, register_condition
 from factors.cameras.frame_camera import CAMERA, turned
+from factors.conditions.constraints import FACTOR
 from factors.records import Record
 
 #: Factor s and the normal and axes of the circle's plane; s and rotations R_0 of both cameras, D, row-major.
 CIRCLE_RECORD: Final = Record(factor=1, normal=3, e_1=3, e_2=3)
 ATTITUDE_RECORD: Final = Record(factor=1, first=9, second=9, between=9)
-#: Plumb line and horizontal circle.
-FACTOR: Final = Record(factor=1)
 
 
 def residual_plumb_line(record: Any, setup: Any, x: Any, p: Any) -> Any:

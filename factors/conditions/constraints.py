@@ -2,6 +2,8 @@
 
     distance          s (|q - p| - d)                                        eqs. 111 (base), 118
     parallel          s e_i . (q - p) x (t - r) / (|q - p| |t - r|)          i = 1, 2
+    perpendicular     s (q - p) . (t - r) / (|q - p| |t - r|)
+    equal             s (|q - p| - |t - r|)
     plane             s (n . (p - p_0) - x_2) / |n|,   n = n_0 + x_0 e_1 + x_1 e_2       eq. 116
     line              s (e_i . (p - p_0) - x_i - x_{2+i} n_0 . (p - p_0))    i = 1, 2; eq. 113
     plumb line        s (X - x_0, Y - x_1)                                   eq. 113
@@ -9,7 +11,8 @@
     horizontal circle s (Z - x_2,  |(X, Y) - (x_0, x_1)| - x_3)              eq. 117
     observed element  s (x_j - value)                                        eqs. 81-89
 
-Equation numbers: Ayhan 1996. Residuals are metres times s (``parallel``: radians times s), so with s = 1/sigma they are
+Equation numbers: Ayhan 1996. Residuals are metres times s (``parallel`` and
+``perpendicular``: radians times s), so with s = 1/sigma they are
 whitened. Spheres and spheroids: ``factors.conditions.surfaces``. The first vector of a figure's frame is normal to its
 plane, or along its line; the figure is close to this frame, so that its unknowns remain small. Plain Python: there are
 few constraints.
@@ -28,6 +31,7 @@ from factors.records import Record
 #: Records: of figures (n_0, e_1, e_2 orthonormal), of distances, parallels and observed elements.
 FIGURE: Final = Record(factor=1, place=3, normal=3, e_1=3, e_2=3)
 LENGTH: Final = Record(factor=1, distance=1)
+FACTOR: Final = Record(factor=1)
 DIRECTION: Final = Record(factor=1, e_1=3, e_2=3)
 ELEMENT: Final = Record(factor=1, value=1, number=1)
 
@@ -73,6 +77,37 @@ def jacobians_parallel(
         by_a[i] = f * _cross(b, e) - value[i] / aa * a
         by_b[i] = f * _cross(e, a) - value[i] / bb * b
     return -by_a, by_a, -by_b, by_b
+
+
+def residual_perpendicular(record: Any, setup: Any, p: Any, q: Any, r: Any, t: Any) -> Any:
+    """Residual (1,); the record is the factor."""
+    a, b = q - p, t - r
+    return np.array([record[FACTOR.factor] * _dot(a, b) / np.sqrt(_dot(a, a) * _dot(b, b))])
+
+
+def jacobians_perpendicular(
+    record: Array, setup: Array, value: Array, p: Array, q: Array, r: Array, t: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Jacobians (1, 3)."""
+    a, b = q - p, t - r
+    aa, bb = _dot(a, a), _dot(b, b)
+    f = record[FACTOR.factor] / np.sqrt(aa * bb)
+    by_a, by_b = (f * b - value[0] / aa * a).reshape((1, 3)), (f * a - value[0] / bb * b).reshape((1, 3))
+    return -by_a, by_a, -by_b, by_b
+
+
+def residual_equal(record: Any, setup: Any, p: Any, q: Any, r: Any, t: Any) -> Any:
+    """Residual (1,); the record is the factor."""
+    a, b = q - p, t - r
+    return np.array([record[FACTOR.factor] * (np.sqrt(_dot(a, a)) - np.sqrt(_dot(b, b)))])
+
+
+def jacobians_equal(
+    record: Array, setup: Array, value: Array, p: Array, q: Array, r: Array, t: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Jacobians (1, 3)."""
+    by_a, by_b = (record[FACTOR.factor] / np.sqrt(_dot(d, d)) * d.reshape((1, 3)) for d in (q - p, t - r))
+    return -by_a, by_a, by_b, -by_b
 
 
 def _normal(record: Any, x: Any) -> Any:
@@ -135,6 +170,12 @@ DISTANCE = register_condition(
 )
 PARALLEL = register_condition(
     "constraint_parallel", residual_parallel, jacobians_parallel, (_POINT,) * 4, "Ayhan 1996, section 2.4.2"
+)
+PERPENDICULAR = register_condition(
+    "constraint_perpendicular", residual_perpendicular, jacobians_perpendicular, (_POINT,) * 4, "sine of the deviation"
+)
+EQUAL = register_condition(
+    "constraint_equal", residual_equal, jacobians_equal, (_POINT,) * 4, "difference of two distances"
 )
 PLANE = register_condition(
     "constraint_plane", residual_plane, jacobians_plane, (Argument("plane", "1, m"), _POINT), "Ayhan 1996, eq. 116"

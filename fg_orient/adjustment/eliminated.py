@@ -4,7 +4,8 @@ A group is a set of ground points with all their rays. For given image vectors x
 the images held (variable projection: Golub & Pereyra 1973), and eliminated. What remains is a function of x alone, with
 the cost c(x), its gradient g(x) and the reduced normal matrix S(x) of Gauss-Newton, which GTSAM is given as rows, see
 :class:`GroupRows`. S of a group without control is singular. The rows are not the derivative of the error vector but
-for the last; only the cost has a derivative.
+for the last; only the cost has a derivative. The sums of all groups are given as a matrix in blocks
+(:meth:`Elimination.linearised`).
 
 Points are intersected by Newton's steps with 3 unknowns. They begin where the last linearised solution, moved along
 the step of the images, predicts them; near the solution this start is exact to second order and no step is needed. The
@@ -16,22 +17,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from factors._contract import NotFiniteError
 from factors.conditions.control import POINT
-from fg_orient.adjustment.point_groups import GroupRows, PointGroup, numbers_of_groups, vector_parts
+from fg_orient.adjustment.group_matrices import GroupMatrices
+from fg_orient.adjustment.point_groups import GroupRows, numbers_of_groups, vector_parts
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import FixedWeights, Weighing
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.schur_structure import Small, Tile
-from fg_orient.kernels.batch_matrix import add_shared
 from fg_orient.kernels.batch_pairs import gather_blocks, gather_gradients
-from fg_orient.kernels.batch_points import ROOT
+from fg_orient.kernels.batch_points import ROOT, move
 from fg_orient.model.errors import NoSolutionError
 
 Array = npt.NDArray[np.float64]
@@ -68,12 +69,14 @@ class Elimination:
         Its priors and extra observations are not part of the groups.
     threads : int, optional
         See :class:`SchurBackend`.
+    grouped : bool
+        False: all points are one group.
     """
 
-    def __init__(self, problem: Problem, threads: int | None = None) -> None:
+    def __init__(self, problem: Problem, threads: int | None = None, *, grouped: bool = True) -> None:
         size = np.diff(problem.first).astype(np.int64)
         self.problem = problem
-        begins = np.zeros(0, np.int64)
+        begins = np.zeros(1, np.int64)
 
         def grouping(first: Small, image: Small) -> Index:
             nonlocal begins
@@ -81,53 +84,23 @@ class Elimination:
             begins = np.cumsum(np.bincount(number)) - np.bincount(number)
             return number
 
-        self.backend = SchurBackend(problem, threads, grouping=grouping)
+        self.backend = SchurBackend(problem, threads, grouping=grouping if grouped else None)
         #: Part of the free unknowns of each vector, by its number.
         self.parts = dict(vector_parts(problem))
-        self.groups = self._grouped(begins)
+        self._matrices = GroupMatrices(self.backend, begins, self.parts)
+        self.groups = self._matrices.groups
         #: Names of points that could not be intersected at the last evaluation, by group.
         self.impossible: dict[int, str] = {}
         self._free = problem.image_vector(problem.start)
         self._ground = problem.start.ground.copy()  # where the rows in the buffers were computed
-        self._base: dict[int, tuple[Array, Array]] = {}  # free unknowns and points of the last linearised state
+        # where each group was linearised last: free unknowns, ground points, and those of the group among them
+        self._base: dict[int, tuple[Array, Array, Any]] = {}
         self._rows: list[GroupRows | None] = [None] * len(self.groups)
+        self._total: tuple[Array, float] | None = None  # where the cost of all groups was asked for last, and the cost
         self._excess = np.zeros(len(self.groups))
         self._far = True
         self._shrink = 1.0  # factor by which the last step of the points shortened the largest decrement
         self._name = object()  # owner of the buffers; this object itself there would be a reference cycle
-
-    def _grouped(self, begins: Index) -> tuple[PointGroup, ...]:
-        """Groups by their first places, and the slots of their blocks."""
-        s, problem = self.backend.structure, self.problem
-        chunks = np.append(np.searchsorted(s.chunk_places, begins), len(s.chunk_places) - 1)
-        slot_chunk = np.searchsorted(s.slot_begin, np.arange(len(s.slot_own)), side="right") - 1
-        slot_block = np.empty(len(s.slot_own), np.int64)
-        slot_block[s.block_slots] = np.repeat(np.arange(len(s.block_row)), np.diff(s.block_begin))
-        slot_group = np.searchsorted(chunks, slot_chunk, side="right") - 1
-        order = np.lexsort((np.arange(len(slot_block)), slot_block, slot_group))
-        key = slot_group[order] * len(s.block_row) + slot_block[order]
-        entry, begin = np.unique(key, return_index=True)
-        self._slots = order.astype(s.block_slots.dtype)
-        self._begin = np.append(begin, len(order)).astype(np.int64)
-        block = entry % len(s.block_row)
-        entries = np.searchsorted(entry // len(s.block_row), np.arange(len(chunks)))
-        self._row, self._column = s.block_row[block], s.block_column[block]
-        out = []
-        for g in range(len(chunks) - 1):
-            lo, hi = int(chunks[g]), int(chunks[g + 1])
-            places = int(s.chunk_places[lo]), int(s.chunk_places[hi])
-            points = int(s.first[places[0]]), int(s.first[places[1]])
-            images = np.unique(s.image[slice(*points)]).astype(np.int64)
-            wide = np.concatenate([np.arange(problem.first[k], problem.first[k + 1]) for k in images])
-            own = wide if problem.ties is None else problem.ties.of[wide]
-            vectors = [n for n, part in self.parts.items() if ((own >= part.start) & (own < part.stop)).any()]
-            free = np.concatenate([np.arange(self.parts[n].start, self.parts[n].stop) for n in vectors] or [wide])
-            fold = np.searchsorted(free, own) if problem.ties is not None else None
-            out.append(PointGroup(
-                (lo, hi), places, points, images, wide, tuple(vectors), free, fold,
-                (int(entries[g]), int(entries[g + 1])),
-            ))  # fmt: skip
-        return tuple(out)
 
     def hold_weights(self, robust: Weighing | None, state: State) -> None:
         """Give the rows the weights of a loss at a state, until the next call; the cost there is that of the loss.
@@ -137,7 +110,7 @@ class Elimination:
         """
         backend, b = self.backend, self.backend.buffers
         backend.robust, b.root_weight, b.control = None, np.ones(0), self.problem.control_records
-        self._excess[:], self._rows = 0.0, [None] * len(self.groups)
+        self._excess[:], self._rows, self._total = 0.0, [None] * len(self.groups), None
         if robust is None:
             return
         image_squares, control_squares = backend.squares(state)
@@ -168,13 +141,13 @@ class Elimination:
     def release(self) -> None:
         """Give the buffers to other users of the backend: all groups are computed again afterwards."""
         b = self.backend.buffers
-        self._rows, self._base = [None] * len(self.groups), {}
+        self._rows, self._total, self._base = [None] * len(self.groups), None, {}
         b.owner, b.held, b.root_weight, b.control = None, None, np.ones(0), self.problem.control_records
 
     def start_at(self, free: Array, ground: Array) -> None:
         """Begin at image unknowns (u,) and ground points (N, 3): all groups are computed again from there."""
         self._free, self._ground, self._base = free.copy(), ground.copy(), {}
-        self._rows = [None] * len(self.groups)
+        self._rows, self._total = [None] * len(self.groups), None
 
     def rows(self, g: int, own: Array, everything: Callable[[], Array], *, accepted: bool) -> GroupRows:
         """Rows of a group.
@@ -191,19 +164,54 @@ class Elimination:
             Whether the optimiser linearises here: points are predicted from the last such place.
         """
         found = self._rows[g]
-        if found is None or not np.array_equal(found.at, own):
-            free = everything()
-            self._evaluate([k for k in range(len(self.groups)) if self._stale(k, free)], free)
+        if found is None or not found.has_matrix or not np.array_equal(found.at, own):
+            self._refresh(everything(), matrices=True)
             found = self._rows[g]
             assert found is not None
         if accepted and g not in self.impossible:
             number = self.backend.structure.number[slice(*self.groups[g].places)]
-            self._base[g] = found.at, self._ground[number]
+            self._base[g] = found.at, self._ground[number], slice(None)
         return found
 
-    def _stale(self, g: int, free: Array) -> bool:
+    def cost(self, free: Array) -> float:
+        """Cost of all groups at image unknowns (u,)."""
+        if self._total is None or not np.array_equal(self._total[0], free):
+            self._refresh(free, matrices=False)
+            self._total = free, sum(rows.cost for rows in self.last_rows())
+        return self._total[1]
+
+    def linearised(self, free: Array) -> tuple[Array, Array]:
+        """Sums of all groups where an optimiser linearises: blocks (B, k, k) of S, overwritten later, and g (u,).
+
+        The blocks are those of ``backend.structure``; groups that cannot be intersected add nothing.
+        """
+        self._refresh(free, matrices=False)
+        backend, s, b = self.backend, self.backend.structure, self.backend.buffers
+        ground = self._ground.copy()
+        for g, rows in enumerate(self.last_rows()):
+            if g in self.impossible:
+                slots = slice(*s.slot_begin[list(self.groups[g].chunks)])
+                b.sums[slots], b.gradients[slots] = 0.0, 0.0
+            else:
+                self._base[g] = rows.at, ground, s.number[slice(*self.groups[g].places)]
+        of = (s.wide, s.scale, s.size)
+        at = (s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column)
+        backend.workers.run(gather_blocks, s.block_begin, *at, b.sums, *of, s.n_basis, s.n_components, b.blocks)
+        gradient = np.zeros(self.problem.n_image_unknowns)
+        gather_gradients(*at, b.gradients, *of, s.n_components, gradient)
+        return b.blocks, gradient if self.problem.ties is None else self.problem.ties.summed(gradient)
+
+    def _refresh(self, free: Array, *, matrices: bool) -> None:
+        """Compute the groups whose unknowns have changed; ``matrices``: each with its matrix."""
+        stale = [g for g in range(len(self.groups)) if self._stale(g, free, matrices)]
+        if stale:
+            self._total = None
+            self._evaluate(stale, free, matrices)
+
+    def _stale(self, g: int, free: Array, matrices: bool) -> bool:
         rows, own = self._rows[g], free[self.groups[g].free]
-        return bool(np.isfinite(own).all()) and (rows is None or not np.array_equal(rows.at, own))
+        same = rows is not None and (rows.has_matrix or not matrices) and np.array_equal(rows.at, own)
+        return bool(np.isfinite(own).all()) and not same
 
     def state(self, free: Array, *, complete: bool = False) -> State:
         """State with the points of the last evaluation; ``complete`` moves them by their last Newton step."""
@@ -216,20 +224,20 @@ class Elimination:
 
     # one evaluation
 
-    def _evaluate(self, groups: Sequence[int], free: Array) -> None:
-        """Compute groups: predict their points, intersect, eliminate, factorise."""
+    def _evaluate(self, groups: Sequence[int], free: Array, matrices: bool) -> None:
+        """Compute groups: predict their points, intersect, eliminate."""
         full = np.where(np.isfinite(free), free, self._free)
         self._far = not self._base or float(np.abs(full - self._free).max(initial=0.0)) > SMALL_STEP
         self._predict(groups, full)
         self._free = full
         state = State(self.problem.image_matrix(full), self._ground)
         good = self._intersect(groups, state)
-        self._assemble(good, full)
+        self._assemble(good, full, matrices)
         for g in groups:
             if g not in good:
                 own, places = full[self.groups[g].free], slice(*self.groups[g].places)
                 number = self.backend.structure.number[places]
-                self._ground[number] = self._base[g][1] if g in self._base else self.problem.start.ground[number]
+                self._ground[number] = self._kept_ground(g) if g in self._base else self.problem.start.ground[number]
                 zero = np.zeros((len(own), len(own)))
                 self._rows[g] = GroupRows(own, zero, np.zeros(len(own)), 2.0 * IMPOSSIBLE)
 
@@ -253,9 +261,14 @@ class Elimination:
             self._substitute(known, step, ground)
             for g in known:
                 places = slice(*self.groups[g].places)
-                self._ground[s.number[places]] += ground[places]
+                move(s.number[places], ground[places], self._ground)
         for g in back:
-            self._ground[s.number[slice(*self.groups[g].places)]] = self._base[g][1]
+            self._ground[s.number[slice(*self.groups[g].places)]] = self._kept_ground(g)
+
+    def _kept_ground(self, g: int) -> Array:
+        """Ground points (p, 3) of a group where it was linearised last."""
+        _, ground, of_group = self._base[g]
+        return np.asarray(ground[of_group])
 
     def _substitute(self, groups: Sequence[int], step: Array, ground: Array) -> None:
         """Steps (P, 3) of the points of groups after a step (u,) of the images, from the elimination in the buffers."""
@@ -305,10 +318,12 @@ class Elimination:
 
     def _newton(self, groups: Sequence[int], state: State) -> None:
         """Newton's steps of the points of groups until all are intersected; the last elimination is in the buffers."""
-        s, places = self.backend.structure, np.concatenate([np.arange(*self.groups[g].places) for g in groups])
-        number = s.number[places]
-        last_cost: Array | None = None
-        last_ground, largest = state.ground[number], math.inf
+        s = self.backend.structure
+        places: Any = slice(None)  # a view of all places costs nothing
+        whole, largest = len(groups) == len(self.groups), math.inf
+        if not whole:
+            places = np.concatenate([np.arange(*self.groups[g].places) for g in groups])
+        number, last_cost, last_ground = s.number[places], None, np.zeros(0)
         step = np.zeros((len(s.number), 3))
         near = not self._far
         for _ in range(MAX_STEPS):
@@ -320,6 +335,10 @@ class Elimination:
             if largest <= INTERSECTED:
                 break
             self._substitute(groups, np.zeros(len(self._free)), step)
+            near = self._shrink * largest <= INTERSECTED
+            if largest <= SAFE and last_cost is None and whole:
+                move(s.number, step, state.ground)
+                continue
             here = state.ground[number]
             ahead = here + step[places]
             if largest > SAFE or last_cost is not None:
@@ -330,30 +349,25 @@ class Elimination:
                     here, cost = np.where(worse[:, None], last_ground, here), np.where(worse, last_cost, cost)
                 last_cost, last_ground = cost, here
             state.ground[number] = ahead
-            near = largest * self._shrink <= INTERSECTED
         else:
             if largest > STALLED:
                 name = self.problem.block.points.ids[int(number[int(decrement.argmax())])]
                 raise NotIntersected(f"the rays of point {name} do not intersect near its last position")
             self._eliminate(groups, state, near=near)
-        self._sum(groups, state, near=near)
+        if not near:
+            self._sum(groups, state)
 
     def _eliminate(self, groups: Sequence[int], state: State, *, near: bool) -> None:
-        """Rows and point blocks of groups at a state.
-
-        Rows that are not kept are used for the sums of pairs, which cost most, if the points are ``near`` the
-        intersection.
-        """
+        """Rows and point blocks of groups at a state; sums of the pairs of rays, too, ``near`` the intersection."""
         wide = self.backend.structure.widened(state.image)
         for tile, lo, hi in self._ranges(groups):
-            self._chunks(tile, lo, hi, state, wide, pairs=near and not tile.kept)
+            self._chunks(tile, lo, hi, state, wide, pairs=near)
 
-    def _sum(self, groups: Sequence[int], state: State, *, near: bool) -> None:
-        """Sums of the pairs of rays of eliminated groups; ``near``: of the kept rows only, the others are done."""
+    def _sum(self, groups: Sequence[int], state: State) -> None:
+        """Sums of the pairs of rays of eliminated groups."""
         wide = self.backend.structure.widened(state.image)
         for tile, lo, hi in self._ranges(groups):
-            if tile.kept or not near:
-                self._chunks(tile, lo, hi, state, None if tile.kept else wide, pairs=True)
+            self._chunks(tile, lo, hi, state, None if tile.kept else wide, pairs=True)
 
     def _chunks(self, tile: Tile, lo: int, hi: int, state: State, wide: Array | None, *, pairs: bool) -> None:
         """Eliminate the points of chunks of a tile; see :meth:`Stages.chunks`."""
@@ -365,7 +379,7 @@ class Elimination:
         )  # fmt: skip
         b.held = b.held if tile.kept else None
 
-    def _decrements(self, places: Index) -> Array:
+    def _decrements(self, places: Any) -> Array:
         """Newton decrements (n,) of points in sigmas: roots of twice the decrease that a Newton step predicts."""
         b = self.backend.buffers
         return np.asarray(np.sqrt(_squares(b.root[places], b.gradient[places])))
@@ -378,57 +392,22 @@ class Elimination:
         out[s.free == 2] += 0.5 * self.backend.control_squares(state, b.control)
         return np.asarray(out)
 
-    def _assemble(self, groups: set[int], free: Array) -> None:
-        """Matrix, gradient and cost of groups, as rows."""
+    def _assemble(self, groups: set[int], free: Array, matrices: bool) -> None:
+        """Cost of groups and, with ``matrices``, their matrix and gradient, as rows."""
         backend, s, b = self.backend, self.backend.structure, self.backend.buffers
         if not groups:
             return
-        blocks = np.empty((len(self._row), s.wide.shape[1], s.wide.shape[1]))
-        first, end = min(self.groups[g].entries[0] for g in groups), max(self.groups[g].entries[1] for g in groups)
-        backend.workers.run(
-            gather_blocks, end - first, self._begin, self._slots, s.slot_own, self._row, self._column, b.sums,
-            s.wide, s.scale, s.size, s.n_basis, s.n_components, blocks, start=first,
-        )  # fmt: skip
+        blocks = self._matrices.blocks(groups) if matrices else None
         control = backend.control_squares(State(self.problem.image_matrix(free), self._ground), b.control)
         place = np.flatnonzero(s.free == 2)
         for g in groups:
             group = self.groups[g]
-            lo, hi = group.entries
-            gradient = np.zeros(self.problem.n_image_unknowns)
-            gather_gradients(
-                self._begin[lo : hi + 1], self._slots, s.slot_own, self._row[lo:hi], self._column[lo:hi], b.gradients,
-                s.wide, s.scale, s.size, s.n_components, gradient,
-            )  # fmt: skip
-            own = gradient[group.wide]
-            if group.fold is None:
-                matrix = self._matrix(group, blocks)
-            else:
-                own = np.bincount(group.fold, own, len(group.free)).astype(float)
-                matrix = np.zeros((len(own), len(own)))
-                of = np.zeros(len(gradient), np.int64)
-                of[group.wide] = group.fold
-                add_shared(
-                    self._row[lo:hi], self._column[lo:hi], self.problem.first, of, s.size, blocks[lo:hi], matrix
-                )  # fmt: skip
-            value = b.value[slice(*group.points)]
+            value, at = b.value[slice(*group.points)], slice(*group.places)
             inside = slice(*np.searchsorted(place, group.places))
-            at = slice(*group.places)
-            points = control[inside].sum() - _squares(b.root[at], b.gradient[at]).sum()
-            total = float(np.vdot(value, value) + points) + 2.0 * self._excess[g]
-            self._rows[g] = GroupRows(free[group.free], matrix, own, total)
-
-    def _matrix(self, group: PointGroup, blocks: Array) -> Array:
-        """Reduced normal matrix (w, w) of the images of a group."""
-        size, entries = self.backend.structure.size[group.images], slice(*group.entries)
-        m, widest = len(size), int(size.max(initial=0))
-        a, b = (np.searchsorted(group.images, k[entries]) for k in (self._row, self._column))
-        own = blocks[entries, :widest, :widest]
-        out = np.zeros((m, widest, m, widest))
-        out[b, :, a, :] = own.transpose(0, 2, 1)
-        out[a, :, b, :] = own
-        used = np.flatnonzero(np.arange(widest) < size[:, None])
-        whole = out.reshape(m * widest, m * widest)
-        return whole if len(used) == len(whole) else whole[np.ix_(used, used)]
+            points = float(control[inside].sum() - _squares(b.root[at], b.gradient[at]).sum())
+            total = float(np.vdot(value, value)) + points + 2.0 * self._excess[g]
+            matrix, gradient = (None, None) if blocks is None else self._matrices.normal(group, blocks)
+            self._rows[g] = GroupRows(free[group.free], matrix, gradient, total)
 
 
 def _squares(root: Array, gradient: Array) -> Array:

@@ -8,7 +8,8 @@ Gauss-Newton, Levenberg-Marquardt or Dogleg solve this graph (:mod:`fg_orient.ad
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -26,8 +27,8 @@ from fg_orient.adjustment.explicit import (
     point_key,
     vector_keys,
 )
-from fg_orient.adjustment.point_groups import GroupRows
 from fg_orient.adjustment.problem import Problem, State, schur_possible
+from fg_orient.adjustment.reduced_graph import GroupSums, ReducedGraph, free_unknowns
 from fg_orient.adjustment.robust import Robust
 from fg_orient.adjustment.schur import SchurSystem
 from fg_orient.adjustment.schur_reduced import Singular
@@ -51,16 +52,9 @@ def group_factor(elimination: Elimination, g: int, keys: Mapping[int, int], labe
     vectors = [(keys[n], part) for n, part in elimination.parts.items()]
     own = [keys[n] for n in elimination.groups[g].vectors]
 
-    def everything(values: gtsam.Values) -> Array:
-        free = np.full(vectors[-1][1].stop, np.nan)
-        for key, part in vectors:
-            if values.exists(key):
-                free[part] = values.atVector(key)
-        return free
-
     def evaluate(values: gtsam.Values, accepted: bool) -> tuple[Array, Array | None]:
         x = np.concatenate([values.atVector(key) for key in own])
-        rows = elimination.rows(g, x, lambda: everything(values), accepted=accepted)
+        rows = elimination.rows(g, x, lambda: free_unknowns(values, vectors), accepted=accepted)
         return rows.error, rows.jacobian if accepted else None
 
     sizes = [part.stop - part.start for key, part in vectors if key in own]
@@ -75,16 +69,18 @@ class GraphBackend:
     problem : Problem
     threads : int, optional
         Of the kernels.
+    grouped : bool
+        False: one factor for all groups of points. The optimisers need the sums of all groups only.
     """
 
     name = "graph"
 
-    def __init__(self, problem: Problem, threads: int | None = None) -> None:
+    def __init__(self, problem: Problem, threads: int | None = None, *, grouped: bool = True) -> None:
         self.problem = problem
         #: Ground points that are variables of the graph.
         self.points = np.array(problem.named_points(), np.int64)
         reduced, explicit = divided(problem)
-        self.elimination = Elimination(reduced, threads)
+        self.elimination = Elimination(reduced, threads, grouped=grouped)
         self.robust: Robust | None = None
         self._vectors = vector_keys(problem)
         self._prior = 1.0 if problem.block.options.priors else 0.0
@@ -97,12 +93,13 @@ class GraphBackend:
             for extra in problem.block.extra:
                 self.others.add(extra_factor(extra, problem))
         self.graph = gtsam.NonlinearFactorGraph()
-        keys = dict(zip(self.elimination.parts, [key for key, _ in self._vectors], strict=True))
+        #: GTSAM key of each vector of unknowns, by its number.
+        self.keys = keys = dict(zip(self.elimination.parts, [key for key, _ in self._vectors], strict=True))
         for g, group in enumerate(self.elimination.groups):
             images = ", ".join(problem.block.images[k].id for k in group.images[:3].tolist())
             self.graph.add(group_factor(self.elimination, g, keys, f"group {g} (images {images} ...)"))
         self.graph.push_back(self.others)
-        self.ordering = self.graph.orderingCOLAMD()
+        self.sums = GroupSums(self.elimination, keys, alone=explicit is None and not problem.block.extra)
 
     def factors_of_point(self, j: int) -> list[gtsam.NonlinearFactor]:
         """Factor of the group that holds the rays of ground point j; none for a point without rays."""
@@ -124,7 +121,7 @@ class GraphBackend:
 
     def free(self, values: gtsam.Values) -> Array:
         """Image unknowns (u,) of GTSAM values."""
-        return np.concatenate([values.atVector(key) for key, _ in self._vectors])
+        return free_unknowns(values, self._vectors)
 
     def state(self, values: gtsam.Values, *, complete: bool = False) -> State:
         """State of values that were evaluated last; see :meth:`Elimination.state`."""
@@ -133,30 +130,14 @@ class GraphBackend:
             state.ground[j] = values.atPoint3(point_key(j))
         return state
 
-    def linear_model(self, rows: Sequence[GroupRows], before: gtsam.Values, after: gtsam.Values) -> tuple[float, float]:
-        """Cost after a step as the linear model of the groups predicts it, and the gradient of everything along it.
+    def linearised(self, values: gtsam.Values) -> ReducedGraph:
+        """Graph for one iteration of an optimiser at these values."""
+        return ReducedGraph(self, values)
 
-        The cost of the other factors is the actual one.
-        """
-        step = self.free(after) - self.free(before)
-        moves = [step[group.free] for group in self.elimination.groups]
-        cost = sum(own.cost_along(move) for own, move in zip(rows, moves, strict=True))
-        along = sum(float(own.gradient @ move) for own, move in zip(rows, moves, strict=True))
-        gradient, delta = self.others.linearize(before).gradientAtZero(), before.localCoordinates(after)
-        along += sum(float(gradient.at(key) @ delta.at(key)) for key in self.others.keyVector())
-        return cost + float(self.others.error(after)), along
-
-    def steepest(self, rows: Sequence[GroupRows], values: gtsam.Values) -> float:
-        """Longest Gauss-Newton step of one image unknown alone, in standard deviations from the groups of points."""
-        slope = self.others.linearize(values).gradientAtZero()
-        gradient, diagonal = np.zeros(self._vectors[-1][1].stop), np.zeros(self._vectors[-1][1].stop)
-        for key, part in self._vectors:
-            if slope.exists(key):
-                gradient[part] = slope.at(key)
-        for own, group in zip(rows, self.elimination.groups, strict=True):
-            gradient[group.free] += own.gradient
-            diagonal[group.free] += np.einsum("ij,ij->j", own.jacobian, own.jacobian)
-        return float((np.abs(gradient) / np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))).max(initial=0.0))
+    @cached_property
+    def ordering(self) -> gtsam.Ordering:
+        """Order of elimination of the graph."""
+        return self.graph.orderingCOLAMD()
 
     def squares(self, state: State) -> tuple[Array, Array]:
         """See ``robust.RobustBackend``; image points in the order of the structure."""

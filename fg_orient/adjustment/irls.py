@@ -179,7 +179,7 @@ def cycles_on_arrays(
 
     options = problem.block.options
     as_graph = options.backend == "graph"
-    backend: Any = GraphBackend(problem) if as_graph else SchurBackend(problem)
+    backend: Any = GraphBackend(problem, grouped=False) if as_graph else SchurBackend(problem)
     optimise = (GTSAM_OPTIMIZERS if as_graph else OPTIMIZERS)[options.optimizer]
     structure = backend.elimination.backend.structure if as_graph else backend.structure
 

@@ -13,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Argument, Equation
+from fg_orient.adjustment.constraint_kinds import Constraint
+from fg_orient.adjustment.constraints import constraint_observation
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import InputError
 
@@ -30,17 +32,19 @@ class NativeObservation(ExtraObservation):
 
 
 def with_observations(block: Block) -> Block:
-    """Block whose GTSAM factors among ``extra`` are observations.
+    """Block whose GTSAM factors and constraints among ``extra`` are observations.
 
     Raises
     ------
     InputError
-        A factor names a variable that does not exist, or cannot be evaluated; named by its number from 0.
+        A factor names a variable that does not exist, or cannot be evaluated; named by its number from 0. A
+        constraint has too few members.
     """
     if all(isinstance(extra, ExtraObservation) for extra in block.extra):
         return block
     return replace(block, extra=tuple(
-        extra if isinstance(extra, ExtraObservation) else _observation(block, extra, n)
+        extra if isinstance(extra, ExtraObservation) else constraint_observation(extra)
+        if isinstance(extra, Constraint) else _observation(block, extra, n)
         for n, extra in enumerate(block.extra)
     ))  # fmt: skip
 

@@ -41,6 +41,7 @@ from fg_orient.adjustment.loop import (
     small,
 )
 from fg_orient.adjustment.problem import State
+from fg_orient.adjustment.reduced_graph import ReducedGraph
 from fg_orient.model.errors import finding
 
 Array = npt.NDArray[np.float64]
@@ -70,40 +71,53 @@ class _Step(Step):
 
 
 class _Run:
-    """One of GTSAM's optimisers on a graph, and what it has reached."""
+    """Values that one of GTSAM's optimisers has reached, iteration by iteration.
+
+    Each iteration has an optimiser and a graph of its own (:mod:`fg_orient.adjustment.reduced_graph`), which continue
+    with the damping or radius of the last ones.
+    """
 
     def __init__(self, kind: str, backend: GraphBackend, values: gtsam.Values, control: float) -> None:
         self.kind, self._backend = kind, backend
-        self.optimizer: Any = _optimizer(kind, backend, values, control)
-        self.values, self.error = values, float(self.optimizer.error())
-        self.state = backend.state(values)
+        self.control = {"levenberg-marquardt": DAMPING, "dogleg": RADIUS}.get(kind, math.nan)
+        self.control = self.control if math.isnan(control) or kind == "gauss-newton" else control
+        self.values, self.state = values, backend.state(values)
+        self._begin()
 
-    @property
-    def control(self) -> float:
-        """Damping or radius; nan for Gauss-Newton."""
-        if self.kind == "levenberg-marquardt":
-            return float(self.optimizer.lambda_())
-        return float(self.optimizer.getDelta()) if self.kind == "dogleg" else math.nan
+    def _begin(self) -> None:
+        """Make the graph and the optimiser of the next iteration."""
+        self._linear = self._backend.linearised(self.values)
+        # with less damping GTSAM may find a free datum singular, and each trial takes a factorisation
+        least = DAMPING if self._backend.problem.least_damping > 0.0 else 0.0
+        self._optimizer = _optimizer(self.kind, self._linear, self.control, least)
+        self.error = float(self._optimizer.error())
+        self._done = False
 
     def iterate(self) -> _Step:
         """Run one iteration."""
-        backend, here = self._backend, self.state
-        rows, before = backend.elimination.last_rows(), self.values
-        self.optimizer.iterate()
-        # a copy: the values of an optimiser are gone after its next iteration
-        self.values, self.error = gtsam.Values(self.optimizer.values()), float(self.optimizer.error())
+        if self._done:
+            self._begin()
+        backend, here, linear, optimizer, before = self._backend, self.state, self._linear, self._optimizer, self.values
+        optimizer.iterate()
+        self._done = True
+        # a copy: the values of an optimiser are gone with it
+        self.values, self.error = linear.of_images(optimizer.values()), float(optimizer.error())
+        if self.kind == "levenberg-marquardt":
+            self.control = float(optimizer.lambda_())
+        elif self.kind == "dogleg":
+            self.control = float(optimizer.getDelta())
         step = backend.free(self.values) - backend.free(before)
         if not step.any():
-            backend.graph.error(before)  # the last evaluation was that of a refused step
+            linear.graph.error(linear.values)  # the last evaluation was that of a refused step
         self.state = backend.state(self.values)
         moved = np.abs(self.state.ground - here.ground) if step.any() else np.zeros(1)
         length = max(float(np.abs(step).max(initial=0.0)), float(np.nanmax(moved, initial=0.0)))
-        predicted, along = backend.linear_model(rows, before, self.values)
-        gradient = math.sqrt(max(-along, 0.0)) if step.any() else backend.steepest(rows, before)
+        predicted, along = linear.after(self.values)
+        gradient = math.sqrt(max(-along, 0.0)) if step.any() else linear.steepest()
         return _Step(None, length, predicted, gradient=gradient)
 
 
-def _optimizer(kind: str, backend: GraphBackend, values: gtsam.Values, control: float) -> Any:
+def _optimizer(kind: str, linear: ReducedGraph, control: float, least: float) -> Any:
     """Make an optimiser whose own tests for the end never hold."""
     makers: dict[str, tuple[Any, Any]] = {
         "gauss-newton": (gtsam.GaussNewtonParams, gtsam.GaussNewtonOptimizer),
@@ -114,13 +128,14 @@ def _optimizer(kind: str, backend: GraphBackend, values: gtsam.Values, control: 
     params = make_params()
     for set_tolerance in (params.setAbsoluteErrorTol, params.setRelativeErrorTol, params.setErrorTol):
         set_tolerance(0.0)
-    params.setOrdering(backend.ordering)
+    params.setOrdering(linear.ordering)
     if kind == "levenberg-marquardt":
         params.setRelativeErrorTol(UNCHANGED)
-        params.setlambdaInitial(DAMPING if math.isnan(control) else control)
+        params.setlambdaInitial(control)
+        params.setlambdaLowerBound(least)
     elif kind == "dogleg":
-        params.setDeltaInitial(RADIUS if math.isnan(control) else control)
-    return make(backend.graph, values, params)
+        params.setDeltaInitial(control)
+    return make(linear.graph, linear.values, params)
 
 
 def _optimise(
@@ -159,11 +174,12 @@ def _optimise(
             run, final = _begin(damped, backend, here, math.nan), False
             course.go_on(control=run.control, rejected=carried.rejected + 1)
             continue
-        if newton and settled(step.length, carried.previous, tolerance):
-            rate = step.length / carried.previous  # of the steps, and of the gradient
+        known = carried.previous < math.inf
+        rate = min(step.length / carried.previous, 1.0) if known else 1.0  # of the steps, and of the gradient
+        # a free datum allows no Gauss-Newton steps, and the next damped step cannot decrease the cost
+        flat = is_free and rate * step.length < ROUNDING_STEP and rate**2 * (before - run.error) <= FLAT * before
+        if flat or (newton and settled(step.length, carried.previous, tolerance)):
             step = replace(step, length=rate * step.length, gradient=rate * step.gradient)
-        # a free datum allows no Gauss-Newton steps, and the next damped steps cannot decrease the cost
-        flat = is_free and step.length < ROUNDING_STEP and before - run.error <= FLAT * before
         if flat or step.length == 0.0 or small(step.length, carried.previous, tolerance, shrink):
             if newton or is_free:
                 return _end(course, backend, run, step, changed=changed)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -48,6 +49,7 @@ class PointGroup:
 
     Parameters
     ----------
+    number : int
     chunks, places, points : (2,) int tuples
         First and end of its chunks, of its places among the ground points, and of its image points.
     images : (m,) int array
@@ -60,10 +62,9 @@ class PointGroup:
         Their unknowns among the free ones.
     fold : (w,) int array or None
         Column of each of ``wide`` among these n; None where they are the same.
-    entries : (2,) int tuple
-        First and end of its blocks among the blocks of all groups.
     """
 
+    number: int
     chunks: tuple[int, int]
     places: tuple[int, int]
     points: tuple[int, int]
@@ -72,7 +73,6 @@ class PointGroup:
     vectors: tuple[int, ...]
     free: Index
     fold: Index | None
-    entries: tuple[int, int]
 
 
 class GroupRows:
@@ -83,44 +83,46 @@ class GroupRows:
         error  (0, t),    Jacobian  (R, g^T / t),    t^2 = 2 c,    R^T R = S - g g^T / t^2,
 
     so that ``J^T J = S``, ``J^T e = g`` and ``|e|^2 = 2 c``. The last row is the length of all residuals of the group
-    and its derivative. R is made when it is first asked for: a cost needs no factorisation.
+    and its derivative. R is made when it is first asked for.
 
     Parameters
     ----------
     at : (n,) array
         The unknowns.
     matrix, gradient : (n, n), (n,) arrays
-        S, positive semidefinite; overwritten later; and g.
+        S, positive semidefinite, and g; None if only the cost was computed.
     twice_cost : float
         2 c, not below ``g^T S^+ g``.
     """
 
-    def __init__(self, at: Array, matrix: Array, gradient: Array, twice_cost: float) -> None:
-        self.at, self.gradient = at, gradient
-        self._matrix: Array | None = matrix
-        self._jacobian = np.zeros((0, len(at)))
-        self.error = np.zeros(len(at) + 1)
+    def __init__(self, at: Array, matrix: Array | None, gradient: Array | None, twice_cost: float) -> None:
+        self.at, self.cost, self._matrix, self._gradient = at, 0.5 * float(twice_cost), matrix, gradient
+
+    @property
+    def has_matrix(self) -> bool:
+        """Whether there are rows, or the cost alone."""
+        return self._matrix is not None
+
+    @property
+    def _normal(self) -> tuple[Array, Array]:
+        assert self._matrix is not None and self._gradient is not None
+        return self._matrix, self._gradient
+
+    @cached_property
+    def error(self) -> Array:
+        """Error (n + 1,)."""
+        matrix, gradient = self._normal
         # rounding may leave less than one unknown alone can decrease
         diagonal = np.diag(matrix)
         least = gradient**2 / np.where(diagonal > 0.0, diagonal, np.inf)
-        self.error[-1] = math.sqrt(max(twice_cost, float(least.max(initial=0.0))))
+        out = np.zeros(len(self.at) + 1)
+        out[-1] = math.sqrt(max(2.0 * self.cost, float(least.max(initial=0.0))))
+        return out
 
-    @property
+    @cached_property
     def jacobian(self) -> Array:
         """Jacobian (n + 1, n)."""
-        if self._matrix is not None:
-            self._jacobian, self._matrix = square_root(self._matrix, self.gradient, float(self.error[-1])), None
-        return self._jacobian
-
-    @property
-    def cost(self) -> float:
-        """Half the sum of squares."""
-        return 0.5 * float(self.error @ self.error)
-
-    def cost_along(self, step: Array) -> float:
-        """Cost that the linear model predicts after a step (n,)."""
-        moved = self.error + self.jacobian @ step
-        return 0.5 * float(moved @ moved)
+        return square_root(*self._normal, float(self.error[-1]))
 
 
 def numbers_of_groups(first: Small, image: Small, size: Index) -> Index:
@@ -207,7 +209,7 @@ def square_root(matrix: Array, gradient: Array, length: float) -> Array:
     Parameters
     ----------
     matrix, gradient : (n, n), (n,) arrays
-        S, which is overwritten, and g.
+        S and g.
     length : float
         Not below ``sqrt(g^T S^+ g)``.
     """
@@ -217,7 +219,7 @@ def square_root(matrix: Array, gradient: Array, length: float) -> Array:
     root = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     if length > 0.0:
         jacobian[n] = gradient / length
-        matrix -= np.outer(jacobian[n], jacobian[n])
+    matrix = matrix - np.outer(jacobian[n], jacobian[n])
     matrix /= root[:, None]
     matrix /= root
     # the transposed view is in Fortran's order: LAPACK takes it without a copy

@@ -353,7 +353,7 @@ def _run_graph(job: _Job) -> Estimate:
     from fg_orient.adjustment.graph import GraphBackend
     from fg_orient.adjustment.optimisers import GTSAM_OPTIMIZERS
 
-    backend = GraphBackend(job.problem)
+    backend = GraphBackend(job.problem, grouped=False)
     job.mark()
     with one_blas_thread():
         result = job.optimise(backend, _same, _same, GTSAM_OPTIMIZERS)

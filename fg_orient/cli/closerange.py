@@ -1,4 +1,4 @@
-"""Commands ``closerange dlt``, ``resect``, ``intersect``, ``bundle``, ``surface``: close range."""
+"""Commands of close range: ``closerange dlt``, ``resect``, ``bundle`` and others."""
 
 from __future__ import annotations
 
@@ -148,6 +148,35 @@ def _show_imported(record: dict[str, Any]) -> None:
         say(f"shifted by {moved} m into the system of the control points")
     tell_findings(record)
     say(f"written: {record['out']}")
+
+
+@app.command("compare-report")
+@command()
+def compare_report(
+    result: Annotated[Path, argument("RESULT", "Folder of a result of close range.")],
+    values: Annotated[Path, argument("VALUES", "CSV: name,value of a published report; sigma, digits if wanted.")],
+    report: Report = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Compare the values of a published report with a result, digit by digit."""
+    from fg_orient.closerange.compare_report import run_comparison
+    from fg_orient.closerange.job import Output
+
+    output = Output(report=report, overwrite=overwrite, command=command_line())
+    answer(run_comparison(result, values, output), _show_comparison)
+
+
+def _show_comparison(record: dict[str, Any]) -> None:
+    from fg_orient.closerange.compare_report import summary
+
+    rows = [(r["name"], r["published"], "-" if r["value"] is None else f"{r['value']:.8g}", r["verdict"],
+             r["sigma_verdict"] or "") for r in record["values"]]  # fmt: skip
+    table("", ("", "published", "result", "value", "sigma"), rows)
+    words = summary(record)
+    for text in (words["title"], *words["text"]):
+        say(text)
+    if record["page"]:
+        say(f"report: {record['page']}")
 
 
 @app.command("surface")

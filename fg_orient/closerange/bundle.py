@@ -12,13 +12,14 @@ import numpy.typing as npt
 
 from factors._contract import NotFiniteError
 from factors.cameras.extended_collinearity import NAMES
+from fg_orient.adjustment.constraint_kinds import Constraint
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.loop import OPTIMIZERS, Callback, IterationRecord, LoopResult
 from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, NetworkRows, bordered_inverse
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import bundle_checks as checks
 from fg_orient.closerange.bundle_network import Built, build
-from fg_orient.closerange.constraints import FITTED_FIRST, Constraint
+from fg_orient.closerange.constraints import FITTED_FIRST
 from fg_orient.closerange.fitting import as_points, require_sigmas, unit_weight
 from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.cameras.extended_collinearity import NAMES
+from fg_orient.adjustment.constraint_kinds import Constraint
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import files, job
@@ -17,7 +18,6 @@ from fg_orient.closerange.accuracy import compare_points
 from fg_orient.closerange.bundle import Adjustment, BundlePhoto, BundleResult, adjust_bundle
 from fg_orient.closerange.bundle_checks import NAMED
 from fg_orient.closerange.bundle_network import CENTRE, TURNS, camera_of
-from fg_orient.closerange.constraints import Constraint
 from fg_orient.closerange.corrections import parameters_of, profile
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.options import BundleOptions
@@ -25,7 +25,9 @@ from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.closerange.resection import resect
 from fg_orient.formats.closerange import ConstraintEntry, read_constraints, read_photos
 from fg_orient.model.errors import Finding, InputError, as_record, finding
+from fg_orient.quality.camera import ImageCofactors, inseparable
 from fg_orient.quality.reliability import ALPHA, CHECKABLE, POWER, noncentrality
+from fg_orient.quality.significance import camera_significance
 from fg_orient.report.tables import correlations
 
 Array = npt.NDArray[np.float64]
@@ -217,6 +219,7 @@ def bundle_record(
             "redundancy_of_images": r.sum(), "mean": r.mean(), "least": r.min(), "alpha": ALPHA, "power": POWER,
             "limit_of_checkable": CHECKABLE, "n_not_checkable": (r < CHECKABLE).any(axis=1).sum(),
         },
+        "significance": _significance(result),
         "correlations": _correlations(result), "directions": directions(result),
         "history": [{name: getattr(i, name) for name in HISTORY} for i in result.history],
         **as_record([*_findings(result, known, seen, check), *started]),
@@ -335,6 +338,19 @@ def _correlations(result: BundleResult) -> job.Record:
     }  # fmt: skip
 
 
+def _significance(result: BundleResult) -> job.Record | None:
+    """Tests of the distortion parameters; None without redundancy."""
+    if result.m0 is None:
+        return None
+    owners = [*(("camera", c) for c in result.cameras), *(("photo", p) for p in result.photos)]
+    values = {f"{of} {one.name} {name}": one[name][0] for of, one in owners for name in one.names if name in NAMES}
+    own = [(k, label) for k, label in enumerate(result.orientation_labels) if label in values]
+    rows = [k for k, _ in own]
+    named = [(label.rpartition(" ")[0], label.rpartition(" ")[2]) for _, label in own]
+    x, q = np.array([values[label] for _, label in own]), result.orientation[np.ix_(rows, rows)]
+    return camera_significance(named, x, q, result.m0, result.redundancy).as_dict()
+
+
 def directions(result: BundleResult) -> job.Record:
     """Singular values of the orientation in its units, and its weakest directions by their main unknowns.
 
@@ -371,6 +387,22 @@ def _findings(
         unseen = [name for name in names if name not in set(measured)]
         if unseen:
             out.append(finding(code, names=unseen))
+    out += inseparable(_cofactors(result))
     if result.beyond:
         out.append(finding("closerange.no_photo_file", parameters=result.beyond))
     return out
+
+
+def _cofactors(result: BundleResult) -> Iterator[ImageCofactors]:
+    """Cofactors of the unknowns of each photo and of its camera."""
+    labels = {label: k for k, label in enumerate(result.orientation_labels)}
+    for photo, rotation in zip(result.photos, result.rotations, strict=True):
+        own = [f"photo {photo.name} {name}" for name in photo.names]
+        names = [label for label in (*own, *(f"camera {c.name} {n}" for c in result.cameras for n in c.names))
+                 if label in labels]  # fmt: skip
+        short = tuple(label.rpartition(" ")[2] for label in names)
+        rows = [labels[label] for label in names]
+        along = np.array([rotation[2][CENTRE.index(name)] if name in CENTRE else 0.0 for name in short])
+        same = not result.cameras or any(name in NAMES for name in photo.names)
+        key = f"photo {photo.name}" if same else f"camera {result.cameras[0].name}"
+        yield ImageCofactors(key, short, result.orientation[np.ix_(rows, rows)], along)

@@ -14,11 +14,9 @@ from factors.cameras.extended_collinearity import CAMERA, EXTENDED_COLLINEARITY,
 from factors.cameras.frame_camera import rotated
 from factors.conditions.control import CONTROL_POINT
 from factors.conditions.control import POINT as PLACE
+from fg_orient.adjustment.constraint_kinds import FIGURES, OF_PHOTOS, Constraint
 from fg_orient.adjustment.network import Network, NetworkRows, Observation, Variable
 from fg_orient.closerange.constraints import (
-    FIGURES,
-    OF_PHOTOS,
-    Constraint,
     figure_of,
     figure_parts,
     observed_element,

@@ -86,7 +86,7 @@ def render(record: dict[str, Any]) -> str:
     photo: dict[str, Any] = {"parameters": [], "interior": None, "observed": None}
     photos = [photo | one for one in record.get("photos", [])]
     # every kind of record has the parts that others have, empty
-    record = {name: [] for name in lists} | {"check": None} | record | {"photos": photos}
+    record = {name: [] for name in lists} | {"check": None, "significance": None} | record | {"photos": photos}
     shell = environment(PACKAGE)
     shell.filters |= {"significant": significant}
     doubts = problems(record)

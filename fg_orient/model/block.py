@@ -204,9 +204,9 @@ class Block:
         Files it was read from; empty for a block made in memory.
     notes : tuple of Finding
         Remarks of the readers, shown in the report.
-    extra : tuple of ExtraObservation or gtsam.NonlinearFactor
-        Further observations of any registered equation, or factors of GTSAM between images and points; their keys are
-        those of :func:`fg_orient.factor_graph`.
+    extra : tuple of ExtraObservation, Constraint or gtsam.NonlinearFactor
+        Further observations of any registered equation, constraints between ground points, or factors of GTSAM between
+        images and points; their keys are those of :func:`fg_orient.factor_graph`.
     """
 
     name: str

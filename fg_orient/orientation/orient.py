@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from factors._preparation import preparing_seconds, working_clock
 from fg_orient.adjustment.checkpoint import Checkpoint
+from fg_orient.adjustment.constraints import has_constraints, hold, released, tightened
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.memory import require_memory
 from fg_orient.adjustment.native import with_observations
@@ -30,7 +31,7 @@ from fg_orient.model.options import Backend, Datum, Options
 from fg_orient.model.parameters import with_options
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.orientation.solution import Seconds, Solution
-from fg_orient.quality import doubts, verdict
+from fg_orient.quality import camera, doubts, verdict
 from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
 from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
 from fg_orient.quality.deficiency import compiled_problem, judge_observability, refuse_deficient, require_determined
@@ -171,7 +172,7 @@ def adjust(
         return adjust_with_components(block, run.once, begin)
 
     def next_round(block: Block, begin: State, like: Problem) -> AdjustmentResult:
-        if block.options.variance_components or block.options.datum == "inner":
+        if block.options.variance_components or block.options.datum == "inner" or has_constraints(block):
             return runner(block, begin)
         return run.again(block, like, begin)
 
@@ -233,6 +234,7 @@ def _factor_graph(
     from fg_orient.orientation.factor_graph import FactorGraph, Prepared
 
     compiled, observability, block_view, structure = _compiled(block)
+    compiled = tightened(compiled)
 
     def concluded(estimate: Estimate) -> Solution:
         return conclude(compiled, observability, block_view, estimate, structure)
@@ -243,7 +245,9 @@ def _factor_graph(
 def adjust_from(block: Block, start: Callable[[Problem], State]) -> Solution:
     """Adjust a block once with its options, from a state of the compiled problem."""
     compiled, observability, block_view, structure = _compiled(block)
-    return conclude(compiled, observability, block_view, solve(compiled, start=start(compiled)), structure)
+    estimate = solve(compiled, start=start(compiled))
+    compiled, estimate = released(*hold(compiled, estimate, lambda p, begin: solve(p, start=begin)))
+    return conclude(compiled, observability, block_view, estimate, structure)
 
 
 @dataclass(frozen=True)
@@ -270,7 +274,9 @@ class _Run:
         if begin is None and self.begin is not None:
             begin = self.begin(compiled)
         estimate = self._solved(compiled, checkpoint, begin)
+        compiled, estimate = hold(compiled, estimate, lambda p, begin: self._solved(p, None, begin))
         compiled, estimate = to_inner_datum(compiled, estimate, solve) if inner else (compiled, estimate)
+        compiled, estimate = released(compiled, estimate)
         self._report("statistics", len(compiled.observations))
         solution = conclude(compiled, observability, block_view, estimate, structure)
         if inner and not len(held_unknowns(compiled)):  # no datum defect
@@ -350,6 +356,8 @@ def conclude(
     if assessment.status is not Status.NOT_CONVERGED:
         raised, residuals = doubts.of_solution(compiled, estimate, ground, cofactors)
         findings += raised
+        if cofactors is not None:
+            findings += camera.inseparable(camera.frame_cofactors(compiled, estimate.state, cofactors))
     if located is not None and len(located.lost):
         names = [compiled.block.points.ids[j] for j in located.lost]
         findings.append(finding("solution.check_not_located", n=len(names), points=names))

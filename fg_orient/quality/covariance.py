@@ -9,6 +9,7 @@ metres (points); ``fg_orient.quality.joint`` converts them to physical units. Po
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.border import Border
+from fg_orient.adjustment.border import Border, small_enough
 from fg_orient.adjustment.cofactors import (
     WHOLE_LIMIT,
     ReducedCofactors,
@@ -24,9 +25,11 @@ from fg_orient.adjustment.cofactors import (
     blocks_of_images,
     cofactors_of_points,
 )
+from fg_orient.adjustment.constraints import has_constraints
 from fg_orient.adjustment.dense import DenseSystem
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.runtime import one_blas_thread
+from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import Estimate
 
 if TYPE_CHECKING:
@@ -90,6 +93,9 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
             return ReducedCofactors(problem, linear)
     except RuntimeError as error:
         reduced = isinstance(linear, SchurSystem | SummedSystem | Border)
+        if not reduced and has_constraints(problem.block) and small_enough(problem):
+            with one_blas_thread(), contextlib.suppress(Singular):  # its scaled Cholesky factor exists more often
+                return BorderCofactors(problem, Border(problem, estimate.state))
         raise Indeterminate(str(error) if reduced else "GTSAM finds the normal equations indeterminate") from error
 
 

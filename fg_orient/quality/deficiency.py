@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from fg_orient.adjustment.constraints import prepared
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.rows import image_rows, rows_by_image
 from fg_orient.adjustment.runtime import one_blas_thread
@@ -60,7 +61,7 @@ def compiled_problem(block: Block, like: Problem | None = None) -> Problem:
     Parameters and errors as of ``compile_problem``.
     """
     try:
-        return compile_problem(block, like)
+        return prepared(compile_problem(block, like))
     except InputError as error:
         if [p.code for p in error.problems] != ["block.no_control"]:
             raise
@@ -71,7 +72,7 @@ def _motions_without_control(block: Block) -> list[Finding]:
     """One error per part of a block without control points; none if the block has other errors."""
     loose = replace(block, options=replace(block.options, datum="free", priors=False))
     try:
-        compiled = compile_problem(loose)
+        compiled = prepared(compile_problem(loose))
     except FgOrientError:
         return []
     with one_blas_thread():

@@ -14,7 +14,8 @@ unknowns may each be insignificant but significant together, so they are dropped
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, Final
@@ -34,6 +35,11 @@ Index = npt.NDArray[np.intp]
 
 #: Probability of a false alarm among all coefficients.
 LEVEL: Final = 0.05
+#: Parts of the distortion of a camera, by the names of their coefficients.
+DISTORTION: Final = {
+    "radial distortion": re.compile("k[0-9]|(radial|orthogonal)_[0-9]"), "decentring distortion": re.compile("p[12]"),
+    "affinity": re.compile("(affinity|film)_[a-z]+"), "Brown's parameters": re.compile("a[0-9]+"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -147,22 +153,15 @@ def significance(
     x = problem.image_columns(known.state)
     q = np.concatenate([np.diag(known.cofactors.image(k)) for k in range(problem.n_images)])
     m0, nu = (sigma0, np.full(len(x), float(f))) if freedom is None else (1.0, freedom.each())
-    t = np.abs(x) / (m0 * np.sqrt(q))
-    p = t_two_sided(nu, t)
-    adjusted, scale = holm(p), np.concatenate([parameters.sigma for parameters in problem.parameters])
-    priors = problem.block.options.priors
-    images = np.repeat(np.arange(problem.n_images), [len(parameters) for parameters in problem.parameters])
-    coefficients = []
-    for j in places_of(problem, lambda _: True).tolist():
-        k = int(images[j])
-        parameters, place = problem.parameters[k], j - int(problem.first[k])
-        coefficients.append(CoefficientTest(
-            problem.block.images[k].id, parameters.names[place], parameters.units[place], float(x[j] * scale[j]),
-            float(m0 * np.sqrt(q[j]) * scale[j]), float(t[j]), float(p[j]), float(adjusted[j]),
-            float(min(q[j], 1.0)) if priors else None, float(nu[j]),
-        ))  # fmt: skip
+    scale = np.concatenate([parameters.sigma for parameters in problem.parameters])
+    priors, images = problem.block.options.priors, problem.block.images
+    labels = [(images[k].id, name, unit) for k, parameters in enumerate(problem.parameters)
+              for name, unit in zip(parameters.names, parameters.units, strict=True)]  # fmt: skip
+    j = places_of(problem, lambda _: True)
+    shares = np.minimum(q, 1.0)[j] if priors else None
+    coefficients = coefficient_tests([labels[k] for k in j.tolist()], x[j], m0 * np.sqrt(q[j]), nu[j], scale[j], shares)
     groups = tuple(group_test(known, sigma0, freedom, name, index) for name, index in _groups(problem).items())
-    return Significance(f, level, tuple(coefficients), groups)
+    return Significance(f, level, coefficients, groups)
 
 
 def group_test(
@@ -174,15 +173,71 @@ def group_test(
     places = np.concatenate([np.arange(problem.first[k], problem.first[k + 1]) for k in images])
     mine = np.searchsorted(places, index)
     q = known.cofactors.joint(images, ())[np.ix_(mine, mine)]
-    x, d = problem.image_columns(known.state)[index], len(index)
     m0, f = (sigma0, float(problem.redundancy)) if freedom is None else (1.0, freedom.together(index))
+    return together(name, problem.image_columns(known.state)[index], q, m0, f)
+
+
+def coefficient_tests(
+    labels: Sequence[tuple[str, str, str]], x: Array, sd: Array, freedom: Array, scale: Array | None = None,
+    shares: Array | None = None,
+) -> tuple[CoefficientTest, ...]:  # fmt: skip
+    """Tests of single unknowns.
+
+    Parameters
+    ----------
+    labels : sequence of (str, str, str)
+        Image or camera, name and unit of each.
+    x, sd, freedom : (k,) arrays
+        Corrections, their standard deviations, degrees of freedom of these.
+    scale : (k,) array, optional
+        Factors of ``x`` and ``sd`` to the units; default: 1.
+    shares : (k,) array, optional
+        Of the priors.
+    """
+    t, scale = np.abs(x) / sd, np.ones(len(x)) if scale is None else scale
+    p = t_two_sided(freedom, t)
+    columns = [v.tolist() for v in (x * scale, sd * scale, t, p, holm(p))]
+    prior = [None] * len(x) if shares is None else shares.tolist()
+    rows = zip(labels, *columns, prior, freedom.tolist(), strict=True)
+    return tuple(CoefficientTest(*label, *row) for label, *row in rows)
+
+
+def together(name: str, x: Array, q: Array, m0: float, f: float) -> GroupTest:
+    """F test of unknowns x (d,) with cofactors q (d, d); f: degrees of freedom of m0."""
+    d, length = len(x), np.sqrt(np.diag(q))
     # scaled to correlations, because unknowns of very different size are tested together
-    length = np.sqrt(np.diag(q))
     statistic = float((x / length) @ np.linalg.solve(q / np.outer(length, length), x / length)) / (d * m0**2)
     return GroupTest(name, d, statistic, float(f_tail(d, f, statistic)), f)
 
 
-def places_of(problem: Problem, wanted: Callable[[str], bool]) -> Index:
+def camera_significance(
+    labels: Sequence[tuple[str, str]], values: Array, cofactors: Array, m0: float, redundancy: int
+) -> Significance:
+    """Tests of distortion parameters with the hypothesis 0: each, and the parts of the distortion of each camera.
+
+    Parameters
+    ----------
+    labels : sequence of (str, str)
+        Camera and name of each parameter.
+    values : (k,) array
+    cofactors : (k, k) array
+    m0 : float
+    redundancy : int
+        Above 0.
+    """
+    part = [next((words for words, form in DISTORTION.items() if form.fullmatch(name)), "") for _, name in labels]
+    sd, parts = m0 * np.sqrt(np.diag(cofactors)), dict[str, list[int]]()
+    rows = [k for k, words in enumerate(part) if words and sd[k] > 0.0]
+    for k in rows:
+        parts.setdefault(f"{part[k]} of {labels[k][0]}", []).append(k)
+    freedom = np.full(len(rows), float(redundancy))
+    coefficients = coefficient_tests([(*labels[k], "") for k in rows], values[rows], sd[rows], freedom)
+    groups = (together(name, values[at], cofactors[np.ix_(at, at)], m0, float(redundancy))
+              for name, at in parts.items() if len(at) > 1)  # fmt: skip
+    return Significance(redundancy, LEVEL, coefficients, tuple(groups))
+
+
+def places_of(problem: Problem, wanted: Callable[[str], object]) -> Index:
     """Places in ``problem.image_columns`` of unknowns with a wanted name; shared ones in their first image."""
     names = [name for parameters in problem.parameters for name in parameters.names]
     places = range(len(names)) if problem.ties is None else np.sort(problem.ties.place).tolist()
@@ -200,4 +255,5 @@ def _groups(problem: Problem) -> dict[str, Index]:
         for value in filter(None, dict.fromkeys(map(of, terms.values()))):
             mine = {name for name, term in terms.items() if of(term) == value}
             groups[words.format(value)] = places_of(problem, mine.__contains__)
+    groups |= {words: places_of(problem, form.fullmatch) for words, form in DISTORTION.items()}
     return {name: index for name, index in groups.items() if len(index) > 1}

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
@@ -17,6 +18,7 @@ from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
+from fg_orient.quality.camera import frame_cofactors, inseparable
 from fg_orient.quality.covariance import Cofactors, cofactors_of
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameSensor
@@ -154,6 +156,49 @@ def test_disagreement_and_what_does_not_work_are_refused() -> None:
     with pytest.raises(InputError) as parted:
         fg.adjust(shared(held=False, priors=True), parts=2, workers=1)
     assert parted.value.problems[0].code == "frame.shared_not"
+
+
+@pytest.mark.oracle
+def test_correlations_of_the_camera_by_the_inverse_of_all_unknowns() -> None:
+    """Median correlation of the focal length with the projection centres along the views; views by scipy."""
+    block = shared()
+    problem, estimate, cofactors = solved(block, "schur")
+    _, design = assemble(problem, estimate.state)
+    of = np.concatenate([problem.ties.of, np.arange(problem.n_free_unknowns, problem.n_unknowns)])
+    tied = design @ np.eye(problem.n_unknowns)[of]
+    q = np.linalg.inv(tied.T @ tied)
+    column = {(k, name): int(problem.ties.of[problem.first[k] + j])
+              for k, p in enumerate(problem.parameters) for j, name in enumerate(p.names)}  # fmt: skip
+    sigma = {(k, name): s for k, p in enumerate(problem.parameters) for name, s in zip(p.names, p.sigma, strict=True)}
+    found = []
+    for k in range(1, problem.n_images):
+        x = dict(zip(problem.parameters[k].names, problem.unknowns(estimate.state, k), strict=True))
+        turn = Rotation.from_rotvec([x[f"rotation_{a}"] * sigma[k, f"rotation_{a}"] for a in "xyz"]).as_matrix()
+        view = (turn @ block.images[k].sensor.camera.rotation)[2]
+        rows = np.zeros((2, len(q)))
+        rows[0, column[k, "focal"]] = 1.0
+        for along, name in zip(view.tolist(), ("centre_x", "centre_y", "centre_z"), strict=True):
+            if (k, name) in column:
+                rows[1, column[k, name]] = along * sigma[k, name]
+        (a, b), (_, d) = rows @ q @ rows.T
+        found.append(abs(b) / np.sqrt(a * d))
+    limit = float(np.median(found))
+    images = frame_cofactors(problem, estimate.state, cofactors)
+    assert {one.camera for one in images} == {"camera one"} and len(images) == 4
+    (raised,) = inseparable(images, limit - 1e-6)
+    assert raised.code == "camera.distance" and not inseparable(images, limit + 1e-6)
+
+
+@pytest.mark.oracle
+def test_a_shared_unknown_is_one_of_holms_tests() -> None:
+    found = fg.adjust(shared()).significance()
+    p = np.array([c.probability for c in found.coefficients])
+    assert len(p) == 21 and [c.name for c in found.coefficients].count("focal") == 1
+    stepped, worst = np.zeros(21), 0.0
+    for rank, k in enumerate(np.argsort(p)):  # Holm (1979): the smallest of n times n, the next times n - 1, ...
+        worst = max(worst, p[k] * (21 - rank))
+        stepped[k] = min(worst, 1.0)
+    assert [c.adjusted for c in found.coefficients] == pytest.approx(stepped, rel=1e-12)
 
 
 def compare(block: Block, form: dbat.Format, folder: Path) -> tuple[int, float]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from fg_orient.formats.exchange.photomodeler import read_photomodeler
+from fg_orient.model.digits import last_digit
 from tests.support import dbat, photomodeler
 from tests.support.command import Ended
 from tests.support.command import in_process as run
@@ -71,12 +72,12 @@ def test_camcal_through_the_command(camcal: Path, real_data: Path) -> None:
     figures, values = dbat.report(real_data / "dbat" / "dbat" / "dbatexports" / "camcal-dbatreport-model1.txt")
     theirs = (int(figures["Number of params"]), int(figures["Redundancy"]))
     assert (done.json["unknowns"], done.json["redundancy"]) == theirs == (422, 3726)
-    assert abs(done.json["m0"] - float(figures["Sigma0"])) <= 0.5 * dbat.printed("1.68901")
+    assert abs(done.json["m0"] - float(figures["Sigma0"])) <= 0.5 * last_digit("1.68901")
     camera = {n["name"]: (n["value"], n["sigma"]) for n in done.json["cameras"][0]["parameters"]}
     camera["p2"] = (-camera["p2"][0], camera["p2"][1])  # their y points up
     for ours, name in zip(SHARED, PRINTED, strict=True):
         for found, text in zip(camera[ours], values["camera"][name], strict=True):
-            assert abs(found - float(text)) <= dbat.printed(text), (ours, found, text)
+            assert abs(found - float(text)) <= last_digit(text), (ours, found, text)
 
 
 @pytest.mark.real_data

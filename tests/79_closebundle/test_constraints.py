@@ -8,19 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from fg_orient.adjustment.constraint_kinds import FIGURES, KINDS
 from fg_orient.adjustment.loop import OPTIMIZERS, levenberg_marquardt
 from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, Variable, bordered_inverse
 from fg_orient.closerange import bundle, surface_fit
 from fg_orient.closerange.bundle_network import observed_place
-from fg_orient.closerange.constraints import (
-    FIGURES,
-    KINDS,
-    Constraint,
-    figure_of,
-    figure_parts,
-    observed_element,
-    plain_observation,
-)
+from fg_orient.closerange.constraints import Constraint, figure_of, figure_parts, observed_element, plain_observation
 
 from .conftest import Array
 
@@ -54,6 +47,16 @@ def _parallel(rng: np.random.Generator) -> Array:
     return np.array([a, a + rng.uniform(0.5, 2.0) * d, b, b + rng.uniform(0.5, 2.0) * d])
 
 
+def _perpendicular(rng: np.random.Generator) -> Array:
+    a, b, d = rng.normal(size=3), 3.0 + rng.normal(size=3), _frame(rng)
+    return np.array([a, a + rng.uniform(0.5, 2.0) * d[0], b, b + rng.uniform(0.5, 2.0) * d[1]])
+
+
+def _equal(rng: np.random.Generator) -> Array:
+    a, b, size = rng.normal(size=3), 3.0 + rng.normal(size=3), rng.uniform(0.5, 2.0)
+    return np.array([a, a + size * _frame(rng)[0], b, b + size * _frame(rng)[0]])
+
+
 def _plane(rng: np.random.Generator) -> Array:
     return rng.normal(size=3) + rng.normal(size=(6, 2)) @ _frame(rng)[:2]
 
@@ -80,7 +83,8 @@ def _spheroid(rng: np.random.Generator) -> Array:
 
 
 SHAPES: dict[str, Callable[[np.random.Generator], Array]] = {
-    "distance": _distance, "parallel": _parallel, "plane": _plane, "line": _line, "plumb line": _plumb,
+    "distance": _distance, "parallel": _parallel, "perpendicular": _perpendicular, "equal": _equal,
+    "plane": _plane, "line": _line, "plumb line": _plumb,
     "circle": _circle, "horizontal circle": _horizontal, "spheroid": _spheroid,
     "sphere": lambda rng: rng.normal(size=3) + rng.uniform(0.5, 2.0) * _sphere(rng, 10),
     "base": _distance, "equal attitude": lambda rng: np.vstack([_frame(rng), _frame(rng)]),

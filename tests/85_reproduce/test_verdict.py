@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from fg_orient.model.digits import last_digit
 from fg_orient.model.names import CellKey
 from fg_orient.studies.published.tables import PublishedCell
-from fg_orient.studies.reproduce.verdict import KINDS, RULES, assess_runs, kind_of, last_digit
+from fg_orient.studies.reproduce.verdict import KINDS, RULES, assess_runs, kind_of
 
 pytestmark = pytest.mark.behaviour
 

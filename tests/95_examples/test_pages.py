@@ -89,6 +89,7 @@ SLOW: dict[tuple[str, str], float] = {
 #: Pages that another test runs.
 RUN_ELSEWHERE = {
     "docs/examples.md": "test_examples.py and 80_claims/test_pleiades_pair.py hold each run against it",
+    "docs/how-to/published-report.md": "on files of DBAT: tests/79_closebundle/test_compare_report.py",
     "docs/extending*": "code as plugins outside the package, with more checks: tests/96_extending",
 }
 

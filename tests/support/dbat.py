@@ -19,6 +19,7 @@ from fg_orient.adjustment.solve import Estimate
 from fg_orient.closerange.photo import PhotoInterior
 from fg_orient.closerange.resection import resect
 from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
+from fg_orient.model.digits import last_digit
 from fg_orient.model.names import Role
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.sensors.frame import (
@@ -160,13 +161,6 @@ def report(path: Path) -> tuple[dict[str, str], dict[str, dict[str, tuple[str, s
     return figures, values
 
 
-def printed(text: str) -> float:
-    """Half of a unit of the last printed digit and the rounding of ours: one unit."""
-    mantissa, _, exponent = text.lower().partition("e")
-    decimals = len(mantissa.partition(".")[2])
-    return 10.0 ** (int(exponent or 0) - decimals)
-
-
 def camera_values(solved: Problem, state: State, q: Cofactors, form: Format) -> dict[str, tuple[float, float]]:
     """Camera parameters of the report in its units, and their cofactor roots; from the first image that has them."""
     k = next(i for i, p in enumerate(solved.parameters) if "focal" in p.names)
@@ -209,7 +203,7 @@ def same_figures(problem: Problem, estimate: Estimate, figures: dict[str, str]) 
     """Our sigma0; number of unknowns, redundancy and sigma0 must be those of the report."""
     sigma0 = float(np.sqrt(estimate.chi2 / problem.redundancy))
     assert (problem.n_unknowns, problem.redundancy) == (int(figures["Number of params"]), int(figures["Redundancy"]))
-    assert abs(sigma0 - float(figures["Sigma0"])) <= 0.5 * printed(figures["Sigma0"])
+    assert abs(sigma0 - float(figures["Sigma0"])) <= 0.5 * last_digit(figures["Sigma0"])
     return sigma0
 
 
@@ -230,5 +224,5 @@ def units_apart(
                 if text:
                     turn = 360.0 if name in ("Omega", "Phi", "Kappa") else np.inf
                     apart = abs(found - float(text))
-                    out.append(max(min(apart, abs(apart - turn)) - free, 0.0) / printed(text))
+                    out.append(max(min(apart, abs(apart - turn)) - free, 0.0) / last_digit(text))
     return out

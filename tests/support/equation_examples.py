@@ -299,6 +299,8 @@ EXAMPLES: dict[str, Callable[[np.random.Generator], Example]] = {
     "similarity": similarity_point,
     "constraint_distance": _simple(_factors(2), 3, 3),
     "constraint_parallel": _simple(lambda rng: _figure(rng)[: constraints.DIRECTION.size], 3, 3, 3, 3),
+    "constraint_perpendicular": _simple(_factors(1), 3, 3, 3, 3),
+    "constraint_equal": _simple(_factors(1), 3, 3, 3, 3),
     "constraint_plane": lambda rng: Example(_figure(rng), _NONE, (rng.normal(scale=0.2, size=3), rng.normal(size=3))),
     "constraint_line": lambda rng: Example(_figure(rng), _NONE, (rng.normal(scale=0.2, size=4), rng.normal(size=3))),
     "constraint_plumb_line": _simple(_factors(1), 2, 3),

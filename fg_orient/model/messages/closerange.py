@@ -112,6 +112,14 @@ closerange.check_and_control: a point cannot judge the result and take part in i
     -> leave it out of <control>, or of <check>
 closerange.no_layers: results of close range have no truth and no geographic coordinates
     -> leave the option out; points.csv holds the coordinates
+closerange.printed_sigma: a published standard deviation is a number above 0
+    -> correct it, or leave the cell empty
+closerange.printed_digits: the number of significant digits is a whole number from 1 to {limit}
+    -> correct it, or leave the cell empty
+closerange.printed_twice: line {first} has this name
+    -> give each value one row
+closerange.printed_name: the result has no values of these names; {hint}
+    -> use the names of the result: m0, camera all c, photo NAME X0, point ID x_m, camera all k1/k2 (correlation)
 closerange.dependent: this hard constraint follows from the others, or contradicts them
     -> leave it out, or give it a sigma
 closerange.saddle: this hard constraint is not met, and no small change of the start brings it nearer (as lines at

@@ -33,6 +33,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from factors._contract import Array
+from fg_orient.model.digits import MEANING, agreement, last_digit
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import CellKey
 from fg_orient.studies.published.tables import PublishedCell
@@ -316,16 +317,7 @@ def _value_kind(cell: PublishedCell, other: Recomputed) -> tuple[Kind, str]:
     if not math.isnan(other.low):
         inside = other.low - 0.5 * unit <= cell.value <= other.high + 0.5 * unit
         return ("rounding", "inside the spread") if inside else ("differs", "outside the spread")
-    off, slack = abs(other.value - cell.value), 1e-9 * abs(cell.value)  # slack: the decimal print of a double
-    if off <= 0.5 * unit + slack:
-        return "equal", "all printed digits"
-    if off <= unit + slack and not other.is_exact:
-        return "rounding", "one unit of the last digit"
+    kind = agreement(other.value - cell.value, cell.value, unit)
+    if kind == "equal" or (kind == "rounding" and not other.is_exact):
+        return kind, MEANING[kind]
     return "differs", f"published {cell.text}, reproduced {other.value:.7g}"
-
-
-def last_digit(text: str) -> float:
-    """Size of one unit of the last printed digit: 0.001 for "0.510", 1e-12 for "-8.5e-11"."""
-    mantissa, _, exponent = text.lower().partition("e")
-    decimals = len(mantissa.partition(".")[2])
-    return float(10.0 ** (int(exponent or 0) - decimals))

@@ -1,0 +1,335 @@
+"""Constraints between ground points as extra observations: relations of points, and figures through points.
+
+The misclosure c(p, f) of a figure depends on its points p and on its parameters f, which no other observation has.
+They are eliminated: f minimises ``|w c + k|^2``, and the rows of the adjustment are ``N^T (w c + k)`` with
+``N^T dc/df = 0`` (Golub and Pereyra 1973; Jacobian by Kaufman 1975). A constraint with a sigma has w = 1/sigma, k = 0.
+
+A hard constraint has a large weight w and correlates k, which are improved by ``k + w c`` at the solution until c is
+zero (method of multipliers: Hestenes 1969, Powell 1969). Therefore every backend, loss and datum accepts it, and the
+result does not depend on w. Cofactors are those of the weight: they deviate by about :data:`HARD` squared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors._contract import Argument, Equation
+from factors.conditions.circles import CIRCLE_RECORD
+from factors.conditions.constraints import FACTOR, FIGURE
+from factors.records import Record
+from fg_orient.adjustment.constraint_kinds import OF_PHOTOS, SIZES, Constraint, Figure, figure_of, relation
+from fg_orient.adjustment.dense import extra_blocks
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.rows import linearised
+from fg_orient.model.block import Block, ExtraObservation
+from fg_orient.model.errors import InputError
+
+if TYPE_CHECKING:
+    from fg_orient.adjustment.solve import Estimate
+
+Array = npt.NDArray[np.float64]
+
+#: Weight w of the misclosures, factor of the misclosure of a sphere that makes it metres, axes of the figure (3, 3) and
+#: its frame at the start (normal or direction, two axes across). A relation's record and the correlates k follow.
+HEAD: Final = Record(weight=1, scale=1, axes=9, frame=9)
+#: Figures with a frame.
+FRAMES: Final = {"plane": FIGURE, "line": FIGURE, "circle": CIRCLE_RECORD}
+#: Smallest sigma of a constraint in the first adjustment, and sigma of a hard one afterwards, in units of the smallest
+#: sigma of its points with the images held fixed. A smaller sigma at the start makes a narrow curved valley.
+FIRST: Final = 1.0
+HARD: Final = 1e-3
+#: Improvements of the correlates; misclosure of a hard constraint in units of its sigma, and ratio of misclosures, at
+#: their end. The adjustment itself ends with a step of 1e-8 m.
+ROUNDS: Final = 12
+HELD: Final = 1e-5
+SLOW: Final = 0.5
+#: Misclosure relative to the extent of the members above which hard constraints contradict each other.
+CONTRADICTION: Final = 1e-9
+#: Share of the largest misclosure from which a constraint is named; R of dependent rows of unit length.
+NAMED: Final = 0.1
+DEPENDENT: Final = 1e-10
+_NONE: Final = np.zeros((2, 0))
+_FITTED: Final = 1e-14
+_FITS: Final = 100
+
+
+@dataclass(frozen=True, eq=False)
+class ConstraintObservation(ExtraObservation):
+    """Extra observation of a constraint."""
+
+    constraint: Constraint
+    final_weight: float = 0.0
+
+    @property
+    def hard(self) -> bool:
+        """Whether it holds exactly."""
+        return self.constraint.sigma is None
+
+
+def constraint_observation(constraint: Constraint) -> ConstraintObservation:
+    """Extra observation of a constraint between ground points; :func:`prepared` completes its record.
+
+    InputError: a constraint of photos, or a figure through too few points.
+    """
+    n, total, free = len(constraint.members), 2 if constraint.kind == "parallel" else 1, 0
+    if constraint.kind in OF_PHOTOS:
+        raise constraint.fault("kind", constraint.kind, "a constraint of points")
+    if constraint.kind in SIZES:
+        rows, free = SIZES[constraint.kind]
+        total = n * rows + len(constraint.observed)
+        if total <= free:
+            raise constraint.fault("members", n, "more points: a figure of this kind goes through any such points")
+    argument = tuple(Argument(f"point {name}", "m", is_point=True) for name in constraint.members)
+
+    def residual(record: Any, _setup: Any, *points: Any) -> Any:
+        value, basis, _ = _whole(constraint, record, points, total)
+        return basis.T @ value
+
+    def kernel(record: Array, setup: Array, *points_and_want: Any) -> tuple[Array, ...]:
+        *points, want = points_and_want
+        value, basis, blocks = _whole(constraint, record, points, total)
+        out = (np.ascontiguousarray(basis.T @ block) if want else np.empty((0, 0)) for block in blocks)
+        return basis.T @ value, *out
+
+    equation = Equation(f"constraint {constraint.kind}", kernel, residual, argument, "see this module")
+    names, record = tuple(f"point:{name}" for name in constraint.members), np.zeros(HEAD.size + total)
+    return ConstraintObservation(equation, names, record, np.zeros((2, 0)), total - free, constraint.label, constraint)
+
+
+def _whole(constraint: Constraint, record: Any, points: Any, total: int) -> tuple[Any, Array, list[Array]]:
+    """Rows ``w c + k`` (r,), their basis N (r, r - f) without the figure, and derivatives (r, 3) by each point.
+
+    Points may be complex; basis and derivatives are those of their real parts.
+    """
+    head, own = record[: HEAD.size], record[HEAD.size : len(record) - total].copy()
+    correlates, real = record[len(record) - total :], [np.ascontiguousarray(np.real(p)) for p in points]
+    if constraint.kind not in SIZES:
+        equation, _, _ = relation(constraint, np.array(real))
+        own[FACTOR.factor] *= head[HEAD.weight]
+        own_blocks = equation.kernel(own, _NONE, *real, True)[1:]
+        return equation.residual(own, _NONE, *points) + correlates, np.eye(total), list(own_blocks)
+    axes = head[HEAD.axes].reshape(3, 3)
+    _, design, value, blocks, _ = _fitted(constraint, head, [axes @ p for p in points], correlates)
+    basis = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
+    return value, basis, [block @ axes for block in blocks]
+
+
+def _fitted(
+    constraint: Constraint, head: Array, points: Any, correlates: Array
+) -> tuple[Any, Array, Any, list[Array], Figure]:  # fmt: skip
+    """Figure x (f,) that minimises ``|w c + k|^2``, with its design (r, f), rows (r,), derivatives by the points."""
+    real = np.real(np.array(points))
+    figure = figure_of(constraint, real)
+    own, x, m = figure.record.copy(), figure.start, figure.n_residuals
+    own[FACTOR.factor] = head[HEAD.weight] * head[HEAD.scale]
+    if constraint.kind in FRAMES and head[HEAD.frame].any():  # the correlates have the axes of the start
+        record, (normal, first, _) = FRAMES[constraint.kind], head[HEAD.frame].reshape(3, 3)
+        n = own[record.normal] * (1.0 if own[record.normal] @ normal > 0.0 else -1.0)
+        across = first - (first @ n) * n
+        across /= np.linalg.norm(across)
+        own[record.normal], own[record.e_1], own[record.e_2] = n, across, np.cross(n, across)
+    elements = [(figure.names.index(name), *pair) for name, pair in constraint.observed.items()]
+    by_element = np.array([np.eye(len(x))[j] / s for j, _, s in elements]).reshape(-1, len(x))
+    for _ in range(_FITS):
+        rows = [figure.equation.kernel(own, figure.setup, np.ascontiguousarray(np.real(x)), p, True) for p in real]
+        design = np.vstack([*(row[1] for row in rows), by_element])
+        parts = [figure.equation.residual(own, figure.setup, x, p) for p in points]
+        observed = [(x[j] + figure.offset[j] - value) / sigma for j, value, sigma in elements]
+        value = np.concatenate([*parts, observed]) + correlates
+        length = np.linalg.norm(design, axis=0)
+        left, right = np.linalg.qr(design / length)
+        if np.abs(np.diag(right)).min() < DEPENDENT:
+            raise constraint.fault("members", "coordinates", "points that determine the figure")
+        step = np.linalg.solve(right, left.T @ value) / length
+        if (np.abs(step) <= _FITTED * (1.0 + np.abs(x))).all():
+            break
+        x = x - step
+    blocks = [np.zeros((len(value), 3)) for _ in rows]
+    for k, (block, row) in enumerate(zip(blocks, rows, strict=True)):
+        block[k * m : k * m + m] = row[2]
+    return x, design, value, blocks, figure
+
+
+def has_constraints(block: Block) -> bool:
+    """Whether any extra observation of a block is a constraint, which :func:`hold` completes."""
+    return any(isinstance(e, ConstraintObservation) for e in block.extra)
+
+
+def _has_hard(problem: Problem) -> bool:
+    return any(isinstance(e, ConstraintObservation) and e.hard for e in problem.block.extra)
+
+
+def prepared(problem: Problem) -> Problem:
+    """Problem with weights, axes and frames of its constraints from the start; correlates are zero."""
+    extra = problem.block.extra
+    if not has_constraints(problem.block):
+        return problem
+    named = problem.named_points()
+    rays = np.flatnonzero(np.isin(problem.observations.point, named))
+    normal = problem.point_normals(problem.observations.point[rays], linearised(problem, problem.start, rays).ground)
+    sigma = np.full(len(normal), np.inf)
+    sigma[named] = np.linalg.eigvalsh(normal[named])[:, -1] ** -0.5
+    extra = tuple(_prepared(problem, e, sigma) if isinstance(e, ConstraintObservation) else e for e in extra)
+    problem = _with_extra(problem, extra)
+    if not _has_hard(problem):
+        return problem
+    # elsewhere the motions of a free network would change the misclosures
+    return replace(problem, start=_on_constraints(problem, problem.start))
+
+
+def _on_constraints(problem: Problem, state: State) -> State:
+    """State that fulfils the hard constraints, by the smallest movements of the points.
+
+    InputError: they cannot hold together, or depend on each other.
+    """
+    named, start = np.array(problem.named_points()), state.ground.copy()
+
+    def at(step: Array) -> State:
+        ground = start.copy()
+        ground[named] += step.reshape(-1, 3)
+        return State(state.image, ground)
+
+    x, least = np.zeros(3 * len(named)), np.inf
+    for _ in range(_FITS):
+        rows, design, _ = _linear(problem, at(x))
+        size, before = float(np.abs(rows).max()), least
+        if not size < before and size < HELD:
+            break
+        least, x = min(size, least), x - np.linalg.lstsq(design, rows, rcond=DEPENDENT)[0]
+    else:  # the constraints with the largest misclosures at the least sum of squares are named
+        from scipy.optimize import least_squares
+
+        def rows_at(x: Array) -> Array:
+            return _linear(problem, at(x))[0]
+
+        def slopes_at(x: Array) -> Array:
+            return _linear(problem, at(x))[1]
+
+        x = least_squares(rows_at, 0.0 * x, slopes_at).x
+    _require_held(problem, at(x))
+    return at(x)
+
+
+def _prepared(problem: Problem, extra: ConstraintObservation, sigma: Array) -> ConstraintObservation:
+    c, members = extra.constraint, [a.index for a in problem.extra_arguments(extra)]
+    start, own, least = problem.start.ground[members], np.zeros(0), float(sigma[members].min())
+    scale, frame, axes = 1.0, np.zeros(9), problem.axes(start.mean(axis=0)[None] + problem.origin_m)[0]
+    if c.kind in SIZES:
+        figure = figure_of(c, start @ axes.T)
+        scale = figure.scale
+        if c.kind in FRAMES:
+            frame = np.concatenate([figure.record[part] for part in (FRAMES[c.kind].normal, FRAMES[c.kind].e_1,
+                                                                     FRAMES[c.kind].e_2)])  # fmt: skip
+        total = len(members) * SIZES[c.kind][0] + len(c.observed)
+    else:
+        _, total, own = relation(c, start)
+        if c.kind in ("parallel", "perpendicular"):
+            least /= float(np.linalg.norm(start[1::2] - start[::2], axis=1).max())
+    last = c.sigma or HARD * least
+    head = HEAD.pack(weight=1.0 / max(last, FIRST * least), scale=scale, axes=axes.ravel(), frame=frame)
+    record = np.concatenate([head, own, np.zeros(total)])
+    return replace(extra, record=record, final_weight=1.0 / last)
+
+
+def _with_extra(problem: Problem, extra: Iterable[ExtraObservation]) -> Problem:
+    return replace(problem, block=replace(problem.block, extra=tuple(extra)))
+
+
+def _linear(problem: Problem, state: State) -> tuple[Array, Array, list[str]]:
+    """Rows (c,) of the hard constraints, derivatives (c, 3 n) by the named points, and labels."""
+    named, values, parts, labels = problem.named_points(), [], [], list[str]()
+    for e in (e for e in problem.block.extra if isinstance(e, ConstraintObservation) and e.hard):
+        value, blocks = extra_blocks(problem, e, state, jacobian=True)
+        wide = np.zeros((len(value), 3 * len(named)))
+        for a, block in blocks:
+            wide[:, 3 * named.index(a.index) :][:, :3] += block
+        values.append(value)
+        parts.append(wide)
+        labels += [e.label] * len(value)
+    return np.concatenate(values), np.vstack(parts), labels
+
+
+def _tightened(extra: ConstraintObservation, correlates: Array) -> ConstraintObservation:
+    """Constraint with its final weight, and the correlates (r,) of the present weight."""
+    record, present = extra.record.copy(), extra.record[HEAD.weight]
+    record[HEAD.weight] = extra.final_weight
+    record[len(record) - len(correlates) :] = correlates * (present / record[HEAD.weight])
+    return replace(extra, record=record)
+
+
+def _constraints(problem: Problem, state: State) -> list[tuple[int, ConstraintObservation, Array, Array]]:
+    """Number, observation, misclosures (c,) and new correlates (r,) of each constraint."""
+    out = []
+    for n, e in enumerate(problem.block.extra):
+        if isinstance(e, ConstraintObservation):
+            points = [np.ascontiguousarray(state.ground[a.index]) for a in problem.extra_arguments(e)]
+            total = e.n_residuals + SIZES.get(e.constraint.kind, (0, 0))[1]
+            closed, value = total - len(e.constraint.observed), _whole(e.constraint, e.record, points, total)[0]
+            misclosures = (value - e.record[-total:])[:closed] / e.record[HEAD.weight]
+            out.append((n, e, misclosures, np.where(np.arange(total) < (closed if e.hard else 0), value, 0.0)))
+    return out
+
+
+def tightened(problem: Problem) -> Problem:
+    """Problem whose constraints have their final weights, without correlates."""
+    return _with_extra(problem, [
+        _tightened(e, np.zeros(0)) if isinstance(e, ConstraintObservation) else e for e in problem.block.extra
+    ])  # fmt: skip
+
+
+def hold(problem: Problem, estimate: Estimate, run: Callable[[Problem, State], Estimate]) -> tuple[Problem, Estimate]:
+    """Improve the correlates of hard constraints until they hold; ``run`` adjusts a problem from a state.
+
+    InputError: hard constraints depend on each other, or cannot hold together.
+    """
+    last = np.inf
+    for _ in range(ROUNDS):
+        stated, extra = _constraints(problem, estimate.state), list(problem.block.extra)
+        if not stated or not estimate.converged:
+            break
+        for n, e, _, correlates in stated:
+            extra[n] = _tightened(e, correlates)
+        tight = all(e.record[HEAD.weight] == e.final_weight for _, e, _, _ in stated)
+        size = max((np.abs(c).max() * e.final_weight for _, e, c, _ in stated if e.hard), default=0.0)
+        if tight and (size < HELD or size > SLOW * last):
+            break
+        problem, before, last = _with_extra(problem, extra), estimate, size if tight else np.inf
+        estimate = run(problem, before.state)
+        estimate = replace(
+            estimate, log=before.log + estimate.log, iterations=before.iterations + estimate.iterations,
+            solve_s=before.solve_s + estimate.solve_s,
+        )  # fmt: skip
+    return problem, estimate
+
+
+def _require_held(problem: Problem, state: State) -> None:
+    """Raise InputError for hard constraints that do not hold, or depend on each other."""
+    hard, (_, rows, labels) = [s for s in _constraints(problem, state) if s[1].hard], _linear(problem, state)
+    away = np.nan_to_num([np.abs(c).max() for _, _, c, _ in hard], nan=np.inf)
+    if away.max() > CONTRADICTION:
+        names = [e.label for (_, e, _, _), size in zip(hard, away, strict=True) if size >= NAMED * away.max()]
+        raise InputError.of("closerange.contradiction", place="constraints", value=f"{away.max():.3g} left",
+                            names="; ".join(names))  # fmt: skip
+    diagonal = np.zeros(len(labels))
+    triangle = np.linalg.qr((rows / np.linalg.norm(rows, axis=1, keepdims=True)).T, mode="r")
+    diagonal[: len(triangle)] = np.abs(np.diag(triangle))
+    if (diagonal <= DEPENDENT).any():
+        raise InputError.of("closerange.dependent", place=labels[int(np.argmax(diagonal <= DEPENDENT))])
+
+
+def released(problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate]:
+    """Problem without correlates; state on the hard constraints, with its weighted sum of squares."""
+    extra, chi2 = list(problem.block.extra), estimate.chi2
+    for n, e, _, correlates in (s for s in _constraints(problem, estimate.state) if s[1].hard):
+        extra[n] = replace(e, record=np.concatenate([e.record[: -len(correlates)], np.zeros(len(correlates))]))
+        value, left = (extra_blocks(problem, one, estimate.state, jacobian=False)[0] for one in (e, extra[n]))
+        chi2 += float(value @ (2.0 * left - value))  # without the rows, then the change by moving onto the constraints
+    problem = _with_extra(problem, extra)
+    if not _has_hard(problem) or not estimate.converged:
+        return problem, replace(estimate, chi2=chi2)
+    return problem, replace(estimate, chi2=chi2, state=_on_constraints(problem, estimate.state))

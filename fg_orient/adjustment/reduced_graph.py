@@ -1,0 +1,268 @@
+"""Normal equations of all eliminated points as GTSAM's factors, for one iteration of an optimiser.
+
+A factor that is written in Python can give GTSAM a Jacobian only, of which GTSAM forms the normal matrix again. A
+``HessianFactor`` takes the matrix itself, but its cost is that of a linear model. Therefore the graph of an iteration
+contains, in place of the factors of groups of points,
+
+- the blocks of the reduced normal matrix of all groups and the gradient, in Hessian factors of two or three image
+  vectors without a cost (``LinearContainerFactor`` without a linearisation point has the cost 0 at all values);
+- one factor with the cost of all groups at any values, and a Jacobian of zeros.
+
+The sum has the matrix, the gradient and the cost of the groups at the values where it was made, and their cost at all
+others: all that an iteration of GTSAM's optimisers asks for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from itertools import combinations, pairwise
+from typing import TYPE_CHECKING, Any, Final
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.eliminated import Elimination
+from fg_orient.adjustment.problem import State
+from fg_orient.adjustment.schur_reduced import full_matrix
+
+if TYPE_CHECKING:
+    from fg_orient.adjustment.graph import GraphBackend
+
+Array = npt.NDArray[np.float64]
+Pair = tuple[int, int]
+
+#: Vectors from which they are joined to variables of about so many unknowns, if all are linked: GTSAM then takes less
+#: time for few large factors.
+JOINED_FROM: Final = 40
+JOINED_SIZE: Final = 150
+#: Blocks of a factor of three vectors, in the order of GTSAM's arguments.
+_PLACES: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+def cover(pairs: Collection[Pair]) -> list[tuple[int, ...]]:
+    """Sets of up to three vectors that contain each pair (n < m) once, with few sets; vectors of no pair are left out.
+
+    A factor of three vectors takes as long to make as one of two.
+    """
+    size = 1 + max((m for _, m in pairs), default=0)
+    left = np.zeros((size, size), bool)
+    for n, m in pairs:
+        left[n, m] = left[m, n] = True
+    out: list[tuple[int, ...]] = []
+    for n in range(size):
+        for m in np.flatnonzero(left[n]).tolist():
+            if not left[n, m]:
+                continue
+            third = np.flatnonzero(left[n] & left[m])
+            own = (n, m, int(third[0])) if len(third) else (n, m)
+            for a in own:
+                for b in own:
+                    left[a, b] = False
+            out.append(tuple(sorted(own)))
+    return out
+
+
+def free_unknowns(values: gtsam.Values, vectors: Sequence[tuple[int, slice]]) -> Array:
+    """Image unknowns (u,) of GTSAM values from their keys and parts; nan for vectors that the values do not have."""
+    free = np.full(vectors[-1][1].stop, np.nan)
+    for key, part in vectors:
+        if values.exists(key):
+            free[part] = values.atVector(key)
+    return free
+
+
+class GroupSums:
+    """Factors of the sums of all groups of points: which vectors they link, and the factor of their cost.
+
+    Parameters
+    ----------
+    elimination : Elimination
+    keys : mapping
+        GTSAM key of each vector of unknowns, by its number.
+    alone : bool
+        There are no other factors but the priors of the vectors.
+    """
+
+    def __init__(self, elimination: Elimination, keys: Mapping[int, int], *, alone: bool) -> None:
+        self.elimination, self._ties = elimination, elimination.problem.ties
+        #: Keys of the images and shared unknowns, and their parts of the free unknowns.
+        self.vectors = [(keys[n], part) for n, part in elimination.parts.items()]
+        #: Order of elimination, by the pattern of the first graph.
+        self.ordering: gtsam.Ordering | None = None
+        self._parts, self._keys = elimination.parts, dict(keys)
+        pairs, n = self._pairs(), len(keys)
+        #: Vectors are joined to few variables: all are linked, so that no order of elimination saves anything.
+        self.is_joined = alone and n >= JOINED_FROM and len(pairs) == n * (n - 1) // 2
+        if self.is_joined:
+            cuts = np.linspace(0, n, 1 + -(-self.vectors[-1][1].stop // JOINED_SIZE)).astype(int)
+            first = [self.vectors[k][1].start if k < n else self.vectors[-1][1].stop for k in cuts.tolist()]
+            self._parts = {k: slice(*ends) for k, ends in enumerate(pairwise(first))}
+            self._keys = {k: int(gtsam.symbol("a", k)) for k in self._parts}
+            pairs = set(combinations(self._parts, 2))
+        #: Keys of the variables of the graph, and their parts.
+        self.variables = [(self._keys[n], part) for n, part in self._parts.items()]
+        self.cost = _cost_factor(elimination, self.variables, with_priors=self.is_joined)
+        covered = cover(pairs)
+        single = set(self._keys) - {n for own in covered for n in own}
+        self._sets, seen = [], set[Pair]()
+        for own in [*covered, *((n,) for n in sorted(single))]:
+            blocks = [(own[a], own[b]) for a, b in _PLACES if b < len(own)]
+            self._sets.append((
+                [self._keys[n] for n in own], blocks, [pair not in seen for pair in blocks],
+                [(n, n) not in seen for n in own],
+            ))  # fmt: skip
+            seen.update(blocks)
+
+    def _pairs(self) -> set[Pair]:
+        """Different vectors that a block of the reduced matrix links."""
+        elimination, s = self.elimination, self.elimination.backend.structure
+        exists, of_image = elimination.parts, dict[int, list[int]]()
+        for k in range(elimination.problem.n_images):
+            own = [k] if self._ties is None else self._vectors_of(k)
+            of_image[k] = [n for n in own if n in exists]
+        links = zip(s.block_row.tolist(), s.block_column.tolist(), strict=True)
+        every = ((n, m) for i, j in links for n in of_image[i] for m in of_image[j])
+        return {(min(n, m), max(n, m)) for n, m in every if n != m}
+
+    def _vectors_of(self, k: int) -> list[int]:
+        """Numbers of the vectors with unknowns of an image."""
+        problem, parts = self.elimination.problem, self.elimination.parts
+        assert self._ties is not None
+        of = self._ties.of[problem.image_slice(k)]
+        return [n for n, part in parts.items() if ((of >= part.start) & (of < part.stop)).any()]
+
+    def factors(self, blocks: Array, gradient: Array, prior: Array) -> list[gtsam.LinearContainerFactor]:
+        """Factors of blocks (B, k, k) and gradient (u,) of :meth:`Elimination.linearised`; their cost is zero.
+
+        ``prior`` (u,) is added to the diagonal.
+        """
+        elimination, s = self.elimination, self.elimination.backend.structure
+        parts, problem = self._parts, elimination.problem
+        size = {n: part.stop - part.start for n, part in parts.items()}
+        if self._ties is None and not self.is_joined:
+            nothing = np.zeros(blocks.shape[1:])  # of an image that no eliminated point is seen in
+            number = dict(zip(zip(s.block_row.tolist(), s.block_column.tolist(), strict=True), blocks, strict=True))
+
+            def block(n: int, m: int) -> Array:
+                return np.asarray(number.get((n, m), nothing)[: size[n], : size[m]])
+        else:
+            whole = full_matrix(s.pattern, problem.first, blocks, self._ties)
+            whole[np.diag_indices(len(whole))] += prior
+
+            def block(n: int, m: int) -> Array:
+                return whole[parts[n], parts[m]]
+
+        zero = {(a, b): np.zeros((a, b)) for a in set(size.values()) for b in set(size.values())}
+        out = gtsam.GaussianFactorGraph()
+        for keys, pairs, new, first in self._sets:
+            g = [block(*pair) if is_new else zero[size[pair[0]], size[pair[1]]]
+                 for pair, is_new in zip(pairs, new, strict=True)]  # fmt: skip
+            own = [n for n, m in pairs if n == m]
+            r = [-gradient[parts[n]] if is_new else np.zeros(size[n]) for n, is_new in zip(own, first, strict=True)]
+            hessian: Any = gtsam.HessianFactor  # its overloads do not know a list of arguments
+            out.add(hessian(*keys, *_arguments(g, r), 0.0))
+        return [gtsam.LinearContainerFactor(out.at(k)) for k in range(out.size())]
+
+
+class ReducedGraph:
+    """Graph for one iteration, and its linear model.
+
+    Parameters
+    ----------
+    backend : GraphBackend
+    values : gtsam.Values
+        Where the optimiser linearises.
+    """
+
+    def __init__(self, backend: GraphBackend, values: gtsam.Values) -> None:
+        self._backend, self._values, sums = backend, values, backend.sums
+        self._free = backend.free(values)
+        blocks, self._gradient = sums.elimination.linearised(self._free)
+        self._blocks, self._cost = blocks.copy(), sums.elimination.cost(self._free)
+        self.graph = gtsam.NonlinearFactorGraph()
+        self.graph.add(sums.cost)
+        prior = 1.0 if sums.is_joined and backend.problem.block.options.priors else 0.0
+        for factor in sums.factors(blocks, self._gradient + prior * self._free, np.full(len(self._free), prior)):
+            self.graph.add(factor)
+        #: Values of the variables of the graph.
+        self.values = values
+        if sums.is_joined:
+            self.values = _values(self._free, sums.variables)
+        else:
+            self.graph.push_back(backend.others)
+        sums.ordering = sums.ordering or self.graph.orderingCOLAMD()
+        self.ordering = sums.ordering
+
+    def of_images(self, values: gtsam.Values) -> gtsam.Values:
+        """Values of images from those of the variables of the graph, as a copy."""
+        sums = self._backend.sums
+        return _values(free_unknowns(values, sums.variables), sums.vectors) if sums.is_joined else gtsam.Values(values)
+
+    def after(self, values: gtsam.Values) -> tuple[float, float]:
+        """Cost at other values as the linear model of the groups predicts it, and the gradient of everything along.
+
+        The cost of the other factors is the actual one.
+        """
+        backend, problem = self._backend, self._backend.problem
+        step, s = backend.free(values) - self._free, backend.elimination.backend.structure
+        wide = problem.image_matrix(step)
+        squares = np.einsum("bp,bpq,bq->b", wide[s.block_row], self._blocks, wide[s.block_column], optimize=True)
+        squares[s.block_row != s.block_column] *= 2.0
+        along = float(self._gradient @ step)
+        cost = self._cost + along + 0.5 * float(squares.sum())
+        gradient, delta = self._slope(), self._values.localCoordinates(values)
+        along += sum(float(gradient.at(key) @ delta.at(key)) for key in backend.others.keyVector())
+        return cost + float(backend.others.error(values)), along
+
+    def steepest(self) -> float:
+        """Longest Gauss-Newton step of one image unknown alone, in standard deviations from the groups of points."""
+        backend, s = self._backend, self._backend.elimination.backend.structure
+        gradient, slope, ties = self._gradient.copy(), self._slope(), backend.problem.ties
+        for key, part in backend.sums.vectors:
+            if slope.exists(key):
+                gradient[part] += slope.at(key)
+        if ties is None:
+            own, of_image = s.block_row == s.block_column, np.zeros((len(s.size), self._blocks.shape[1]))
+            of_image[s.block_row[own]] = np.einsum("bpp->bp", self._blocks[own])
+            diagonal = backend.problem.image_vector(State(of_image, np.zeros((0, 3))))
+        else:
+            diagonal = np.diag(full_matrix(s.pattern, backend.problem.first, self._blocks, ties))
+        return float((np.abs(gradient) / np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))).max(initial=0.0))
+
+    def _slope(self) -> gtsam.VectorValues:
+        """Gradient of the other factors."""
+        return self._backend.others.linearize(self._values).gradientAtZero()
+
+
+def _arguments(blocks: list[Array], right: list[Array]) -> list[Array]:
+    """Blocks and right sides of one, two or three vectors in the order of GTSAM's constructor."""
+    if len(right) == 1:
+        return [blocks[0], right[0]]
+    if len(right) == 2:
+        return [blocks[0], blocks[1], right[0], blocks[2], right[1]]
+    return [*blocks[:3], right[0], *blocks[3:5], right[1], blocks[5], right[2]]
+
+
+def _values(free: Array, vectors: Sequence[tuple[int, slice]]) -> gtsam.Values:
+    """GTSAM values of image unknowns (u,)."""
+    values = gtsam.Values()
+    for key, part in vectors:
+        values.insert(key, free[part])
+    return values
+
+
+def _cost_factor(
+    elimination: Elimination, vectors: Sequence[tuple[int, slice]], *, with_priors: bool
+) -> gtsam.CustomFactor:  # fmt: skip
+    """Factor with the cost of all groups, and of the priors, at any values; its Jacobian for one vector is zero."""
+    prior = 1.0 if with_priors and elimination.problem.block.options.priors else 0.0
+
+    def error(_this: Any, values: Any, jacobians: Any) -> Array:
+        free = free_unknowns(values, vectors)
+        if jacobians is not None:
+            jacobians[0] = np.zeros((1, vectors[0][1].stop))
+        return np.array([math.sqrt(2.0 * elimination.cost(free) + prior * float(free @ free))])
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(1), [vectors[0][0]], error)

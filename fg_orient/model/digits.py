@@ -1,0 +1,45 @@
+"""Comparison of a number with a printed one by its digits."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, Literal
+
+Agreement = Literal["equal", "rounding", "sigma", "differs"]
+#: Meaning of each agreement.
+MEANING: Final[dict[Agreement, str]] = {
+    "equal": "all printed digits", "rounding": "one unit of the last digit", "sigma": "within one standard deviation",
+    "differs": "differs by more than one standard deviation",
+}  # fmt: skip
+#: Share of a number by which the decimal print of a double may miss it.
+SLACK: Final = 1e-9
+
+
+def last_digit(text: str, significant: int | None = None) -> float:
+    """Size of one unit of the last printed digit: 0.001 for "0.510", 1e-12 for "-8.5e-11".
+
+    ``significant``: number of significant digits of a print without its last zeros; it does not apply to 0.
+    """
+    mantissa, _, exponent = text.lower().partition("e")
+    if significant is not None and float(text):
+        return 10.0 ** (math.floor(math.log10(abs(float(text)))) + 1 - significant)
+    decimals = len(mantissa.partition(".")[2])
+    return float(10.0 ** (int(exponent or 0) - decimals))
+
+
+def agreement(off: float, printed: float, unit: float, sigma: float = math.nan) -> Agreement:
+    """First agreement that holds; "differs" if there is none or the difference is nan.
+
+    Parameters
+    ----------
+    off : float
+        Difference of the number from the printed one.
+    printed : float
+    unit : float
+        One unit of the last printed digit.
+    sigma : float
+        Standard deviation; nan if it is not known.
+    """
+    slack = SLACK * abs(printed)
+    limits: dict[Agreement, float] = {"equal": 0.5 * unit + slack, "rounding": unit + slack, "sigma": sigma}
+    return next((kind for kind, limit in limits.items() if abs(off) <= limit), "differs")
