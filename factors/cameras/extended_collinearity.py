@@ -58,7 +58,7 @@ def residual(record: Any, setup: Any, own: Any, shared: Any, w: Any, centre: Any
 def kernel(
     record: Array, setup: Array, own: Array, shared: Array, w: Array, centre: Array, point: Array, want: bool
 ) -> tuple[Array, ...]:
-    """Residual (2,), x and y; Jacobians of own (2, k1) and shared (2, k2) parameters, rotation, centre, point (2, 3)."""
+    """Residual (2,), x and y; Jacobians (2, k) of own and shared parameters, rotation, centre and point."""
     sizes = np.cumsum([len(own), len(shared), len(w), len(centre)])
     value, image, ground = FRAME_EXTENDED.kernel(record, setup, np.concatenate([own, shared, w, centre]), point, want)
     if not want:

@@ -20,7 +20,7 @@ import numpy as np
 
 from factors._contract import Argument, Array, Equation, compiled, is_finite, kernel_of, register
 from factors.cameras import additional_parameters as additional
-from factors.cameras import frame, frame_corrections
+from factors.cameras import frame
 from factors.cameras import image_variants as variants
 from factors.cameras.frame_camera import by_turn, direction, rotate_back
 from factors.cameras.frame_corrections import CAMERA, CONSTANTS, FURTHER, affine, distorted, lens, projected, slopes
@@ -30,11 +30,12 @@ from factors.records import Record
 #: Record of ``frame``, then coefficients and constants of ``frame_corrections``; a_line and a_sample are the diagonal
 #: of W.
 RECORD: Final = Record(**frame.RECORD.fields, **FURTHER.fields, **CONSTANTS.fields, w12=1, power=1)
-#: Setup: codes and prior sigmas of the unknowns: those of ``frame``, then the further coefficients.
-UNKNOWN: Final = Record(**frame.UNKNOWN.fields, **FURTHER.fields)
+#: Setup: codes and prior sigmas of the unknowns: those of ``frame``, those of a receiver on board, on which no pixel
+#: depends (``factors.conditions.navigation``), then the further coefficients.
+UNKNOWN: Final = Record(**frame.UNKNOWN.fields, navigation=18, **FURTHER.fields)
 N_UNKNOWNS: Final = UNKNOWN.size
-COLUMN: Final = Record(**UNKNOWN.fields, ground="g1 g2 g3", silent=1)
-_FIRST: Final = frame.N_UNKNOWNS
+COLUMN: Final = Record(**UNKNOWN.fields, ground="g1 g2 g3")
+_FIRST: Final = UNKNOWN.shear
 _N_FURTHER: Final = FURTHER.size
 _N_CONSTANTS: Final = CONSTANTS.size
 
@@ -48,7 +49,7 @@ def camera(record: Any, setup: Any, x: Any) -> Any:
     for k in range(_N_FURTHER + _N_CONSTANTS):
         out[CAMERA.shear + k] = record[RECORD.shear + k]
     for j in range(setup.shape[1]):
-        if _FIRST <= setup[0, j] < N_UNKNOWNS:
+        if setup[0, j] >= _FIRST:
             out[CAMERA.shear + int(setup[0, j]) - _FIRST] += setup[1, j] * x[j]
     return out
 
@@ -81,7 +82,7 @@ def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
 
 @compiled
 def derivatives(record: Array, c: Array, ray: Vector, value: Any, has_terms: bool, out: Array) -> None:
-    """Write the derivatives of line and sample, not whitened, into ``out`` (2, 57), columns ``COLUMN``.
+    """Write the derivatives of line and sample, not whitened, into ``out`` (2, 75), columns ``COLUMN``.
 
     ``value`` are line and sample. Columns of additional parameters and variants are written with ``has_terms`` only.
     """
@@ -164,12 +165,12 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
     if want:
         has_terms, d = False, np.zeros((2, COLUMN.size))
         for j in range(k):
-            has_terms |= UNKNOWN.a1 <= setup[0, j] < N_UNKNOWNS
+            has_terms |= setup[0, j] >= UNKNOWN.a1
         derivatives(record, c, ray, (line, sample), has_terms, d)
         for j in range(k + 3):
             column, step = COLUMN.g1 + j - k, 1.0
             if j < k:
-                column, step = int(setup[0, j]) if setup[0, j] < N_UNKNOWNS else COLUMN.silent, setup[1, j]
+                column, step = int(setup[0, j]), setup[1, j]
             out[0, 1 + j] = step * (a_line * d[0, column] + w12 * d[1, column])
             out[1, 1 + j] = step * a_sample * d[1, column]
     return is_finite(out, k + 4 if want else 1)

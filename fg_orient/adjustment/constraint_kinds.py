@@ -197,16 +197,30 @@ FIGURES: Final[dict[str, Callable[[Array, Constraint], Figure]]] = {
 }
 
 
-def relation(constraint: Constraint, start: Array) -> tuple[Equation, int, Array]:
-    """Equation, number of residuals and record (factor 1) of a constraint of points (n, 3) without a figure."""
+#: Equations of constraints without a figure.
+RELATIONS: Final = {
+    "distance": constraints.DISTANCE, "base": constraints.DISTANCE, "parallel": constraints.PARALLEL,
+    "perpendicular": constraints.PERPENDICULAR, "equal": constraints.EQUAL, "equal attitude": circles.EQUAL_ATTITUDE,
+}  # fmt: skip
+#: Their residuals where they are more than one.
+ROWS: Final = {"parallel": 2, "equal attitude": 3}
+
+
+def relation_record(constraint: Constraint, start: Array) -> Array:
+    """Record (factor 1) of a constraint without a figure.
+
+    ``start``: coordinates (n, 3) of its points; for "equal attitude" the rotations (2, 3, 3) of its photos.
+    """
     if constraint.kind in MEASURED:
-        return constraints.DISTANCE, 1, constraints.LENGTH.pack(factor=1.0, distance=constraint.value_m)
+        return constraints.LENGTH.pack(factor=1.0, distance=constraint.value_m)
     if constraint.kind == "parallel":
         along = start[1] - start[0]
         across = _axes(np.array([-along, along]), 0)[1:]
-        return constraints.PARALLEL, 2, constraints.DIRECTION.pack(factor=1.0, e_1=across[0], e_2=across[1])
-    equation = constraints.PERPENDICULAR if constraint.kind == "perpendicular" else constraints.EQUAL
-    return equation, 1, np.ones(1)
+        return constraints.DIRECTION.pack(factor=1.0, e_1=across[0], e_2=across[1])
+    if constraint.kind == "equal attitude":
+        first, second = start.reshape(2, 9)
+        return circles.ATTITUDE_RECORD.pack(factor=1.0, first=first, second=second, between=constraint.offset.ravel())
+    return np.ones(1)
 
 
 def figure_of(constraint: Constraint, points: Array) -> Figure:

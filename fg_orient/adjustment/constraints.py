@@ -1,4 +1,4 @@
-"""Constraints between ground points as extra observations: relations of points, and figures through points.
+"""Constraints between ground points or images as extra observations: relations, and figures through points.
 
 The misclosure c(p, f) of a figure depends on its points p and on its parameters f, which no other observation has.
 They are eliminated: f minimises ``|w c + k|^2``, and the rows of the adjustment are ``N^T (w c + k)`` with
@@ -22,12 +22,22 @@ from factors._contract import Argument, Equation
 from factors.conditions.circles import CIRCLE_RECORD
 from factors.conditions.constraints import FACTOR, FIGURE
 from factors.records import Record
-from fg_orient.adjustment.constraint_kinds import OF_PHOTOS, SIZES, Constraint, Figure, figure_of, relation
+from fg_orient.adjustment.constraint_kinds import (
+    OF_PHOTOS,
+    RELATIONS,
+    ROWS,
+    SIZES,
+    Constraint,
+    Figure,
+    figure_of,
+    relation_record,
+)
 from fg_orient.adjustment.dense import extra_blocks
-from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.problem import ExtraArgument, Problem, State
 from fg_orient.adjustment.rows import linearised
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import InputError
+from fg_orient.sensors.frame import FrameSensor
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.solve import Estimate
@@ -37,6 +47,9 @@ Array = npt.NDArray[np.float64]
 #: Weight w of the misclosures, factor of the misclosure of a sphere that makes it metres, axes of the figure (3, 3) and
 #: its frame at the start (normal or direction, two axes across). A relation's record and the correlates k follow.
 HEAD: Final = Record(weight=1, scale=1, axes=9, frame=9)
+#: Unknowns of a frame image that a constraint between images depends on.
+CENTRE: Final = ("centre_x", "centre_y", "centre_z")
+ROTATION: Final = ("rotation_x", "rotation_y", "rotation_z")
 #: Figures with a frame.
 FRAMES: Final = {"plane": FIGURE, "line": FIGURE, "circle": CIRCLE_RECORD}
 #: Smallest sigma of a constraint in the first adjustment, and sigma of a hard one afterwards, in units of the smallest
@@ -59,46 +72,68 @@ _FITS: Final = 100
 
 
 @dataclass(frozen=True, eq=False)
+class Place:
+    """Three numbers ``base + by @ x`` of the unknowns x (k,) of an image: projection centre, m, or rotation, rad."""
+
+    base: Array
+    by: Array
+
+
+@dataclass(frozen=True, eq=False)
 class ConstraintObservation(ExtraObservation):
-    """Extra observation of a constraint."""
+    """Extra observation of a constraint; ``places`` of its images, none for points."""
 
     constraint: Constraint
     final_weight: float = 0.0
+    places: tuple[Place, ...] = ()
 
     @property
     def hard(self) -> bool:
         """Whether it holds exactly."""
         return self.constraint.sigma is None
 
+    def members(self, problem: Problem, state: State) -> list[Array]:
+        """Coordinates, or rotation vectors, (3,) of the members at a state."""
+        found = problem.extra_arguments(self)
+        if not self.places:
+            return [np.ascontiguousarray(state.ground[a.index]) for a in found]
+        return [p.base + p.by @ problem.unknowns(state, a.index) for p, a in zip(self.places, found, strict=True)]
 
-def constraint_observation(constraint: Constraint) -> ConstraintObservation:
-    """Extra observation of a constraint between ground points; :func:`prepared` completes its record.
 
-    InputError: a constraint of photos, or a figure through too few points.
+def constraint_observation(constraint: Constraint, places: tuple[Place, ...] = ()) -> ConstraintObservation:
+    """Extra observation of a constraint between ground points or images; :func:`prepared` completes it.
+
+    InputError: a figure through too few points.
     """
-    n, total, free = len(constraint.members), 2 if constraint.kind == "parallel" else 1, 0
-    if constraint.kind in OF_PHOTOS:
-        raise constraint.fault("kind", constraint.kind, "a constraint of points")
+    n, total, free = len(constraint.members), ROWS.get(constraint.kind, 1), 0
     if constraint.kind in SIZES:
         rows, free = SIZES[constraint.kind]
         total = n * rows + len(constraint.observed)
         if total <= free:
             raise constraint.fault("members", n, "more points: a figure of this kind goes through any such points")
-    argument = tuple(Argument(f"point {name}", "m", is_point=True) for name in constraint.members)
+    kind, unit = ("image", "prior sigma") if constraint.kind in OF_PHOTOS else ("point", "m")
+    argument = tuple(Argument(f"{kind} {name}", unit, is_point=kind == "point") for name in constraint.members)
 
-    def residual(record: Any, _setup: Any, *points: Any) -> Any:
-        value, basis, _ = _whole(constraint, record, points, total)
+    def at(unknowns: Any) -> Any:
+        return [p.base + p.by @ x for p, x in zip(places, unknowns, strict=True)] if places else unknowns
+
+    def residual(record: Any, _setup: Any, *unknowns: Any) -> Any:
+        value, basis, _ = _whole(constraint, record, at(unknowns), total)
         return basis.T @ value
 
-    def kernel(record: Array, setup: Array, *points_and_want: Any) -> tuple[Array, ...]:
-        *points, want = points_and_want
-        value, basis, blocks = _whole(constraint, record, points, total)
-        out = (np.ascontiguousarray(basis.T @ block) if want else np.empty((0, 0)) for block in blocks)
-        return basis.T @ value, *out
+    def kernel(record: Array, setup: Array, *unknowns_and_want: Any) -> tuple[Array, ...]:
+        *unknowns, want = unknowns_and_want
+        value, basis, blocks = _whole(constraint, record, at(unknowns), total)
+        if not want:
+            return basis.T @ value, *(np.empty((0, 0)) for _ in blocks)
+        by = [p.by for p in places] or [np.eye(3)] * n
+        return basis.T @ value, *(np.ascontiguousarray(basis.T @ b @ c) for b, c in zip(blocks, by, strict=True))
 
     equation = Equation(f"constraint {constraint.kind}", kernel, residual, argument, "see this module")
-    names, record = tuple(f"point:{name}" for name in constraint.members), np.zeros(HEAD.size + total)
-    return ConstraintObservation(equation, names, record, np.zeros((2, 0)), total - free, constraint.label, constraint)
+    names, record = tuple(f"{kind}:{name}" for name in constraint.members), np.zeros(HEAD.size + total)
+    return ConstraintObservation(
+        equation, names, record, np.zeros((2, 0)), total - free, constraint.label, constraint, places=places
+    )
 
 
 def _whole(constraint: Constraint, record: Any, points: Any, total: int) -> tuple[Any, Array, list[Array]]:
@@ -109,7 +144,7 @@ def _whole(constraint: Constraint, record: Any, points: Any, total: int) -> tupl
     head, own = record[: HEAD.size], record[HEAD.size : len(record) - total].copy()
     correlates, real = record[len(record) - total :], [np.ascontiguousarray(np.real(p)) for p in points]
     if constraint.kind not in SIZES:
-        equation, _, _ = relation(constraint, np.array(real))
+        equation = RELATIONS[constraint.kind]
         own[FACTOR.factor] *= head[HEAD.weight]
         own_blocks = equation.kernel(own, _NONE, *real, True)[1:]
         return equation.residual(own, _NONE, *points) + correlates, np.eye(total), list(own_blocks)
@@ -169,6 +204,8 @@ def prepared(problem: Problem) -> Problem:
     extra = problem.block.extra
     if not has_constraints(problem.block):
         return problem
+    extra = tuple(_placed(problem, e) if isinstance(e, ConstraintObservation) else e for e in extra)
+    problem = _with_extra(problem, extra)
     named = problem.named_points()
     rays = np.flatnonzero(np.isin(problem.observations.point, named))
     normal = problem.point_normals(problem.observations.point[rays], linearised(problem, problem.start, rays).ground)
@@ -182,42 +219,82 @@ def prepared(problem: Problem) -> Problem:
     return replace(problem, start=_on_constraints(problem, problem.start))
 
 
+def _placed(problem: Problem, extra: ConstraintObservation) -> ConstraintObservation:
+    """Constraint with the places of its images; InputError for an image without projection centre."""
+    constraint = extra.constraint
+    if constraint.kind not in OF_PHOTOS:
+        return extra
+    names, places = CENTRE if constraint.kind == "base" else ROTATION, []
+    for argument in problem.extra_arguments(extra):
+        sensor, own = problem.block.images[argument.index].sensor, problem.parameters[argument.index]
+        if not isinstance(sensor, FrameSensor):
+            raise constraint.fault("members", problem.block.images[argument.index].id, "frame images")
+        by = np.array([[s * (n == name) for n, s in zip(own.names, own.sigma, strict=True)] for name in names])
+        base = sensor.camera.centre_m - problem.origin_m if constraint.kind == "base" else np.zeros(3)
+        places.append(Place(base, by.reshape(3, len(own))))
+    return replace(constraint_observation(constraint, tuple(places)), label=extra.label)
+
+
+def _columns(problem: Problem, extra: ConstraintObservation) -> list[int]:
+    """Columns of the unknowns that a constraint depends on."""
+    out: list[int] = []
+    for k, a in enumerate(problem.extra_arguments(extra)):
+        if a.is_image:
+            out += (problem.first[a.index] + np.flatnonzero(extra.places[k].by.any(axis=0))).tolist()
+        elif a.constant is None:
+            out += range(problem.n_columns)[problem.point_slice(a.index)]
+    return out
+
+
 def _on_constraints(problem: Problem, state: State) -> State:
-    """State that fulfils the hard constraints, by the smallest movements of the points.
+    """State that fulfils the hard constraints, by the smallest movements of their points or images.
 
     InputError: they cannot hold together, or depend on each other.
     """
-    named, start = np.array(problem.named_points()), state.ground.copy()
+    hard = [e for e in problem.block.extra if isinstance(e, ConstraintObservation) and e.hard]
+    columns = np.unique([c for e in hard for c in _columns(problem, e)]).astype(np.intp)
 
     def at(step: Array) -> State:
-        ground = start.copy()
-        ground[named] += step.reshape(-1, 3)
-        return State(state.image, ground)
+        whole = np.zeros(problem.n_columns)
+        whole[columns] = step
+        return problem.moved(state, whole)
 
-    x, least = np.zeros(3 * len(named)), np.inf
+    x, least = np.zeros(len(columns)), np.inf
     for _ in range(_FITS):
-        rows, design, _ = _linear(problem, at(x))
+        rows, design, _ = linear_rows(problem, at(x))
         size, before = float(np.abs(rows).max()), least
         if not size < before and size < HELD:
             break
-        least, x = min(size, least), x - np.linalg.lstsq(design, rows, rcond=DEPENDENT)[0]
+        least, x = min(size, least), x - np.linalg.lstsq(design[:, columns], rows, rcond=DEPENDENT)[0]
     else:  # the constraints with the largest misclosures at the least sum of squares are named
         from scipy.optimize import least_squares
 
         def rows_at(x: Array) -> Array:
-            return _linear(problem, at(x))[0]
+            return linear_rows(problem, at(x))[0]
 
         def slopes_at(x: Array) -> Array:
-            return _linear(problem, at(x))[1]
+            return linear_rows(problem, at(x))[1][:, columns]
 
         x = least_squares(rows_at, 0.0 * x, slopes_at).x
     _require_held(problem, at(x))
     return at(x)
 
 
+def _sigma_of_image(problem: Problem, argument: ExtraArgument, place: Place) -> float:
+    """Smallest sigma of three numbers of an image, with its points and other unknowns held fixed."""
+    rows = linearised(problem, problem.start, np.flatnonzero(problem.observations.image == argument.index)).image
+    scale = place.by.sum(axis=1)
+    if not scale.any():
+        return np.inf
+    design = rows[:, :, : len(place.by.T)] @ place.by.T / np.where(scale > 0.0, scale, 1.0) ** 2
+    return float(np.linalg.norm(design.reshape(-1, 3), 2)) ** -1.0
+
+
 def _prepared(problem: Problem, extra: ConstraintObservation, sigma: Array) -> ConstraintObservation:
-    c, members = extra.constraint, [a.index for a in problem.extra_arguments(extra)]
-    start, own, least = problem.start.ground[members], np.zeros(0), float(sigma[members].min())
+    c, found, at = extra.constraint, problem.extra_arguments(extra), extra.members(problem, problem.start)
+    start, own = np.array(at), np.zeros(0)
+    least = min((_sigma_of_image(problem, a, p) for a, p in zip(found, extra.places, strict=False)), default=np.inf)
+    least = min(least, float(sigma[[a.index for a in found if not a.is_image]].min(initial=np.inf)))
     scale, frame, axes = 1.0, np.zeros(9), problem.axes(start.mean(axis=0)[None] + problem.origin_m)[0]
     if c.kind in SIZES:
         figure = figure_of(c, start @ axes.T)
@@ -225,9 +302,12 @@ def _prepared(problem: Problem, extra: ConstraintObservation, sigma: Array) -> C
         if c.kind in FRAMES:
             frame = np.concatenate([figure.record[part] for part in (FRAMES[c.kind].normal, FRAMES[c.kind].e_1,
                                                                      FRAMES[c.kind].e_2)])  # fmt: skip
-        total = len(members) * SIZES[c.kind][0] + len(c.observed)
+        total = len(at) * SIZES[c.kind][0] + len(c.observed)
     else:
-        _, total, own = relation(c, start)
+        if c.kind == "equal attitude":
+            cameras = [problem.block.images[a.index].sensor.camera for a in found]
+            start = np.array([camera.rotation for camera in cameras])
+        total, own = ROWS.get(c.kind, 1), relation_record(c, start)
         if c.kind in ("parallel", "perpendicular"):
             least /= float(np.linalg.norm(start[1::2] - start[::2], axis=1).max())
     last = c.sigma or HARD * least
@@ -240,14 +320,14 @@ def _with_extra(problem: Problem, extra: Iterable[ExtraObservation]) -> Problem:
     return replace(problem, block=replace(problem.block, extra=tuple(extra)))
 
 
-def _linear(problem: Problem, state: State) -> tuple[Array, Array, list[str]]:
-    """Rows (c,) of the hard constraints, derivatives (c, 3 n) by the named points, and labels."""
-    named, values, parts, labels = problem.named_points(), [], [], list[str]()
+def linear_rows(problem: Problem, state: State) -> tuple[Array, Array, list[str]]:
+    """Rows (c,) of the hard constraints, derivatives (c, u) by all unknowns, and labels."""
+    values, parts, labels = [np.zeros(0)], [np.zeros((0, problem.n_columns))], list[str]()
     for e in (e for e in problem.block.extra if isinstance(e, ConstraintObservation) and e.hard):
         value, blocks = extra_blocks(problem, e, state, jacobian=True)
-        wide = np.zeros((len(value), 3 * len(named)))
+        wide = np.zeros((len(value), problem.n_columns))
         for a, block in blocks:
-            wide[:, 3 * named.index(a.index) :][:, :3] += block
+            wide[:, problem.image_slice(a.index) if a.is_image else problem.point_slice(a.index)] += block
         values.append(value)
         parts.append(wide)
         labels += [e.label] * len(value)
@@ -267,8 +347,7 @@ def _constraints(problem: Problem, state: State) -> list[tuple[int, ConstraintOb
     out = []
     for n, e in enumerate(problem.block.extra):
         if isinstance(e, ConstraintObservation):
-            points = [np.ascontiguousarray(state.ground[a.index]) for a in problem.extra_arguments(e)]
-            total = e.n_residuals + SIZES.get(e.constraint.kind, (0, 0))[1]
+            points, total = e.members(problem, state), e.n_residuals + SIZES.get(e.constraint.kind, (0, 0))[1]
             closed, value = total - len(e.constraint.observed), _whole(e.constraint, e.record, points, total)[0]
             misclosures = (value - e.record[-total:])[:closed] / e.record[HEAD.weight]
             out.append((n, e, misclosures, np.where(np.arange(total) < (closed if e.hard else 0), value, 0.0)))
@@ -309,7 +388,7 @@ def hold(problem: Problem, estimate: Estimate, run: Callable[[Problem, State], E
 
 def _require_held(problem: Problem, state: State) -> None:
     """Raise InputError for hard constraints that do not hold, or depend on each other."""
-    hard, (_, rows, labels) = [s for s in _constraints(problem, state) if s[1].hard], _linear(problem, state)
+    hard, (_, rows, labels) = [s for s in _constraints(problem, state) if s[1].hard], linear_rows(problem, state)
     away = np.nan_to_num([np.abs(c).max() for _, _, c, _ in hard], nan=np.inf)
     if away.max() > CONTRADICTION:
         names = [e.label for (_, e, _, _), size in zip(hard, away, strict=True) if size >= NAMED * away.max()]
@@ -333,3 +412,52 @@ def released(problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate]:
     if not _has_hard(problem) or not estimate.converged:
         return problem, replace(estimate, chi2=chi2)
     return problem, replace(estimate, chi2=chi2, state=_on_constraints(problem, estimate.state))
+
+
+@dataclass(frozen=True, eq=False)
+class FittedFigure:
+    """Adjusted figure of a constraint.
+
+    Parameters
+    ----------
+    label : str
+    names : tuple of str
+    values : (k,) array
+        Centres in the local system of the block, without its origin, along the axes of the figure: those of the local
+        system, or East, North, Up at the points.
+    points : tuple of int
+        Numbers of its points.
+    own : (k, k) array
+        Cofactors if the points are known.
+    by : (k, 3 n) array
+        Derivatives by the coordinates of the points.
+    """
+
+    label: str
+    names: tuple[str, ...]
+    values: Array
+    points: tuple[int, ...]
+    own: Array
+    by: Array
+
+
+def fitted_figures(problem: Problem, state: State) -> list[FittedFigure]:
+    """Figures of the constraints at a solution.
+
+    With the joint cofactors C of its points a figure has the cofactors ``own + by C by^T``.
+    """
+    out = []
+    for e in problem.block.extra:
+        if not isinstance(e, ConstraintObservation) or e.constraint.kind not in SIZES:
+            continue
+        head, total = e.record[: HEAD.size], e.n_residuals + SIZES[e.constraint.kind][1]
+        axes = head[HEAD.axes].reshape(3, 3)
+        at = [axes @ p for p in e.members(problem, state)]
+        x, design, _, blocks, figure = _fitted(e.constraint, head, at, e.record[-total:])
+        left, right = np.linalg.qr(design)
+        inverse = np.linalg.inv(right)
+        by = -inverse @ left.T @ np.hstack([block @ axes for block in blocks])
+        points = tuple(a.index for a in problem.extra_arguments(e))
+        values = x + figure.offset[: len(x)]
+        out.append(FittedFigure(e.label, figure.names, values, points, inverse @ inverse.T, by))
+    return out

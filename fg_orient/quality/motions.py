@@ -23,7 +23,7 @@ from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import Rows
 from fg_orient.quality.elimination import UNOBSERVABLE
 from fg_orient.quality.structure import named, of_ids
-from fg_orient.sensors.frame import NAVIGATION
+from fg_orient.sensors.frame_unknowns import NAVIGATION
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -16,48 +16,20 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Array
-from factors.cameras import frame, frame_camera
-from factors.cameras.frame import FRAME_COLLINEARITY, N_UNKNOWNS, RECORD
+from factors.cameras import frame, frame_camera, frame_corrections, frame_extended
+from factors.cameras.frame import FRAME_COLLINEARITY, RECORD
 from factors.cameras.frame_camera import CAMERA
+from factors.cameras.frame_extended import FRAME_EXTENDED
 from factors.geometry import ellipsoid
 from fg_orient.model.errors import Finding, InputError
-from fg_orient.model.parameters import ImageParameters, require_unknowns
+from fg_orient.model.parameters import require_unknowns
 
 if TYPE_CHECKING:
+    from factors._contract import Equation
     from fg_orient.model.block import ImagePoints, Options
 from fg_orient.sensors.base import ImageModel, Sensor, placed, same_length
+from fg_orient.sensors.frame_unknowns import FURTHER, INTERIOR, NAMES, NAVIGATION, UNKNOWNS, camera_parameters
 
-#: Unknowns of a frame image in the order of their codes (``factors.cameras.frame``).
-UNKNOWNS: Final = (
-    "rotation_x", "rotation_y", "rotation_z", "centre_x", "centre_y", "centre_z", "focal", "principal_sample",
-    "principal_line", "k1", "k2", "k3", "p1", "p2", "aspect",
-)  # fmt: skip
-#: Further unknowns, of a receiver and an inertial unit on board (``factors.conditions.navigation``), which no image
-#: point depends on: shift and drift of the position in the axes of the strip, of the attitude about the axes of the
-#: body, lever arm, boresight. Their codes follow.
-NAVIGATION: Final = (
-    "gnss_shift_east", "gnss_shift_north", "gnss_shift_up", "gnss_drift_east", "gnss_drift_north", "gnss_drift_up",
-    "ins_shift_roll", "ins_shift_pitch", "ins_shift_heading", "ins_drift_roll", "ins_drift_pitch", "ins_drift_heading",
-    "lever_x", "lever_y", "lever_z", "boresight_x", "boresight_y", "boresight_z",
-)  # fmt: skip
-#: Names by code, their units and words.
-_NAMES: Final = (*UNKNOWNS, *NAVIGATION)
-_UNITS: Final = (
-    ("rad",) * 3 + ("m",) * 3 + ("px",) * 3 + ("",) * 6 + ("m",) * 6 + ("rad",) * 6 + ("m",) * 3 + ("rad",) * 3
-)  # fmt: skip
-_WORDS: Final = (
-    "rotation about the camera's X (rad)", "rotation about the camera's Y (rad)",
-    "rotation about the camera's Z (rad)", "projection centre X (m)", "projection centre Y (m)",
-    "projection centre Z (m)", "focal length (px)", "sample of the principal point (px)",
-    "line of the principal point (px)", "radial distortion k1", "radial distortion k2", "radial distortion k3",
-    "decentring distortion p1", "decentring distortion p2", "aspect",
-    *(f"{kind} of the receiver {axis} (m)" for kind in ("shift", "drift") for axis in ("East", "North", "Up")),
-    *(f"{kind} of the attitude, {axis} (rad)" for kind in ("shift", "drift") for axis in ("roll", "pitch", "heading")),
-    *(f"lever arm {axis} (m)" for axis in "XYZ"),
-    *(f"boresight about the camera's {axis} (rad)" for axis in "XYZ"),
-)  # fmt: skip
-#: Unknowns of the interior orientation, which images of one camera may share.
-INTERIOR: Final = UNKNOWNS[6:]
 #: The two distortion equations, by the direction in which the polynomial leads.
 IDEAL_TO_MEASURED: Final = "brown_ideal_to_measured"
 MEASURED_TO_IDEAL: Final = "brown_measured_to_ideal"
@@ -107,6 +79,19 @@ class FrameCamera:
     shared : mapping
         Unknowns shared with other images, as id by name: all images with the same id for a name have one unknown
         ({"focal": "camera 1"}). Their start values and sigmas must agree.
+    further : mapping
+        Values of further coefficients by name (:data:`FURTHER`): shear, fisheye lens, affinity, Brown's additional
+        parameters, alternative terms. With one of these as a value or an unknown, or with a value of the next four, the
+        equation is that of ``factors.cameras.frame_extended``, whose cameras have an aspect in both directions.
+    is_fisheye : bool
+        Fisheye projection (Kannala, Brandt 2006; OpenCV).
+    lines_up : bool
+        Lines are counted upwards.
+    nominal_px, radius_px : float, optional
+        Fixed principal distance of the additional parameters, and radius of the orthogonal polynomials, in the unit of
+        the coefficients; default 1.
+    is_condition : bool
+        Residuals are those of conditions: pixels times metres (Ayhan 1996, eq. 76), not pixels.
 
     Raises
     ------
@@ -125,6 +110,12 @@ class FrameCamera:
     unit_px: float | None = None
     aspect: float = 0.0
     shared: Mapping[str, str] = field(default_factory=dict)
+    further: Mapping[str, float] = field(default_factory=dict)
+    is_fisheye: bool = False
+    lines_up: bool = False
+    nominal_px: float | None = None
+    radius_px: float | None = None
+    is_condition: bool = False
 
     def __post_init__(self) -> None:
         for name, shape in (("rotation", (3, 3)), ("centre_m", (3,)), ("principal_px", (2,)), ("distortion", (5,))):
@@ -137,7 +128,8 @@ class FrameCamera:
             object.__setattr__(self, "unit_px", float(self.focal_px))
         away, unit = float(away_from_rotation(self.rotation)), float(self.unit_px or 0.0)
         models = (IDEAL_TO_MEASURED, MEASURED_TO_IDEAL)
-        no_aspect = np.isfinite(self.aspect) and (self.aspect == 0.0 or self.model != IDEAL_TO_MEASURED)
+        has_aspect = self.model == MEASURED_TO_IDEAL or self.is_extended
+        no_aspect = np.isfinite(self.aspect) and (self.aspect == 0.0 or has_aspect)
         for name, shown, expected, right in (
             ("rotation", not_a_rotation(away), "a rotation", away <= ORTHONORMAL),
             ("focal_px", self.focal_px, "pixels above zero", np.isfinite(self.focal_px) and self.focal_px > 0.0),
@@ -147,7 +139,10 @@ class FrameCamera:
         ):
             if not right:
                 raise InputError.of("frame.camera", place=name, value=shown, expected=expected)
-        known = (*(UNKNOWNS if self.model == MEASURED_TO_IDEAL else UNKNOWNS[:-1]), *NAVIGATION)
+        known = (*(UNKNOWNS if has_aspect else UNKNOWNS[:-1]), *NAVIGATION, *FURTHER)
+        for name, value in self.further.items():
+            if name not in FURTHER or not np.isfinite(value):
+                raise InputError.of("frame.unknown", place=name, value=value, known=", ".join(FURTHER))
         for name, sigma in self.sigma.items():
             if name not in known or not (np.isfinite(sigma) and sigma > 0.0):
                 raise InputError.of("frame.unknown", place=name, value=sigma, known=", ".join(known))
@@ -157,12 +152,33 @@ class FrameCamera:
                                     known=", ".join(self.sigma))  # fmt: skip
 
     @cached_property
+    def is_extended(self) -> bool:
+        """Whether the equation is that of ``factors.cameras.frame_extended``."""
+        given = self.further, self.is_fisheye, self.lines_up, self.nominal_px, self.radius_px, self.is_condition
+        return any(given) or not self.sigma.keys().isdisjoint(FURTHER)
+
+    @property
+    def equation(self) -> Equation:
+        """Observation equation."""
+        return FRAME_EXTENDED if self.is_extended else FRAME_COLLINEARITY
+
+    @cached_property
     def record(self) -> Array:
-        """Record of ``cameras.frame`` of pixel 0, 0, whitening 1 and origin 0."""
-        return RECORD.pack(
-            line=0.0, sample=0.0, a_line=1.0, a_sample=1.0, rotation=self.rotation.ravel(), centre=self.centre_m,
-            focal=self.focal_px, principal=self.principal_px[::-1], distortion=self.distortion,
-            aspect=self.aspect, unit=self.unit_px if self.corrects_measured else 0.0,
+        """Record of the equation, of pixel 0, 0, whitening 1 and origin 0."""
+        plain = {
+            "line": 0.0, "sample": 0.0, "a_line": 1.0, "a_sample": 1.0, "rotation": self.rotation.ravel(),
+            "centre": self.centre_m, "focal": self.focal_px, "principal": self.principal_px[::-1],
+            "distortion": self.distortion, "aspect": self.aspect,
+            "unit": self.unit_px if self.corrects_measured else 0.0,
+        }  # fmt: skip
+        if not self.is_extended:
+            return RECORD.pack(**plain)
+        values = np.array([self.further.get(name, 0.0) for name in FURTHER])
+        parts = np.split(values, np.cumsum([*frame_corrections.FURTHER.sizes.values()])[:-1])
+        further = dict(zip(frame_corrections.FURTHER.fields, parts, strict=True))
+        return frame_extended.RECORD.pack(
+            **plain, **further | {"shear": values[0]}, is_fisheye=self.is_fisheye, sign=-1.0 if self.lines_up else 1.0,
+            nominal=self.nominal_px or 1.0, radius=self.radius_px or 1.0, w12=0.0, power=self.is_condition,
         )  # fmt: skip
 
     @property
@@ -171,21 +187,24 @@ class FrameCamera:
         return self.model == MEASURED_TO_IDEAL
 
     def corrected(self, correction: npt.ArrayLike | None = None) -> Array:
-        """Camera (31,) of ``factors.cameras.frame_camera``.
+        """Camera (31,) of ``factors.cameras.frame_camera``, with further coefficients of ``frame_corrections``.
 
-        ``correction`` (15,): in physical units, in the order of the codes of ``factors.cameras.frame``.
+        ``correction`` (k,): in physical units, in the order of :data:`fg_orient.sensors.frame_unknowns.NAMES`, of all
+        or of the first unknowns.
         """
-        codes = np.stack([np.arange(N_UNKNOWNS, dtype=float), np.ones(N_UNKNOWNS)])
-        x = np.zeros(N_UNKNOWNS) if correction is None else np.array(correction, dtype=float)
-        return np.asarray(frame.camera(self.record, codes, x))
+        x = np.zeros(0) if correction is None else np.array(correction, dtype=float)
+        codes = np.stack([np.arange(len(x), dtype=float), np.ones(len(x))])
+        return np.asarray((frame_extended if self.is_extended else frame).camera(self.record, codes, x))
 
     def ideal_directions(self, camera: Array, line: Array, sample: Array) -> Array:
         """X/Z, Y/Z (N, 2) of pixels by a camera of :meth:`corrected`; nan where the distortion cannot be inverted."""
         directions = frame_camera.corrected_directions if self.corrects_measured else frame_camera.ideal_directions
-        return np.asarray(directions(camera, line, sample))
+        return np.asarray((frame_corrections.directions if self.is_extended else directions)(camera, line, sample))
 
     def pixels(self, camera: Array, ground_m: Array) -> Array:
         """Line, sample (px) and inverse depth (1/m) of ground points (N, 3): (N, 3); nan where there is no image."""
+        if self.is_extended:
+            return np.asarray(frame_corrections.pixels(camera, ground_m))
         if not self.corrects_measured:
             return np.asarray(frame_camera.project(camera, ground_m))
         plain = camera.copy()
@@ -261,7 +280,7 @@ class FrameSensor(Sensor):
         )  # fmt: skip
 
     def records(self, line: npt.ArrayLike, sample: npt.ArrayLike, origin_m: Array | None = None) -> Array:
-        """Constants of the camera's frame equation for N image points, unwhitened: (N, 26).
+        """Constants of the camera's equation for N image points, unwhitened: (N, d).
 
         ``origin_m`` (3,): local origin of the ground unknowns (default 0).
         """
@@ -317,14 +336,14 @@ class FrameSensor(Sensor):
         return FrameImageModel(self, options)
 
     def correction_of(self, values: Mapping[str, float], options: Options) -> Array:
-        """Corrections (15,) from the values of the unknowns by name; see :meth:`Sensor.correction_of`."""
-        return placed(values, UNKNOWNS)
+        """Corrections from the values of the unknowns by name; see :meth:`Sensor.correction_of`."""
+        return placed(values, NAMES if self.camera.is_extended else UNKNOWNS)
 
     def shared_starts(self) -> dict[tuple[str, str], float]:
         """Values of shared unknowns, and unit and direction of the polynomial; see :meth:`Sensor.shared_starts`."""
         camera, at = self.camera, self.camera.corrected()
-        interior = at[CAMERA.focal], *at[CAMERA.principal], *at[CAMERA.distortion]
-        values = dict(zip(INTERIOR, [*interior, camera.aspect], strict=True))
+        interior = at[CAMERA.focal], *at[CAMERA.principal], *at[CAMERA.distortion], camera.aspect
+        values = dict(zip(INTERIOR, interior, strict=False)) | dict(camera.further)
         unit = float(camera.unit_px or 0.0) if camera.corrects_measured else 0.0
         return {
             (with_whom, part): float(value)
@@ -334,17 +353,6 @@ class FrameSensor(Sensor):
 
 
 # --- image model ---------------------------------------------------------------------------------
-
-
-def camera_parameters(camera: FrameCamera, only: tuple[str, ...] = ()) -> ImageParameters:
-    """Unknowns of a frame image: those with a prior sigma of the camera, or those of them in ``only``, by code."""
-    codes = tuple(k for k, name in enumerate(_NAMES) if name in camera.sigma and (not only or name in only))
-    sigma = np.array([camera.sigma[_NAMES[k]] for k in codes])
-    names = tuple(_NAMES[k] for k in codes)
-    shared = tuple(camera.shared.get(name, "") for name in names) if camera.shared else ()
-    return ImageParameters(
-        codes, sigma, names, tuple(_UNITS[k] for k in codes), tuple(_WORDS[k] for k in codes), shared
-    )
 
 
 class FrameImageModel(ImageModel):
@@ -363,10 +371,8 @@ class FrameImageModel(ImageModel):
         ``image_unknowns`` selects none of the camera's unknowns.
     """
 
-    equation = FRAME_COLLINEARITY
-
     def __init__(self, sensor: FrameSensor, options: Options) -> None:
-        self.sensor = sensor
+        self.sensor, self.equation = sensor, sensor.camera.equation
         self.parameters = camera_parameters(sensor.camera, options.image_unknowns)
         if sensor.camera.sigma:
             require_unknowns(options, self.parameters.codes, sensor.file, sensor.camera.sigma)
@@ -378,10 +384,10 @@ class FrameImageModel(ImageModel):
         return out
 
     def correction(self, x: Array) -> Array:
-        """Corrections (15,) in physical units that change pixels, ordered as the codes of ``cameras.frame``."""
-        out = np.zeros(len(_NAMES))
+        """Corrections (15,) in physical units that change pixels, by code; (k,) with further coefficients."""
+        out = np.zeros(len(NAMES))
         out[list(self.parameters.codes)] = x * self.parameters.sigma
-        return out[:N_UNKNOWNS]
+        return out if self.sensor.camera.is_extended else out[: len(UNKNOWNS)]
 
     def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
         """Whether points lie in front of the camera at its approximate orientation."""

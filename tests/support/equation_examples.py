@@ -125,8 +125,8 @@ def frame_extended_collinearity(rng: np.random.Generator) -> Example:
     n = rng.integers(0, further.size + 1)
     codes = frame_extended.N_UNKNOWNS - further.size + rng.permutation(further.size)[:n]
     plain_codes = plain.setup[:, plain.setup[0] < frame.N_UNKNOWNS]
-    setup = np.concatenate([plain_codes, np.stack([codes, np.full(n, 1e-3)]), [[frame_extended.N_UNKNOWNS + 2.0], [1.0]]],
-                           axis=1)  # fmt: skip
+    silent = [[frame_extended.UNKNOWN.navigation.start + 2.0], [1.0]]
+    setup = np.concatenate([plain_codes, np.stack([codes, np.full(n, 1e-3)]), silent], axis=1)
     return Example(record, np.ascontiguousarray(setup), (rng.normal(size=setup.shape[1]), plain.unknowns[1]))
 
 

@@ -1,0 +1,61 @@
+"""Unknowns of a frame image: names, units and words, by code.
+
+The code of an unknown is its place in :data:`NAMES`, as in ``factors.cameras.frame_extended``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from factors.cameras import frame_corrections
+from fg_orient.model.parameters import ImageParameters
+
+if TYPE_CHECKING:
+    from fg_orient.sensors.frame import FrameCamera
+
+#: Exterior orientation and interior orientation with Brown's distortion (``factors.cameras.frame``).
+UNKNOWNS: Final = (
+    "rotation_x", "rotation_y", "rotation_z", "centre_x", "centre_y", "centre_z", "focal", "principal_sample",
+    "principal_line", "k1", "k2", "k3", "p1", "p2", "aspect",
+)  # fmt: skip
+#: Further unknowns, of a receiver and an inertial unit on board (``factors.conditions.navigation``), which no image
+#: point depends on: shift and drift of the position in the axes of the strip, of the attitude about the axes of the
+#: body, lever arm, boresight.
+NAVIGATION: Final = (
+    "gnss_shift_east", "gnss_shift_north", "gnss_shift_up", "gnss_drift_east", "gnss_drift_north", "gnss_drift_up",
+    "ins_shift_roll", "ins_shift_pitch", "ins_shift_heading", "ins_drift_roll", "ins_drift_pitch", "ins_drift_heading",
+    "lever_x", "lever_y", "lever_z", "boresight_x", "boresight_y", "boresight_z",
+)  # fmt: skip
+#: Further coefficients of the interior orientation (``factors.cameras.frame_corrections``): shear, fisheye lens,
+#: affinity, Brown's additional parameters, alternative terms.
+FURTHER: Final = frame_corrections.NAMES
+#: Unknowns of the interior orientation, which images of one camera may share.
+INTERIOR: Final = (*UNKNOWNS[6:], *FURTHER)
+NAMES: Final = (*UNKNOWNS, *NAVIGATION, *FURTHER)
+UNITS: Final = (
+    *("rad",) * 3, *("m",) * 3, *("px",) * 3, *("",) * 6, *("m",) * 6, *("rad",) * 6, *("m",) * 3, *("rad",) * 3,
+    *("",) * len(FURTHER),
+)  # fmt: skip
+_WORDS: Final = (
+    "rotation about the camera's X (rad)", "rotation about the camera's Y (rad)",
+    "rotation about the camera's Z (rad)", "projection centre X (m)", "projection centre Y (m)",
+    "projection centre Z (m)", "focal length (px)", "sample of the principal point (px)",
+    "line of the principal point (px)", "radial distortion k1", "radial distortion k2", "radial distortion k3",
+    "decentring distortion p1", "decentring distortion p2", "aspect",
+    *(f"{kind} of the receiver {axis} (m)" for kind in ("shift", "drift") for axis in ("East", "North", "Up")),
+    *(f"{kind} of the attitude, {axis} (rad)" for kind in ("shift", "drift") for axis in ("roll", "pitch", "heading")),
+    *(f"lever arm {axis} (m)" for axis in "XYZ"),
+    *(f"boresight about the camera's {axis} (rad)" for axis in "XYZ"),
+    *(f"coefficient {name.replace('_', ' ')}" for name in FURTHER),
+)  # fmt: skip
+
+
+def camera_parameters(camera: FrameCamera, only: tuple[str, ...] = ()) -> ImageParameters:
+    """Unknowns of a frame image: those with a prior sigma of the camera, or those of them in ``only``, by code."""
+    codes = tuple(k for k, name in enumerate(NAMES) if name in camera.sigma and (not only or name in only))
+    sigma = np.array([camera.sigma[NAMES[k]] for k in codes])
+    names = tuple(NAMES[k] for k in codes)
+    shared = tuple(camera.shared.get(name, "") for name in names) if camera.shared else ()
+    return ImageParameters(codes, sigma, names, tuple(UNITS[k] for k in codes), tuple(_WORDS[k] for k in codes), shared)
