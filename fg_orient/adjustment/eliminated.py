@@ -39,7 +39,7 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
 #: Newton decrement of a point, in sigmas, below which it is at the intersection of its rays. Cost, gradient and matrix
-#: of the group then contain the rest of the way by their own Newton step.
+#: of the group contain the rest of the way by their own Newton step.
 INTERSECTED: Final = 1e-6
 #: Largest step of the images, in prior sigmas, after which the predicted points are expected to be intersected.
 SMALL_STEP: Final = 1e-4
@@ -100,6 +100,10 @@ class Elimination:
         self._excess = np.zeros(len(self.groups))
         self._far = True
         self._shrink = 1.0  # factor by which the last step of the points shortened the largest decrement
+        # twice the decrease that a Newton step of each point predicts where the points were eliminated last
+        self._decrease = np.zeros(len(self.backend.structure.number))
+        #: Groups without sums of the pairs of rays: a cost does not need them.
+        self._unsummed: set[int] = set()
         self._name = object()  # owner of the buffers; this object itself there would be a reference cycle
 
     def hold_weights(self, robust: Weighing | None, state: State) -> None:
@@ -187,6 +191,8 @@ class Elimination:
         """
         self._refresh(free, matrices=False)
         backend, s, b = self.backend, self.backend.structure, self.backend.buffers
+        if self._unsummed:
+            self._sum(sorted(self._unsummed), State(self.problem.image_matrix(self._free), self._ground))
         ground = self._ground.copy()
         for g, rows in enumerate(self.last_rows()):
             if g in self.impossible:
@@ -218,8 +224,7 @@ class Elimination:
         image = self.problem.image_matrix(free)
         if not complete:
             return State(image, self._ground.copy())
-        step = np.zeros((len(self.backend.structure.number), 3))
-        self._substitute(list(range(len(self.groups))), np.zeros(len(free)), step)
+        step = _newton_steps(self.backend.buffers.root, self.backend.buffers.gradient)
         return self.backend.moved(State(image, self._ground), np.zeros(len(free)), step)
 
     # one evaluation
@@ -231,7 +236,8 @@ class Elimination:
         self._predict(groups, full)
         self._free = full
         state = State(self.problem.image_matrix(full), self._ground)
-        good = self._intersect(groups, state)
+        late = not matrices and len(self.backend.structure.tiles) == 1
+        good = self._intersect(groups, state, late=late)
         self._assemble(good, full, matrices)
         for g in groups:
             if g not in good:
@@ -298,49 +304,51 @@ class Elimination:
                 if begin < end:
                     yield tile, begin, end
 
-    def _intersect(self, groups: Sequence[int], state: State) -> set[int]:
-        """Intersect the points of groups with the images held; the groups that could be, eliminated."""
+    def _intersect(self, groups: Sequence[int], state: State, *, late: bool) -> set[int]:
+        """Intersect the points of groups with the images held; the groups that could be, eliminated.
+
+        ``late``: the pairs of rays are summed when the sums are asked for.
+        """
         self.impossible = {g: why for g, why in self.impossible.items() if g not in groups}
         try:
-            self._newton(groups, state)
+            self._newton(groups, state, late=late)
             return set(groups)
         except (NotFiniteError, NotIntersected, Singular):
-            return {g for g in groups if self._is_possible(g, state)}
+            return {g for g in groups if self._is_possible(g, state, late=late)}
 
-    def _is_possible(self, g: int, state: State) -> bool:
+    def _is_possible(self, g: int, state: State, *, late: bool) -> bool:
         """Whether the points of a group can be intersected; if not, the reason is recorded."""
         try:
-            self._newton([g], state)
+            self._newton([g], state, late=late)
         except (NotFiniteError, NotIntersected, Singular) as error:
             self.impossible[g] = str(error)
             return False
         return True
 
-    def _newton(self, groups: Sequence[int], state: State) -> None:
+    def _newton(self, groups: Sequence[int], state: State, *, late: bool) -> None:
         """Newton's steps of the points of groups until all are intersected; the last elimination is in the buffers."""
         s = self.backend.structure
         places: Any = slice(None)  # a view of all places costs nothing
         whole, largest = len(groups) == len(self.groups), math.inf
         if not whole:
             places = np.concatenate([np.arange(*self.groups[g].places) for g in groups])
-        number, last_cost, last_ground = s.number[places], None, np.zeros(0)
-        step = np.zeros((len(s.number), 3))
+        b, number, last_cost, last_ground = self.backend.buffers, s.number[places], None, np.zeros(0)
         near = not self._far
         for _ in range(MAX_STEPS):
-            self._eliminate(groups, state, near=near)
+            self._eliminate(groups, state, near=near and not late)
             decrement, before = self._decrements(places), largest
             largest = float(decrement.max(initial=0.0))
             if before < math.inf:
                 self._shrink = min(largest / before, 1.0)
             if largest <= INTERSECTED:
                 break
-            self._substitute(groups, np.zeros(len(self._free)), step)
+            step = _newton_steps(b.root[places], b.gradient[places])
             near = self._shrink * largest <= INTERSECTED
             if largest <= SAFE and last_cost is None and whole:
                 move(s.number, step, state.ground)
                 continue
             here = state.ground[number]
-            ahead = here + step[places]
+            ahead = here + step
             if largest > SAFE or last_cost is not None:
                 cost = self._point_costs(state)[places]
                 if last_cost is not None:
@@ -353,9 +361,11 @@ class Elimination:
             if largest > STALLED:
                 name = self.problem.block.points.ids[int(number[int(decrement.argmax())])]
                 raise NotIntersected(f"the rays of point {name} do not intersect near its last position")
-            self._eliminate(groups, state, near=near)
-        if not near:
-            self._sum(groups, state)
+            self._eliminate(groups, state, near=near and not late)
+            self._decrements(places)
+        self._unsummed |= set(groups)
+        if not late:
+            self._sum(groups, state, done=near)
 
     def _eliminate(self, groups: Sequence[int], state: State, *, near: bool) -> None:
         """Rows and point blocks of groups at a state; sums of the pairs of rays, too, ``near`` the intersection."""
@@ -363,11 +373,20 @@ class Elimination:
         for tile, lo, hi in self._ranges(groups):
             self._chunks(tile, lo, hi, state, wide, pairs=near)
 
-    def _sum(self, groups: Sequence[int], state: State) -> None:
-        """Sums of the pairs of rays of eliminated groups."""
-        wide = self.backend.structure.widened(state.image)
+    def _sum(self, groups: Sequence[int], state: State, *, done: bool = False) -> None:
+        """Sums of the pairs of rays of eliminated groups, if not done."""
+        self._unsummed -= set(groups)
+        if done:
+            return
+        backend, b, wide = self.backend, self.backend.buffers, self.backend.structure.widened(state.image)
+        alone = len(backend.structure.tiles) == 1  # else other tiles have taken the space of the reduced rows
         for tile, lo, hi in self._ranges(groups):
-            self._chunks(tile, lo, hi, state, None if tile.kept else wide, pairs=True)
+            if alone and tile.kept:
+                backend.workers.run(
+                    backend.stages.pairs, backend.structure.cost[lo : hi + 1], b.rows(tile), b, start=lo
+                )  # fmt: skip
+            else:
+                self._chunks(tile, lo, hi, state, None if tile.kept else wide, pairs=True)
 
     def _chunks(self, tile: Tile, lo: int, hi: int, state: State, wide: Array | None, *, pairs: bool) -> None:
         """Eliminate the points of chunks of a tile; see :meth:`Stages.chunks`."""
@@ -382,7 +401,8 @@ class Elimination:
     def _decrements(self, places: Any) -> Array:
         """Newton decrements (n,) of points in sigmas: roots of twice the decrease that a Newton step predicts."""
         b = self.backend.buffers
-        return np.asarray(np.sqrt(_squares(b.root[places], b.gradient[places])))
+        self._decrease[places] = _squares(b.root[places], b.gradient[places])
+        return np.asarray(np.sqrt(self._decrease[places]))
 
     def _point_costs(self, state: State) -> Array:
         """Half the sum of squares (P,) of the rays and the control equations of each point."""
@@ -404,10 +424,24 @@ class Elimination:
             group = self.groups[g]
             value, at = b.value[slice(*group.points)], slice(*group.places)
             inside = slice(*np.searchsorted(place, group.places))
-            points = float(control[inside].sum() - _squares(b.root[at], b.gradient[at]).sum())
+            points = float(control[inside].sum() - self._decrease[at].sum())
             total = float(np.vdot(value, value)) + points + 2.0 * self._excess[g]
             matrix, gradient = (None, None) if blocks is None else self._matrices.normal(group, blocks)
             self._rows[g] = GroupRows(free[group.free], matrix, gradient, total)
+
+
+def _newton_steps(root: Array, gradient: Array) -> Array:
+    """Newton steps (n, 3) ``-R^T R g`` of points with the images held."""
+    r, g = root.T, gradient.T
+    u = (
+        r[ROOT.r00] * g[0], r[ROOT.r10] * g[0] + r[ROOT.r11] * g[1],
+        r[ROOT.r20] * g[0] + r[ROOT.r21] * g[1] + r[ROOT.r22] * g[2],
+    )  # fmt: skip
+    out = np.empty((len(gradient), 3))
+    out[:, 0] = -(r[ROOT.r00] * u[0] + r[ROOT.r10] * u[1] + r[ROOT.r20] * u[2])
+    out[:, 1] = -(r[ROOT.r11] * u[1] + r[ROOT.r21] * u[2])
+    out[:, 2] = -r[ROOT.r22] * u[2]
+    return out
 
 
 def _squares(root: Array, gradient: Array) -> Array:

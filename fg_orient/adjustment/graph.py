@@ -123,16 +123,16 @@ class GraphBackend:
         """Image unknowns (u,) of GTSAM values."""
         return free_unknowns(values, self._vectors)
 
-    def state(self, values: gtsam.Values, *, complete: bool = False) -> State:
-        """State of values that were evaluated last; see :meth:`Elimination.state`."""
-        state = self.elimination.state(self.free(values), complete=complete)
+    def state(self, values: gtsam.Values, free: Array | None = None, *, complete: bool = False) -> State:
+        """State of values, with image unknowns (u,), that were evaluated last; see :meth:`Elimination.state`."""
+        state = self.elimination.state(self.free(values) if free is None else free, complete=complete)
         for j in self.points.tolist():
             state.ground[j] = values.atPoint3(point_key(j))
         return state
 
-    def linearised(self, values: gtsam.Values) -> ReducedGraph:
-        """Graph for one iteration of an optimiser at these values."""
-        return ReducedGraph(self, values)
+    def linearised(self, values: gtsam.Values, free: Array | None = None) -> ReducedGraph:
+        """Graph for one iteration of an optimiser at these values, with image unknowns (u,)."""
+        return ReducedGraph(self, values, self.free(values) if free is None else free)
 
     @cached_property
     def ordering(self) -> gtsam.Ordering:

@@ -39,7 +39,7 @@ class GroupMatrices:
         for g, (lo, hi) in enumerate(pairwise(self._chunks.tolist())):
             places = int(s.chunk_places[lo]), int(s.chunk_places[hi])
             points = int(s.first[places[0]]), int(s.first[places[1]])
-            images = np.unique(s.image[slice(*points)]).astype(np.int64)
+            images = np.flatnonzero(np.bincount(s.image[slice(*points)])).astype(np.int64)
             wide = np.concatenate([np.arange(problem.first[k], problem.first[k + 1]) for k in images])
             own = wide if problem.ties is None else problem.ties.of[wide]
             vectors = [n for n, part in parts.items() if ((own >= part.start) & (own < part.stop)).any()]

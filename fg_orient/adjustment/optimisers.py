@@ -81,12 +81,13 @@ class _Run:
         self.kind, self._backend = kind, backend
         self.control = {"levenberg-marquardt": DAMPING, "dogleg": RADIUS}.get(kind, math.nan)
         self.control = self.control if math.isnan(control) or kind == "gauss-newton" else control
-        self.values, self.state = values, backend.state(values)
+        self.values, self._free = values, backend.free(values)
+        self.state = backend.state(values, self._free)
         self._begin()
 
     def _begin(self) -> None:
         """Make the graph and the optimiser of the next iteration."""
-        self._linear = self._backend.linearised(self.values)
+        self._linear = self._backend.linearised(self.values, self._free)
         # with less damping GTSAM may find a free datum singular, and each trial takes a factorisation
         least = DAMPING if self._backend.problem.least_damping > 0.0 else 0.0
         self._optimizer = _optimizer(self.kind, self._linear, self.control, least)
@@ -97,7 +98,7 @@ class _Run:
         """Run one iteration."""
         if self._done:
             self._begin()
-        backend, here, linear, optimizer, before = self._backend, self.state, self._linear, self._optimizer, self.values
+        backend, here, linear, optimizer, before = self._backend, self.state, self._linear, self._optimizer, self._free
         optimizer.iterate()
         self._done = True
         # a copy: the values of an optimiser are gone with it
@@ -106,13 +107,14 @@ class _Run:
             self.control = float(optimizer.lambda_())
         elif self.kind == "dogleg":
             self.control = float(optimizer.getDelta())
-        step = backend.free(self.values) - backend.free(before)
+        self._free = backend.free(self.values)
+        step = self._free - before
         if not step.any():
             linear.graph.error(linear.values)  # the last evaluation was that of a refused step
-        self.state = backend.state(self.values)
+        self.state = backend.state(self.values, self._free)
         moved = np.abs(self.state.ground - here.ground) if step.any() else np.zeros(1)
         length = max(float(np.abs(step).max(initial=0.0)), float(np.nanmax(moved, initial=0.0)))
-        predicted, along = linear.after(self.values)
+        predicted, along = linear.after(self.values, step)
         gradient = math.sqrt(max(-along, 0.0)) if step.any() else linear.steepest()
         return _Step(None, length, predicted, gradient=gradient)
 

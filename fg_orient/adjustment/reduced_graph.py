@@ -105,13 +105,20 @@ class GroupSums:
         self.variables = [(self._keys[n], part) for n, part in self._parts.items()]
         self.cost = _cost_factor(elimination, self.variables, with_priors=self.is_joined)
         covered = cover(pairs)
-        single = set(self._keys) - {n for own in covered for n in own}
+        single, s = set(self._keys) - {n for own in covered for n in own}, elimination.backend.structure
+        # block of the reduced matrix of each pair; images that no eliminated point is seen in have none
+        self._block = {} if self.is_joined or self._ties is not None else {
+            pair: k for k, pair in enumerate(zip(s.block_row.tolist(), s.block_column.tolist(), strict=True))
+        }  # fmt: skip
+        size = {n: part.stop - part.start for n, part in self._parts.items()}
+        self._zero = {(a, b): np.zeros((a, b)) for a in {*size.values()} for b in {*size.values()}}
         self._sets, seen = [], set[Pair]()
         for own in [*covered, *((n,) for n in sorted(single))]:
             blocks = [(own[a], own[b]) for a, b in _PLACES if b < len(own)]
             self._sets.append((
-                [self._keys[n] for n in own], blocks, [pair not in seen for pair in blocks],
-                [(n, n) not in seen for n in own],
+                [self._keys[n] for n in own],
+                [(pair, (size[pair[0]], size[pair[1]]), pair not in seen) for pair in blocks],
+                [(self._parts[n], (n, n) not in seen) for n in own],
             ))  # fmt: skip
             seen.update(blocks)
 
@@ -138,30 +145,25 @@ class GroupSums:
 
         ``prior`` (u,) is added to the diagonal.
         """
-        elimination, s = self.elimination, self.elimination.backend.structure
-        parts, problem = self._parts, elimination.problem
-        size = {n: part.stop - part.start for n, part in parts.items()}
+        s, parts, zero, number = self.elimination.backend.structure, self._parts, self._zero, self._block
         if self._ties is None and not self.is_joined:
-            nothing = np.zeros(blocks.shape[1:])  # of an image that no eliminated point is seen in
-            number = dict(zip(zip(s.block_row.tolist(), s.block_column.tolist(), strict=True), blocks, strict=True))
 
-            def block(n: int, m: int) -> Array:
-                return np.asarray(number.get((n, m), nothing)[: size[n], : size[m]])
+            def block(pair: Pair, size: Pair) -> Array:
+                k = number.get(pair)
+                return zero[size] if k is None else blocks[k, : size[0], : size[1]]
         else:
-            whole = full_matrix(s.pattern, problem.first, blocks, self._ties)
+            whole = full_matrix(s.pattern, self.elimination.problem.first, blocks, self._ties)
             whole[np.diag_indices(len(whole))] += prior
 
-            def block(n: int, m: int) -> Array:
-                return whole[parts[n], parts[m]]
+            def block(pair: Pair, size: Pair) -> Array:
+                return whole[parts[pair[0]], parts[pair[1]]]
 
-        zero = {(a, b): np.zeros((a, b)) for a in set(size.values()) for b in set(size.values())}
-        out = gtsam.GaussianFactorGraph()
-        for keys, pairs, new, first in self._sets:
-            g = [block(*pair) if is_new else zero[size[pair[0]], size[pair[1]]]
-                 for pair, is_new in zip(pairs, new, strict=True)]  # fmt: skip
-            own = [n for n, m in pairs if n == m]
-            r = [-gradient[parts[n]] if is_new else np.zeros(size[n]) for n, is_new in zip(own, first, strict=True)]
-            hessian: Any = gtsam.HessianFactor  # its overloads do not know a list of arguments
+        right, out = -gradient, gtsam.GaussianFactorGraph()
+        hessian: Any = gtsam.HessianFactor  # its overloads do not know a list of arguments
+        for keys, pairs, own in self._sets:
+            g = [block(pair, size) if is_new else zero[size] for pair, size, is_new in pairs]
+            r = [right[part] if is_new else zero[part.stop - part.start, part.stop - part.start][0]
+                 for part, is_new in own]  # fmt: skip
             out.add(hessian(*keys, *_arguments(g, r), 0.0))
         return [gtsam.LinearContainerFactor(out.at(k)) for k in range(out.size())]
 
@@ -174,11 +176,12 @@ class ReducedGraph:
     backend : GraphBackend
     values : gtsam.Values
         Where the optimiser linearises.
+    free : (u,) array
+        Its image unknowns.
     """
 
-    def __init__(self, backend: GraphBackend, values: gtsam.Values) -> None:
-        self._backend, self._values, sums = backend, values, backend.sums
-        self._free = backend.free(values)
+    def __init__(self, backend: GraphBackend, values: gtsam.Values, free: Array) -> None:
+        self._backend, self._values, self._free, sums = backend, values, free, backend.sums
         blocks, self._gradient = sums.elimination.linearised(self._free)
         self._blocks, self._cost = blocks.copy(), sums.elimination.cost(self._free)
         self.graph = gtsam.NonlinearFactorGraph()
@@ -200,13 +203,13 @@ class ReducedGraph:
         sums = self._backend.sums
         return _values(free_unknowns(values, sums.variables), sums.vectors) if sums.is_joined else gtsam.Values(values)
 
-    def after(self, values: gtsam.Values) -> tuple[float, float]:
-        """Cost at other values as the linear model of the groups predicts it, and the gradient of everything along.
+    def after(self, values: gtsam.Values, step: Array) -> tuple[float, float]:
+        """Cost after a step (u,) to other values by the linear model of the groups; the gradient of everything along.
 
         The cost of the other factors is the actual one.
         """
         backend, problem = self._backend, self._backend.problem
-        step, s = backend.free(values) - self._free, backend.elimination.backend.structure
+        s = backend.elimination.backend.structure
         wide = problem.image_matrix(step)
         squares = np.einsum("bp,bpq,bq->b", wide[s.block_row], self._blocks, wide[s.block_column], optimize=True)
         squares[s.block_row != s.block_column] *= 2.0

@@ -146,8 +146,12 @@ class Stages:
         if wide is not None:
             self._weighted_rows(lo, hi, rows, state, wide, b)
         self.points(int(s.chunk_places[lo]), int(s.chunk_places[hi]), rows, state, damping, b)
-        if not pairs:
-            return
+        if pairs:
+            self.pairs(lo, hi, rows, b)
+
+    def pairs(self, lo: int, hi: int, rows: TileRows, b: Buffers) -> None:
+        """Write the sums of the pairs of rays of chunks lo to hi, whose points are eliminated."""
+        s = self.structure
         pair_blocks(
             lo, hi, s.chunks, s.pieces, s.slots, s.slot_begin, s.image, s.n_basis, s.n_components, s.basis,
             rows.tile.points[0], rows.d_image, b.scaled, b.sums, b.gradients,
