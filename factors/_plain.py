@@ -45,10 +45,12 @@ def plain(function: Any) -> Any:
     inner = getattr(function, "py_func", function)
     if (replaced := _ON_ARRAYS.get(f"{inner.__module__}.{inner.__qualname__}")) is not None:
         return replaced
-    space = inner.__globals__
-    bound = {name: _plain_member(space[name]) for name in names_of(inner.__code__) if name in space}
-    bound["__builtins__"] = builtins
-    return FunctionType(inner.__code__, bound, inner.__name__, inner.__defaults__, inner.__closure__)
+    space, bound = inner.__globals__, dict[str, Any]({"__builtins__": builtins})
+    out = FunctionType(inner.__code__, bound, inner.__name__, inner.__defaults__, inner.__closure__)
+    for name in names_of(inner.__code__):  # with those of attributes, of which one may be that of the kernel
+        if name in space:
+            bound[name] = out if space[name] is function else _plain_member(space[name])
+    return out
 
 
 def few_in_python(kernel: F) -> F:

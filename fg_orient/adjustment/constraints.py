@@ -63,6 +63,8 @@ HELD: Final = 1e-5
 SLOW: Final = 0.5
 #: Misclosure relative to the extent of the members above which hard constraints contradict each other.
 CONTRADICTION: Final = 1e-9
+#: Constraints have merged two points if their distance, relative to the start, is smaller.
+MERGED: Final = 1e-2
 #: Share of the largest misclosure from which a constraint is named; R of dependent rows of unit length.
 NAMED: Final = 0.1
 DEPENDENT: Final = 1e-10
@@ -96,12 +98,16 @@ class ConstraintObservation(ExtraObservation):
         """Coordinates, or rotation vectors, (3,) of the members at a state."""
         found = problem.extra_arguments(self)
         if not self.places:
-            return [np.ascontiguousarray(state.ground[a.index]) for a in found]
+            return [np.ascontiguousarray(state.ground[a.index]) if a.constant is None else a.constant for a in found]
         return [p.base + p.by @ problem.unknowns(state, a.index) for p, a in zip(self.places, found, strict=True)]
 
 
-def constraint_observation(constraint: Constraint, places: tuple[Place, ...] = ()) -> ConstraintObservation:
+def constraint_observation(
+    constraint: Constraint, places: tuple[Place, ...] = (), *, is_exact: bool = False
+) -> ConstraintObservation:
     """Extra observation of a constraint between ground points or images; :func:`prepared` completes it.
+
+    ``is_exact`` allows a figure that goes through any such points: it has no rows, but :func:`fitted_figures`.
 
     InputError: a figure through too few points.
     """
@@ -109,7 +115,7 @@ def constraint_observation(constraint: Constraint, places: tuple[Place, ...] = (
     if constraint.kind in SIZES:
         rows, free = SIZES[constraint.kind]
         total = n * rows + len(constraint.observed)
-        if total <= free:
+        if total < free or (total == free and not is_exact):
             raise constraint.fault("members", n, "more points: a figure of this kind goes through any such points")
     kind, unit = ("image", "prior sigma") if constraint.kind in OF_PHOTOS else ("point", "m")
     argument = tuple(Argument(f"{kind} {name}", unit, is_point=kind == "point") for name in constraint.members)
@@ -196,7 +202,7 @@ def has_constraints(block: Block) -> bool:
 
 
 def _has_hard(problem: Problem) -> bool:
-    return any(isinstance(e, ConstraintObservation) and e.hard for e in problem.block.extra)
+    return any(isinstance(e, ConstraintObservation) and e.hard and e.n_residuals for e in problem.block.extra)
 
 
 def prepared(problem: Problem) -> Problem:
@@ -260,8 +266,14 @@ def _on_constraints(problem: Problem, state: State) -> State:
         return problem.moved(state, whole)
 
     x, least = np.zeros(len(columns)), np.inf
-    for _ in range(_FITS):
-        rows, design, _ = linear_rows(problem, at(x))
+    for k in range(_FITS):
+        try:
+            rows, design, labels = linear_rows(problem, at(x))
+        except InputError:
+            _require_apart(problem, state, at(x))
+            raise
+        if not k:
+            _require_slopes(rows, design, labels)
         size, before = float(np.abs(rows).max()), least
         if not size < before and size < HELD:
             break
@@ -278,6 +290,30 @@ def _on_constraints(problem: Problem, state: State) -> State:
         x = least_squares(rows_at, 0.0 * x, slopes_at).x
     _require_held(problem, at(x))
     return at(x)
+
+
+def _require_slopes(rows: Array, design: Array, labels: list[str]) -> None:
+    """Refuse an unsatisfied hard constraint with zero derivatives: lines at right angles that must be parallel."""
+    length = np.linalg.norm(design, axis=1)
+    stuck = (length <= DEPENDENT * length.max()) & (np.abs(rows) > HELD)
+    if stuck.any():
+        k = int(np.argmax(stuck))
+        raise InputError.of("closerange.saddle", place=labels[k], value=f"{rows[k]:.3g} sigmas")
+
+
+def _require_apart(problem: Problem, before: State, after: State) -> None:
+    """Refuse hard constraints that hold only where points that were apart are at one place."""
+    hard = [e for e in problem.block.extra if isinstance(e, ConstraintObservation) and e.hard and not e.places]
+    numbers = np.unique([a.index for e in hard for a in problem.extra_arguments(e)]).astype(np.intp)
+    first, second = np.triu_indices(len(numbers), 1)
+    apart, left = (np.linalg.norm(s.ground[numbers[first]] - s.ground[numbers[second]], axis=1)
+                   for s in (before, after))  # fmt: skip
+    one = left < MERGED * apart
+    merged = np.unique([numbers[first[one]], numbers[second[one]]])
+    if len(merged):
+        points = ", ".join(problem.block.points.ids[j] for j in merged)
+        names = [e.label for e in hard if {a.index for a in problem.extra_arguments(e)} & {*merged.tolist()}]
+        raise InputError.of("closerange.merged", place="constraints", names="; ".join(names), points=points)
 
 
 def _sigma_of_image(problem: Problem, argument: ExtraArgument, place: Place) -> float:
@@ -354,6 +390,12 @@ def _constraints(problem: Problem, state: State) -> list[tuple[int, ConstraintOb
     return out
 
 
+def missed_most(problem: Problem, state: State) -> tuple[str, float]:
+    """Hard constraint with the largest misclosure at a state, m or a sine; "" and 0 without one."""
+    away = [(e.label, float(np.abs(c).max())) for _, e, c, _ in _constraints(problem, state) if e.hard]
+    return max(away, key=lambda one: one[1], default=("", 0.0))
+
+
 def tightened(problem: Problem) -> Problem:
     """Problem whose constraints have their final weights, without correlates."""
     return _with_extra(problem, [
@@ -361,8 +403,12 @@ def tightened(problem: Problem) -> Problem:
     ])  # fmt: skip
 
 
-def hold(problem: Problem, estimate: Estimate, run: Callable[[Problem, State], Estimate]) -> tuple[Problem, Estimate]:
-    """Improve the correlates of hard constraints until they hold; ``run`` adjusts a problem from a state.
+def hold(
+    problem: Problem, estimate: Estimate, run: Callable[[Problem, State, int], Estimate]
+) -> tuple[Problem, Estimate]:  # fmt: skip
+    """Improve the correlates of hard constraints until they hold.
+
+    ``run`` adjusts a problem from a state after a number of iterations.
 
     InputError: hard constraints depend on each other, or cannot hold together.
     """
@@ -378,9 +424,11 @@ def hold(problem: Problem, estimate: Estimate, run: Callable[[Problem, State], E
         if tight and (size < HELD or size > SLOW * last):
             break
         problem, before, last = _with_extra(problem, extra), estimate, size if tight else np.inf
-        estimate = run(problem, before.state)
+        n = len(before.log)
+        estimate = run(problem, before.state, n)
+        log = tuple(replace(record, iteration=n + k) for k, record in enumerate(estimate.log, start=1))
         estimate = replace(
-            estimate, log=before.log + estimate.log, iterations=before.iterations + estimate.iterations,
+            estimate, log=before.log + log, iterations=before.iterations + estimate.iterations,
             solve_s=before.solve_s + estimate.solve_s,
         )  # fmt: skip
     return problem, estimate

@@ -91,9 +91,10 @@ def extra_blocks(
     """
     arguments = problem.extra_arguments(extra)
     x = [
-        problem.unknowns(state, a.index) if a.is_image else np.ascontiguousarray(state.ground[a.index])
+        problem.unknowns(state, a.index) if a.is_image
+        else np.ascontiguousarray(state.ground[a.index]) if a.constant is None else a.constant
         for a in arguments
-    ]
+    ]  # fmt: skip
     blocks = extra.equation.kernel(extra.record, problem.extra_setup(extra), *x, jacobian)
     sizes = tuple(a.size for a in arguments) if jacobian else ()
     check_blocks(extra.equation.name, extra.label, blocks if jacobian else blocks[:1], sizes, extra.n_residuals)

@@ -1,38 +1,38 @@
-"""Bundle adjustment of close range: self-calibration, observed unknowns, constraints; dense or as a graph."""
+"""Bundle of close range: self-calibration, observed unknowns, constraints, as a block of the common adjustment."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import NotFiniteError
-from factors.cameras.extended_collinearity import NAMES
 from fg_orient.adjustment.constraint_kinds import Constraint
+from fg_orient.adjustment.constraints import ConstraintObservation, FittedFigure
+from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
-from fg_orient.adjustment.loop import OPTIMIZERS, Callback, IterationRecord, LoopResult
-from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, NetworkRows, bordered_inverse
+from fg_orient.adjustment.loop import Callback, IterationRecord
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import bundle_checks as checks
-from fg_orient.closerange.bundle_network import Built, build
-from fg_orient.closerange.constraints import FITTED_FIRST
+from fg_orient.closerange.bundle_block import CENTRE, POINT, TURNS, Built, build
+from fg_orient.closerange.corrections import NAMES
 from fg_orient.closerange.fitting import as_points, require_sigmas, unit_weight
 from fg_orient.closerange.photo import Photo, PhotoInterior
-from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
+from fg_orient.model.block import Options
+from fg_orient.model.errors import InputError, NoSolutionError
+from fg_orient.model.names import Status
+from fg_orient.orientation.orient import adjust
+from fg_orient.orientation.solution import Solution
 from fg_orient.sensors.frame import opk_of_rotation
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Residual = Literal["image", "condition"]
 
-BACKENDS: Final[dict[str, Callable[[Network], Any]]] = {"dense": DenseNetwork, "graph": GraphNetwork}
+BACKENDS: Final = ("dense", "graph")
 MAX_ITERATIONS: Final = 100
-#: Step that ends the iteration, at rounding level: metres, radians, and units of camera parameters.
-TOLERANCE: Final = 1e-12
 
 
 @dataclass(frozen=True)
@@ -173,6 +173,8 @@ class BundleResult:
         Cofactors and names of all unknowns except those of points.
     orientation_units : (o,) array
         Accuracy of these from one image point; an unknown that is 1000 times less accurate is not determined.
+    solution : Solution
+        Of the common adjustment, whose images are the photos.
     """
 
     photos: tuple[Adjustment, ...]
@@ -202,6 +204,7 @@ class BundleResult:
     orientation: Array
     orientation_labels: tuple[str, ...]
     orientation_units: Array
+    solution: Solution
 
     @property
     def beyond(self) -> list[str]:
@@ -253,10 +256,9 @@ def adjust_bundle(
         Least squares of the image residuals, or of the conditions F = e R3 (Ayhan 1996, eq. 77), with weights that do
         not depend on the depth.
     backend : "dense" or "graph"
-        Normal equations bordered by hard constraints, with correlates; or a GTSAM graph, hard constraints as factors
-        of sigma 0.
+        Full matrices, or GTSAM.
     optimizer : str
-        "levenberg-marquardt" or "gauss-newton".
+        "levenberg-marquardt", "gauss-newton" or "dogleg".
     callback : callable, optional
         Called with an ``IterationRecord`` after each iteration.
 
@@ -269,7 +271,8 @@ def adjust_bundle(
     InputError
         Invalid sizes or values; points without two rays; undetermined motions of the whole block; other undetermined
         unknowns (without a prior their standard deviation exceeds 1000 times that of their observations), named with
-        their direction; hard constraints that depend on or contradict each other; more than 2000 unknowns.
+        their direction; hard constraints that depend on or contradict each other; more than 2000 unknowns of
+        full matrices.
     NoSolutionError
         The iteration does not converge, or a point lies behind a photo.
     """
@@ -279,114 +282,137 @@ def adjust_bundle(
     given = np.broadcast_to(np.asarray(sigma, float), measured.shape)
     require_sigmas(given)
     which, of = np.asarray(photo, np.intp), np.asarray(point, np.intp)
+    options = Options(backend=backend, optimizer=optimizer, priors=False, max_iterations=MAX_ITERATIONS)  # type: ignore[arg-type]
     with one_blas_thread():
         start = as_points(start_m, 3, "points")
-
-        def made(stated: Sequence[Constraint], begin: tuple[Built, Array] | None = None) -> Built:
-            return build(photos, tuple(ids), start, which, of, measured, given, control or {}, stated,
-                         residual == "condition", begin)  # fmt: skip
-
-        # Inaccurate start points do not determine spheres and spheroids, although their rays do. From such a start a
-        # figure of small sigma is a narrow bent valley with many small damped steps. So begin without these figures.
-        others, begin = [c for c in constraints if c.kind not in FITTED_FIRST], None
-        if len(others) < len(constraints):
-            with suppress(FgOrientError):
-                free = made(others)
-                _require_possible(free, which, of)
-                begin = free, _solved(free, DenseNetwork(free.network), optimizer, None).state
-        built = made(constraints, begin)
-        _require_possible(built, which, of)
-        engine = BACKENDS[backend](built.network)
-        return _result(built, engine, _solved(built, engine, optimizer, callback), which, of, given)
+        built = build(photos, tuple(ids), start, which, of, measured, given, control or {}, constraints,
+                      residual == "condition", options)  # fmt: skip
+        return _result(built, _solved(built, callback), given)
 
 
-def _require_possible(built: Built, which: Index, of: Index) -> None:
-    """Refuse too many unknowns, and points without rays."""
-    if built.network.n_unknowns > MAX_UNKNOWNS:
-        raise InputError.of("linear.too_large", place="bundle", value=built.network.n_unknowns, limit=MAX_UNKNOWNS)
-    checks.require_rays(built, which, of)
+def _solved(built: Built, callback: Callback | None) -> Solution:
+    """Solution of the block; start and end must determine all unknowns."""
+    checks.require_rays(built)
+    problem = built.problem
+    few = problem.n_unknowns <= MAX_UNKNOWNS
+    if few:
+        checks.require_determined(built, problem.start)
+    solution = adjust(built.block, callback=callback)
+    if solution.status is Status.NOT_CONVERGED:
+        raise NoSolutionError.of("closerange.not_converged", place="bundle", reason=solution.ended + built.missed())
+    if few:
+        checks.require_determined(built, solution.state)
+    if solution.cofactors is None:
+        raise NoSolutionError(*solution.unavailable)
+    built.require_in_front(solution.state)
+    return solution
 
 
-def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None) -> LoopResult[Array]:
-    """Result of the loop; start and end must determine all unknowns."""
-    network = built.network
-    try:
-        _require_regular(built, network.rows(network.start))
-        run: LoopResult[Array] = OPTIMIZERS[optimizer](
-            engine, network.start, MAX_ITERATIONS, callback, tolerance=TOLERANCE
-        )
-        if not run.converged:
-            raise _not_converged(network, run.end.message)
-        rows = network.rows(run.state)
-        if len(rows.condition) and np.abs(rows.condition).max() > checks.HELD:
-            raise _not_converged(network, "hard constraints are not satisfied where the steps end")
-        _require_regular(built, rows)
-    except (NotFiniteError, RuntimeError) as error:
-        raise _not_converged(network, str(error)) from error
-    return run
+def _result(built: Built, solution: Solution, sigma: Array) -> BundleResult:
+    problem, state, m0 = solution.problem, solution.state, unit_weight(solution.chi2, solution.redundancy)
+    figures, z = built.figures(problem, state), len(built.owners)
+    orientation = _orientation(built, solution, figures)
+    origin = dict(zip("xyz", problem.origin_m.tolist(), strict=True))
+    shapes = [f.values + [origin.get(name, 0.0) for name in f.names] for f in figures]
+    labels = [*built.labels[:z], *(f"{f.label} {name}" for f in figures for name in f.names)]
+    units = _units(built, solution, figures)
+    checks.require_figures(labels[z:], np.sqrt(np.abs(orientation.diagonal()[z:])) / units[z:])
+    variance = dict(zip(labels, np.maximum(orientation.diagonal(), 0.0).tolist(), strict=True))
 
+    def adjusted(owner: str, names: Sequence[str], values: Sequence[float]) -> Adjustment:
+        q = np.array([variance[f"{owner} {name}"] for name in names])
+        name = owner.partition(" ")[2] if owner.startswith(("photo ", "camera ")) else owner
+        return Adjustment(name, tuple(names), np.array(values, float), q, None if m0 is None else m0 * np.sqrt(q))
 
-def _require_regular(built: Built, rows: NetworkRows) -> None:
-    """Refuse dependent constraints and undetermined unknowns.
+    def camera(k: int, names: Sequence[str]) -> list[float]:
+        return [built.parameter(k, name, state) for name in names]
 
-    Some constraints depend on others only at a state that satisfies these: start and end are checked.
-    """
-    checks.require_slopes(built.network, rows)
-    checks.require_independent(built.network, rows)
-    checks.require_determined(built, rows)
-
-
-def _not_converged(network: Network, reason: str) -> NoSolutionError:
-    """Error with the reason and the hard constraint of the largest misclosure; InputError if they are contradictory."""
-    checks.require_consistent(network)
-    reason += checks.missed_most(network)
-    return NoSolutionError.of("closerange.not_converged", place="bundle", reason=reason)  # type: ignore[return-value]
-
-
-def _result(built: Built, engine: Any, run: LoopResult[Array], which: Index, of: Index, sigma: Array) -> BundleResult:
-    network, state, n = built.network, run.state, 2 * len(of)
-    rows = network.rows(state)
-    built.require_in_front(state, which, of)
-    m0 = unit_weight(float(rows.residual @ rows.residual), network.redundancy)
-    whole = bordered_inverse(rows)
-    is_dense = isinstance(engine, DenseNetwork)
-    variances = whole.diagonal() if is_dense else np.concatenate([q.diagonal() for q in engine.cofactors(state)])
-    cofactors = np.maximum(variances, 0.0)  # hard conditions give variances of 0, which rounding can make negative
-    scaled, values = cofactors * built.steps**2, built.values(state)
-
-    def adjusted(name: str, numbers: Sequence[int]) -> Adjustment:
-        labels = tuple(label for k in numbers for label in network.variables[k].labels)
-        mine = built.elements(numbers)
-        return Adjustment(name, labels, values[mine], scaled[mine], None if m0 is None else m0 * np.sqrt(scaled[mine]))
-
-    points, spread = built.start.copy(), np.zeros_like(built.start)
-    of_points = np.zeros((len(points), 3, 3))
-    for j, k in built.point_variables.items():
-        part = network.part(k)
-        points[j], spread[j], of_points[j] = values[part], scaled[part], whole[part, part]
-    interiors, rotations, centres = built.oriented(state)
+    rotations = [built.rotation(k, state) for k in range(len(built.photos))]
+    centres, photos, cameras = [built.centre(k, state) for k in range(len(built.photos))], [], dict[str, Adjustment]()
     of_angles = np.zeros((len(rotations), 3, 3))
-    for j, (turn, rotation) in enumerate(zip(built.turns, rotations, strict=True)):
-        if not isinstance(turn, np.ndarray):
-            by, part = np.degrees(opk_of_rotation(rotation)[1]), network.part(turn)
-            of_angles[j] = by @ whole[part, part] @ by.T
-    numbers = 1.0 - np.einsum("ij,ij->i", rows.design @ whole, rows.design)
-    others = [o.label if o.n_residuals == 1 else f"{o.label}, {element}" for o in network.observations if not o.hard
-              for element in ("XYZ" if o.n_residuals == 3 else range(1, o.n_residuals + 1))][n:]  # fmt: skip
-    where = built.elements(sorted({*range(len(network.variables))} - {*built.point_variables.values()}))
-    steps = built.steps[where]
+    for k, photo in enumerate(built.photos):
+        place = () if photo.held else (*TURNS, *CENTRE)
+        turns = [] if photo.held else [*built.turn(k, state), *centres[k]]
+        photos.append(adjusted(f"photo {photo.name}", (*photo.unknown, *place), [*camera(k, photo.unknown), *turns]))
+        if photo.shared and photo.key not in cameras:
+            cameras[photo.key] = adjusted(f"camera {photo.key}", photo.shared, camera(k, photo.shared))
+        if not photo.held:
+            by, rows = (
+                np.degrees(opk_of_rotation(rotations[k])[1]),
+                [labels.index(f"photo {photo.name} {t}") for t in TURNS],
+            )
+            of_angles[k] = by @ orientation[np.ix_(rows, rows)] @ by.T
+    points, of_points = solution.ground_m.copy(), np.zeros((len(built.ids), 3, 3))
+    active = np.flatnonzero(problem.active)
+    assert solution.cofactors is not None  # required before
+    of_points[active] = solution.cofactors.points(active)
+    spread = np.maximum(np.einsum("nii->ni", of_points), 0.0)
+    residuals = solution.residual_cofactors
+    others, whitened, redundancy = _others(built, solution)
+    steps, shape_values = built.steps, np.concatenate([np.zeros(0), *shapes])
+    shape_variance = np.array([variance[label] for label in labels[z:]])
     return BundleResult(
-        photos=tuple(adjusted(p.name, ks) for p, ks in zip(built.photos, built.photo_variables, strict=True)),
-        cameras=tuple(adjusted(name, [k]) for name, k in built.camera_variables.items()),
-        figures=tuple(adjusted(network.variables[k].name, [k]) for k in built.figure_variables),
-        interiors=tuple(interiors), rotations=tuple(rotations), centres_m=tuple(centres),
-        ids=built.ids, points_m=points, sigma_m=None if m0 is None else m0 * np.sqrt(spread),
-        residuals=rows.residual[:n].reshape(-1, 2) * sigma, state=state, labels=tuple(network.labels),
-        cofactors=cofactors, m0=m0, redundancy=network.redundancy, iterations=len(run.log),
-        backend=engine.name, history=run.log, redundancy_numbers=numbers[:n].reshape(-1, 2),
-        others=tuple(others), others_whitened=rows.residual[n:], others_redundancy=numbers[n:],
-        point_cofactors=of_points, angle_cofactors=of_angles,
-        orientation=whole[np.ix_(where, where)] * np.outer(steps, steps),
-        orientation_labels=tuple(network.labels[k] for k in where),
-        orientation_units=built.units(rows)[where] * steps,
+        photos=tuple(photos), cameras=tuple(cameras.values()),
+        figures=tuple(adjusted(f.label, f.names, values.tolist()) for f, values in zip(figures, shapes, strict=True)),
+        interiors=tuple(built.interior(k, state) for k in range(len(rotations))), rotations=tuple(rotations),
+        centres_m=tuple(centres), ids=built.ids, points_m=points, sigma_m=None if m0 is None else m0 * np.sqrt(spread),
+        residuals=residuals.v_image[:, ::-1] * sigma,
+        state=np.concatenate([problem.image_vector(state), state.ground[active].ravel(), shape_values]),
+        labels=(*built.labels, *labels[z:]),
+        cofactors=np.concatenate([np.maximum(orientation.diagonal()[:z], 0.0) / steps[:z] ** 2, spread[active].ravel(),
+                                  shape_variance]),
+        m0=m0, redundancy=solution.redundancy, iterations=len(solution.log), backend=solution.backend,
+        history=solution.log, redundancy_numbers=np.einsum("nii->ni", residuals.image)[:, ::-1],
+        others=others, others_whitened=whitened, others_redundancy=redundancy, point_cofactors=of_points,
+        angle_cofactors=of_angles, orientation=orientation, orientation_labels=tuple(labels),
+        orientation_units=units, solution=solution,
     )  # fmt: skip
+
+
+def _orientation(built: Built, solution: Solution, figures: Sequence[FittedFigure]) -> Array:
+    """Joint cofactors (o, o) of the unknowns of the photos, shared ones once, and of the figures, in their units."""
+    problem, z = solution.problem, len(built.owners)
+    named = tuple(sorted({j for f in figures for j in f.points if problem.active[j]}))
+    assert solution.cofactors is not None
+    joint = solution.cofactors.joint(tuple(range(problem.n_images)), named)
+    rows = np.arange(z) if problem.ties is None else problem.ties.place
+    rows = np.concatenate([rows, problem.n_image_unknowns + np.arange(3 * len(named))]).astype(np.intp)
+    size = z + sum(len(f.names) for f in figures)
+    by, own, first = np.zeros((size, len(rows))), np.zeros((size, size)), z
+    by[:z, :z] = np.diag(built.steps[:z])
+    for f in figures:
+        part = slice(first, first + len(f.names))
+        for i, j in enumerate(f.points):
+            if problem.active[j]:
+                by[part, z + 3 * named.index(j) :][:, :3] = f.by[:, 3 * i : 3 * i + 3]
+        own[part, part], first = f.own, part.stop
+    return np.asarray(own + by @ joint[np.ix_(rows, rows)] @ by.T)
+
+
+def _units(built: Built, solution: Solution, figures: Sequence[FittedFigure]) -> Array:
+    """Accuracy (o,) of the orientation from one image point; a figure has that of its points."""
+    z, units = len(built.owners), built.units(solution.state)
+    typical = float(np.median(units[z:])) if len(units) > z else 1.0
+    away = solution.ground_m - solution.ground_m.mean(axis=0)
+    extent = float(np.linalg.norm(away, axis=1).max()) or 1.0
+    shapes = [typical / extent if name.startswith(("tilt", "slope")) else typical for f in figures for name in f.names]
+    return np.concatenate([units[:z] * built.steps[:z], shapes])
+
+
+def _others(built: Built, solution: Solution) -> tuple[tuple[str, ...], Array, Array]:
+    """Names of the soft observations that are no image points, whitened residuals and redundancy numbers (k,)."""
+    problem, residuals = solution.problem, solution.residual_cofactors
+    parts: dict[bool, list[tuple[str, float, float]]] = {False: [], True: []}
+    for e, numbers in zip(problem.block.extra, residuals.extra, strict=True):
+        is_constraint = isinstance(e, ConstraintObservation)
+        if is_constraint and e.hard:
+            continue
+        value, _ = extra_blocks(problem, e, solution.state, jacobian=False)
+        names = [e.label] if e.n_residuals == 1 else [f"{e.label}, {k + 1}" for k in range(e.n_residuals)]
+        parts[is_constraint] += zip(names, value.tolist(), numbers.tolist(), strict=True)
+    control = [f"point {built.ids[j]}: control, {axis}" for j in np.flatnonzero(problem.observed) for axis in POINT]
+    of_control = zip(control, residuals.v_control.ravel().tolist(),
+                     np.einsum("nii->ni", residuals.control).ravel().tolist(), strict=True)  # fmt: skip
+    every = [*parts[False], *of_control, *parts[True]]
+    names, values, numbers = zip(*every, strict=True) if every else ((), (), ())
+    return tuple(names), np.array(values, float), np.array(numbers, float)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
@@ -12,8 +12,16 @@ import numpy.typing as npt
 
 from factors.cameras.frame_camera import rotated
 from factors.conditions.constraints import ELEMENT, OBSERVED_ELEMENT
-from fg_orient.adjustment.constraint_kinds import MEASURED, OF_PHOTOS, Constraint
-from fg_orient.adjustment.constraints import ConstraintObservation, linear_rows
+from fg_orient.adjustment.constraint_kinds import MEASURED, OF_PHOTOS, SIZES, Constraint
+from fg_orient.adjustment.constraints import (
+    ConstraintObservation,
+    FittedFigure,
+    constraint_observation,
+    fitted_figures,
+    linear_rows,
+    missed_most,
+    prepared,
+)
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem, State
@@ -69,6 +77,8 @@ class Built:
     block : Block
     observed : frozenset of (str, str)
         Photo, or camera with shared unknowns, and name of the unknowns that are observed directly.
+    exact : tuple of Constraint
+        Figures through as many points as determine them, which do not change the adjustment.
     """
 
     photos: tuple[BundlePhoto, ...]
@@ -76,11 +86,13 @@ class Built:
     start_m: Array
     block: Block
     observed: frozenset[tuple[str, str]] = field(default=frozenset())
+    exact: tuple[Constraint, ...] = ()
 
     @cached_property
     def problem(self) -> Problem:
-        """Compiled block."""
-        return compiled_problem(with_observations(self.block))
+        """Compiled block; whether the datum is determined is judged by its rows."""
+        loose = replace(self.block, options=replace(self.block.options, datum="free"))
+        return compiled_problem(with_observations(loose))
 
     @cached_property
     def owners(self) -> list[tuple[str, str]]:
@@ -102,7 +114,7 @@ class Built:
     def place(self, k: int, j: int) -> int:
         """Place of unknown j of a photo among those of all photos."""
         column = int(self.problem.first[k]) + j
-        return column if self.problem.ties is None else int(self.problem.ties.place[column])
+        return column if self.problem.ties is None else int(self.problem.ties.of[column])
 
     @property
     def is_observed(self) -> npt.NDArray[np.bool_]:
@@ -121,8 +133,7 @@ class Built:
     def rows(self, state: State) -> tuple[Array, Array, Array]:
         """Design (n, u) of the observations, misclosures (h,) and derivatives (h, u) of the hard constraints."""
         soft = tuple(e for e in self.problem.block.extra if not (isinstance(e, ConstraintObservation) and e.hard))
-        problem = Problem(**{**vars_of(self.problem), "block": with_extra(self.problem.block, soft)})
-        _, design = assemble(problem, state)
+        _, design = assemble(replace(self.problem, block=replace(self.problem.block, extra=soft)), state)
         misclosure, border, _ = linear_rows(self.problem, state)
         if self.problem.ties is not None:
             design, border = self.problem.ties.columns(design), self.problem.ties.columns(border)
@@ -150,7 +161,11 @@ class Built:
 
     def rotation(self, k: int, state: State) -> Array:
         """Rotation (3, 3) of a photo at a state."""
-        return rotated(self.photos[k].rotation, self._part(k, _TURN, state))
+        return rotated(self.photos[k].rotation, self.turn(k, state))
+
+    def turn(self, k: int, state: State) -> Array:
+        """Rotation vector (3,) of a photo at a state, rad."""
+        return self._part(k, _TURN, state)
 
     def centre(self, k: int, state: State) -> Array:
         """Projection centre (3,) of a photo at a state."""
@@ -177,6 +192,20 @@ class Built:
         frame = FRAME.get(name, name)
         return float(_values(self.block.images[k].sensor.camera)[name] + self._part(k, (frame,), state)[0])
 
+    def figures(self, problem: Problem, state: State) -> list[FittedFigure]:
+        """Figures of the constraints at a solution."""
+        exact = tuple(constraint_observation(c, is_exact=True) for c in self.exact)
+        own = prepared(replace(problem, start=state, block=replace(problem.block, extra=exact)))
+        return fitted_figures(problem, state) + (fitted_figures(own, state) if exact else [])
+
+    def missed(self) -> str:
+        """Words on the hard constraint that the start misses most; "" without one."""
+        problem = self.problem
+        away = problem.block.points.known.ecef_m - problem.origin_m
+        ground = np.where(np.isnan(problem.start.ground), np.nan, away)
+        name, value = missed_most(problem, State(0.0 * problem.start.image, ground))
+        return f" (the start misses the hard constraint {name} by {value:.3g})" if name else ""
+
     def require_in_front(self, state: State) -> None:
         """Raise NoSolutionError for a point behind a photo."""
         o = self.problem.observations
@@ -187,18 +216,6 @@ class Built:
             if behind.any():
                 where = f"point {self.ids[of[int(np.argmax(behind))]]} in photo {self.photos[k].name}"
                 raise NoSolutionError.of("closerange.behind", place=where)
-
-
-def vars_of(problem: Problem) -> dict[str, object]:
-    """Fields of a problem."""
-    return {name: getattr(problem, name) for name in Problem.__dataclass_fields__}
-
-
-def with_extra(block: Block, extra: tuple[ExtraObservation, ...]) -> Block:
-    """Block with other further observations."""
-    from dataclasses import replace
-
-    return replace(block, extra=extra)
 
 
 def _values(camera: FrameCamera) -> dict[str, float]:
@@ -222,7 +239,9 @@ def build(
     for place, names in (("photos", [p.name for p in photos]), ("ids", list(ids))):
         if len(set(names)) != len(names):
             raise InputError.of("closerange.bundle", place=place, value="a name twice", expected="different names")
-    _require_members(photos, ids, constraints)
+    _require_members(photos, ids, constraints, control)
+    exact = tuple(c for c in constraints if _goes_through_any(c))
+    constraints = [c for c in constraints if c not in exact]
     points = _points(ids, start, control)
     for k, j in zip(which.tolist(), of.tolist(), strict=True):
         photo = photos[k]
@@ -232,11 +251,19 @@ def build(
     seen = ImagePoints(which, of, image[:, 1], image[:, 0], sigma[:, 1], sigma[:, 0])
     nothing = WithheldCoordinates((), lambda: Coordinates(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool)))
     block = Block("bundle", images, points, seen, nothing, options, extra=(*extras, *constraints))  # type: ignore[arg-type]
-    return Built(tuple(photos), ids, points.known.ecef_m, block, frozenset(observed))
+    return Built(tuple(photos), ids, points.known.ecef_m, block, frozenset(observed), exact)
 
 
-def _require_members(photos: Sequence[BundlePhoto], ids: Sequence[str], constraints: Sequence[Constraint]) -> None:
-    """Refuse unknown members, constraints of held photos, and different hard lengths between the same two members.
+def _goes_through_any(constraint: Constraint) -> bool:
+    """Whether a figure goes through any points of this number."""
+    rows, free = SIZES.get(constraint.kind, (0, -1))
+    return len(constraint.members) * rows + len(constraint.observed) == free
+
+
+def _require_members(
+    photos: Sequence[BundlePhoto], ids: Sequence[str], constraints: Sequence[Constraint], control: Control
+) -> None:  # fmt: skip
+    """Refuse unknown members, constraints of held ones only, and different hard lengths between the same two members.
 
     The adjustment refuses equal ones as dependent; lengths with a sigma are observations.
     """
@@ -246,7 +273,11 @@ def _require_members(photos: Sequence[BundlePhoto], ids: Sequence[str], constrai
         for name in c.members:
             if name not in known:
                 raise InputError.of("closerange.member", place=c.label, value=name, known=", ".join(known[:10]))
-        if c.kind in OF_PHOTOS and all(photos[known.index(name)].held for name in c.members):
+        if c.kind in OF_PHOTOS:
+            held = all(photos[known.index(name)].held for name in c.members)
+        else:
+            held = all(name in control and not np.any(control[name][1]) for name in c.members)
+        if held and c.kind not in SIZES:
             raise c.fault("members", "all held", "a point or a photo that is unknown")
         if c.kind in MEASURED and c.sigma is None:
             other = first.setdefault((c.kind, frozenset(c.members)), c)

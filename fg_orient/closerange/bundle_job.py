@@ -9,16 +9,15 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.cameras.extended_collinearity import NAMES
 from fg_orient.adjustment.constraint_kinds import Constraint
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import files, job
 from fg_orient.closerange.accuracy import compare_points
 from fg_orient.closerange.bundle import Adjustment, BundlePhoto, BundleResult, adjust_bundle
+from fg_orient.closerange.bundle_block import CENTRE, TURNS
 from fg_orient.closerange.bundle_checks import NAMED
-from fg_orient.closerange.bundle_network import CENTRE, TURNS, camera_of
-from fg_orient.closerange.corrections import parameters_of, profile
+from fg_orient.closerange.corrections import NAMES, camera_of, parameters_of, profile
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.options import BundleOptions
 from fg_orient.closerange.photo import Photo, PhotoInterior

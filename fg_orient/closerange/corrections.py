@@ -11,11 +11,15 @@ import numpy.typing as npt
 from factors.cameras import additional_parameters as brown
 from factors.cameras import image_corrections as lens
 from factors.cameras import image_variants as variants
-from factors.cameras.extended_collinearity import CAMERA, NAMES
+from factors.records import Record
+from fg_orient.closerange.photo import PhotoInterior
 from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
+#: Camera parameters: principal distance, principal point, coefficients of the three modules.
+CAMERA: Final = Record(c=1, principal="x0 y0", lens=lens.AT.size, brown=brown.AT.size, variants=variants.AT.size)
+NAMES: Final = ("c", "x0", "y0", *lens.NAMES, *brown.NAMES, *variants.NAMES)
 #: Number of radii and directions at which corrections are computed.
 RADII: Final = 33
 DIRECTIONS: Final = 24
@@ -40,6 +44,13 @@ SETS: Final[dict[str, tuple[str, ...]]] = {
 }
 
 
+def camera_of(interior: PhotoInterior) -> Array:
+    """Camera parameters (40,) of an interior orientation."""
+    out = np.zeros(CAMERA.size)
+    out[CAMERA.c], out[CAMERA.principal], out[CAMERA.lens] = interior.focal, interior.principal, interior.corrections
+    return out
+
+
 def parameters_of(words: Sequence[str], place: str) -> tuple[str, ...]:
     """Camera parameters for words that name a parameter or a set, each once; InputError for other words."""
     out: list[str] = []
@@ -60,7 +71,7 @@ def profile(camera: Array, rim: float, names: Sequence[str], covariance: Array) 
     Parameters
     ----------
     camera : (40,) array
-        Parameters in the order of ``factors.cameras.extended_collinearity.NAMES``.
+        Parameters in the order of :data:`NAMES`.
     rim : float
         Radius of the outermost image point, image units.
     names, covariance

@@ -246,7 +246,7 @@ def adjust_from(block: Block, start: Callable[[Problem], State]) -> Solution:
     """Adjust a block once with its options, from a state of the compiled problem."""
     compiled, observability, block_view, structure = _compiled(block)
     estimate = solve(compiled, start=start(compiled))
-    compiled, estimate = released(*hold(compiled, estimate, lambda p, begin: solve(p, start=begin)))
+    compiled, estimate = released(*hold(compiled, estimate, lambda p, begin, _: solve(p, start=begin)))
     return conclude(compiled, observability, block_view, estimate, structure)
 
 
@@ -274,7 +274,7 @@ class _Run:
         if begin is None and self.begin is not None:
             begin = self.begin(compiled)
         estimate = self._solved(compiled, checkpoint, begin)
-        compiled, estimate = hold(compiled, estimate, lambda p, begin: self._solved(p, None, begin))
+        compiled, estimate = hold(compiled, estimate, lambda p, begin, n: self._after(n)._solved(p, None, begin))
         compiled, estimate = to_inner_datum(compiled, estimate, solve) if inner else (compiled, estimate)
         compiled, estimate = released(compiled, estimate)
         self._report("statistics", len(compiled.observations))
@@ -303,6 +303,13 @@ class _Run:
             state=estimate.state, chi2=estimate.chi2, cofactors=cofactors, unavailable=unavailable, estimate=estimate,
             structure_s=structure,
         )  # fmt: skip
+
+    def _after(self, done: int) -> _Run:
+        """The same with records numbered after those of ``done`` iterations, of the same stage."""
+        own = self.callback
+        if own is None:
+            return replace(self, stage=None)
+        return replace(self, stage=None, callback=lambda r: own(replace(r, iteration=done + r.iteration)))
 
     def _report(self, name: str, count: int) -> None:
         """Report the start of a stage."""

@@ -11,7 +11,7 @@ import pytest
 
 import fg_orient as fg
 from factors._contract import Array
-from fg_orient.adjustment.constraint_kinds import relation
+from fg_orient.adjustment.constraint_kinds import relation_record
 from fg_orient.adjustment.constraints import HEAD, constraint_observation
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import Problem, State, compile_problem
@@ -234,7 +234,7 @@ def _record(extra: fg.ExtraObservation, sigma: float, shape: Array) -> Array:
     constraint = extra.constraint  # type: ignore[attr-defined]
     own = np.zeros(0)
     if constraint.kind in ("parallel", "perpendicular", "equal"):
-        own = relation(constraint, shape)[2]
+        own = relation_record(constraint, shape)
     head = HEAD.pack(weight=1.0 / sigma, scale=0.05, axes=np.eye(3).ravel(), frame=np.zeros(9))
     return np.concatenate([head, own, np.zeros(len(extra.record) - HEAD.size)])
 
@@ -280,7 +280,7 @@ def test_derivatives_by_complex_steps(kind: str) -> None:
         (lambda i, d: [("plane", i[:6], None), ("plane", i[:5], None)], "closerange.dependent",
          ["plane of 0, 1, 2, 3, 4"]),
         (lambda i, d: [("plane", i[:3], None)], "closerange.constraint", ["plane of 0, 1, 2"]),
-        (lambda i, d: [("base", i[:2], d)], "closerange.constraint", ["base of 0, 1"]),
+        (lambda i, d: [("base", i[:2], d)], "adjust.extra_unknown", ["base of 0, 1"]),
     ],
 )  # fmt: skip
 def test_contradictions_and_dependent_constraints_are_named(

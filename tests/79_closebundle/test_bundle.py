@@ -4,25 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import gtsam
 import numpy as np
 import pytest
 from scipy.linalg import null_space, subspace_angles
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from factors.cameras.extended_collinearity import NAMES
 from factors.cameras.image_corrections import ideal_points
-from fg_orient.adjustment.loop import LoopResult
-from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, Observation, Variable, bordered_inverse
-from fg_orient.closerange import bundle
+from fg_orient.adjustment.constraint_kinds import Constraint
 from fg_orient.closerange.bundle import BundlePhoto, BundleResult, adjust_bundle
+from fg_orient.closerange.bundle_block import build
 from fg_orient.closerange.bundle_checks import motions
-from fg_orient.closerange.bundle_network import build
-from fg_orient.closerange.constraints import Constraint, observed_element
-from fg_orient.closerange.corrections import SETS, parameters_of
+from fg_orient.closerange.corrections import NAMES, SETS, parameters_of
 from fg_orient.closerange.intersection import intersect_photos
-from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
+from fg_orient.model.block import Options
+from fg_orient.model.errors import FgOrientError, InputError
 from fg_orient.model.names import CellKey
 from fg_orient.studies.reproduce import ayhan1996_photos as thesis
 from fg_orient.studies.reproduce.ayhan1996_photos import CONTROL, PHOTOS, POINTS, comparator, points_of
@@ -162,20 +158,6 @@ def test_equal_attitude_and_base_hold_in_the_bundle(backend: str) -> None:
     assert (found.cofactors <= free.cofactors * (1.0 + 1e-9)).all()  # conditions only add
 
 
-@pytest.mark.behaviour
-def test_a_result_that_misses_a_hard_constraint_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A loop that says it converged where it began."""
-
-    def still(engine: DenseNetwork, start: Array, *_: object, **__: object) -> LoopResult[Array]:
-        return LoopResult(start, engine.error(start), (), True, "")
-
-    scene = make(7, 20, 3)
-    stated = [Constraint("plane", ("p6", "p7", "p8", "p9"))]
-    monkeypatch.setitem(bundle.OPTIMIZERS, "levenberg-marquardt", still)
-    with pytest.raises(NoSolutionError, match="hard constraints are not satisfied where the steps end"):
-        adjusted(scene, scene.photos(), constraints=stated)
-
-
 @pytest.mark.oracle
 def test_brown_parameters_are_recovered() -> None:
     """A photo measured with a2 and a13: the bundle finds them, and refuses to write what no photo file holds."""
@@ -299,10 +281,12 @@ def test_motions_leave_image_residuals_alone() -> None:
     exact = [BundlePhoto(f"ph{k}", scene.interior, r, c)
              for k, (r, c) in enumerate(zip(scene.rotations, scene.centres, strict=True))]  # fmt: skip
     sigma = np.ones_like(scene.image)
-    built = build(exact, tuple(scene.ids), scene.points, scene.which, scene.of, scene.image, sigma, {}, (), False)
-    moved = motions(built)
+    observations = scene.which, scene.of, scene.image, sigma
+    options = Options(priors=False, datum="free")
+    built = build(exact, tuple(scene.ids), scene.points, *observations, {}, (), False, options)
+    moved = motions(built, built.problem.start)
     assert np.linalg.matrix_rank(moved) == 7
-    design = built.network.rows(built.network.start).design
+    design, _, _ = built.rows(built.problem.start)
     assert np.abs(design @ moved).max() <= 1e-10 * np.abs(design).max()
     free = null_space(design, rcond=1e-10)
     assert free.shape == moved.shape
@@ -352,30 +336,3 @@ def test_refusals() -> None:
         scene.photos(unknown=("k9",))
     with pytest.raises(InputError, match="give 2 different ones"):
         Constraint("distance", ("a", "a"), 1.0)
-
-
-@pytest.mark.oracle
-def test_marginals_of_gtsam_with_a_hard_condition() -> None:
-    """Those of single variables are right; a joint one counts the condition as an observation and is not used."""
-    variables = tuple(Variable(name, np.zeros(2), ("1", "2")) for name in "ab")
-    pull = [observed_element(k, j, 1.0, s, "") for k, s in ((0, 0.1), (1, 0.2)) for j in (0, 1)]
-    tie = Observation(_difference(), (0, 1), np.zeros(0), np.zeros((2, 0)), 1, "tie", True)
-    network = Network(variables, (*pull, tie))
-    dense, graph = DenseNetwork(network), GraphNetwork(network)
-    whole = bordered_inverse(network.rows(np.zeros(4)))
-    for a, b in zip(dense.cofactors(np.zeros(4)), graph.cofactors(np.zeros(4)), strict=True):
-        assert a == pytest.approx(b, abs=1e-12)
-    joint = gtsam.Marginals(graph.graph, graph.values(np.zeros(4))).jointMarginalCovariance([0, 1]).fullMatrix()
-    assert joint[0, 0] - whole[0, 0] == pytest.approx(1.0)
-
-
-def _difference() -> object:
-    from factors._contract import Argument, Equation
-
-    def residual(record: Array, setup: Array, x: Array, y: Array) -> Array:
-        return np.array([x[0] - y[0]])
-
-    def kernel(record: Array, setup: Array, x: Array, y: Array, want: bool) -> tuple[Array, Array, Array]:
-        return residual(record, setup, x, y), np.array([[1.0, 0.0]]), np.array([[-1.0, 0.0]])
-
-    return Equation("difference", kernel, residual, (Argument("x", "1"), Argument("y", "1")), "")

@@ -13,7 +13,6 @@ import numpy as np
 from factors._contract import Array, Equation
 from factors.cameras import dlt as dlt_equation
 from factors.cameras import (
-    extended_collinearity,
     frame,
     frame_corrections,
     frame_extended,
@@ -128,24 +127,6 @@ def frame_extended_collinearity(rng: np.random.Generator) -> Example:
     silent = [[frame_extended.UNKNOWN.navigation.start + 2.0], [1.0]]
     setup = np.concatenate([plain_codes, np.stack([codes, np.full(n, 1e-3)]), silent], axis=1)
     return Example(record, np.ascontiguousarray(setup), (rng.normal(size=setup.shape[1]), plain.unknowns[1]))
-
-
-def extended(rng: np.random.Generator) -> Example:
-    """Camera with any of its parameters as own or shared unknowns."""
-    n_camera = extended_collinearity.CAMERA.size
-    start = random_rotation(rng)
-    centre, seen = rng.normal(size=3), np.append(rng.normal(scale=0.4, size=2), 1.0) * rng.uniform(3.0, 9.0)
-    codes = rng.permutation(n_camera)[: rng.integers(2, n_camera + 1)]
-    n = int(rng.integers(1, len(codes)))
-    image, power, sign = rng.normal(size=2), rng.integers(0, 2), rng.choice([-1.0, 1.0])
-    camera = np.append(2.1, rng.normal(scale=0.02, size=n_camera - 1))
-    setup = extended_collinearity.image_setup(codes, rng.uniform(0.01, 0.1, len(codes)))
-    x = rng.normal(scale=0.3, size=len(codes))
-    record = extended_collinearity.image_record(
-        camera, sample=image[0], line=image[1], a_line=1.3, w12=0.2, a_sample=0.7, power=power, sign=sign,
-        nominal=2.0, rotation=start.ravel(), radius=rng.uniform(0.8, 2.0),
-    )  # fmt: skip
-    return Example(record, setup, (x[:n], x[n:], rng.normal(scale=0.02, size=3), centre, centre + start.T @ seen))
 
 
 def _plane_record(rng: np.random.Generator) -> Array:
@@ -283,7 +264,6 @@ EXAMPLES: dict[str, Callable[[np.random.Generator], Example]] = {
     "frame_collinearity": frame_collinearity,
     "frame_extended": frame_extended_collinearity,
     "rational_function": rational_function,
-    "extended_collinearity_measured_to_ideal": extended,
     "dlt_brown_measured_to_ideal": dlt,
     "plane_polynomial": plane_transformation(0),
     "plane_helmert": plane_transformation(4),
