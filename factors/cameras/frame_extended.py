@@ -161,7 +161,8 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
     line, sample = difference(c, record[RECORD.line], record[RECORD.sample], ray[0], ray[1])
     scale = 1.0 if record[RECORD.power] == 0.0 else 1.0 / ray[2]
     a_line, w12, a_sample = scale * record[RECORD.a_line], scale * record[RECORD.w12], scale * record[RECORD.a_sample]
-    out[0, 0], out[1, 0] = a_line * line + w12 * sample, a_sample * sample
+    u, v = (line, sample) if record[RECORD.power] == 0.0 else (line / ray[2], sample / ray[2])
+    out[0, 0], out[1, 0] = record[RECORD.a_line] * u + record[RECORD.w12] * v, record[RECORD.a_sample] * v
     if want:
         has_terms, d = False, np.zeros((2, COLUMN.size))
         for j in range(k):

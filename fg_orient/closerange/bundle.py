@@ -31,7 +31,7 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Residual = Literal["image", "condition"]
 
-BACKENDS: Final = ("dense", "graph")
+BACKENDS: Final = ("auto", "dense", "graph")
 MAX_ITERATIONS: Final = 100
 
 
@@ -231,7 +231,7 @@ def adjust_bundle(
     photos: Sequence[BundlePhoto], ids: Sequence[str], start_m: npt.ArrayLike, photo: npt.ArrayLike,
     point: npt.ArrayLike, image: npt.ArrayLike, *, sigma: npt.ArrayLike = 1.0,
     control: Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]] | None = None, constraints: Sequence[Constraint] = (),
-    residual: Residual = "image", backend: str = "dense", optimizer: str = "levenberg-marquardt",
+    residual: Residual = "image", backend: str = "auto", optimizer: str = "levenberg-marquardt",
     callback: Callback | None = None,
 ) -> BundleResult:  # fmt: skip
     """Adjust photos and points together.
@@ -255,8 +255,8 @@ def adjust_bundle(
     residual : "image" or "condition"
         Least squares of the image residuals, or of the conditions F = e R3 (Ayhan 1996, eq. 77), with weights that do
         not depend on the depth.
-    backend : "dense" or "graph"
-        Full matrices, or GTSAM.
+    backend : "auto", "dense" or "graph"
+        Full matrices, or GTSAM; auto: full matrices up to 2000 unknowns.
     optimizer : str
         "levenberg-marquardt", "gauss-newton" or "dogleg".
     callback : callable, optional
@@ -282,7 +282,9 @@ def adjust_bundle(
     given = np.broadcast_to(np.asarray(sigma, float), measured.shape)
     require_sigmas(given)
     which, of = np.asarray(photo, np.intp), np.asarray(point, np.intp)
-    options = Options(backend=backend, optimizer=optimizer, priors=False, max_iterations=MAX_ITERATIONS)  # type: ignore[arg-type]
+    n_unknowns = 3 * len(ids) + sum(6 + len(p.unknown) for p in photos)
+    chosen = backend if backend != "auto" else "dense" if n_unknowns <= MAX_UNKNOWNS else "graph"
+    options = Options(backend=chosen, optimizer=optimizer, priors=False, max_iterations=MAX_ITERATIONS)  # type: ignore[arg-type]
     with one_blas_thread():
         start = as_points(start_m, 3, "points")
         built = build(photos, tuple(ids), start, which, of, measured, given, control or {}, constraints,
@@ -404,15 +406,13 @@ def _others(built: Built, solution: Solution) -> tuple[tuple[str, ...], Array, A
     problem, residuals = solution.problem, solution.residual_cofactors
     parts: dict[bool, list[tuple[str, float, float]]] = {False: [], True: []}
     for e, numbers in zip(problem.block.extra, residuals.extra, strict=True):
-        is_constraint = isinstance(e, ConstraintObservation)
-        if is_constraint and e.hard:
+        if isinstance(e, ConstraintObservation) and e.hard:
             continue
         value, _ = extra_blocks(problem, e, solution.state, jacobian=False)
         names = [e.label] if e.n_residuals == 1 else [f"{e.label}, {k + 1}" for k in range(e.n_residuals)]
-        parts[is_constraint] += zip(names, value.tolist(), numbers.tolist(), strict=True)
+        parts[isinstance(e, ConstraintObservation)] += zip(names, value.tolist(), numbers.tolist(), strict=True)
     control = [f"point {built.ids[j]}: control, {axis}" for j in np.flatnonzero(problem.observed) for axis in POINT]
     of_control = zip(control, residuals.v_control.ravel().tolist(),
                      np.einsum("nii->ni", residuals.control).ravel().tolist(), strict=True)  # fmt: skip
     every = [*parts[False], *of_control, *parts[True]]
-    names, values, numbers = zip(*every, strict=True) if every else ((), (), ())
-    return tuple(names), np.array(values, float), np.array(numbers, float)
+    return tuple(name for name, _, _ in every), np.array([v for _, v, _ in every]), np.array([r for *_, r in every])

@@ -180,17 +180,23 @@ class Built:
     def interior(self, k: int, state: State) -> PhotoInterior:
         """Interior orientation of a photo at a state."""
         photo, own = self.photos[k], self.problem.parameters[k]
-        camera = _values(self.block.images[k].sensor.camera)
+        camera = self.values(k)
         for name, change in zip(own.names, self._part(k, own.names, state), strict=True):
             if OURS.get(name, name) in camera:
                 camera[OURS.get(name, name)] += float(change)
         known = np.array([camera[name] for name in NAMES])
         return PhotoInterior(camera["c"], known[CAMERA.principal], known[CAMERA.lens], photo.interior.y_axis)
 
+    def values(self, k: int) -> dict[str, float]:
+        """Start values of the camera parameters of a photo by name."""
+        sensor = self.block.images[k].sensor
+        assert isinstance(sensor, FrameSensor)
+        return _values(sensor.camera)
+
     def parameter(self, k: int, name: str, state: State) -> float:
         """Value of a camera parameter of a photo."""
         frame = FRAME.get(name, name)
-        return float(_values(self.block.images[k].sensor.camera)[name] + self._part(k, (frame,), state)[0])
+        return float(self.values(k)[name] + self._part(k, (frame,), state)[0])
 
     def figures(self, problem: Problem, state: State) -> list[FittedFigure]:
         """Figures of the constraints at a solution."""

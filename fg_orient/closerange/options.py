@@ -50,7 +50,9 @@ class BundleOptions(ImageOptions):
         0.0, WEIGHTS, "Default standard deviation of control points, 0 for exact ones.", unit="m", within=SIZES,
         zero="exact control points",
     )
-    backend: Literal["dense", "graph"] = option("dense", MODEL, "Correlates, or a GTSAM graph.")
+    backend: Literal["auto", "dense", "graph"] = option(
+        "auto", MODEL, "Full matrices, or a GTSAM graph; auto: full matrices up to 2000 unknowns.",
+    )
 
 
 @documented

@@ -31,7 +31,8 @@ from fg_orient.model.block import (
 )
 from fg_orient.model.errors import Finding, finding
 from fg_orient.model.names import Role
-from fg_orient.sensors.frame import UNKNOWNS, FrameCamera, FrameSensor
+from fg_orient.sensors.frame import FrameCamera, FrameSensor
+from fg_orient.sensors.frame_unknowns import UNKNOWNS
 from fg_orient.sensors.interior import Interior
 
 Array = npt.NDArray[np.float64]
@@ -134,7 +135,7 @@ def frame_block(
     sigma_px : float, optional
         Sigma of line and sample of every image point: these files contain none.
     unknowns : sequence of str, optional
-        Unknowns of each image (``fg_orient.sensors.frame.UNKNOWNS``), not shared with others. All else is held fixed.
+        Unknowns of each image (``fg_orient.sensors.frame_unknowns``), not shared with others. All else is held fixed.
     keep_behind : bool, optional
         Keep points whose start values lie behind one of their cameras.
     """

@@ -21,6 +21,7 @@ from fg_orient.model.options import USUAL_GROUPS
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.quality.accuracy import Accuracy
 from fg_orient.quality.component_round import Method
+from fg_orient.quality.figures import AdjustedFigure, adjusted_figures
 from fg_orient.quality.freedom import UnknownFreedom
 from fg_orient.quality.hypotheses import GlobalTest, global_test
 from fg_orient.quality.joint import NamedMatrix, joint_cofactors
@@ -170,6 +171,10 @@ class Solution(AdjustmentResult):
         """Joint covariance ``scale^2 Q`` of adjusted quantities; see :meth:`cofactor_matrix`."""
         q = self.cofactor_matrix(*names)
         return NamedMatrix(q.names, q.units, q.values * self.scale**2)
+
+    def figures(self) -> tuple[AdjustedFigure, ...]:
+        """Planes, lines, circles, spheres and spheroids of the constraints; NoSolutionError: no covariance."""
+        return adjusted_figures(self.problem, self.state, self.required_cofactors(), self.scale)
 
     @cached_property
     def unknown_freedom(self) -> UnknownFreedom | None:

@@ -21,7 +21,8 @@ from factors.cameras.frame_camera import CAMERA
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.model.errors import Finding, finding
 from fg_orient.quality.covariance import Cofactors
-from fg_orient.sensors.frame import INTERIOR, FrameSensor
+from fg_orient.sensors.frame import FrameSensor
+from fg_orient.sensors.frame_unknowns import INTERIOR
 
 #: Correlation from which on parameters count as inseparable: standard deviations are 3.2 times as large.
 INSEPARABLE: Final = 0.95

@@ -18,7 +18,8 @@ from factors.conditions.navigation import ANTENNA_POSITION, ATTITUDE, INERTIAL_A
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.model.block import Block, ExtraObservation, Image
 from fg_orient.model.errors import InputError
-from fg_orient.sensors.frame import NAVIGATION, FrameCamera, FrameSensor
+from fg_orient.sensors.frame import FrameCamera, FrameSensor
+from fg_orient.sensors.frame_unknowns import NAVIGATION
 
 Three = tuple[float, float, float]
 

@@ -22,7 +22,8 @@ from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Block, Image, Index, Options
 from fg_orient.rpc.virtual_grid import fit_sensor
 from fg_orient.sensors.correction import Correction
-from fg_orient.sensors.frame import HALF_TURN, UNKNOWNS, FrameCamera, FrameSensor
+from fg_orient.sensors.frame import HALF_TURN, FrameCamera, FrameSensor
+from fg_orient.sensors.frame_unknowns import UNKNOWNS
 from fg_orient.sensors.interior import Interior
 from fg_orient.sensors.metadata import AngleAttitude, Ephemeris, LineTiming, LookAngleTable, PushbroomMetadata
 from fg_orient.sensors.pushbroom import PushbroomSensor

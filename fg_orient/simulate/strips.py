@@ -18,7 +18,8 @@ from factors.cameras.frame_camera import rotated
 from factors.conditions.navigation import UNKNOWN
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Block, Image, Options
-from fg_orient.sensors.frame import NAVIGATION, UNKNOWNS, FrameCamera, FrameSensor
+from fg_orient.sensors.frame import FrameCamera, FrameSensor
+from fg_orient.sensors.frame_unknowns import NAVIGATION, UNKNOWNS
 from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitude, enu_axes, with_navigation
 from fg_orient.simulate.options import require
 from fg_orient.simulate.simulation import Simulation, Truth, ground_points, random_streams, roles_in_order, with_noise

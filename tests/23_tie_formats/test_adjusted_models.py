@@ -11,7 +11,8 @@ import pytest
 import fg_orient as fg
 from fg_orient.formats.exchange.colmap_text import read_colmap_text, write_colmap_text
 from fg_orient.formats.frame_model import FrameModel, Pose, adjusted_model, frame_block
-from fg_orient.sensors.frame import MEASURED_TO_IDEAL, UNKNOWNS
+from fg_orient.sensors.frame import MEASURED_TO_IDEAL
+from fg_orient.sensors.frame_unknowns import UNKNOWNS
 from tests.support.frame_models import frame_model
 
 pytestmark = pytest.mark.consistency

@@ -20,7 +20,8 @@ from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.model.block import Block, Coordinates, GroundPoints
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role, Status
-from fg_orient.sensors.frame import UNKNOWNS, FrameSensor
+from fg_orient.sensors.frame import FrameSensor
+from fg_orient.sensors.frame_unknowns import UNKNOWNS
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.frame_above import with_frame_above
 from tests.support.full_statistics import step_of_numpy

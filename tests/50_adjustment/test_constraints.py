@@ -318,3 +318,39 @@ def test_snooping_losses_and_components_with_hard_constraints() -> None:
     for more in ({"loss": "huber", "max_iterations": 200}, {"variance_components": ["image", "control"]}):
         p = fg.adjust(wrong if "loss" in more else without, priors=False, **more).ground_m[:N]
         assert np.abs(misclosures("plane", p, _refined("plane", p, ground), ground)).max() < 1e-10
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("sigma", [None, 0.05])
+def test_figures_are_those_of_lagrange(sigma: float | None) -> None:
+    """Centre and radius of a sphere, and their covariance: from bordered equations, or from all rows."""
+    block, ground = observed("sphere", control=True)
+    solution = fg.adjust(replace(block, extra=stated("sphere", block, ground, sigma)), priors=False)
+    (figure,) = solution.figures()
+    assert figure.names == ("x", "y", "z", "radius")
+    p = solution.state.ground[:N]
+    f = _refined("sphere", p, ground)
+    assert figure.values == pytest.approx(f, abs=1e-6 if sigma is None else 1e-2)
+
+    def conditions(x: Array) -> Array:
+        return misclosures("sphere", x[: 3 * N].reshape(-1, 3), x[3 * N :], ground)
+
+    problem = compile_problem(block)
+    state = State(solution.state.image, solution.state.ground)
+    _, design = assemble(replace(problem, block=replace(problem.block, extra=())), state)
+    columns = np.concatenate([np.arange(s.start, s.stop) for s in map(problem.point_slice, range(N))])
+    border = np.zeros((N, design.shape[1] + 4))
+    border[:, np.append(columns, design.shape[1] + np.arange(4))] = jacobian(
+        conditions, np.append(p.ravel(), figure.values)
+    )
+    design = np.hstack([design, np.zeros((len(design), 4))])
+    scale = np.append(1.0 / np.linalg.norm(design[:, :-4], axis=0), np.full(4, 0.01))
+    if sigma is None:
+        whole = np.block([[design.T @ design * np.outer(scale, scale), (border * scale).T],
+                          [border * scale, np.zeros((N, N))]])  # fmt: skip
+    else:
+        rows = np.vstack([design, border / sigma]) * scale
+        whole = rows.T @ rows
+    q = np.linalg.inv(whole)[: len(scale), : len(scale)] * np.outer(scale, scale)
+    roots = solution.scale * np.sqrt(np.diag(q)[-4:])
+    assert np.sqrt(np.diag(figure.covariance)) == pytest.approx(roots, rel=1e-3)

@@ -229,10 +229,10 @@ def test_random_configurations(kind: str, runs: int, optimizer: str) -> None:
     for seed in range(0, 2 * runs, 2):
         one = configuration(kind, seed)
         spread = 1e-4 if kind == "equal attitude" else NOISE
-        hard, *soft = (one.adjusted(s, optimizer=optimizer) for s in (None, spread * 2e-2, spread * 2e-3))
+        hard, *soft = (one.adjusted(s, optimizer=optimizer) for s in (None, spread * 1e-1, spread * 1e-2))
         assert one.misclosure(hard) <= 1e-11 and one.misclosure(soft[0]) > 1e-10
         away = [float(np.abs(unknowns(s) - unknowns(hard)).max()) for s in soft]
-        assert away[0] <= 0.1 * NOISE and away[1] <= 0.03 * away[0] + 1e-9
+        assert away[0] <= NOISE and away[1] <= 0.1 * away[0] + 5e-8  # the adjustment ends with steps of 1e-8 m
         assert hard.redundancy == soft[0].redundancy
 
 

@@ -1,0 +1,48 @@
+"""Figures of constraints as results: values and covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.constraints import fitted_figures
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.quality.covariance import Cofactors
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class AdjustedFigure:
+    """Plane, line, circle, sphere or spheroid of a constraint.
+
+    Parameters
+    ----------
+    label : str
+        Kind and points.
+    names : tuple of str
+        Parameters, m; ``tilt`` and ``slope`` have no unit and refer to the figure of the adjusted points.
+    values : (k,) array
+        Centres are relative to the local origin of the block, along its axes, or along East, North, Up at the points of a
+        georeferenced block.
+    covariance : (k, k) array
+    """
+
+    label: str
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+
+
+def adjusted_figures(problem: Problem, state: State, cofactors: Cofactors, scale: float) -> tuple[AdjustedFigure, ...]:
+    """Figures of the constraints of a solution; ``scale``: standard deviations from roots of cofactors."""
+    out = []
+    for figure in fitted_figures(problem, state):
+        free = tuple(j for j in figure.points if problem.active[j])
+        places = [i for i, j in enumerate(figure.points) if problem.active[j]]
+        by = figure.by.reshape(len(figure.names), -1, 3)[:, places].reshape(len(figure.names), -1)
+        q = figure.own + by @ cofactors.joint((), free) @ by.T
+        out.append(AdjustedFigure(figure.label, figure.names, figure.values, scale**2 * q))
+    return tuple(out)
