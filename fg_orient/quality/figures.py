@@ -25,8 +25,8 @@ class AdjustedFigure:
     names : tuple of str
         Parameters, m; ``tilt`` and ``slope`` have no unit and refer to the figure of the adjusted points.
     values : (k,) array
-        Centres are relative to the local origin of the block, along its axes, or along East, North, Up at the points of a
-        georeferenced block.
+        Centres are relative to the local origin of the block, along its axes or, in a georeferenced block, East, North,
+        Up at the points.
     covariance : (k, k) array
     """
 
