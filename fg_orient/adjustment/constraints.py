@@ -23,6 +23,7 @@ from factors.conditions.circles import CIRCLE_RECORD
 from factors.conditions.constraints import FACTOR, FIGURE
 from factors.records import Record
 from fg_orient.adjustment.constraint_kinds import (
+    MEASURED,
     OF_PHOTOS,
     RELATIONS,
     ROWS,
@@ -56,6 +57,8 @@ FRAMES: Final = {"plane": FIGURE, "line": FIGURE, "circle": CIRCLE_RECORD}
 #: sigma of its points with the images held fixed. A smaller sigma at the start makes a narrow curved valley.
 FIRST: Final = 1.0
 HARD: Final = 1e-3
+#: Sigmas by which the valley of a distance may bend between the start and the given length.
+BEND: Final = 10.0
 #: Improvements of the correlates; misclosure of a hard constraint in units of its sigma, and ratio of misclosures, at
 #: their end. The adjustment itself ends with a step of 1e-8 m.
 ROUNDS: Final = 12
@@ -323,7 +326,7 @@ def _sigma_of_image(problem: Problem, argument: ExtraArgument, place: Place) -> 
     if not scale.any():
         return np.inf
     design = rows[:, :, : len(place.by.T)] @ place.by.T / np.where(scale > 0.0, scale, 1.0) ** 2
-    return float(np.linalg.norm(design.reshape(-1, 3), 2)) ** -1.0
+    return 1.0 / float(np.linalg.norm(design.reshape(-1, 3), 2))
 
 
 def _prepared(problem: Problem, extra: ConstraintObservation, sigma: Array) -> ConstraintObservation:
@@ -341,13 +344,16 @@ def _prepared(problem: Problem, extra: ConstraintObservation, sigma: Array) -> C
         total = len(at) * SIZES[c.kind][0] + len(c.observed)
     else:
         if c.kind == "equal attitude":
-            cameras = [problem.block.images[a.index].sensor.camera for a in found]
-            start = np.array([camera.rotation for camera in cameras])
+            sensors = [problem.block.images[a.index].sensor for a in found]
+            start = np.array([sensor.camera.rotation for sensor in sensors if isinstance(sensor, FrameSensor)])
         total, own = ROWS.get(c.kind, 1), relation_record(c, start)
         if c.kind in ("parallel", "perpendicular"):
             least /= float(np.linalg.norm(start[1::2] - start[::2], axis=1).max())
-    last = c.sigma or HARD * least
-    head = HEAD.pack(weight=1.0 / max(last, FIRST * least), scale=scale, axes=axes.ravel(), frame=frame)
+    last, first = c.sigma or HARD * least, FIRST * least
+    if c.kind in MEASURED and c.value_m is not None:  # how far the valley bends between the start and the given length
+        length = float(np.linalg.norm(at[1] - at[0]))
+        first = min(first, (length - c.value_m) ** 2 / (BEND * c.value_m))
+    head = HEAD.pack(weight=1.0 / max(last, first), scale=scale, axes=axes.ravel(), frame=frame)
     record = np.concatenate([head, own, np.zeros(total)])
     return replace(extra, record=record, final_weight=1.0 / last)
 

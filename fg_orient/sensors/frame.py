@@ -140,9 +140,9 @@ class FrameCamera:
             if not right:
                 raise InputError.of("frame.camera", place=name, value=shown, expected=expected)
         known = (*(UNKNOWNS if has_aspect else UNKNOWNS[:-1]), *NAVIGATION, *FURTHER)
-        for name, value in self.further.items():
-            if name not in FURTHER or not np.isfinite(value):
-                raise InputError.of("frame.unknown", place=name, value=value, known=", ".join(FURTHER))
+        for name, coefficient in self.further.items():
+            if name not in FURTHER or not np.isfinite(coefficient):
+                raise InputError.of("frame.unknown", place=name, value=coefficient, known=", ".join(FURTHER))
         for name, sigma in self.sigma.items():
             if name not in known or not (np.isfinite(sigma) and sigma > 0.0):
                 raise InputError.of("frame.unknown", place=name, value=sigma, known=", ".join(known))
