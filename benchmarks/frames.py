@@ -2,10 +2,10 @@
 
     python -m benchmarks.frames [--sizes NAME ...]
 
-Synthetic photos around an object, one shared camera, scale bars, no control, start values with errors. Each size runs in
-a process of its own, once before it is measured, so that nothing is compiled or loaded in the second run. Statistics:
-covariance of all points and images, redundancy numbers, reliability and tests of all observations, significance of the
-camera parameters.
+Synthetic photos around an object, one shared camera, scale bars, no control, start values with errors. Each size runs
+in a process of its own, once before it is measured, so that nothing is compiled or loaded in the second run.
+Statistics: covariance of all points and images, redundancy numbers, reliability and tests of all observations,
+significance of the camera parameters.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 import sys
 
-if os.environ.get("OPENBLAS_NUM_THREADS") != "1" or os.environ.get("OMP_NUM_THREADS") != "1":
+if __name__ == "__main__" and {os.environ.get(f"{name}_NUM_THREADS") for name in ("OPENBLAS", "OMP")} != {"1"}:
     os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     os.execv(sys.executable, [sys.executable, "-m", "benchmarks.frames", *sys.argv[1:]])
 
@@ -67,8 +67,8 @@ SIZES: Final = {
 }
 
 
-def network(size: Size, seed: int = 0) -> fg.Block:
-    """Block of photos on a ring that look at an object of 6 m."""
+def network(size: Size, seed: int = 0) -> tuple[fg.Block, Array]:
+    """Block of photos on a ring that look at an object of 6 m, and the true points (N, 3), m."""
     rng, n = np.random.default_rng(seed), size.photos
     angle = 2.0 * np.pi * np.arange(n) / n
     centre = np.column_stack([12.0 * np.cos(angle), 12.0 * np.sin(angle), rng.uniform(-4.0, 4.0, n)])
@@ -100,7 +100,8 @@ def network(size: Size, seed: int = 0) -> fg.Block:
         away = Rotation.from_rotvec(rng.normal(scale=1e-3, size=3)).as_matrix()
         start = replace(
             true, rotation=away @ true.rotation, centre_m=true.centre_m + rng.normal(scale=0.01, size=3),
-            sigma={**POSE, **names}, shared=dict.fromkeys(names, "camera 1"), further={"shear": 0.0} if size.camera > 8 else {},
+            sigma={**POSE, **names}, shared=dict.fromkeys(names, "camera 1"),
+            further={"shear": 0.0} if size.camera > 8 else {},
         )  # fmt: skip
         images.append(fg.Image(f"p{k}", FrameSensor(start, 2000, 3000, georeferenced=False)))
     pixels += rng.normal(scale=NOISE_PX, size=pixels.shape)
@@ -115,10 +116,11 @@ def network(size: Size, seed: int = 0) -> fg.Block:
         for k in range(size.bars)
     )
     options = Options(priors=False, datum="inner")
-    return fg.Block(
+    block = fg.Block(
         "network", tuple(images), points, ImagePoints(image, point, pixels[:, 0], pixels[:, 1], sigma, sigma),
         WithheldCoordinates((), lambda: Coordinates(none, none, np.zeros(0, bool))), options, extra=bars,
     )  # fmt: skip
+    return block, ground
 
 
 def statistics(solution: fg.Solution) -> Array:
@@ -133,17 +135,19 @@ def statistics(solution: fg.Solution) -> Array:
 def measured(name: str) -> dict[str, Any]:
     """Second run of a size."""
     size = SIZES[name]
-    block = network(size)
-    statistics(fg.adjust(network(replace(size, points=min(size.points, 300)), 1)))  # compiles
+    block, _ = network(size)
+    statistics(fg.adjust(network(replace(size, points=min(size.points, 300)), 1)[0]))  # compiles
     statistics(fg.adjust(block))
     begin = time.process_time()
     solution = fg.adjust(block)
     adjusted = time.process_time()
     q = statistics(solution)
     return {
-        "size": name, "limit_s": size.limit_s, "adjust_s": adjusted - begin, "whole_s": time.process_time() - begin,
-        "image_points": len(block.observations), "unknowns": solution.problem.n_unknowns, "status": str(solution.status),
-        "sigma0": solution.sigma0, "iterations": solution.iterations, "rms_sigma_m": float(np.sqrt(np.einsum("nii->", q) / len(q))),
+        "limit_s": size.limit_s, "adjust_s": adjusted - begin, "whole_s": time.process_time() - begin,
+        "image_points": len(block.observations), "unknowns": solution.problem.n_unknowns,
+        "status": str(solution.status),
+        "sigma0": solution.sigma0, "iterations": solution.iterations,
+        "rms_sigma_m": float(np.sqrt(np.einsum("nii->", q) / len(q))),
         "peak_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
     }  # fmt: skip
 
@@ -166,8 +170,9 @@ def main() -> int:
             continue
         r = json.loads(done.stdout.splitlines()[-1])
         print(f"{name}: {r['whole_s']:.2f} s of processor time (limit {r['limit_s']}), adjust {r['adjust_s']:.2f} s, "
-              f"{r['image_points']} image points, {r['unknowns']} unknowns, {r['iterations']} iterations, {r['status']}, "
-              f"sigma0 {r['sigma0']:.4f}, peak {r['peak_MB']:.0f} MB")  # fmt: skip
+              f"{r['image_points']} image points, {r['unknowns']} unknowns, {r['iterations']} iterations, "
+              f"{r['status']}, sigma0 {r['sigma0']:.3f}, points {1e6 * r['rms_sigma_m']:.1f} um, "
+              f"peak {r['peak_MB']:.0f} MB")  # fmt: skip
     return 0
 
 
