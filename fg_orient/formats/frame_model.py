@@ -16,7 +16,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.cameras.frame import FRAME_COLLINEARITY
 from factors.cameras.frame_camera import CAMERA
 from fg_orient.kernels.batch import batch
 from fg_orient.model.block import (
@@ -31,8 +30,8 @@ from fg_orient.model.block import (
 )
 from fg_orient.model.errors import Finding, finding
 from fg_orient.model.names import Role
-from fg_orient.sensors.frame import FrameCamera, FrameSensor
-from fg_orient.sensors.frame_unknowns import UNKNOWNS
+from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameCamera, FrameSensor
+from fg_orient.sensors.frame_unknowns import FURTHER, NAMES, UNKNOWNS
 from fg_orient.sensors.interior import Interior
 
 Array = npt.NDArray[np.float64]
@@ -148,8 +147,10 @@ def frame_block(
         camera = _in_pixels(sensor.camera, unknowns, model.line[own], model.sample[own], model.points_m[point])
         images.append(Image(pose.name, sensor.with_camera(camera, name)))
     used = ~(alone | behind & (not keep_behind))[model.point]
-    # the observation equation of a camera with an aspect has residuals in stretched samples
-    stretch = np.array([1.0 + model.cameras[pose.camera].aspect for pose in model.poses])[model.image[used]]
+    # the residuals of a polynomial that corrects are in stretched samples
+    cameras = [model.cameras[pose.camera] for pose in model.poses]
+    aspects = ((camera.aspect if camera.model == MEASURED_TO_IDEAL else 0.0) for camera in cameras)
+    stretch = np.array([1.0 + aspect for aspect in aspects])[model.image[used]]
     sigma = np.full(int(used.sum()), sigma_px)
     seen = ImagePoints(model.image[used], model.point[used], model.line[used], model.sample[used], sigma,
                        sigma * stretch)  # fmt: skip
@@ -168,7 +169,7 @@ def adjusted_model(model: FrameModel, corrections: Sequence[Array], ground_m: Ar
     Parameters
     ----------
     model : FrameModel
-    corrections : sequence of (15,) arrays
+    corrections : sequence of (15,) or (k,) arrays
         Of each image, as ``Solution.correction`` gives them; an interior orientation that was adjusted is a camera of
         its own for each image.
     ground_m : (N, 3) array
@@ -183,7 +184,7 @@ def adjusted_model(model: FrameModel, corrections: Sequence[Array], ground_m: Ar
             cameras[name] = replace(
                 interior, focal_px=float(full[CAMERA.focal]), principal_px=full[CAMERA.principal][::-1],
                 distortion=full[CAMERA.distortion], unit_px=sensor.camera.unit_px, name=name,
-                aspect=float(full[CAMERA.aspect]) if sensor.camera.corrects_measured else 0.0,
+                aspect=float(full[CAMERA.aspect]), further=_further(sensor.camera, np.asarray(correction)),
             )  # fmt: skip
         poses.append(Pose(pose.name, name, full[CAMERA.rotation].reshape(3, 3), full[CAMERA.centre]))
     used = {pose.camera for pose in poses}
@@ -196,6 +197,13 @@ def adjusted_model(model: FrameModel, corrections: Sequence[Array], ground_m: Ar
         point=number[model.point[seen]], line=model.line[seen], sample=model.sample[seen],
         notes=(*model.notes, *left_out),
     )  # fmt: skip
+
+
+def _further(camera: FrameCamera, correction: Array) -> dict[str, float]:
+    """Adjusted further coefficients of a camera by name, those that are not 0."""
+    change = dict(zip(FURTHER, correction[len(NAMES) - len(FURTHER) :].tolist(), strict=False))
+    values = {name: camera.further.get(name, 0.0) + change.get(name, 0.0) for name in FURTHER}
+    return {name: value for name, value in values.items() if value != 0.0}
 
 
 def _in_one_image(image: Index, point: Index, n_points: int) -> npt.NDArray[np.bool_]:
@@ -215,9 +223,10 @@ def _in_pixels(
     Without priors the units act on the damped steps only (Moré 1978), which then do not depend on the units of the
     file. The polynomial of the camera leads from ideal to measured coordinates.
     """
-    codes = np.array([UNKNOWNS.index(name) for name in unknowns], dtype=float)
+    camera = replace(camera, sigma=dict.fromkeys(unknowns, 1.0))
+    codes = np.array([NAMES.index(name) for name in unknowns], dtype=float)
     records = FrameSensor(camera, 1, 1, georeferenced=False).records(line, sample)
-    rows, columns = batch(FRAME_COLLINEARITY, np.stack([codes, np.ones(len(codes))]), records)
+    rows, columns = batch(camera.equation, np.stack([codes, np.ones(len(codes))]), records)
     n, ground = len(line), np.ascontiguousarray(ground_m)
     order, derivatives = np.arange(n, dtype=np.int32), np.zeros((n, 2, len(codes)))
     rows(

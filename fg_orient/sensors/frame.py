@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from factors._contract import Equation
     from fg_orient.model.block import ImagePoints, Options
 from fg_orient.sensors.base import ImageModel, Sensor, placed, same_length
-from fg_orient.sensors.frame_unknowns import FURTHER, INTERIOR, NAMES, NAVIGATION, UNKNOWNS, camera_parameters
+from fg_orient.sensors.frame_unknowns import FURTHER, INTERIOR, NAMES, UNKNOWNS, camera_parameters
 
 #: The two distortion equations, by the direction in which the polynomial leads.
 IDEAL_TO_MEASURED: Final = "brown_ideal_to_measured"
@@ -72,7 +72,7 @@ class FrameCamera:
         Measured to ideal: the polynomial's unit of length, 1 mm in pixels for coefficients in mm; default: the focal
         length as given.
     aspect : float
-        Measured to ideal: samples are stretched by 1 + aspect.
+        Samples are stretched by 1 + aspect: before the polynomial where it corrects, else behind it.
     sigma : mapping
         Unknowns of the adjustment by name (:data:`UNKNOWNS`, :data:`NAVIGATION`) with their prior sigmas (rad, m, px;
         k and p have no unit). All others are held fixed.
@@ -81,8 +81,8 @@ class FrameCamera:
         ({"focal": "camera 1"}). Their start values and sigmas must agree.
     further : mapping
         Values of further coefficients by name (:data:`FURTHER`): shear, fisheye lens, affinity, Brown's additional
-        parameters, alternative terms. With one of these as a value or an unknown, or with a value of the next four, the
-        equation is that of ``factors.cameras.frame_extended``, whose cameras have an aspect in both directions.
+        parameters, alternative terms. With one of these as a value or an unknown, with a value of the next five, or
+        with an aspect from ideal to measured coordinates, the equation is ``factors.cameras.frame_extended``.
     is_fisheye : bool
         Fisheye projection (Kannala, Brandt 2006; OpenCV).
     lines_up : bool
@@ -96,8 +96,8 @@ class FrameCamera:
     Raises
     ------
     InputError
-        A value is not finite, the matrix is not a rotation, the focal length, unit or a sigma is not above zero, a
-        name or the model is wrong, or the model has no aspect.
+        A value is not finite, the matrix is not a rotation, the focal length, unit or a sigma is not above zero, or a
+        name or the model is wrong.
     """
 
     rotation: Array
@@ -128,24 +128,21 @@ class FrameCamera:
             object.__setattr__(self, "unit_px", float(self.focal_px))
         away, unit = float(away_from_rotation(self.rotation)), float(self.unit_px or 0.0)
         models = (IDEAL_TO_MEASURED, MEASURED_TO_IDEAL)
-        has_aspect = self.model == MEASURED_TO_IDEAL or self.is_extended
-        no_aspect = np.isfinite(self.aspect) and (self.aspect == 0.0 or has_aspect)
         for name, shown, expected, right in (
             ("rotation", not_a_rotation(away), "a rotation", away <= ORTHONORMAL),
             ("focal_px", self.focal_px, "pixels above zero", np.isfinite(self.focal_px) and self.focal_px > 0.0),
             ("model", self.model, " or ".join(models), self.model in models),
             ("unit_px", self.unit_px, "pixels above zero", np.isfinite(unit) and unit > 0.0),
-            ("aspect", self.aspect, f"0 for {self.model}", no_aspect),
+            ("aspect", self.aspect, "a number", np.isfinite(self.aspect)),
         ):
             if not right:
                 raise InputError.of("frame.camera", place=name, value=shown, expected=expected)
-        known = (*(UNKNOWNS if has_aspect else UNKNOWNS[:-1]), *NAVIGATION, *FURTHER)
         for name, coefficient in self.further.items():
             if name not in FURTHER or not np.isfinite(coefficient):
                 raise InputError.of("frame.unknown", place=name, value=coefficient, known=", ".join(FURTHER))
         for name, sigma in self.sigma.items():
-            if name not in known or not (np.isfinite(sigma) and sigma > 0.0):
-                raise InputError.of("frame.unknown", place=name, value=sigma, known=", ".join(known))
+            if name not in NAMES or not (np.isfinite(sigma) and sigma > 0.0):
+                raise InputError.of("frame.unknown", place=name, value=sigma, known=", ".join(NAMES))
         for name, with_whom in self.shared.items():
             if name not in self.sigma or not with_whom:
                 raise InputError.of("frame.unknown", place=f"shared {name}", value=with_whom,
@@ -155,7 +152,8 @@ class FrameCamera:
     def is_extended(self) -> bool:
         """Whether the equation is that of ``factors.cameras.frame_extended``."""
         given = self.further, self.is_fisheye, self.lines_up, self.nominal_px, self.radius_px, self.is_condition
-        return any(given) or not self.sigma.keys().isdisjoint(FURTHER)
+        aspect = not self.corrects_measured and (self.aspect != 0.0 or "aspect" in self.sigma)
+        return any(given) or aspect or not self.sigma.keys().isdisjoint(FURTHER)
 
     @property
     def equation(self) -> Equation:

@@ -38,6 +38,10 @@ class Interior:
     unit_px, aspect : float
         See :class:`fg_orient.sensors.frame.FrameCamera`.
     name : str
+    further : mapping
+        Further coefficients by name, see :class:`fg_orient.sensors.frame.FrameCamera`.
+    is_fisheye : bool
+        Fisheye projection.
     """
 
     n_lines: int
@@ -49,6 +53,8 @@ class Interior:
     unit_px: float | None = None
     aspect: float = 0.0
     name: str = ""
+    further: Mapping[str, float] = field(default_factory=dict)
+    is_fisheye: bool = False
 
     def __post_init__(self) -> None:
         self.camera(np.eye(3), np.zeros(3))  # refuses impossible values
@@ -60,7 +66,7 @@ class Interior:
         """Camera of an image with this rotation and projection centre; InputError for impossible values."""
         return FrameCamera(
             rotation, centre_m, self.focal_px, self.principal_px, self.distortion, sigma or {}, self.model,
-            self.unit_px, self.aspect, shared or {},
+            self.unit_px, self.aspect, shared or {}, self.further, self.is_fisheye,
         )  # fmt: skip
 
     def ideal(self, line: Array, sample: Array) -> Array:
@@ -78,17 +84,19 @@ class Conversion:
     rms_px: float
 
 
-def converted(interior: Interior, model: str) -> Conversion:
+def converted(interior: Interior, model: str, *, brown: bool = False) -> Conversion:
     """Polynomial in the other direction, fitted over the whole image by least squares.
 
-    Focal length and principal point do not change. Only one direction has an aspect: it becomes part of the
-    difference.
+    Focal length and principal point do not change. An aspect, further coefficients and the projection of a fisheye
+    lens become part of the difference.
 
     Parameters
     ----------
     interior : Interior
     model : str
         "brown_ideal_to_measured" or "brown_measured_to_ideal".
+    brown : bool
+        Fit Brown's five coefficients to a camera of the same direction, too.
 
     Raises
     ------
@@ -98,7 +106,7 @@ def converted(interior: Interior, model: str) -> Conversion:
     if model not in (IDEAL_TO_MEASURED, MEASURED_TO_IDEAL):
         known = f"{IDEAL_TO_MEASURED} or {MEASURED_TO_IDEAL}"
         raise InputError.of("frame.camera", place="model", value=model, expected=known)
-    if model == interior.model:
+    if model == interior.model and not brown:
         return Conversion(interior, 0.0, 0.0)
     line, sample = (g.ravel() for g in np.meshgrid(
         np.linspace(0.0, interior.n_lines - 1.0, GRID), np.linspace(0.0, interior.n_samples - 1.0, GRID)
@@ -112,7 +120,8 @@ def converted(interior: Interior, model: str) -> Conversion:
     design = np.concatenate([_columns(argument, 0), _columns(argument, 1)])
     scale = np.linalg.norm(design, axis=0)
     distortion = np.linalg.lstsq(design / scale, (image - argument).T.ravel(), rcond=None)[0] / scale
-    out = replace(interior, distortion=distortion, model=model, unit_px=interior.focal_px, aspect=0.0)
+    out = replace(interior, distortion=distortion, model=model, unit_px=interior.focal_px, aspect=0.0,
+                  further={}, is_fisheye=False)  # fmt: skip
     apart = np.linalg.norm(out.ideal(line, sample) - ideal, axis=1) * interior.focal_px
     return Conversion(out, float(apart.max()), float(np.sqrt(np.mean(apart**2))))
 

@@ -24,6 +24,7 @@ CAMERAS = """# cameras
 4 RADIAL 1500 1000 1200 750 500 -0.05 0.02
 5 OPENCV 1500 1000 1200 1200 750 500 -0.05 0.02 0.0003 -0.0002
 6 FULL_OPENCV 1500 1000 1200 1200 750 500 -0.05 0.02 0.0003 -0.0002 -0.004 0 0 0
+7 OPENCV_FISHEYE 1500 1000 1200 1210 750 500 0.05 -0.01 0.003 -0.0004
 """
 POSE = "0.7 0.1 -0.5 0.5 0.2 -0.3 4.0"  # quaternion of length 1, translation
 POINT = (0.3, -0.4, 0.5)
@@ -48,6 +49,11 @@ def colmap_pixel(
         f, cx, cy, *k = [*p, 0.0, 0.0]
         radial = 1.0 + k[0] * r2 + k[1] * r2 * r2
         return f * u * radial + cx, f * v * radial + cy
+    if model == "OPENCV_FISHEYE":
+        fx, fy, cx, cy, *k = p
+        theta = np.arctan(np.sqrt(r2))
+        bent = theta * (1.0 + sum(c * theta ** (2 * n) for n, c in enumerate(k, start=1))) / np.sqrt(r2)
+        return fx * u * bent + cx, fy * v * bent + cy
     fx, fy, cx, cy, k1, k2, p1, p2, k3, *_ = [*p, *[0.0] * 8]
     radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
     du, dv = 2 * p1 * u * v + p2 * (r2 + 2 * u * u), 2 * p2 * u * v + p1 * (r2 + 2 * v * v)
@@ -164,7 +170,15 @@ def edited(name: str, old: str, new: str) -> Callable[[Path], None]:
 FAULTS = [
     (edited("cameras.txt", "OPENCV", "FOV"), "colmap.model", "line 1"),
     (edited("cameras.txt", "-0.0002", ""), "interchange.cells", "line 1"),
-    (edited("cameras.txt", "1200 1200", "1200 1201"), "colmap.camera", "line 1"),
+    (
+        edited(
+            "cameras.txt",
+            "OPENCV 1500 1000 1200 1200 750 500 -0.05 0.02 0.0003 -0.0002",
+            "FULL_OPENCV 1500 1000 1200 1200 750 500 -0.05 0.02 0.0003 -0.0002 0 1e-3 0 0",
+        ),
+        "colmap.camera",
+        "line 1",
+    ),
     (edited("cameras.txt", "0.02", "0,02"), "interchange.cells", "line 1"),
     (edited("cameras.txt", "1500", "1_500"), "interchange.cells", "line 1"),
     (edited("cameras.txt", "\n", "\n5 SIMPLE_PINHOLE 9 9 1 1 1\n"), "interchange.twice", "line 2"),

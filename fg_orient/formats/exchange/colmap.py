@@ -24,8 +24,10 @@ MODELS: Final = {
     "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
     "RADIAL": ("f", "cx", "cy", "k1", "k2"),
     "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"),
     "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
 }
+FISHEYE: Final = "OPENCV_FISHEYE"
 #: Coefficients in the order of ``Interior.distortion``.
 _BROWN: Final = ("k1", "k2", "k3", "p1", "p2")
 
@@ -60,16 +62,18 @@ def interior_of(
             "interchange.cells", file=file, place=place, value=f"{len(parameters)} numbers", needed=needed
         )
     value = dict(zip(MODELS[model], parameters, strict=True))
-    focal = value.get("f", value.get("fx", 0.0))
+    focal = value.get("f", value.get("fy", 0.0))
+    stretch = value.get("fx", focal) / focal - 1.0 if focal != 0.0 else 0.0
+    principal, lens = np.array([value["cy"], value["cx"]]) - FIRST_PIXEL, dict[str, float]()
+    if model == FISHEYE:
+        lens = {f"fisheye_{k}": value.pop(f"k{k}") for k in range(1, 5)}
     beyond = {key: value[key] for key in ("k4", "k5", "k6") if value.get(key, 0.0) != 0.0}
-    if value.get("fy", focal) != focal:
-        beyond = {"fx": focal, "fy": value["fy"], **beyond}
     if beyond:
         shown = " ".join(f"{key} {number:g}" for key, number in beyond.items())
         raise InputError.of("colmap.camera", file=file, place=place, value=shown)
-    principal = np.array([value["cy"], value["cx"]]) - FIRST_PIXEL
     distortion = np.array([value.get(key, 0.0) for key in _BROWN])
-    return Interior(size[1], size[0], focal, principal, distortion, name=name)
+    return Interior(size[1], size[0], focal, principal, distortion, aspect=stretch, name=name, further=lens,
+                    is_fisheye=model == FISHEYE)  # fmt: skip
 
 
 def parameters_of(interior: Interior) -> tuple[str, tuple[float, ...], float]:
@@ -84,13 +88,19 @@ def parameters_of(interior: Interior) -> tuple[str, tuple[float, ...], float]:
         Largest error. It is 0 unless the polynomial leads from measured to ideal coordinates: then a polynomial of the
         other direction is fitted (``fg_orient.sensors.interior.converted``).
     """
-    fitted = converted(interior, IDEAL_TO_MEASURED)
+    others = any(v != 0.0 and not name.startswith("fisheye_") for name, v in interior.further.items())
+    others |= interior.is_fisheye and bool(interior.distortion.any())
+    fitted = converted(interior, IDEAL_TO_MEASURED, brown=others)  # COLMAP has neither shear nor further terms
     own = fitted.interior
     value = dict(zip(_BROWN, own.distortion.tolist(), strict=True))
     cy, cx = (own.principal_px + FIRST_PIXEL).tolist()
-    value |= dict.fromkeys(("f", "fx", "fy"), float(own.focal_px)) | {"cx": cx, "cy": cy}
-    needed = {key for key in _BROWN if value[key] != 0.0}
-    names = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+    focal = float(own.focal_px)
+    value |= {"f": focal, "fx": focal * (1.0 + own.aspect), "fy": focal, "cx": cx, "cy": cy}
+    needed = {key for key in _BROWN if value[key] != 0.0} | ({"fx"} if own.aspect != 0.0 else set())
+    names: tuple[str, ...] = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+    if own.is_fisheye:
+        names, value = (FISHEYE,), value | {f"k{k}": own.further.get(f"fisheye_{k}", 0.0) for k in range(1, 5)}
+        needed = set()
     model = next(name for name in names if needed <= set(MODELS[name]))
     return model, tuple(value.get(key, 0.0) for key in MODELS[model]), fitted.max_px
 

@@ -52,7 +52,9 @@ class CameraFile(Table):
     k3: Number = Field(default=0.0, description="a number")
     p1: Number = Field(default=0.0, description="a number")
     p2: Number = Field(default=0.0, description="a number")
-    aspect: Number = Field(default=0.0, description="a number; 0 with brown_ideal_to_measured")
+    aspect: Number = Field(default=0.0, description="a number")
+    fisheye: bool = Field(default=False, description="true or false")
+    further: dict[str, Number] = Field(default_factory=dict, description="a table [further] of coefficients by name")
 
 
 def read_camera(path: str | Path) -> Interior:
@@ -66,6 +68,7 @@ def read_camera(path: str | Path) -> Interior:
     return Interior(
         file.lines, file.samples, file.focal * px, np.array([y, x]) * px - file.first_pixel,
         np.array([file.k1, file.k2, file.k3, *p]), file.model, px if corrects else None, file.aspect, file.name,
+        file.further, file.fisheye,
     )  # fmt: skip
 
 
@@ -84,8 +87,10 @@ def write_camera(path: str | Path, interior: Interior) -> None:
         "samples": interior.n_samples, "pixel_mm": 1.0 / px if corrects else None,
         "focal": float(interior.focal_px) / px, "principal": (sample / px, line / px), "first_pixel": 0.0,
         "k1": k1, "k2": k2, "k3": k3, "p1": p[0], "p2": p[1], "aspect": interior.aspect,
+        "fisheye": True if interior.is_fisheye else None,
     }  # fmt: skip
-    write_lines(path, [*entries(values)])
+    further = ["", "[further]", *entries(dict(interior.further))] if interior.further else []
+    write_lines(path, [*entries(values), *further])
 
 
 # --- images --------------------------------------------------------------------------------------

@@ -171,8 +171,8 @@ colmap.blob: the record does not hold what its size says
     -> the database is damaged: copy or make it again
 colmap.model: this camera model has no counterpart here
     -> needed: one of {known}
-colmap.camera: the camera has a parameter that Brown's polynomial with one focal length does not have
-    -> needed: fx = fy, k4 = k5 = k6 = 0; undistort the images or calibrate with another model
+colmap.camera: the camera has a parameter that Brown's polynomial does not have
+    -> needed: k4 = k5 = k6 = 0; undistort the images or calibrate with another model
 colmap.reference: the {kind} is not in {other}
 colmap.track: the tracks hold {n_tracks} image points, images.txt refers to {n_images}
     -> take the files of one and the same model
