@@ -32,7 +32,7 @@ from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.schur_structure import Small, Tile
 from fg_orient.kernels.batch_pairs import gather_blocks, gather_gradients
-from fg_orient.kernels.batch_points import ROOT, move
+from fg_orient.kernels.batch_points import decreases, move, newton_steps
 from fg_orient.model.errors import NoSolutionError
 
 Array = npt.NDArray[np.float64]
@@ -224,7 +224,7 @@ class Elimination:
         image = self.problem.image_matrix(free)
         if not complete:
             return State(image, self._ground.copy())
-        step = _newton_steps(self.backend.buffers.root, self.backend.buffers.gradient)
+        step = newton_steps(self.backend.buffers.root, self.backend.buffers.gradient)
         return self.backend.moved(State(image, self._ground), np.zeros(len(free)), step)
 
     # one evaluation
@@ -342,7 +342,7 @@ class Elimination:
                 self._shrink = min(largest / before, 1.0)
             if largest <= INTERSECTED:
                 break
-            step = _newton_steps(b.root[places], b.gradient[places])
+            step = newton_steps(b.root[places], b.gradient[places])
             near = self._shrink * largest <= INTERSECTED
             if largest <= SAFE and last_cost is None and whole:
                 move(s.number, step, state.ground)
@@ -382,9 +382,8 @@ class Elimination:
         alone = len(backend.structure.tiles) == 1  # else other tiles have taken the space of the reduced rows
         for tile, lo, hi in self._ranges(groups):
             if alone and tile.kept:
-                backend.workers.run(
-                    backend.stages.pairs, backend.structure.cost[lo : hi + 1], b.rows(tile), b, start=lo
-                )  # fmt: skip
+                cost = backend.structure.cost[lo : hi + 1]
+                backend.workers.run(backend.stages.pairs, cost, b.rows(tile), b, start=lo)
             else:
                 self._chunks(tile, lo, hi, state, None if tile.kept else wide, pairs=True)
 
@@ -401,7 +400,7 @@ class Elimination:
     def _decrements(self, places: Any) -> Array:
         """Newton decrements (n,) of points in sigmas: roots of twice the decrease that a Newton step predicts."""
         b = self.backend.buffers
-        self._decrease[places] = _squares(b.root[places], b.gradient[places])
+        self._decrease[places] = decreases(b.root[places], b.gradient[places])
         return np.asarray(np.sqrt(self._decrease[places]))
 
     def _point_costs(self, state: State) -> Array:
@@ -428,27 +427,3 @@ class Elimination:
             total = float(np.vdot(value, value)) + points + 2.0 * self._excess[g]
             matrix, gradient = (None, None) if blocks is None else self._matrices.normal(group, blocks)
             self._rows[g] = GroupRows(free[group.free], matrix, gradient, total)
-
-
-def _newton_steps(root: Array, gradient: Array) -> Array:
-    """Newton steps (n, 3) ``-R^T R g`` of points with the images held."""
-    r, g = root.T, gradient.T
-    u = (
-        r[ROOT.r00] * g[0], r[ROOT.r10] * g[0] + r[ROOT.r11] * g[1],
-        r[ROOT.r20] * g[0] + r[ROOT.r21] * g[1] + r[ROOT.r22] * g[2],
-    )  # fmt: skip
-    out = np.empty((len(gradient), 3))
-    out[:, 0] = -(r[ROOT.r00] * u[0] + r[ROOT.r10] * u[1] + r[ROOT.r20] * u[2])
-    out[:, 1] = -(r[ROOT.r11] * u[1] + r[ROOT.r21] * u[2])
-    out[:, 2] = -r[ROOT.r22] * u[2]
-    return out
-
-
-def _squares(root: Array, gradient: Array) -> Array:
-    """Squares (n,) of R g of points: twice the decrease that a Newton step predicts."""
-    r, g = root.T, gradient.T
-    return np.asarray(
-        (r[ROOT.r00] * g[0]) ** 2
-        + (r[ROOT.r10] * g[0] + r[ROOT.r11] * g[1]) ** 2
-        + (r[ROOT.r20] * g[0] + r[ROOT.r21] * g[1] + r[ROOT.r22] * g[2]) ** 2
-    )

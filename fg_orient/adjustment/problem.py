@@ -281,9 +281,9 @@ class Problem:
             if kind == "image":
                 arguments.append(ExtraArgument(True, j, len(self.parameters[j])))
                 continue
-            constant, known = np.ascontiguousarray(self.start.ground[j]), self.block.points.known
-            if np.isnan(constant).any() and known.fixed[j]:
-                constant = known.ecef_m[j] - self.origin_m
+            constant = np.ascontiguousarray(self.start.ground[j])
+            if np.isnan(constant).any() and self.block.points.known.fixed[j]:
+                constant = self.block.points.known.ecef_m[j] - self.origin_m
             if np.isnan(constant).any():
                 raise InputError.of("adjust.extra_unused", place=extra.label, value=name)
             arguments.append(ExtraArgument(False, j, 3, None if self.active[j] else constant))
@@ -332,7 +332,6 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
         like = like if same_block and like.block.points.ids == block.points.ids else None
     models = image_models(block.images, options) if like is None else like.models
     held = any(not model.parameters.own.any() for model in models)
-    # extra observations may fix the datum: observability decides
     if not np.isin(control_rows, seen).any() and options.datum == "control" and not held and not block.extra:
         raise InputError.of("block.no_control", file=block.name, place="points", value=f"{len(control_rows)} measured")
     if not any(len(model.parameters) for model in models):

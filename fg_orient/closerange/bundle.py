@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.constraint_kinds import Constraint
-from fg_orient.adjustment.constraints import ConstraintObservation, FittedFigure
+from fg_orient.adjustment.constraint_rows import ConstraintObservation, FittedFigure
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.loop import Callback, IterationRecord

@@ -13,15 +13,13 @@ import numpy.typing as npt
 from factors.cameras.frame_camera import rotated
 from factors.conditions.constraints import ELEMENT, OBSERVED_ELEMENT
 from fg_orient.adjustment.constraint_kinds import MEASURED, OF_PHOTOS, SIZES, Constraint
-from fg_orient.adjustment.constraints import (
+from fg_orient.adjustment.constraint_rows import (
     ConstraintObservation,
     FittedFigure,
     constraint_observation,
     fitted_figures,
-    linear_rows,
-    missed_most,
-    prepared,
 )
+from fg_orient.adjustment.constraints import linear_rows, missed_most, prepared
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem, State

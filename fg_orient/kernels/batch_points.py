@@ -255,3 +255,27 @@ def move(number: Small, step: Array, ground: Array) -> None:
     for p in range(len(number)):
         for k in range(3):
             ground[number[p], k] += step[p, k]
+
+
+def newton_steps(root: Array, gradient: Array) -> Array:
+    """Newton steps (n, 3) ``-R^T R g`` of points with the images held."""
+    r, g = root.T, gradient.T
+    u = (
+        r[ROOT.r00] * g[0], r[ROOT.r10] * g[0] + r[ROOT.r11] * g[1],
+        r[ROOT.r20] * g[0] + r[ROOT.r21] * g[1] + r[ROOT.r22] * g[2],
+    )  # fmt: skip
+    out = np.empty((len(gradient), 3))
+    out[:, 0] = -(r[ROOT.r00] * u[0] + r[ROOT.r10] * u[1] + r[ROOT.r20] * u[2])
+    out[:, 1] = -(r[ROOT.r11] * u[1] + r[ROOT.r21] * u[2])
+    out[:, 2] = -r[ROOT.r22] * u[2]
+    return out
+
+
+def decreases(root: Array, gradient: Array) -> Array:
+    """Squares (n,) of R g of points: twice the decrease that a Newton step predicts."""
+    r, g = root.T, gradient.T
+    return np.asarray(
+        (r[ROOT.r00] * g[0]) ** 2
+        + (r[ROOT.r10] * g[0] + r[ROOT.r11] * g[1]) ** 2
+        + (r[ROOT.r20] * g[0] + r[ROOT.r21] * g[1] + r[ROOT.r22] * g[2]) ** 2
+    )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.constraints import fitted_figures
+from fg_orient.adjustment.constraint_rows import fitted_figures
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.quality.covariance import Cofactors
 
