@@ -259,23 +259,18 @@ def move(number: Small, step: Array, ground: Array) -> None:
 
 def newton_steps(root: Array, gradient: Array) -> Array:
     """Newton steps (n, 3) ``-R^T R g`` of points with the images held."""
-    r, g = root.T, gradient.T
-    u = (
-        r[ROOT.r00] * g[0], r[ROOT.r10] * g[0] + r[ROOT.r11] * g[1],
-        r[ROOT.r20] * g[0] + r[ROOT.r21] * g[1] + r[ROOT.r22] * g[2],
-    )  # fmt: skip
+    r, (g0, g1, g2) = root.T, gradient.T
+    u0, u1 = r[ROOT.r00] * g0, r[ROOT.r10] * g0 + r[ROOT.r11] * g1
+    u2 = r[ROOT.r20] * g0 + r[ROOT.r21] * g1 + r[ROOT.r22] * g2
     out = np.empty((len(gradient), 3))
-    out[:, 0] = -(r[ROOT.r00] * u[0] + r[ROOT.r10] * u[1] + r[ROOT.r20] * u[2])
-    out[:, 1] = -(r[ROOT.r11] * u[1] + r[ROOT.r21] * u[2])
-    out[:, 2] = -r[ROOT.r22] * u[2]
+    out[:, 0] = -(r[ROOT.r00] * u0 + r[ROOT.r10] * u1 + r[ROOT.r20] * u2)
+    out[:, 1] = -(r[ROOT.r11] * u1 + r[ROOT.r21] * u2)
+    out[:, 2] = -r[ROOT.r22] * u2
     return out
 
 
 def decreases(root: Array, gradient: Array) -> Array:
     """Squares (n,) of R g of points: twice the decrease that a Newton step predicts."""
-    r, g = root.T, gradient.T
-    return np.asarray(
-        (r[ROOT.r00] * g[0]) ** 2
-        + (r[ROOT.r10] * g[0] + r[ROOT.r11] * g[1]) ** 2
-        + (r[ROOT.r20] * g[0] + r[ROOT.r21] * g[1] + r[ROOT.r22] * g[2]) ** 2
-    )
+    r, (g0, g1, g2) = root.T, gradient.T
+    u2 = r[ROOT.r20] * g0 + r[ROOT.r21] * g1 + r[ROOT.r22] * g2
+    return np.asarray((r[ROOT.r00] * g0) ** 2 + (r[ROOT.r10] * g0 + r[ROOT.r11] * g1) ** 2 + u2**2)
