@@ -31,7 +31,7 @@ from fg_orient.model.options import Backend, Datum, Options
 from fg_orient.model.parameters import with_options
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.orientation.solution import Seconds, Solution
-from fg_orient.quality import camera, doubts, verdict
+from fg_orient.quality import camera, causes, doubts, verdict
 from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
 from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
 from fg_orient.quality.deficiency import compiled_problem, judge_observability, refuse_deficient, require_determined
@@ -370,8 +370,10 @@ def conclude(
         findings.append(finding("solution.check_not_located", n=len(names), points=names))
     accept = compiled.block.options.accept
     status, reason, ordered = verdict.decided(assessment, estimate.end, findings, accept)
-    if status is Status.NOT_TRUSTWORTHY:
-        ordered = (*ordered[:1], *verdict.mix_ups(compiled.block), *ordered[1:])
+    mixed = () if status is Status.CONVERGED else causes.mix_ups(compiled.block)
+    ordered = (*ordered[:1], *mixed, *ordered[1:])
+    if assessment.status is not Status.NOT_CONVERGED and not mixed and causes.are_wanted(ordered):
+        ordered += causes.of_solution(compiled, estimate, cofactors, residuals, accuracy.check)
     return Solution(
         problem=compiled, status=status, verdict=reason, end=estimate.end, residuals=residuals,
         backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,

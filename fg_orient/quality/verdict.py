@@ -13,25 +13,21 @@ A converged solution with a finding of the severity "doubt" is not trustworthy (
 ``sigma0`` below the lower end of the interval means that the sigmas are too large. This is reported and does not change
 the status.
 
-Image coordinates that are exchanged or counted from the other side are detected before the adjustment
-(:func:`mix_ups`).
+Likely causes of a doubt are in ``fg_orient.quality.causes``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.robust import UNWEIGHED, Weights, are_information
 from fg_orient.adjustment.solve import Estimate
-from fg_orient.model.block import Block
 from fg_orient.model.distributions import chi_square_interval
-from fg_orient.model.errors import DECISIVE, FgOrientError, Finding, finding
+from fg_orient.model.errors import DECISIVE, Finding, finding
 from fg_orient.model.names import Role, Status
 from fg_orient.quality import conditioning
 from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy, PointDifferences
@@ -238,67 +234,3 @@ def _outside(problem: Problem, estimate: Estimate) -> list[Finding]:
             names = [problem.block.points.ids[int(j)] for j in points[~valid]]
             out.append(finding("solution.outside_validity", image=image.id, n=int((~valid).sum()), points=names))
     return out
-
-
-# --- mistakes in tables of image points -----------------------------------------------------------
-
-Array = npt.NDArray[np.float64]
-
-#: Minimum number of points of an image, and factor by which another reading must fit better.
-LEAST_POINTS: Final = 3
-BETTER: Final = 10.0
-
-Reading = Callable[[Array, Array, Any], tuple[Array, Array]]
-
-#: Other readings of line and sample, by their description.
-READINGS: Final[dict[str, Reading]] = {
-    "line and sample exchanged": lambda line, sample, sensor: (sample, line),
-    "lines counted from the last one": lambda line, sample, sensor: (
-        sensor.first_line + sensor.last_line - line, sample
-    ),
-    "samples counted from the last one": lambda line, sample, sensor: (
-        line, sensor.first_sample + sensor.last_sample - sample
-    ),
-}  # fmt: skip
-
-
-def mix_ups(block: Block) -> tuple[Finding, ...]:
-    """Images whose control points fit far better with another reading of their image coordinates.
-
-    Parameters
-    ----------
-    block : Block
-
-    Returns
-    -------
-    tuple of Finding
-        One per image, with median distances between measured image points and points projected with the orientation of
-        the metadata, in pixels.
-    """
-    out = []
-    for k, image in enumerate(block.images):
-        distances = _distances(block, k)
-        if distances is None:
-            continue
-        given = distances.pop("")
-        name, best = min(distances.items(), key=lambda item: item[1])
-        if BETTER * best < given:
-            out.append(finding("solution.mix_up", image=image.id, best_px=best, given_px=given, reading=name))
-    return tuple(out)
-
-
-def _distances(block: Block, k: int) -> dict[str, float] | None:
-    """Median distance in pixels for each reading, "" as given; None if it cannot be computed."""
-    o, known, sensor = block.observations, block.points.known, block.images[k].sensor
-    row = np.flatnonzero((o.image == k) & np.isfinite(known.ecef_m[o.point]).all(axis=1))
-    if len(row) < LEAST_POINTS:
-        return None
-    try:
-        line, sample = (np.asarray(x, np.float64) for x in sensor.project(known.ecef_m[o.point[row]]))
-        read = {"": (o.line[row], o.sample[row])}
-        read |= {name: reading(o.line[row], o.sample[row], sensor) for name, reading in READINGS.items()}
-    except (FgOrientError, AttributeError):  # no projection to compare with
-        return None
-    away = {name: np.hypot(x - line, y - sample) for name, (x, y) in read.items()}
-    seen = np.isfinite(away[""])
-    return {name: float(np.median(d[seen])) for name, d in away.items()} if seen.sum() >= LEAST_POINTS else None

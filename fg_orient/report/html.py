@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from markupsafe import Markup
 
-from fg_orient.model.errors import DECISIVE, findings_of
+from fg_orient.model.errors import DECISIVE, Finding, findings_of
 from fg_orient.report import maps, plots, tables
 from fg_orient.report.page import environment
 from fg_orient.report.payload import payload
@@ -90,8 +90,9 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
     record = result.record
     ended = verdict(record)
     truth = Section("truth", "Comparison with the simulated truth", values=lambda _: {"truth": comparison})
-    doubts = [str(one) for one in findings_of(record) if one.severity in DECISIVE]
-    words: Values = {**ended, "text": [ended["text"], *doubts[1:], *accuracy_words(record)]}
+    first = [one for one in findings_of(record) if _is_first(one)]
+    doubts = [str(one) for one in first[any(one.severity in DECISIVE for one in first) :]]  # the first is the verdict
+    words: Values = {**ended, "text": [ended["text"], *doubts, *accuracy_words(record)]}
     return _page(result, [*SECTIONS, *([truth] if comparison else [])], words, _problems(record))
 
 
@@ -113,9 +114,14 @@ def _page(result: Result, sections: Sequence[Section], verdict: Values, problems
     return page.render(shared, verdict=verdict, problems=problems, parts=parts, what=orientation_words(record))
 
 
+def _is_first(found: Finding) -> bool:
+    """Whether a finding is on the first screen: doubts and their likely cause."""
+    return found.severity in DECISIVE or found.code == "verdict.cause"
+
+
 def _problems(record: dict[str, Any]) -> list[str]:
     """Findings that did not decide on the verdict, after the observations that a test names."""
-    texts = [str(found) for found in findings_of(record) if found.severity not in DECISIVE]
+    texts = [str(found) for found in findings_of(record) if not _is_first(found)]
     suspects = record.get("suspicious_observations") or []
     named = [f"look at {suspect['sentence']}" for suspect in suspects[:SUSPECTS]]
     left = len(suspects) - len(named)

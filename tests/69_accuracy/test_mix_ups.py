@@ -10,7 +10,7 @@ import pytest
 import fg_orient as fg
 from fg_orient.model.block import Block
 from fg_orient.model.names import Status
-from fg_orient.quality.verdict import mix_ups
+from fg_orient.quality.causes import mix_ups
 from fg_orient.simulate.block import BlockOptions, grid_block
 
 

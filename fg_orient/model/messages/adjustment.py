@@ -213,6 +213,9 @@ verdict.accuracy (doubt): {n} of {of} points have a standard deviation above the
     -> add control points or images, or <accept> "accuracy<={size:.3g}"
 verdict.accuracy_unknown (doubt): the required accuracy of {required:g} m is not verified, because there is no
     covariance
+verdict.cause (note): likely cause: {what}; twofold logarithm of the likelihood ratio to no mistake: {gain:.1f}
+    + ; cannot be told apart from: {also}
+    -> {cure}
 verdict.accepted (note): accepted by <accept>: {names:10}
 verdict.loss (doubt): {down} of {n} image points have a weight below {limit}: the model does not hold, or the sigmas
     are too small
@@ -271,7 +274,7 @@ solution.check_not_located (warning): {n} excluded check point(s) whose rays har
     {points:10}
 solution.mix_up (doubt): image {image}: its control points lie {best_px:.3g} px from their places in the image
     with {reading}, and {given_px:.3g} px as they stand (medians)
-    -> look at the columns of the table
+    -> look at the columns of the table and at the metadata file of the image
 solution.no_inner_datum (warning): the control points hold the datum, so inner constraints have nothing to do
     -> leave datum = "inner" out
 solution.no_inner_datum_nor_priors (warning): the control points hold the datum, so inner constraints have nothing
