@@ -384,7 +384,7 @@ def trend_tests(check: PointDifferences) -> dict[str, dict[str, Any]] | None:
         return None
     e = check.enu_m[check.selected].ravel()
     squares, degrees = trend_squares(c, check.joint.place_km[check.selected], e[:, None])
-    level = sidak(1.0 - CONFIDENCE, max(np.count_nonzero(degrees), 1))
+    level = sidak(1.0 - CONFIDENCE, sum(d > 0 for d in degrees))
     out: dict[str, dict[str, Any]] = {}
     for name, (square,), d in zip(TRENDS, squares.tolist(), degrees, strict=True):
         if d:
