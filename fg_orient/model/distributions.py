@@ -63,14 +63,6 @@ def chi_square_median(freedom: npt.ArrayLike) -> Array:
     return chi_square_quantile(freedom, 0.5)
 
 
-def binomial_limit(n: int, probability: float, level: float) -> int:
-    """Least count that n independent events of this probability exceed with probability ``level`` at most."""
-    spread = np.sqrt(n * probability * (1.0 - probability))
-    reach = min(n, int(np.ceil(n * probability + (spread + 1.0) / np.sqrt(level))))  # Cantelli's inequality, and more
-    counts = np.arange(reach + 1)
-    return int(counts[special.bdtr(counts, n, probability) >= 1.0 - level][0])
-
-
 def sidak(level: float, n: int) -> float:
     """Level of each of n independent tests with ``level`` for any false alarm: Sidak's ``1 - (1 - level)^(1/n)``."""
     return float(-np.expm1(np.log1p(-level) / n))

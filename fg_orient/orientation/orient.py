@@ -32,7 +32,7 @@ from fg_orient.model.parameters import with_options
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.orientation.solution import Seconds, Solution
 from fg_orient.quality import camera, causes, doubts, verdict
-from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
+from fg_orient.quality.accuracy import Accuracy, Joint, PointDifferences, differences
 from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
 from fg_orient.quality.deficiency import compiled_problem, judge_observability, refuse_deficient, require_determined
 from fg_orient.quality.free_network import (
@@ -361,7 +361,7 @@ def conclude(
     findings = [*verdict.findings(compiled, estimate, assessment, observability, block_view, accuracy)]
     residuals = None
     if assessment.status is not Status.NOT_CONVERGED:
-        raised, residuals = doubts.of_solution(compiled, estimate, ground, cofactors)
+        raised, residuals = doubts.of_solution(compiled, estimate, ground, cofactors, accuracy.check)
         findings += raised
         if cofactors is not None:
             findings += camera.inseparable(camera.frame_cofactors(compiled, estimate.state, cofactors))
@@ -448,4 +448,9 @@ def _differences(
             q[after] = own.cofactors(cofactors.blocks)
     sigma = measured.sigma_enu_m[rows].reshape(-1, 3)
     # East, North, Up of the adjusted point: no estimated sigma may depend on a check coordinate
-    return differences(ids, index, ground[index], measured_m, sigma, q, compiled.axes(ground[index].reshape(-1, 3)))
+    axes = compiled.axes(ground[index].reshape(-1, 3))
+    found = differences(ids, index, ground[index], measured_m, sigma, q, axes)
+    if cofactors is None or not compiled.active[index].all():
+        return found
+    place = (ground[index].reshape(-1, 3) - compiled.origin_m) @ compiled.axes(compiled.origin_m[None])[0, :2].T
+    return replace(found, joint=Joint(cofactors, index, axes, 1e-3 * place))

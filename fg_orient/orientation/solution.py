@@ -311,7 +311,8 @@ class Solution(AdjustmentResult):
         """
         from fg_orient.quality.accuracy import prediction_test
 
-        return prediction_test(self.problem, self.state, self.required_cofactors(), self.accuracy.check)
+        self.required_cofactors()
+        return prediction_test(self.accuracy.check)
 
     @cached_property
     def regularisation(self) -> dict[str, Any] | None:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -28,25 +29,34 @@ import numpy.typing as npt
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.resection import locate_points
 from fg_orient.model.distributions import (
-    binomial_limit,
     chi_square_interval,
     chi_square_limit,
+    chi_square_tail,
     normal_probability,
     sidak,
-    t_quantile,
 )
 from fg_orient.model.errors import NoSolutionError
+from fg_orient.quality.check_tests import (
+    RATIO_LIMIT,
+    TRENDS,
+    number_statistic,
+    numbers_by_chance,
+    probability_of_number,
+    trend_squares,
+)
 from fg_orient.quality.covariance import Cofactors
 
 Array = npt.NDArray[np.float64]
 
 AXES = ("east", "north", "up", "ecef_x", "ecef_y", "ecef_z")
-#: Check coordinates beyond this number of standard deviations of the difference are listed.
-RATIO_LIMIT = 3.0
 #: Probability that a normal difference is beyond this limit, on both sides.
 BEYOND: Final = math.erfc(RATIO_LIMIT / math.sqrt(2.0))
 #: Probability that the number or the largest of correct check coordinates exceeds its limit by chance.
 CHANCE: Final = 0.001
+#: Maximum number of check points in tests with the joint covariance; of more points an even selection is used.
+MAX_JOINT: Final = 60
+#: Least eigenvalue of the correlations of check coordinates for tests with their joint covariance.
+POSITIVE: Final = 1e-12
 #: Minimum number of check points of ASPRS edition 2 (2023).
 ASPRS_MINIMUM = 30
 #: Factors from the RMSE of one axis to the radius or half-length of 90 or 95 % of normal errors (NSSDA, appendix 3-A).
@@ -57,10 +67,11 @@ CIRCULAR_RATIO = 0.6
 
 @dataclass(frozen=True)
 class Beyond:
-    """Check coordinates beyond ``RATIO_LIMIT`` standard deviations, and their number by chance.
+    """Check coordinates beyond ``RATIO_LIMIT`` standard deviations, and the probability of their number by chance.
 
-    The number is compared with the binomial distribution, the largest with Sidak's limit of the largest of n. Both
-    assume independent coordinates, which is an approximation for coordinates from the same images.
+    The number is compared with its distribution under the joint covariance (:func:`numbers_by_chance`), because common
+    errors of the images make several coordinates large at once. Sidak's limit of the largest of n holds for correlated
+    coordinates, too.
 
     Parameters
     ----------
@@ -70,10 +81,13 @@ class Beyond:
         Number of these beyond the limit.
     expected : float
         Expected number for normal differences.
-    limit : int
-        Number that is exceeded with probability ``CHANCE`` at most.
+    probability : float or None
+        Probability of this number or more; None for the number 0 and without a joint covariance: not tested.
     largest_limit : float
-        Standard deviations that the largest of n normal differences exceeds with probability ``CHANCE``; nan for n = 0.
+        Standard deviations that the largest of n normal differences exceeds with probability ``CHANCE`` at most; nan
+        for n = 0.
+    largest : float
+        Largest ratio; 0 for n = 0.
     far : tuple of str
         Ids of points beyond ``largest_limit``, worst first.
     """
@@ -81,33 +95,65 @@ class Beyond:
     n: int
     count: int
     expected: float
-    limit: int
+    probability: float | None
     largest_limit: float
+    largest: float
     far: tuple[str, ...]
+
+    @property
+    def many(self) -> bool:
+        """Whether chance hardly gives this number."""
+        return self.probability is not None and self.probability <= CHANCE
 
     @property
     def by_chance(self) -> bool:
         """Whether chance explains the number and the largest of the coordinates."""
-        return self.count <= self.limit and not self.far
+        return not self.many and not self.far
 
     @property
     def sentence(self) -> str:
         """Number and expected number in one sentence; "" if no coordinate is beyond the limit."""
         if not self.count:
             return ""
-        counted = f"{self.count} of {self.n} check coordinates"
-        if self.by_chance:
-            verb = "lies" if self.count == 1 else "lie"
-            return f"{counted} {verb} beyond 3 standard deviations of the difference: as many as chance gives " \
-                   f"({self.expected:.1f} expected, up to {self.limit} are not unusual)"  # fmt: skip
-        return f"{counted}, {self.expected:.1f} expected by chance, up to {self.limit} not unusual"
+        p = "" if self.probability is None else f", probability of this number or more {100.0 * self.probability:.2g} %"
+        if not self.by_chance:
+            return f"{self.count} of {self.n} check coordinates, {self.expected:.1f} expected by chance{p}"
+        verb = "lies" if self.count == 1 else "lie"
+        return f"{self.count} of {self.n} check coordinates {verb} beyond 3 standard deviations of the difference: " \
+               f"as many as chance gives ({self.expected:.1f} expected{p})"  # fmt: skip
 
     def as_dict(self) -> dict[str, object]:
         """For ``result.json`` (docs/results.md)."""
         return {
-            "n_coordinates": self.n, "n_beyond": self.count, "expected": self.expected, "limit": self.limit,
+            "n_coordinates": self.n, "n_beyond": self.count, "expected": self.expected, "probability": self.probability,
             "largest_limit": self.largest_limit, "by_chance": self.by_chance, "sentence": self.sentence,
         }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Joint cofactors of the adjusted coordinates of points, all of them unknowns.
+
+    Parameters
+    ----------
+    cofactors : Cofactors
+    index : (n,) int array, rows in the block's ground points
+    axes : (n, 3, 3) array
+        East, North, Up of each point.
+    place_km : (n, 2) array
+        East, North relative to the origin of the problem.
+    """
+
+    cofactors: Cofactors
+    index: npt.NDArray[np.intp]
+    axes: Array
+    place_km: Array
+
+    def of(self, rows: npt.NDArray[np.intp]) -> Array:
+        """Cofactors East, North, Up (3k, 3k) of these points, m^2, prior scale."""
+        k, turn = len(rows), self.axes[rows]
+        q = self.cofactors.joint((), tuple(self.index[rows].tolist())).reshape(k, 3, k, 3)
+        return np.asarray(np.einsum("aij,ajbk,blk->aibl", turn, q, turn).reshape(3 * k, -1))
 
 
 @dataclass(frozen=True)
@@ -126,6 +172,8 @@ class PointDifferences:
         Standard deviations of the measured coordinates.
     n_fixed : int
         Number of fixed control points, which are constants without differences and are not counted in n.
+    joint : Joint or None
+        None without a covariance, or if a point is not an unknown.
     """
 
     ids: tuple[str, ...]
@@ -135,6 +183,7 @@ class PointDifferences:
     predicted_sigma_enu_m: Array
     own_sigma_enu_m: Array
     n_fixed: int = 0
+    joint: Joint | None = None
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -185,12 +234,32 @@ class PointDifferences:
                 for i, k in zip(*np.nonzero(ratio > RATIO_LIMIT), strict=True)]  # fmt: skip
         return sorted(rows, key=lambda row: -row[3])
 
+    @property
+    def selected(self) -> npt.NDArray[np.intp]:
+        """Rows of at most ``MAX_JOINT`` points for tests with the joint covariance, evenly selected."""
+        return np.unique(np.linspace(0, len(self) - 1, min(len(self), MAX_JOINT)).astype(np.intp))
+
+    @cached_property
+    def covariance_m2(self) -> Array | None:
+        """Joint covariance (3k, 3k) of the selected differences; None where it is not available."""
+        rows = self.selected
+        if self.joint is None or not len(rows):
+            return None
+        c = self.joint.of(rows) + np.diag(self.own_sigma_enu_m[rows].ravel() ** 2)
+        sigma = np.sqrt(np.diag(c))
+        positive = np.isfinite(c).all() and np.linalg.eigvalsh(c / np.outer(sigma, sigma))[0] > POSITIVE
+        return c if positive else None
+
+    @cached_property
     def beyond(self) -> Beyond:
-        """Number of check coordinates beyond the limit, and the number expected by chance."""
+        """Number of check coordinates beyond the limit, and its probability by chance."""
         n, rows = int(np.count_nonzero(~np.isnan(self.ratio))), self.suspicious()
         farthest = math.sqrt(float(chi_square_limit(1, sidak(CHANCE, n)))) if n else float("nan")
         far = tuple(dict.fromkeys(name for name, _, _, ratio in rows if ratio > farthest))
-        return Beyond(n, len(rows), n * BEYOND, binomial_limit(n, BEYOND, CHANCE), farthest, far)
+        p, mine = None, self.ratio[self.selected]
+        if (mine > RATIO_LIMIT).any() and self.covariance_m2 is not None:
+            p = float(probability_of_number(number_statistic(mine.ravel()), numbers_by_chance(self.covariance_m2)))
+        return Beyond(n, len(rows), n * BEYOND, p, farthest, rows[0][3] if rows else 0.0, far)
 
     def largest(self, count: int = 5) -> list[tuple[str, float, float, float]]:
         """The largest differences in metres: (id, east, north, up)."""
@@ -225,10 +294,8 @@ def differences(
 
 # --- check of the predicted accuracy --------------------------------------------------------------
 
-#: Probability of the interval of T, and of the bias test.
+#: Probability of the interval of T, and of the tests of bias, drift and tilt.
 CONFIDENCE: Final = 0.95
-#: Maximum number of check points in the joint test; of more points an even selection is used.
-MAX_JOINT: Final = 60
 
 
 @dataclass(frozen=True)
@@ -290,7 +357,7 @@ class PredictionTest:
         }  # fmt: skip
 
 
-def prediction_test(problem: Problem, state: State, cofactors: Cofactors, check: PointDifferences) -> PredictionTest:
+def prediction_test(check: PointDifferences) -> PredictionTest:
     """Test the predicted covariance of the check points of a solution.
 
     NoSolutionError: no check points, or check points that are not unknowns (``check_points = "exclude"``) and have no
@@ -298,36 +365,34 @@ def prediction_test(problem: Problem, state: State, cofactors: Cofactors, check:
     """
     if not len(check):
         raise NoSolutionError.of("accuracy.no_check")
-    if not problem.active[check.index].all():
+    c, rows = check.covariance_m2, check.selected
+    if c is None:
         raise NoSolutionError.of("accuracy.check_excluded")
-    rows = np.unique(np.linspace(0, len(check) - 1, min(len(check), MAX_JOINT)).astype(int))
-    index = check.index[rows]
-    turn = problem.axes(np.ascontiguousarray(state.ground[index] + problem.origin_m))
-    q = cofactors.joint((), tuple(index.tolist())).reshape(len(rows), 3, len(rows), 3)
-    q = np.einsum("aij,ajbk,blk->aibl", turn, q, turn).reshape(3 * len(rows), -1)
-    c = q + np.diag(check.own_sigma_enu_m[rows].ravel() ** 2)
     e = check.enu_m[rows].ravel()
     within = np.stack([(check.ratio <= k).sum(axis=0) for k in (1.0, 2.0, 3.0)], axis=1)
     return PredictionTest(len(check), len(rows), within, float(e @ np.linalg.solve(c, e)),
                           chi_square_interval(len(e), 1.0 - CONFIDENCE))  # fmt: skip
 
 
-def bias_test(points: PointDifferences) -> dict[str, dict[str, float | bool]]:
-    """Student's test of the mean difference per axis: mean, t, limit, biased; 5 % over the three axes (Sidak).
+def trend_tests(check: PointDifferences) -> dict[str, dict[str, Any]] | None:
+    """Tests of bias, drift and tilt by :func:`trend_squares`, at 5 % for the three together (Sidak).
 
-    The mean is compared with the scatter of these points. The test cannot distinguish a systematic error from the
-    common part of the errors of the orientation. Empty below two points or without scatter.
+    None without a joint covariance. ``mean_enu_m`` of the bias is the mean by generalised least squares.
     """
-    out: dict[str, dict[str, float | bool]] = {}
-    n = len(points)
-    if n < 2:
-        return out
-    limit = float(t_quantile(n - 1, 1.0 - 0.5 * sidak(1.0 - CONFIDENCE, 3)))
-    for axis, d in zip(AXES[:3], points.enu_m.T, strict=False):
-        sd = float(d.std(ddof=1))
-        if sd > 0.0:
-            t = float(d.mean()) / (sd / np.sqrt(n))
-            out[axis] = {"mean_m": float(d.mean()), "t": float(t), "limit": limit, "biased": bool(abs(t) > limit)}
+    c = check.covariance_m2
+    if c is None or check.joint is None:
+        return None
+    e = check.enu_m[check.selected].ravel()
+    squares, degrees = trend_squares(c, check.joint.place_km[check.selected], e[:, None])
+    level = sidak(1.0 - CONFIDENCE, sum(d > 0 for d in degrees))
+    out: dict[str, dict[str, Any]] = {}
+    for name, (square,), d in zip(TRENDS, squares.tolist(), degrees, strict=True):
+        if d:
+            p = float(chi_square_tail(d, square))
+            out[name] = {"chi2": square, "degrees": d, "probability": p, "significant": p <= level}
+    weights = np.linalg.solve(c, np.tile(np.eye(3), (len(c) // 3, 1)))
+    q = np.linalg.inv(weights.reshape(-1, 3, 3).sum(axis=0))
+    out["bias"] |= {"mean_enu_m": (q @ (weights.T @ e)).tolist(), "sd_enu_m": np.sqrt(np.diag(q)).tolist()}
     return out
 
 

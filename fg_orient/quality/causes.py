@@ -51,8 +51,6 @@ NAMED: Final = 3
 PAIRED: Final = 12
 #: Length in metres up to which a height offset can be a geoid undulation, and a constant vector a datum shift.
 UNDULATION_M, DATUM_M = 110.0, 1000.0
-#: Findings that are no doubts, but ask for a cause.
-_ASK: Final = ("solution.check_far", "solution.check_beyond")
 #: Factors from units in which heights may be given to metres.
 UNITS: Final = {"feet": 0.3048, "US survey feet": 1200.0 / 3937.0, "kilometres": 1000.0}
 _EGM96: Final = "EPSG:4326+5773"
@@ -87,7 +85,7 @@ class Cause:
 
 def are_wanted(findings: Sequence[Finding]) -> bool:
     """Whether any finding asks for a cause."""
-    return any(f.severity in DECISIVE or f.code in _ASK for f in findings)
+    return any(f.severity in DECISIVE for f in findings)
 
 
 def of_solution(

@@ -20,6 +20,7 @@ from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.distributions import chi_square_tail, sidak
 from fg_orient.model.errors import DECISIVE, Finding, InputError, finding
 from fg_orient.model.messages import CATALOGUE
+from fg_orient.quality.accuracy import CHANCE, PointDifferences
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.hypotheses import CHECKED
 from fg_orient.quality.outlier_records import OutlierTests
@@ -30,7 +31,7 @@ Array = npt.NDArray[np.float64]
 
 #: Largest probability of each doubt in a block without mistakes, all its tests together; docs/verdict.md prints it.
 BUDGET: Final = {
-    "sigma0": 0.0005, "gross_error": 0.002, "beyond_prior": 0.001, "check_beyond": 0.001, "check_far": 0.001,
+    "sigma0": 0.0005, "gross_error": 0.002, "beyond_prior": 0.001, "check_beyond": CHANCE, "check_far": CHANCE,
 }  # fmt: skip
 #: Probability of Baarda's test of one observation, above which the given sigmas allow its error.
 ALPHA: Final = 0.001
@@ -40,7 +41,7 @@ _ACCEPTANCE: Final = re.compile(r"(verdict\.)?(?P<code>[a-z0-9_]+)(:(?P<place>.*
 
 
 def of_solution(
-    problem: Problem, estimate: Estimate, ground_m: Array, cofactors: Cofactors | None
+    problem: Problem, estimate: Estimate, ground_m: Array, cofactors: Cofactors | None, check: PointDifferences
 ) -> tuple[list[Finding], ResidualCofactors | None]:  # fmt: skip
     """Doubts that follow from tests of a solution, and the cofactors of its residuals if they were computed.
 
@@ -52,13 +53,14 @@ def of_solution(
     ground_m : (N, 3) array
         Adjusted points, ECEF or local.
     cofactors : Cofactors or None
+    check : PointDifferences
     """
     options, f = problem.block.options, problem.redundancy
     scale = float(np.sqrt(estimate.chi2 / f)) if f > 0 and estimate.weights is None else 1.0
     out = missed_accuracy(problem, ground_m, cofactors, scale)
     if cofactors is None or estimate.weights is not None or f <= 0:
         return out, None
-    out += exceeded_priors(problem, estimate.state, cofactors)
+    out += [*exceeded_priors(problem, estimate.state, cofactors), *of_check_points(check)]
     if not full_statistics(options, len(problem.observations), problem.n_image_unknowns):
         return out, None
     residuals = ResidualCofactors(problem, estimate.state, cofactors)
@@ -112,6 +114,19 @@ def exceeded_priors(problem: Problem, state: State, cofactors: Cofactors) -> lis
         sigma=float(parameters.sigma[k]), unit=parameters.units[k], level=100.0 * BUDGET["beyond_prior"],
         more=int(above.sum()) - 1 or None,
     )]  # fmt: skip
+
+
+def of_check_points(check: PointDifferences) -> list[Finding]:
+    """Doubt on check coordinates beyond 3 standard deviations, unless chance explains largest and number."""
+    beyond, out = check.beyond, list[Finding]()
+    if beyond.far:
+        out.append(finding("verdict.check_far", size=beyond.largest, limit=beyond.largest_limit, n=beyond.n,
+                           points=beyond.far))  # fmt: skip
+    if beyond.many:
+        points = list(dict.fromkeys(row[0] for row in check.suspicious()))
+        out.append(finding("verdict.check_beyond", points=points, size=beyond.count, n=beyond.n,
+                           expected=beyond.expected, level=100.0 * BUDGET["check_beyond"]))  # fmt: skip
+    return out
 
 
 def missed_accuracy(problem: Problem, ground_m: Array, cofactors: Cofactors | None, scale: float) -> list[Finding]:

@@ -6,8 +6,12 @@ is zero: an insignificant orientation parameter keeps the value of the metadata,
 polynomial or an RPC compensation is dropped. Of many single tests 5 % are significant by chance: ``adjusted`` is Holm's
 (1979) probability over all coefficients. F tests of groups are not adjusted.
 
-A prior observation has the value that the hypothesis states. It contributes to x and Q, and an unknown that its prior
-holds (``prior_share`` near 1) is never significant: the observations contain no information about it. Correlated
+A prior observation of a tested unknown has the value that the hypothesis states, without an error. Under it,
+with the others drawn from their priors, the corrections therefore have the variance ``Q - Q P Q`` (P: inverse of the
+prior covariance of the tested unknowns, I in prior sigmas; Q and P are their blocks), not Q. T is their square in this
+variance, and m0 is that without these priors: ``m0^2 = (v^T P v - x^T (P^-1 - Q)^-1 x) / (f - d)``. T / (d m0^2) is
+F of d and f - d, and equal to the test of the adjustment without the priors of the tested unknowns. An unknown that its
+prior holds (``prior_share`` near 1) is never significant: the observations contain no information about it. Correlated
 unknowns may each be insignificant but significant together, so they are dropped one at a time
 (``fg_orient.orientation.reduction``).
 """
@@ -28,6 +32,7 @@ from fg_orient.model.distributions import f_tail, holm, t_two_sided
 from fg_orient.model.errors import NoSolutionError
 from fg_orient.model.parameters import term_of
 from fg_orient.quality.freedom import UnknownFreedom
+from fg_orient.quality.hypotheses import CHECKED
 from fg_orient.quality.residuals import ResidualCofactors
 
 Array = npt.NDArray[np.float64]
@@ -35,6 +40,7 @@ Index = npt.NDArray[np.intp]
 
 #: Probability of a false alarm among all coefficients.
 LEVEL: Final = 0.05
+_TINY: Final = float(np.finfo(float).tiny)
 #: Parts of the distortion of a camera, by the names of their coefficients.
 DISTORTION: Final = {
     "radial distortion": re.compile("k[0-9]|(radial|orthogonal)_[0-9]"), "decentring distortion": re.compile("p[12]"),
@@ -52,6 +58,7 @@ class CoefficientTest:
     value, sd : float
         Correction and its standard deviation, ``unit``.
     t : float
+        With priors it is not ``value / sd``; see the module.
     probability : float
         Probability of this or a larger t if the correction is zero.
     adjusted : float
@@ -59,7 +66,7 @@ class CoefficientTest:
     prior_share : float or None
         Share of the prior in the weight of the unknown, 0 to 1; None without priors.
     freedom : float
-        Degrees of freedom of t: f, with estimated variance components Satterthwaite's.
+        Degrees of freedom of t: f, with priors f - 1, with estimated variance components Satterthwaite's.
     """
 
     image: str
@@ -158,8 +165,13 @@ def significance(
     labels = [(images[k].id, name, unit) for k, parameters in enumerate(problem.parameters)
               for name, unit in zip(parameters.names, parameters.units, strict=True)]  # fmt: skip
     j = places_of(problem, lambda _: True)
-    shares = np.minimum(q, 1.0)[j] if priors else None
-    coefficients = coefficient_tests([labels[k] for k in j.tolist()], x[j], m0 * np.sqrt(q[j]), nu[j], scale[j], shares)
+    x, q, nu, shares = x[j], q[j], nu[j], np.minimum(q, 1.0)[j] if priors else None
+    noise = m0 * np.sqrt(q)
+    if shares is not None:
+        tests = [under_priors(x[k : k + 1], q[k : k + 1, None], m0, nu[k], freedom is None) for k in range(len(x))]
+        t2, d, nu = (np.array(column, np.float64) for column in zip(*tests, strict=True))
+        noise = np.where(d * t2 > 0.0, np.abs(x) / np.sqrt(np.maximum(t2, _TINY)), np.inf)
+    coefficients = coefficient_tests([labels[k] for k in j.tolist()], x, m0 * np.sqrt(q), nu, scale[j], shares, noise)
     groups = tuple(group_test(known, sigma0, freedom, name, index) for name, index in _groups(problem).items())
     return Significance(f, level, coefficients, groups)
 
@@ -174,12 +186,32 @@ def group_test(
     mine = np.searchsorted(places, index)
     q = known.cofactors.joint(images, ())[np.ix_(mine, mine)]
     m0, f = (sigma0, float(problem.redundancy)) if freedom is None else (1.0, freedom.together(index))
-    return together(name, problem.image_columns(known.state)[index], q, m0, f)
+    x = problem.image_columns(known.state)[index]
+    if not problem.block.options.priors:
+        return together(name, x, q, m0, f)
+    statistic, d, f = under_priors(x, q, m0, f, freedom is None)
+    return GroupTest(name, d, statistic, float(f_tail(d, f, statistic)) if d else 1.0, f)
+
+
+def under_priors(x: Array, q: Array, m0: float, f: float, estimated: bool) -> tuple[float, int, float]:
+    """F of unknowns x (d,) in prior sigmas with cofactors q (d, d), number of tested directions, f without priors.
+
+    ``estimated``: m0 is that of all residuals, with f degrees of freedom; the priors of x are taken out of it.
+    """
+    share, axes = np.linalg.eigh(q)  # share of the priors in each direction
+    tested = 1.0 - share > CHECKED
+    d = int(tested.sum())
+    left = f - d if estimated else f
+    if not d or left <= 0.0:
+        return 0.0, 0, max(left, 1.0)
+    prior = float(np.sum((axes.T @ x)[tested] ** 2 / (1.0 - share[tested])))
+    square = (m0**2 * f - prior) / left if estimated else m0**2
+    return (_square(x, q) + prior) / (d * max(square, _TINY)), d, left
 
 
 def coefficient_tests(
     labels: Sequence[tuple[str, str, str]], x: Array, sd: Array, freedom: Array, scale: Array | None = None,
-    shares: Array | None = None,
+    shares: Array | None = None, noise: Array | None = None,
 ) -> tuple[CoefficientTest, ...]:  # fmt: skip
     """Tests of single unknowns.
 
@@ -193,8 +225,10 @@ def coefficient_tests(
         Factors of ``x`` and ``sd`` to the units; default: 1.
     shares : (k,) array, optional
         Of the priors.
+    noise : (k,) array, optional
+        Standard deviations of ``x`` if it is zero in truth; default: ``sd``.
     """
-    t, scale = np.abs(x) / sd, np.ones(len(x)) if scale is None else scale
+    t, scale = np.abs(x) / (sd if noise is None else noise), np.ones(len(x)) if scale is None else scale
     p = t_two_sided(freedom, t)
     columns = [v.tolist() for v in (x * scale, sd * scale, t, p, holm(p))]
     prior = [None] * len(x) if shares is None else shares.tolist()
@@ -204,10 +238,14 @@ def coefficient_tests(
 
 def together(name: str, x: Array, q: Array, m0: float, f: float) -> GroupTest:
     """F test of unknowns x (d,) with cofactors q (d, d); f: degrees of freedom of m0."""
-    d, length = len(x), np.sqrt(np.diag(q))
-    # scaled to correlations, because unknowns of very different size are tested together
-    statistic = float((x / length) @ np.linalg.solve(q / np.outer(length, length), x / length)) / (d * m0**2)
+    d, statistic = len(x), _square(x, q) / (len(x) * m0**2)
     return GroupTest(name, d, statistic, float(f_tail(d, f, statistic)), f)
+
+
+def _square(x: Array, q: Array) -> float:
+    """``x^T q^-1 x``, scaled to correlations, because unknowns of very different size are tested together."""
+    length = np.sqrt(np.diag(q))
+    return float((x / length) @ np.linalg.solve(q / np.outer(length, length), x / length))
 
 
 def camera_significance(

@@ -30,7 +30,7 @@ from fg_orient.model.distributions import chi_square_interval
 from fg_orient.model.errors import DECISIVE, Finding, finding
 from fg_orient.model.names import Role, Status
 from fg_orient.quality import conditioning
-from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy, PointDifferences
+from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy
 from fg_orient.quality.doubts import with_accepted
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 
@@ -195,25 +195,13 @@ def findings(
         out.append(finding("solution.look_angles"))
     if estimate.widest > WIDE:
         out.append(finding("solution.wide_factor", n=estimate.widest, seconds=GTSAM_S * estimate.widest**3))
-    out += [*_outside(problem, estimate), *of_check_points(accuracy.check)]
+    out += _outside(problem, estimate)
     n = len(accuracy.check)
     if not n:
         out.append(finding("solution.no_check"))
     elif n < ASPRS_MINIMUM:
         out.append(finding("solution.few_check", n=n, least=ASPRS_MINIMUM))
     return tuple(out)
-
-
-def of_check_points(check: PointDifferences) -> list[Finding]:
-    """Check coordinates beyond 3 standard deviations, if chance does not explain their number or the largest."""
-    beyond = check.beyond()
-    if beyond.by_chance:
-        return []
-    if beyond.count <= beyond.limit:
-        return [finding("solution.check_far", limit=beyond.largest_limit, n=beyond.n, points=beyond.far)]
-    points = list(dict.fromkeys(row[0] for row in check.suspicious()))
-    return [finding("solution.check_beyond", points=points, count=beyond.count, n=beyond.n, expected=beyond.expected,
-                    limit=beyond.limit)]  # fmt: skip
 
 
 def _moved(problem: Problem, estimate: Estimate) -> tuple[float, float, float]:

@@ -236,20 +236,20 @@ def _check(points: PointDifferences) -> dict[str, Any]:
          "length_m": float(np.sqrt(east**2 + north**2 + up**2))}
         for name, east, north, up in points.largest()
     ]  # fmt: skip
-    beyond = points.beyond().as_dict()
+    beyond = points.beyond.as_dict()
     return {**points.statistics(), "suspicious": suspicious, "beyond_3_sigma": beyond, "largest": largest}
 
 
 def _prediction(solution: Solution) -> dict[str, Any]:
-    """Test of the predicted accuracy (null where it is impossible), the reason, and the test of the means."""
-    from fg_orient.quality.accuracy import bias_test
+    """Test of the predicted accuracy (null where it is impossible), the reason, and tests of bias, drift and tilt."""
+    from fg_orient.quality.accuracy import trend_tests
 
-    test, unavailable = None, None
+    test, trend, unavailable = None, None, None
     try:
-        test = solution.prediction_test().as_dict()
+        test, trend = solution.prediction_test().as_dict(), trend_tests(solution.accuracy.check)
     except NoSolutionError as error:
         unavailable = str(error)
-    return {"prediction": test, "prediction_withheld": unavailable, "bias": bias_test(solution.accuracy.check) or None}
+    return {"prediction": test, "prediction_withheld": unavailable, "trend": trend}
 
 
 def _missing(solution: Solution) -> list[Finding]:

@@ -105,7 +105,7 @@ def test_not_trustworthy_is_exit_4_with_result(run: Any, twin: Path) -> None:
     assert len(record["unobservable"]) == 12
     assert record["accuracy"]["check"]["suspicious"][0]["ratio"] > 3.0
     assert not record["accuracy"]["check"]["beyond_3_sigma"]["by_chance"]
-    assert any(w.startswith("check points beyond 3 standard deviations of the diff") for w in record["warnings"])
+    assert any(f["code"] == "verdict.check_beyond" for f in record["findings"])
     assert json.loads((twin.parent / "result" / "result.json").read_text("utf-8"))["status"] == "not_trustworthy"
 
 

@@ -20,7 +20,7 @@ from fg_orient.model.names import Role
 from fg_orient.model.parameters import Term, term_of
 from fg_orient.orientation.reduction import closest_eop_set, criteria, cross_validate, folds_of, reduce_unknowns
 from fg_orient.orientation.solution import Solution
-from fg_orient.quality.significance import group_test, places_of
+from fg_orient.quality.significance import group_test, places_of, under_priors
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.command import in_process
 from tests.support.full_statistics import step_of_numpy
@@ -28,6 +28,17 @@ from tests.support.planted_errors import planted
 
 RPC = {"rpc_compensation": "affine", "backend": "schur"}
 LINEAR = {"eop_set": 10, "priors": False, "backend": "dense"}
+
+
+def without_priors(residual: np.ndarray, design: np.ndarray, x: np.ndarray, at: list[int]) -> tuple:  # type: ignore[type-arg]
+    """Linear adjustment without the priors of unknowns ``at``: their values, cofactors, and v^T v."""
+    alone = np.count_nonzero(design, axis=1) == 1
+    rows = [np.flatnonzero(alone & (design[:, k] != 0.0))[0] for k in at]
+    rest, v = np.delete(design, rows, axis=0), np.delete(residual, rows)
+    length = np.linalg.norm(design, axis=0)
+    step, square, *_ = np.linalg.lstsq(rest / length, -v)
+    q = np.linalg.inv((rest / length).T @ (rest / length))[np.ix_(at, at)] / np.outer(length[at], length[at])
+    return x[at] + step[at] / length[at], q, float(square[0])
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +55,16 @@ def test_t_of_each_unknown_by_full_matrices(twin: Block) -> None:
     x = solution.problem.image_vector(solution.state)
     f = len(residual) - design.shape[1]
     m0 = np.sqrt(residual @ residual / f)
-    t = np.abs(x) / (m0 * np.sqrt(np.diag(q)[: len(x)]))
+    t = []
+    for k in range(len(x)):
+        (moved,), own, square = without_priors(residual, design, x, [k])
+        t.append(abs(moved) / np.sqrt(own[0, 0] * square / (f - 1)))
     assert found.redundancy == f
-    assert [c.t for c in found.coefficients] == pytest.approx(t, rel=1e-6)
-    assert [c.probability for c in found.coefficients] == pytest.approx(2.0 * student.sf(t, f), rel=1e-6)
-    sigma0_prior = np.abs(x) / np.sqrt(np.diag(q)[: len(x)])  # the unit weight a priori: another test
-    assert [c.t for c in found.coefficients] != pytest.approx(sigma0_prior, rel=1e-3)
+    assert [c.t for c in found.coefficients] == pytest.approx(t, rel=1e-5)
+    assert [c.probability for c in found.coefficients] == pytest.approx(2.0 * student.sf(t, f - 1), rel=1e-5)
+    assert [c.sd for c in found.coefficients[:1]] == pytest.approx([m0 * np.sqrt(q[0, 0]) * 10.0], rel=1e-6)
+    without = np.abs(x) / (m0 * np.sqrt(np.diag(q)[: len(x)]))  # the variance of an unknown that is not zero
+    assert [c.t for c in found.coefficients] != pytest.approx(without, rel=1e-3)
     first = found.coefficients[0]
     assert (first.image, first.name, first.unit) == ("left", "x_0", "m")
     assert first.value == pytest.approx(x[0] * 10.0)
@@ -93,16 +108,42 @@ def test_degrees_of_different_polynomials_are_groups_of_their_own(twin: Block) -
     """psi_x_s0 is of degree 0 in the detector, x_0 of degree 0 in time; F of each from full matrices."""
     solution = fg.adjust(twin, eop_set=15, look_polynomial=1)
     groups = {g.group: g for g in solution.significance().groups}
-    _, design = assemble(solution.problem, solution.state)
-    q, x = np.linalg.inv(design.T @ design), solution.problem.image_vector(solution.state)
+    (residual, design), x = assemble(solution.problem, solution.state), solution.problem.image_vector(solution.state)
     names = [name for p in solution.problem.parameters for name in p.names]
     for degree in (0, 1):
         for end, kind in ((f"_{degree}", "in time"), (f"_s{degree}", "of the look angles")):
             at = [k for k, name in enumerate(names) if name.endswith(end)]
             found = groups[f"all terms of degree {degree} {kind}"]
-            statistic = x[at] @ np.linalg.solve(q[np.ix_(at, at)], x[at]) / len(at) / solution.sigma0**2
-            assert found.dimension == len(at) == (12 if kind == "in time" else 4)
-            assert found.statistic == pytest.approx(statistic, rel=1e-5)
+            moved, q, square = without_priors(residual, design, x, at)
+            f = solution.redundancy - len(at)
+            statistic = moved @ np.linalg.solve(q, moved) / len(at) / (square / f)
+            assert (found.dimension, found.freedom) == (len(at), f)
+            assert len(at) == (12 if kind == "in time" else 4)
+            assert found.statistic == pytest.approx(statistic, rel=1e-4)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("at", [[0], [3], [1, 4, 5]])
+def test_the_size_of_the_test_under_priors(twin: Block, at: list[int]) -> None:
+    """4000 draws, the other unknowns from their priors: 4 to 6 % alarms at 5 %; with Q as variance not."""
+    solution = fg.adjust(twin, eop_set=15)
+    _, design = assemble(solution.problem, solution.state)
+    n, rng = solution.problem.n_image_unknowns, np.random.default_rng(41)
+    prior = (np.count_nonzero(design, axis=1) == 1) & (design[:, :n] != 0.0).any(axis=1)
+    assert np.count_nonzero(prior) == n
+    truth = np.zeros((4000, design.shape[1]))
+    truth[:, :n] = rng.normal(size=(4000, n))
+    truth[:, at] = 0.0
+    observed = truth @ design.T + rng.normal(size=(4000, len(design)))
+    observed[:, prior] = 0.0
+    q = np.linalg.inv(design.T @ design)
+    x = observed @ design @ q
+    f = len(design) - design.shape[1]
+    m0, own = np.sqrt(np.sum((observed - x @ design.T) ** 2, axis=1) / f), q[np.ix_(at, at)]
+    level = [fisher.sf(*under_priors(x_k, own, m, f, True)) for x_k, m in zip(x[:, at], m0, strict=True)]
+    assert 0.04 <= np.mean(np.array(level) <= 0.05) <= 0.06
+    plain = np.sum(x[:, at] @ np.linalg.inv(own) * x[:, at], axis=1) / len(at) / m0**2
+    assert np.mean(fisher.sf(plain, len(at), f) <= 0.05) < 0.04
 
 
 @pytest.mark.behaviour

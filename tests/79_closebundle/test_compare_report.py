@@ -171,7 +171,7 @@ def test_report_of_dbat_on_aerial_photos(tmp_path: Path, real_data: Path) -> Non
 def test_the_page_on_the_calibration(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The table of the page has the numbers of DBAT's report, and all of them are those of the result."""
     page = REPOSITORY / "docs" / "how-to" / "published-report.md"
-    (values,) = re.findall(r"^```csv\n(.*?)^```$", page.read_text("utf-8"), re.DOTALL | re.MULTILINE)
+    (values,) = re.findall(r"^```text\n(.*?)^```$", page.read_text("utf-8"), re.DOTALL | re.MULTILINE)
     report = (real_data / "dbat" / "dbat" / "dbatexports" / "camcal-dbatreport-model1.txt").read_text()
     numbers = [*re.findall(r"[-+\d.e]+", report), "2.96421e-05", "-0.979"]  # -P2; -97.9%
     assert "-2.96421e-05" in numbers and "K3:-97.9%" in report

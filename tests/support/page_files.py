@@ -59,9 +59,17 @@ def satellite_files(folder: Path) -> None:
 
 
 def two_campaigns(folder: Path) -> None:
-    """Copy the project as the second campaign, and the result as that of the first."""
-    shutil.copy(folder / "project.toml", folder / "second.toml")
-    shutil.copytree(folder / "result", folder / "first" / "result")
+    """Divide the image points of the project among two campaigns, every other point; adjust the first."""
+    rows, text = _rows(folder / "observations.csv"), (folder / "project.toml").read_text("utf-8")
+    number = {name: k for k, name in enumerate(dict.fromkeys(row["point"] for row in rows))}
+    (folder / "first").mkdir()
+    for k, name in enumerate(("first", "second")):
+        mine = [list(row.values()) for row in rows if number[row["point"]] % 2 == k]
+        _write(folder / f"observations_{name}.csv", tuple(rows[0]), mine)
+        assert '"observations.csv"' in text
+        own = text.replace('"observations.csv"', f'"observations_{name}.csv"')
+        (folder / f"{name}.toml").write_text(own, "utf-8")
+    made("adjust", folder / "first.toml", "--out", folder / "first" / "result")
 
 
 def write_image(path: Path, lines: int = 12000, samples: int = 12000) -> None:

@@ -213,6 +213,13 @@ verdict.accuracy (doubt): {n} of {of} points have a standard deviation above the
     -> add control points or images, or <accept> "accuracy<={size:.3g}"
 verdict.accuracy_unknown (doubt): the required accuracy of {required:g} m is not verified, because there is no
     covariance
+verdict.check_far (doubt): check points contradict the adjusted points: {points:10}; the largest difference is
+    {size:.1f} times its standard deviation, which chance hardly gives among {n} coordinates (limit {limit:.1f})
+    -> look at the coordinates and image points of these points, or <accept> "check_far<={size:.3g}"
+verdict.check_beyond (doubt): check points contradict the adjusted points: {size} of {n} check coordinates are beyond
+    3 standard deviations of the difference, {expected:.1f} expected; with the joint covariance fewer than {level:g} %
+    of blocks without mistakes have as many: {points:10}
+    -> compare datum, heights and sigmas of control and check points, or <accept> "check_beyond<={size}"
 verdict.cause (note): likely cause: {what}; twofold logarithm of the likelihood ratio to no mistake: {gain:.1f}
     + ; cannot be told apart from: {also}
     -> {cure}
@@ -261,10 +268,6 @@ solution.look_angles (warning): the constant and linear look-angle terms nearly 
     their sum, not each alone
 solution.outside_validity (warning): outside the validity range of the model of image {image}: {n} point(s):
     {points:10}
-solution.check_far (warning): check points beyond {limit:.1f} standard deviations of the difference, which chance
-    hardly gives among {n} coordinates: {points:10}
-solution.check_beyond (warning): check points beyond 3 standard deviations of the difference: {points:10}; {count}
-    of {n} check coordinates, {expected:.1f} expected by chance, up to {limit} not unusual
 solution.no_check (warning): no check points: the accuracy is not verified independently
 solution.wide_factor (note): the images see points together in such a way that a factor of the graph has {n} unknowns:
     GTSAM needs about {seconds:.0f} s for each iteration -> backend schur solves the same equations by LAPACK in less

@@ -1,0 +1,89 @@
+"""Tests of differences at check points with their joint covariance C: trend, and number of large differences.
+
+The errors of the orientation are common to all check points, so their differences are correlated: Student's test of the
+mean against the scatter, and the binomial distribution of the number of large differences, alarm in too many blocks
+without mistakes. Bias, drift and tilt are estimated by generalised least squares instead, and the number is compared
+with numbers simulated from C.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+#: Check coordinates beyond this number of standard deviations of the difference are listed.
+RATIO_LIMIT: Final = 3.0
+#: Draws of the number of coordinates beyond the limit.
+DRAWS: Final = 20_000
+#: Relative singular value below which check points do not show a trend.
+RANK: Final = 1e-8
+#: Groups of the trend of the differences: columns 3 (1, East, North) + axis.
+TRENDS: Final = {"bias": (0, 1, 2), "drift": (3, 4, 6, 7), "tilt": (5, 8)}
+
+
+def number_statistic(ratio: Array) -> Array:
+    """Number of ratios (..., n) beyond the limit, and in its fraction the largest ratio, which orders equal numbers."""
+    largest = ratio.max(axis=-1)
+    return np.asarray((ratio > RATIO_LIMIT).sum(axis=-1) + largest / (1.0 + largest))
+
+
+def numbers_by_chance(c: Array, draws: int = DRAWS) -> Array:
+    """Simulated :func:`number_statistic` (draws,) of normal differences with the joint covariance c, ascending."""
+    sigma = np.sqrt(np.diag(c))
+    root = np.linalg.cholesky(c / np.outer(sigma, sigma))
+    rng, size = np.random.default_rng(0), 1000
+    return np.sort(np.concatenate([
+        number_statistic(np.abs(rng.standard_normal((min(size, draws - k), len(c))) @ root.T))
+        for k in range(0, draws, size)
+    ]))  # fmt: skip
+
+
+def probability_of_number(statistic: npt.ArrayLike, null: Array) -> Array:
+    """Probability of this :func:`number_statistic` or more among those by chance, ascending."""
+    return np.asarray((1.0 + len(null) - np.searchsorted(null, statistic)) / (1.0 + len(null)))
+
+
+def trend_squares(c: Array, place_km: Array, e: Array) -> tuple[Array, tuple[int, ...]]:
+    """Squares of bias, drift and tilt of the differences, each after the former; independent chi-squares by chance.
+
+    Generalised least squares of ``e = bias + slopes place`` with the covariance c; drift: slopes of East and North,
+    tilt: those of Up.
+
+    Parameters
+    ----------
+    c : (3n, 3n) array
+        Joint covariance, m^2.
+    place_km : (n, 2) array
+        East, North of the points.
+    e : (3n, s) array
+        Differences of s samples, m.
+
+    Returns
+    -------
+    squares : (3, s) array
+    degrees : tuple of int
+        0: these points cannot show it.
+    """
+    design, whitened = _whitened_trend(c, place_km, e)
+    before, rank, squares, degrees = np.zeros(e.shape[1]), 0, list[Array](), list[int]()
+    for k in range(len(TRENDS)):
+        u, s, _ = np.linalg.svd(design[:, [j for group in list(TRENDS.values())[: k + 1] for j in group]], False)
+        axes = u[:, s > RANK * s[0]]
+        after = ((axes.T @ whitened) ** 2).sum(axis=0)
+        squares.append(np.maximum(after - before, 0.0))
+        degrees.append(axes.shape[1] - rank)
+        before, rank = after, axes.shape[1]
+    return np.array(squares), tuple(degrees)
+
+
+def _whitened_trend(c: Array, place_km: Array, e: Array) -> tuple[Array, Array]:
+    """Design (3n, 9) with columns of length 1, and samples, in rows of unit weight."""
+    centred = place_km - place_km.mean(axis=0)
+    design = np.kron(np.column_stack([np.ones(len(centred)), centred]), np.eye(3))
+    root = np.linalg.cholesky(c)
+    white = np.linalg.solve(root, design)
+    return white / np.maximum(np.linalg.norm(white, axis=0), np.finfo(float).tiny), np.linalg.solve(root, e)
