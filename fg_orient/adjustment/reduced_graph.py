@@ -93,6 +93,12 @@ class GroupSums:
         self.ordering: gtsam.Ordering | None = None
         self._parts, self._keys = elimination.parts, dict(keys)
         pairs, n = self._pairs(), len(keys)
+        linked = {k: part.stop - part.start for k, part in elimination.parts.items()}
+        size = dict(linked)
+        for a, b in pairs:
+            linked[a], linked[b] = linked[a] + size[b], linked[b] + size[a]
+        #: Unknowns of the vectors that are linked to one of them, at most: as many has the widest elimination at least.
+        self.widest = max(linked.values(), default=0)
         #: Vectors are joined to few variables: all are linked, so that no order of elimination saves anything.
         self.is_joined = alone and n >= JOINED_FROM and len(pairs) == n * (n - 1) // 2
         if self.is_joined:

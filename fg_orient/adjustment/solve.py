@@ -80,7 +80,7 @@ class Estimate:
     resumed_at : int
         Iterations of an interrupted run that this run continued.
     widest : int
-        Image unknowns of the widest factor of the graph.
+        Image unknowns that are linked to those of one image, at most.
     """
 
     state: State
@@ -359,8 +359,7 @@ def _run_graph(job: _Job) -> Estimate:
         result = job.optimise(backend, _same, _same, GTSAM_OPTIMIZERS)
         job.mark()
         linear = backend.linearise(result.state)
-    widest = max(len(group.free) for group in backend.elimination.groups)
-    return replace(job.estimate(backend, result, result.state, linear), widest=widest)
+    return replace(job.estimate(backend, result, result.state, linear), widest=backend.sums.widest)
 
 
 def _run_explicit(job: _Job) -> Estimate:

@@ -61,10 +61,10 @@ def satellite_files(folder: Path) -> None:
 def two_campaigns(folder: Path) -> None:
     """Divide the image points of the project among two campaigns, every other point; adjust the first."""
     rows, text = _rows(folder / "observations.csv"), (folder / "project.toml").read_text("utf-8")
-    number = {name: k for k, name in enumerate(dict.fromkeys(row["point"] for row in rows))}
+    number = {name: k for k, name in enumerate(dict.fromkeys(row["id"] for row in rows))}
     (folder / "first").mkdir()
     for k, name in enumerate(("first", "second")):
-        mine = [list(row.values()) for row in rows if number[row["point"]] % 2 == k]
+        mine = [list(row.values()) for row in rows if number[row["id"]] % 2 == k]
         _write(folder / f"observations_{name}.csv", tuple(rows[0]), mine)
         assert '"observations.csv"' in text
         own = text.replace('"observations.csv"', f'"observations_{name}.csv"')

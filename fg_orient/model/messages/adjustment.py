@@ -269,9 +269,8 @@ solution.look_angles (warning): the constant and linear look-angle terms nearly 
 solution.outside_validity (warning): outside the validity range of the model of image {image}: {n} point(s):
     {points:10}
 solution.no_check (warning): no check points: the accuracy is not verified independently
-solution.wide_factor (note): the images see points together in such a way that a factor of the graph has {n} unknowns:
-    GTSAM needs about {seconds:.0f} s for each iteration -> backend schur solves the same equations by LAPACK in less
-    time
+solution.wide_factor (note): the images see points together in such a way that GTSAM eliminates {n} unknowns together,
+    about {seconds:.1f} s for each iteration -> backend schur solves the same equations by LAPACK in less time
 solution.few_check (warning): {n} check point(s): ASPRS (2023) asks for at least {least}
 solution.check_not_located (warning): {n} excluded check point(s) whose rays hardly meet have no coordinates:
     {points:10}
