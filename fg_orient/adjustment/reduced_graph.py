@@ -217,7 +217,8 @@ class ReducedGraph:
         backend, problem = self._backend, self._backend.problem
         s = backend.elimination.backend.structure
         wide = problem.image_matrix(step)
-        squares = np.einsum("bp,bpq,bq->b", wide[s.block_row], self._blocks, wide[s.block_column], optimize=True)
+        along_columns = np.matmul(self._blocks, wide[s.block_column, :, None])[:, :, 0]
+        squares = np.einsum("bp,bp->b", wide[s.block_row], along_columns)
         squares[s.block_row != s.block_column] *= 2.0
         along = float(self._gradient @ step)
         cost = self._cost + along + 0.5 * float(squares.sum())

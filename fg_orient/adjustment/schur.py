@@ -11,6 +11,7 @@ import contextlib
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -315,11 +316,16 @@ class SchurBackend:
         automatic = available if len(problem.observations) >= SERIAL_LIMIT else 1
         self.workers = Workers(automatic if threads is None else threads)
         self.prior = 1.0 if problem.block.options.priors else 0.0
-        self.reduced = ReducedSystems(self.structure.pattern, problem.first, reduced, problem.ties)
+        self._kind = reduced
         self.stages = Stages(problem, self.structure)
         self.buffers = Buffers(self.structure, problem.control_records)
         self.robust: Weighing | None = None
         self.last_damping = None if problem.block.options.optimizer == "levenberg-marquardt" else 0.0
+
+    @cached_property
+    def reduced(self) -> ReducedSystems:
+        """Reduced systems of the images."""
+        return ReducedSystems(self.structure.pattern, self.problem.first, self._kind, self.problem.ties)
 
     def initial(self) -> State:
         """Start values."""
