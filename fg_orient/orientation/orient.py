@@ -274,7 +274,7 @@ class _Run:
         if begin is None and self.begin is not None:
             begin = self.begin(compiled)
         estimate = self._solved(compiled, checkpoint, begin)
-        compiled, estimate = hold(compiled, estimate, lambda p, begin, n: self._after(n)._solved(p, None, begin))
+        compiled, estimate = hold(compiled, estimate, lambda p, begin, n: self._solved(p, None, begin, n))
         compiled, estimate = to_inner_datum(compiled, estimate, solve) if inner else (compiled, estimate)
         compiled, estimate = released(compiled, estimate)
         self._report("statistics", len(compiled.observations))
@@ -304,26 +304,22 @@ class _Run:
             structure_s=structure,
         )  # fmt: skip
 
-    def _after(self, done: int) -> _Run:
-        """The same with records numbered after those of ``done`` iterations, of the same stage."""
-        own = self.callback
-        if own is None:
-            return replace(self, stage=None)
-        return replace(self, stage=None, callback=lambda r: own(replace(r, iteration=done + r.iteration)))
-
     def _report(self, name: str, count: int) -> None:
         """Report the start of a stage."""
         if self.stage is not None:
             self.stage(name, count)
 
-    def _solved(self, compiled: Problem, checkpoint: Checkpoint | None, begin: State | None) -> Estimate:
-        """Run the optimisation in this process or in parts."""
-        self._report("iterations", len(compiled.observations))
+    def _solved(self, compiled: Problem, checkpoint: Checkpoint | None, begin: State | None, done: int = 0) -> Estimate:
+        """Run the optimisation in this process or in parts; records are numbered after ``done`` iterations."""
+        own = self.callback
+        callback = own if own is None or not done else lambda r: own(replace(r, iteration=done + r.iteration))
+        if not done:
+            self._report("iterations", len(compiled.observations))
         if self.execution is None:
-            return solve(compiled, self.callback, checkpoint=checkpoint, start=begin)
+            return solve(compiled, callback, checkpoint=checkpoint, start=begin)
         from fg_orient.adjustment.parts.solve import solve_in_parts
 
-        return solve_in_parts(compiled, self.execution, self.callback, checkpoint, begin)
+        return solve_in_parts(compiled, self.execution, callback, checkpoint, begin)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -370,10 +366,8 @@ def conclude(
         findings.append(finding("solution.check_not_located", n=len(names), points=names))
     accept = compiled.block.options.accept
     status, reason, ordered = verdict.decided(assessment, estimate.end, findings, accept)
-    mixed = () if status is Status.CONVERGED else causes.mix_ups(compiled.block)
-    ordered = (*ordered[:1], *mixed, *ordered[1:])
-    if assessment.status is not Status.NOT_CONVERGED and not mixed and causes.are_wanted(ordered):
-        ordered += causes.of_solution(compiled, estimate, cofactors, residuals, accuracy.check)
+    if status is not Status.CONVERGED:
+        ordered = causes.added(ordered, compiled, estimate, cofactors, residuals, accuracy.check)
     return Solution(
         problem=compiled, status=status, verdict=reason, end=estimate.end, residuals=residuals,
         backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,

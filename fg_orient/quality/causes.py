@@ -18,7 +18,7 @@ alpha at most if there is none (Markov's inequality).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, Final
@@ -83,9 +83,16 @@ class Cause:
     kind: str
 
 
-def are_wanted(findings: Sequence[Finding]) -> bool:
-    """Whether any finding asks for a cause."""
-    return any(f.severity in DECISIVE for f in findings)
+def added(
+    ordered: tuple[Finding, ...], problem: Problem, estimate: Estimate, cofactors: Cofactors | None,
+    residuals: ResidualCofactors | None, check: PointDifferences,
+) -> tuple[Finding, ...]:  # fmt: skip
+    """Findings of a result that is not trustworthy with its likely causes; others: see :func:`of_solution`."""
+    mixed = mix_ups(problem.block)
+    ordered = (*ordered[:1], *mixed, *ordered[1:])
+    if not estimate.converged or mixed or not any(f.severity in DECISIVE for f in ordered):
+        return ordered
+    return ordered + of_solution(problem, estimate, cofactors, residuals, check)
 
 
 def of_solution(

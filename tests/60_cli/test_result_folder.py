@@ -151,7 +151,7 @@ def test_moving_check_coordinates_changes_no_estimate(run: Any, twin: Path, adju
             lines[k] = ",".join(cells)
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     ended = run("adjust", twin, "--json")
-    assert ended.code == 0
+    assert ended.code == 4 and "check points contradict" in ended.json["reason"]
     moved, before = twin.parent / "result", adjusted[0]
     assert ended.json["accuracy"]["check"]["mean_north_m"] == pytest.approx(-1000.0, abs=5.0)
     assert ended.json["sigma0"] == record(before)["sigma0"]
