@@ -354,3 +354,28 @@ def test_figures_are_those_of_lagrange(sigma: float | None) -> None:
     q = np.linalg.inv(whole)[: len(scale), : len(scale)] * np.outer(scale, scale)
     roots = solution.scale * np.sqrt(np.diag(q)[-4:])
     assert np.sqrt(np.diag(figure.covariance)) == pytest.approx(roots, rel=1e-3)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("backend", ["graph", "dense"])
+def test_a_base_between_images_with_priors(backend: str) -> None:
+    """No point is named: the points stay eliminated, and the constraint is a factor of its own."""
+    block, _ = pinhole_block(4, 30, views=3, seed=2)
+    first, second = (image.sensor.camera.centre_m for image in block.images[:2])  # type: ignore[attr-defined]
+    ids, size = tuple(image.id for image in block.images[:2]), float(np.linalg.norm(second - first)) + 0.05
+    solution = fg.adjust(replace(block, extra=(fg.Constraint("base", ids, size),)), backend=backend)
+    at = [solution.correction(name)[3:6] + c for name, c in zip(ids, (first, second), strict=True)]
+    assert np.linalg.norm(at[1] - at[0]) == pytest.approx(size, abs=1e-9)
+    problem = replace(solution.problem, block=replace(solution.problem.block, extra=()))
+    r, design = assemble(problem, solution.state)
+    along = (at[1] - at[0]) / size
+    border = np.zeros(problem.n_columns)
+    for k, sign in ((0, -1.0), (1, 1.0)):
+        names = list(problem.parameters[k].names)
+        for axis, name in enumerate(("centre_x", "centre_y", "centre_z")):
+            j = names.index(name)
+            border[problem.first[k] + j] = sign * along[axis] * problem.parameters[k].sigma[j]
+    gradient = design.T @ r
+    correlate = -(border @ gradient) / (border @ border)  # Lagrange: the gradient lies along the constraint
+    scale = np.linalg.norm(design, axis=0)
+    assert np.abs((gradient + correlate * border) / scale).max() < 1e-6

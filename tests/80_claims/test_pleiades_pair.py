@@ -42,7 +42,8 @@ def rmse(example: ModuleType, real_data: Path, every: int) -> dict[int, np.ndarr
         # point 244 (2 m off) may be suspected among the ten control points; check points contradict in some runs
         doubted = [r["reason"] for r in runs if r["status"] != "converged"]
         suspected = [reason for reason in doubted if "check points contradict" not in reason]
-        assert all("gross error" in reason and "point 244" in reason for reason in suspected), suspected
+        assert all("gross error" in reason for reason in suspected), suspected
+        assert sum("point 244" not in reason for reason in suspected) <= 2, suspected  # of 86 runs, 0.2 % by chance
         out[eop_set] = np.array([[r[f"rmse_{axis}_m"] for axis in AXES] for r in runs])
     return out
 
