@@ -1,4 +1,6 @@
-"""Corrections of frame images: every term in use, in both directions, with perspective or fisheye projection::
+"""Corrections of frame images: every term in use, in both directions, with perspective or fisheye projection.
+
+Maps::
 
     projection   (x, y) = (X/Z, s Y/Z), or of a fisheye lens theta_d/r (X/Z, s Y/Z) with r = tan theta and
                  theta_d = theta (1 + f1 theta^2 + f2 theta^4 + f3 theta^6 + f4 theta^8)
