@@ -11,9 +11,11 @@ import pytest
 from scipy.optimize import least_squares
 
 import fg_orient as fg
+from fg_orient.formats.metadata.frame import read_camera, read_convention, write_convention
 from fg_orient.sensors.camera_conversion import ConvertedCamera
 from fg_orient.sensors.conventions import CONVENTIONS, REFUSED, Image
 from tests.support import dbat
+from tests.support.command import in_process
 
 LINES, SAMPLES, PIXEL_MM, R0_MM = 1000, 1400, 0.005, 2.4
 IMAGE = Image(LINES, SAMPLES, 1.0 / PIXEL_MM, R0_MM)
@@ -50,13 +52,15 @@ def convert(name: str, target: str, covariance: np.ndarray | None = None, **chan
 
 
 def directions(n: int = 400) -> tuple[np.ndarray, np.ndarray]:
-    return tuple(np.random.default_rng(3).uniform(-0.5, 0.5, (2, n)))  # type: ignore[return-value]
+    return tuple(np.random.default_rng(3).uniform(-0.5, 0.5, (2, n)))
 
 
 # --- the formulas of the programs: x, y are X/Z right and Y/Z down; pixels from the centre of the first one -------
 
 
-def radial_tangential(x: np.ndarray, y: np.ndarray, radial: list[float], p1: float, p2: float) -> tuple:
+def radial_tangential(
+    x: np.ndarray, y: np.ndarray, radial: list[float], p1: float, p2: float
+) -> tuple[np.ndarray, np.ndarray]:
     """OpenCV: x (1 + k1 r^2 + ...) + 2 p1 x y + p2 (r^2 + 2 x^2)."""
     r = x * x + y * y
     scale = 1.0 + sum(k * r ** (i + 1) for i, k in enumerate(radial))
@@ -65,7 +69,10 @@ def radial_tangential(x: np.ndarray, y: np.ndarray, radial: list[float], p1: flo
 
 def forward(name: str, v: dict[str, float], x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sample and line of directions."""
-    get = lambda *names: [v.get(n, 0.0) for n in names]  # noqa: E731
+
+    def get(*names: str) -> list[float]:
+        return [v.get(n, 0.0) for n in names]
+
     if name == "metashape":  # x' = x (1 + K1 r^2 + ...) + P1 (r^2 + 2 x^2) + 2 P2 x y; then w/2 + cx + f x'
         # + B1 x' + B2 y' and h/2 + cy + f y' from the corner
         x, y = radial_tangential(x, y, get("k1", "k2", "k3", "k4"), v["p2"], v["p1"])
@@ -110,7 +117,7 @@ def backward(name: str, v: dict[str, float], sample: np.ndarray, line: np.ndarra
         dy = along * y + 2 * v["p1"] * x * y + v["p2"] * (r2 + 2 * y * y)
         if name == "australis":
             dx = dx + v["b1"] * x + v["b2"] * y
-        x, y, c = x + dx, y + dy, v.get("f", v.get("cc", v.get("c")))
+        x, y, c = x + dx, y + dy, next(v[n] for n in ("f", "cc", "c") if n in v)
     return x / c, -y / c
 
 
@@ -312,7 +319,7 @@ def test_derivatives_of_fits_by_differences(source: str, target: str) -> None:
         covariance = np.zeros((len(VALUES[source]),) * 2)
         covariance[k, k] = step**2
         out = convert(source, target, covariance)
-        more, less = (convert(source, target, **{name: value + s}) for s in (step, -step))
+        more, less = (convert(source, target, None, **{name: value + s}) for s in (step, -step))
         expected = np.array([0.5 * abs(more.values[n] - less.values[n]) for n in out.values])
         sigma = np.array(list(out.sigma.values()))
         scale = np.array([max(abs(v), 1e-4) for v in out.values.values()])
@@ -341,6 +348,53 @@ def test_refusals(change: dict[str, object], word: str) -> None:
         fg.convert_camera(**given)  # type: ignore[arg-type]
     assert len(str(caught.value).splitlines()) == 1
     assert "micmac" in REFUSED
+
+
+@pytest.mark.behaviour
+def test_camera_files_have_conventions(tmp_path: Path) -> None:
+    """Written, read as a camera of frame images, and converted back with the covariance."""
+    source, there, back = (tmp_path / f"{name}.toml" for name in ("source", "there", "back"))
+    covariance = covariance_of("australis")
+    write_convention(source, convert("australis", "australis", covariance), PIXEL_MM, None)
+    assert read_camera(source).focal_px == pytest.approx(4.56 / PIXEL_MM)
+    ended = in_process("camera", "convert", source, "--to", "balanced", "--r0-mm", R0_MM, "--out", there, "--json")
+    expected = convert("australis", "balanced", covariance)
+    assert ended.code == 0 and ended.json["exact"] is True
+    assert ended.json["values"] == pytest.approx(expected.values)
+    assert ended.json["sigma"] == pytest.approx(expected.sigma)
+    assert in_process("camera", "convert", there, "--to", "australis", "--out", back).code == 0
+    again = read_convention(back)
+    assert again is not None and again.covariance is not None
+    assert again.values == pytest.approx(VALUES["australis"])
+    sigma = np.sqrt(covariance.diagonal())
+    assert np.array(again.covariance) / np.outer(sigma, sigma) == pytest.approx(covariance / np.outer(sigma, sigma),
+                                                                               abs=1e-9)  # fmt: skip
+    there.write_text(there.read_text("utf-8").replace("pixel_mm", "# pixel_mm"), "utf-8")  # given as an option instead
+    assert in_process("camera", "convert", there, "--to", "australis", "--out", tmp_path / "c.toml", "--pixel-mm",
+                      PIXEL_MM).code == 0  # fmt: skip
+    model = in_process("camera", "convert", back, "--to", "brown_ideal_to_measured", "--out", tmp_path / "b.toml")
+    ours = in_process(
+        "camera", "convert", tmp_path / "b.toml", "--to", "opencv", "--out", tmp_path / "o.toml", "--json"
+    )
+    assert (model.code, ours.code) == (0, 0) and ours.json["exact"] is True and ours.json["sigma"] == {}
+
+
+@pytest.mark.behaviour
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ('convention = "australis"', 'convention = "micmac"', "micmac"),
+    ("pixel_mm", "# pixel_mm", "--pixel-mm"), ("k1 = ", "k7 = ", "k7"),
+    ("\nc = ", "\n# c = ", "give c"), ("[values]", "[valuess]", "values"), ("lines = 1000", "lines = 0", "lines"),
+    ("xp = ", "xp = nan # ", "xp"),
+])  # fmt: skip
+def test_damaged_camera_files(tmp_path: Path, old: str, new: str, words: str) -> None:
+    path = tmp_path / "camera.toml"
+    write_convention(path, convert("australis", "australis"), PIXEL_MM, None)
+    text = path.read_text("utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), "utf-8")
+    ended = in_process("camera", "convert", path, "--to", "opencv", "--out", tmp_path / "out.toml")
+    assert ended.code == 2 and words in ended.stderr and "camera.toml" in ended.stderr
+    assert not (tmp_path / "out.toml").exists()
 
 
 @pytest.mark.repository
