@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from fg_orient.result.record import Result, read_result
     from fg_orient.rpc.select import register_selection
     from fg_orient.sensors.base import Sensor
+    from fg_orient.sensors.camera_conversion import convert_camera
     from fg_orient.sensors.initial import intersect
     from fg_orient.studies.comparison.compare import compare
 
@@ -104,6 +105,7 @@ _HOME: Final = {
     "adjust": "fg_orient.orientation.orient",
     "compare": "fg_orient.studies.comparison.compare",
     "compiled": "factors._contract",
+    "convert_camera": "fg_orient.sensors.camera_conversion",
     "factor_graph": "fg_orient.orientation.orient",
     "fit_curve": "fg_orient.adjustment.regression",
     "intersect": "fg_orient.sensors.initial",
@@ -151,6 +153,7 @@ __all__ = [
     "adjust",
     "compare",
     "compiled",
+    "convert_camera",
     "factor_graph",
     "fit_curve",
     "intersect",

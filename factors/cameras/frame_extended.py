@@ -82,7 +82,7 @@ def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
 
 @compiled
 def derivatives(record: Array, c: Array, ray: Vector, value: Any, has_terms: bool, out: Array) -> None:
-    """Write the derivatives of line and sample, not whitened, into ``out`` (2, 75), columns ``COLUMN``.
+    """Write the derivatives of line and sample, not whitened, into ``out`` (2, 76), columns ``COLUMN``.
 
     ``value`` are line and sample. Columns of additional parameters and variants are written with ``has_terms`` only.
     """

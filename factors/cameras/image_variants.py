@@ -1,6 +1,6 @@
 """Alternative terms of radial distortion and film deformation: corrections added to measured coordinates.
 
-    radial_j        dr = radial_j r^j                     j = 1, 2, 4, 6: k1 to k3 have r^3, r^5, r^7
+    radial_j        dr = radial_j r^j                     j = 1, 2, 4, 6, 9: k1 to k3 have r^3, r^5, r^7
     orthogonal_i    dr = orthogonal_i R_n(r/R),           n = 3, 5, 7: Zernike's radial polynomials of order 1
     film_xx         dx = film_xx x
     film_yx         dy = film_yx x
@@ -27,7 +27,7 @@ from factors.records import Record
 
 AT: Final = Record(
     radial_1=1, radial_2=1, radial_4=1, radial_6=1, orthogonal_1=1, orthogonal_2=1, orthogonal_3=1,
-    film_xx=1, film_yx=1,
+    film_xx=1, film_yx=1, radial_9=1,
 )  # fmt: skip
 NAMES: Final = tuple(AT.fields)
 
@@ -45,12 +45,14 @@ def _factors(x: Any, y: Any, radius: float) -> Any:
 
 @compiled
 def terms(x: Any, y: Any, radius: float) -> Any:
-    """Derivatives of dx and dy with respect to the coefficients: array (2, 9)."""
+    """Derivatives of dx and dy with respect to the coefficients: array (2, 10)."""
     radial = _factors(x, y, radius)
-    out = np.zeros((2, 9), radial.dtype)
+    out = np.zeros((2, 10), radial.dtype)
     for j in range(7):
         out[0, j], out[1, j] = x * radial[j], y * radial[j]
     out[0, 7], out[1, 8] = x, x
+    rr = x * x + y * y
+    out[0, 9], out[1, 9] = x * rr**4, y * rr**4
     return out
 
 
@@ -61,9 +63,10 @@ def slopes(c: Array, x: float, y: float, radius: float) -> tuple[float, float, f
     r, v, radial = np.sqrt(rr), rr / radius**2, _factors(x, y, radius)
     for j in range(7):
         own += c[j] * radial[j]
+    own += c[AT.radial_9] * rr**4
     # (d own/dr)/r; r has no derivative at 0, where it is multiplied by x and y
     slope = (c[AT.radial_2] / r if r > 0.0 else 0.0) + 3.0 * c[AT.radial_4] * r + 5.0 * c[AT.radial_6] * r * rr
     by_v = 3.0 * c[AT.orthogonal_1] + (20.0 * v - 12.0) * c[AT.orthogonal_2]
     by_v = by_v + ((105.0 * v - 120.0) * v + 30.0) * c[AT.orthogonal_3]
-    slope += 2.0 * by_v / radius**3
+    slope += 2.0 * by_v / radius**3 + 8.0 * c[AT.radial_9] * rr**3
     return own + x * x * slope + c[AT.film_xx], x * y * slope, x * y * slope + c[AT.film_yx], own + y * y * slope

@@ -148,44 +148,75 @@ def _list() -> None:
     answer(record, lambda _: table("formats", ("name", "files", "first pixel", "verified"), rows, left=2))
 
 
-camera = typer.Typer(
-    help="Camera files: from one direction of the distortion polynomial to the other.", no_args_is_help=True
-)
+camera = typer.Typer(help="Camera files: from one direction or program's convention to another.", no_args_is_help=True)
 
 
 @camera.callback()
 def camera_group() -> None:
-    """Camera files: from one direction of the distortion polynomial to the other."""
+    """Camera files: from one direction or program's convention to another."""
 
 
 @camera.command("convert")
 @command()
 def convert_camera(
     file: Annotated[Path, argument("CAMERA.toml", "Camera file.")],
-    model: Annotated[str, option("brown_ideal_to_measured or brown_measured_to_ideal.", "MODEL", flag="--to")],
+    model: Annotated[str, option(
+        "brown_ideal_to_measured, brown_measured_to_ideal, or a program's convention (docs/frame-cameras.md).", "MODEL",
+        flag="--to",
+    )],
     out: Annotated[Path, option("Camera file to write.", "FILE.toml")],
+    pixel_mm: Annotated[float | None, option("Size of a pixel, mm; default: the file's.", "MM")] = None,
+    r0_mm: Annotated[float | None, option("Radius of balanced radial terms, mm; default: the file's.", "MM")] = None,
     overwrite: Overwrite = False,
-) -> None:
-    """Fit the distortion polynomial of the other direction over the whole image, and say what is left.
+) -> None:  # fmt: skip
+    """Convert a camera file to the other direction of the distortion polynomial, or to a program's convention.
 
-    Neither polynomial inverts the other: the largest and the rms difference in the image are part of the result.
+    Where no exact conversion exists, the camera is fitted over the whole image: the largest and the rms difference in
+    the image are part of the result.
     """
     from fg_orient.formats.atomic import require_free_files
-    from fg_orient.formats.metadata.frame import read_camera, write_camera
+    from fg_orient.formats.metadata.frame import read_camera, read_convention, write_camera, write_convention
+    from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL
     from fg_orient.sensors.interior import converted
 
     require_free_files(out, overwrite=overwrite and not (out.exists() and out.samefile(file)))
-    interior = read_camera(file)
-    fitted = converted(interior, model)
-    write_camera(out, fitted.interior)
+    theirs = read_convention(file)
+    if theirs is not None:
+        pixel_mm, r0_mm = pixel_mm or theirs.pixel_mm, r0_mm or theirs.r0_mm
+        theirs = theirs.model_copy(update={"pixel_mm": pixel_mm, "r0_mm": r0_mm})
+    interior = read_camera(file) if theirs is None else theirs.converted(file).interior
     record = {
-        "camera": interior.name, "from": interior.model, "to": model, "max_px": fitted.max_px, "rms_px": fitted.rms_px,
+        "camera": interior.name, "from": interior.model if theirs is None else theirs.convention, "to": model,
         "out": str(out),
     }  # fmt: skip
-    answer(record, _show_camera)
+    if model in (IDEAL_TO_MEASURED, MEASURED_TO_IDEAL):
+        fitted = converted(interior, model)
+        write_camera(out, fitted.interior)
+        answer(record | {"max_px": fitted.max_px, "rms_px": fitted.rms_px}, _show_camera)
+        return
+    from fg_orient.sensors.camera_conversion import converted_interior
+    from fg_orient.sensors.conventions import Image
+
+    if theirs is None:
+        unit = interior.unit_px if interior.model == MEASURED_TO_IDEAL else None
+        pixel_mm = pixel_mm or (1.0 / unit if unit else None)
+        image = Image(interior.n_lines, interior.n_samples, 1.0 / pixel_mm if pixel_mm else 0.0, r0_mm or 0.0)
+        found = converted_interior(interior, model, image)
+    else:
+        found = theirs.converted(file, model)
+    write_convention(out, found, pixel_mm, r0_mm)
+    answer(record | {
+        "values": dict(found.values), "sigma": found.sigma, "exact": found.is_exact, "max_px": found.max_px,
+        "rms_px": found.rms_px, "at_px": list(found.at_px),
+    }, _show_camera)  # fmt: skip
 
 
 def _show_camera(record: dict[str, Any]) -> None:
     say(f"{record['camera']}: {record['from']} to {record['to']}")
+    if "values" in record:
+        sigma = record["sigma"]
+        rows = [[name, f"{value:.10g}", *([f"{sigma[name]:.3g}"] if sigma else [])]
+                for name, value in record["values"].items()]  # fmt: skip
+        table("values", ("name", "value", *(["sigma"] if sigma else [])), rows, left=1)
     say(f"difference over the whole image: {record['max_px']:.3g} px at most, {record['rms_px']:.3g} px rms")
     say(f"written: {record['out']}")

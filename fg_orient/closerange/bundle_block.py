@@ -368,6 +368,6 @@ def camera_steps(names: Sequence[str], reach: float) -> dict[str, float]:
     power = {"c": 0, "x0": 0, "y0": 0, "k1": 3, "k2": 5, "k3": 7, "p1": 2, "p2": 2, "affinity_a": 1, "affinity_b": 1}
     brown = (1, 1, 2, 2, 3, 3, 4, 2, 2, 3, 3, 4, 2, 4, 4, 3, 5, 7, 0, 0, 0)
     power |= {f"a{j + 1}": p for j, p in enumerate(brown)}
-    power |= {f"radial_{j}": j for j in (1, 2, 4, 6)} | {f"orthogonal_{i}": 0 for i in (1, 2, 3)}
+    power |= {f"radial_{j}": j for j in (1, 2, 4, 6, 9)} | {f"orthogonal_{i}": 0 for i in (1, 2, 3)}
     power |= {"film_xx": 1, "film_yx": 1}
     return {name: 1e-3 * reach ** (1 - power[name]) for name in names}

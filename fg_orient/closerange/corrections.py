@@ -45,7 +45,7 @@ SETS: Final[dict[str, tuple[str, ...]]] = {
 
 
 def camera_of(interior: PhotoInterior) -> Array:
-    """Camera parameters (40,) of an interior orientation."""
+    """Camera parameters (41,) of an interior orientation."""
     out = np.zeros(CAMERA.size)
     out[CAMERA.c], out[CAMERA.principal], out[CAMERA.lens] = interior.focal, interior.principal, interior.corrections
     return out
@@ -70,7 +70,7 @@ def profile(camera: Array, rim: float, names: Sequence[str], covariance: Array) 
 
     Parameters
     ----------
-    camera : (40,) array
+    camera : (41,) array
         Parameters in the order of :data:`NAMES`.
     rim : float
         Radius of the outermost image point, image units.

@@ -23,7 +23,8 @@ def test_terms_are_those_of_the_formulas() -> None:
              35 * u**7 - 60 * u**5 + 30 * u**3 - 4 * u]  # fmt: skip
     found = variants.terms(x, y, RADIUS)
     assert found[:, :7] == pytest.approx(np.outer([x / r, y / r], along), rel=1e-14)
-    assert found[:, 7:].tolist() == [[x, 0.0], [0.0, x]]
+    assert found[:, 7:9].tolist() == [[x, 0.0], [0.0, x]]
+    assert found[:, 9] == pytest.approx(np.array([x, y]) * r**8, rel=1e-14)
     rim = variants.terms(RADIUS, 0.0, RADIUS)
     assert rim[0, 4:7].tolist() == [1.0, 1.0, 1.0]
 
@@ -31,10 +32,10 @@ def test_terms_are_those_of_the_formulas() -> None:
 @pytest.mark.oracle
 def test_slopes_by_complex_step(rng: np.random.Generator) -> None:
     for _ in range(20):
-        c, (x, y) = rng.normal(size=9), rng.normal(size=2)
+        c, (x, y) = rng.normal(size=10), rng.normal(size=2)
         by_x, by_y = (displacement(c, x + dx, y + dy).imag / 1e-30 for dx, dy in ((1e-30j, 0j), (0j, 1e-30j)))
         assert variants.slopes(c, x, y, RADIUS) == pytest.approx([by_x[0], by_y[0], by_x[1], by_y[1]], rel=1e-12)
-    centre = variants.slopes(np.ones(9), 0.0, 0.0, RADIUS)  # only what is linear in x and y has a slope there
+    centre = variants.slopes(np.ones(10), 0.0, 0.0, RADIUS)  # only what is linear in x and y has a slope there
     assert centre == pytest.approx([1.0 + (-2.0 + 3.0 - 4.0) / RADIUS + 1.0, 0.0, 1.0, 1.0 - 3.0 / RADIUS])
 
 

@@ -98,10 +98,11 @@ DRAWN = {"concepts": 3, "factor-graph": 4, "tutorials": 5, "examples": 2}
 
 
 def camera_file(folder: Path) -> None:
-    """Write camera.toml, the camera file that its page shows."""
+    """Write camera.toml and uav.toml, the camera files that their page shows."""
     page = "docs/frame-cameras.md"
-    text = next(f.text for f in pages.fences(PAGES[page], page) if f.language == "toml" and "focal" in f.text)
-    (folder / "camera.toml").write_text(text, "utf-8")
+    for name, word in (("camera", "focal"), ("uav", "convention")):
+        text = next(f.text for f in pages.fences(PAGES[page], page) if f.language == "toml" and word in f.text)
+        (folder / f"{name}.toml").write_text(text, "utf-8")
 
 
 #: What is written for a page beside the prepared files, or in their place.

@@ -40,7 +40,8 @@ from fg_orient.formats.tables import finite
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
-from fg_orient.sensors.frame import MEASURED_TO_IDEAL, rotation_of_opk
+from fg_orient.sensors.conventions import CONVENTIONS, Image
+from fg_orient.sensors.frame import rotation_of_opk
 from fg_orient.sensors.interior import Interior
 
 Array = npt.NDArray[np.float64]
@@ -123,10 +124,8 @@ def _size_of_marks(model: FrameModel, camera: Array, file: str) -> tuple[tuple[i
 
 def _interior(n_lines: int, n_samples: int, camera: Array, px: float = 0.0) -> Interior:
     """Camera of the head: focal length, principal point, format (mm), k1 to k3, p1, p2; ``px`` are pixels per mm."""
-    f, x, y, _, height_mm, k1, k2, k3, p1, p2 = camera.tolist()
-    px = px or n_lines / height_mm
-    polynomial = np.array([k1, k2, k3, -p2, p1])  # y up becomes y down
-    return Interior(n_lines, n_samples, f * px, np.array([y, x]) * px, polynomial, MEASURED_TO_IDEAL, px, name="1")
+    image = Image(n_lines, n_samples, px or n_lines / float(camera[4]))
+    return CONVENTIONS["photomodeler"].interior(np.delete(camera, [3, 4]), image, "1")
 
 
 def _poses(text: TextLines, paragraphs: list[Paragraph]) -> tuple[Pose, ...]:

@@ -2,7 +2,8 @@
 
 docs/frame-cameras.md describes both. A camera file states the direction of its polynomial. Coefficients have the form
 in which the programs print them: ``brown_ideal_to_measured`` with OpenCV's p1 and p2 and no unit,
-``brown_measured_to_ideal`` with the photogrammetric P1 and P2 (y up) in the file's unit of length.
+``brown_measured_to_ideal`` with the photogrammetric P1 and P2 (y up) in the file's unit of length. A camera file may
+have the convention of another program instead (``fg_orient.sensors.conventions``), with a covariance.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,12 +19,15 @@ from pydantic import Field
 
 from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.registry import Format
-from fg_orient.formats.schema import Number, Positive, Table, Text, read_toml
-from fg_orient.formats.toml import entries
+from fg_orient.formats.schema import Number, Positive, Table, Text, read_toml, validate
+from fg_orient.formats.toml import entries, parse_toml
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, to_ecef
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameSensor, rotation_of_opk
 from fg_orient.sensors.interior import Interior
+
+if TYPE_CHECKING:
+    from fg_orient.sensors.camera_conversion import ConvertedCamera
 
 Array = npt.NDArray[np.float64]
 Three = tuple[Number, Number, Number]
@@ -57,8 +61,57 @@ class CameraFile(Table):
     further: dict[str, Number] = Field(default_factory=dict, description="a table [further] of coefficients by name")
 
 
+class ConventionFile(Table):
+    """A whole camera file in the convention of another program."""
+
+    schema_: Literal[1] = Field(alias="schema", description="schema = 1")
+    name: Text = Field(description='a name in quotes, such as "Olympus C4040Z"')
+    convention: Text = Field(description='the name of a convention, such as "metashape" (docs/frame-cameras.md)')
+    lines: Count = Field(description="number of lines of the image")
+    samples: Count = Field(description="number of samples of the image")
+    pixel_mm: Positive | None = Field(default=None, description="size of a pixel, mm")
+    r0_mm: Positive | None = Field(default=None, description="radius of balanced radial terms, mm")
+    values: dict[str, Number] = Field(description="a table [values] of numbers by the names of the convention")
+    covariance: tuple[tuple[Number, ...], ...] | None = Field(
+        default=None, description="rows of numbers in the order of [values]"
+    )
+
+    def converted(self, file: str | Path, convention: str = "") -> ConvertedCamera:
+        """Camera in another convention, or in its own one; InputError with the file for impossible values."""
+        from fg_orient.sensors.camera_conversion import convert_camera  # not above: it loads scipy.optimize
+
+        try:
+            out = convert_camera(
+                self.values, self.convention, convention or self.convention, covariance=self.covariance,
+                image_size=(self.lines, self.samples), pixel_mm=self.pixel_mm, r0_mm=self.r0_mm,
+            )  # fmt: skip
+        except InputError as error:
+            raise InputError(*(replace(p, file=str(file)) for p in error.problems)) from None
+        return replace(out, interior=replace(out.interior, name=self.name))
+
+
+def read_convention(path: str | Path) -> ConventionFile | None:
+    """Read a camera file in the convention of another program; None for a file with a ``model``."""
+    content = parse_toml(Path(path))
+    return validate(content, str(path), ConventionFile) if "convention" in content else None
+
+
+def write_convention(path: str | Path, camera: ConvertedCamera, pixel_mm: float | None, r0_mm: float | None) -> None:
+    """Write a camera file in the convention of another program, with all digits."""
+    own = camera.interior
+    rows = None if camera.covariance is None else tuple(map(tuple, camera.covariance.tolist()))
+    values = {
+        "schema": 1, "name": own.name or camera.convention, "convention": camera.convention, "lines": own.n_lines,
+        "samples": own.n_samples, "pixel_mm": pixel_mm, "r0_mm": r0_mm, "covariance": rows,
+    }  # fmt: skip
+    write_lines(path, [*entries(values), "", "[values]", *entries(camera.values)])
+
+
 def read_camera(path: str | Path) -> Interior:
     """Read a camera file; InputError with all faults, or if it cannot be read."""
+    theirs = read_convention(path)
+    if theirs is not None:
+        return theirs.converted(path).interior
     file = read_toml(path, CameraFile)
     px = 1.0 if file.pixel_mm is None else 1.0 / file.pixel_mm
     x, y = file.principal
