@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Pair = tuple[int, int]
 
-#: Vectors from which they are joined to variables of about so many unknowns, if all are linked: GTSAM then takes less
-#: time for few large factors.
+#: Vectors from which they are joined to variables of about so many unknowns, if all are linked, and unknowns up to
+#: which all are one variable: GTSAM then takes less time for few large factors.
 JOINED_FROM: Final = 40
 JOINED_SIZE: Final = 150
 #: Blocks of a factor of three vectors, in the order of GTSAM's arguments.
@@ -99,8 +99,9 @@ class GroupSums:
             linked[a], linked[b] = linked[a] + size[b], linked[b] + size[a]
         #: Unknowns of the vectors that are linked to one of them, at most: as many has the widest elimination at least.
         self.widest = max(linked.values(), default=0)
-        #: Vectors are joined to few variables: all are linked, so that no order of elimination saves anything.
-        self.is_joined = alone and n >= JOINED_FROM and len(pairs) == n * (n - 1) // 2
+        #: Vectors are joined to few variables: no order of elimination saves anything, or less than small factors cost.
+        is_dense = n >= JOINED_FROM and len(pairs) == n * (n - 1) // 2
+        self.is_joined = alone and (is_dense or self.vectors[-1][1].stop <= JOINED_SIZE)
         if self.is_joined:
             cuts = np.linspace(0, n, 1 + -(-self.vectors[-1][1].stop // JOINED_SIZE)).astype(int)
             first = [self.vectors[k][1].start if k < n else self.vectors[-1][1].stop for k in cuts.tolist()]
