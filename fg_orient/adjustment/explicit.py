@@ -63,11 +63,11 @@ def image_unknown(problem: Problem, k: int) -> int | Split | Array:
         return np.zeros(0)
     if ties is None:
         return image_key(k)
-    of, parts = ties.of[slice(*problem.first[k : k + 2])], []
-    for key, part in vector_keys(problem):
-        columns = np.flatnonzero((of >= part.start) & (of < part.stop))
-        if len(columns):
-            parts.append((key, columns, of[columns] - part.start, part.stop - part.start))
+    wide, m, parts = problem.image_slice(k), problem.n_images, []
+    of, vectors = ties.of[wide], ties.vectors(wide)
+    for n in np.unique(vectors).tolist():
+        columns, (start, stop) = np.flatnonzero(vectors == n), ties.part[n : n + 2].tolist()
+        parts.append((image_key(n) if n < m else shared_key(n - m), columns, of[columns] - start, stop - start))
     if len(parts) == 1 and parts[0][3] == size:
         return parts[0][0]
     return Split(*(tuple(values) for values in zip(*parts, strict=True)))

@@ -134,18 +134,12 @@ class GroupSums:
         elimination, s = self.elimination, self.elimination.backend.structure
         exists, of_image = elimination.parts, dict[int, list[int]]()
         for k in range(elimination.problem.n_images):
-            own = [k] if self._ties is None else self._vectors_of(k)
+            wide = elimination.problem.image_slice(k)
+            own = [k] if self._ties is None else np.unique(self._ties.vectors(wide)).tolist()
             of_image[k] = [n for n in own if n in exists]
         links = zip(s.block_row.tolist(), s.block_column.tolist(), strict=True)
         every = ((n, m) for i, j in links for n in of_image[i] for m in of_image[j])
         return {(min(n, m), max(n, m)) for n, m in every if n != m}
-
-    def _vectors_of(self, k: int) -> list[int]:
-        """Numbers of the vectors with unknowns of an image."""
-        problem, parts = self.elimination.problem, self.elimination.parts
-        assert self._ties is not None
-        of = self._ties.of[problem.image_slice(k)]
-        return [n for n, part in parts.items() if ((of >= part.start) & (of < part.stop)).any()]
 
     def factors(self, blocks: Array, gradient: Array, prior: Array) -> list[gtsam.LinearContainerFactor]:
         """Factors of blocks (B, k, k) and gradient (u,) of :meth:`Elimination.linearised`; their cost is zero.

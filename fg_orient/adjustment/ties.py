@@ -67,6 +67,10 @@ class Ties:
         """Wide unknowns (w,) that are not shared."""
         return np.asarray(self.of < self.part[len(self.part) - 1 - len(self.ids)])
 
+    def vectors(self, wide: slice) -> Index:
+        """Number of the image or, after the images, of the shared id that has each of some wide unknowns."""
+        return np.asarray(np.searchsorted(self.part, self.of[wide], side="right") - 1)
+
     def summed(self, wide: Array) -> Array:
         """``T^T x`` of a gradient (w,)."""
         return np.bincount(self.of, weights=wide, minlength=len(self)).astype(np.float64, copy=False)
