@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fg_orient.adjustment import point_groups, schur_structure
+from fg_orient.adjustment import point_groups, reduced_graph, schur_structure
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.eliminated import IMPOSSIBLE, Elimination
 from fg_orient.adjustment.graph import GraphBackend
@@ -94,25 +94,41 @@ def test_factors_are_the_explicit_graph_with_its_points_eliminated(kind: str) ->
 
 
 @pytest.mark.oracle
+@pytest.mark.parametrize("joined", [True, False])
 @pytest.mark.parametrize("grouped", [True, False])
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_graph_of_an_iteration_is_that_of_all_groups(kind: str, grouped: bool) -> None:
-    """Matrix, gradient and cost within 1e-9 of numpy's where it was made, and the cost of the points elsewhere."""
+def test_the_graph_of_an_iteration_is_that_of_all_groups(
+    kind: str, grouped: bool, joined: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Matrix, gradient and cost within 1e-9 of numpy's where it was made, and the cost of the points elsewhere.
+
+    Images are variables of their own, or joined to one.
+    """
     problem = problem_of(kind)
+    monkeypatch.setattr(reduced_graph, "JOINED_SIZE", 10_000 if joined else 0)
     backend = GraphBackend(problem, grouped=grouped)
+    others, sums = backend.others, backend.sums
+    assert sums.is_joined == (joined and not problem.block.extra)
     values = values_at(backend, away(problem, 5))
-    graph = backend.linearised(values).graph
+    linear = backend.linearised(values)
     matrix, gradient, cost = reduced_of_dense(problem, backend.state(values, complete=True))
-    prior = backend.others.error(values)
-    normal, right = graph.linearize(values).hessian(backend_ordering(backend))
-    own, own_right = backend.others.linearize(values).hessian(backend_ordering(backend))
+    ordering = gtsam.Ordering()
+    for key, _ in sums.variables:
+        ordering.push_back(key)
+    normal, right = linear.graph.linearize(linear.values).hessian(ordering)
+    own, own_right = others.linearize(values).hessian(backend_ordering(backend))  # of a joined graph they are part
     scale = np.sqrt(np.diag(matrix))
     assert np.abs((normal - own - matrix) / np.outer(scale, scale)).max() <= 1e-9
     assert np.abs((own_right - right - gradient) / scale).max() <= 1e-9 * np.sqrt(2.0 * cost)
-    assert graph.error(values) - prior == pytest.approx(cost, rel=1e-9)
+    assert linear.graph.error(linear.values) - others.error(values) == pytest.approx(cost, rel=1e-9)
     there = values_at(backend, away(problem, 6))
+    free = backend.free(there)
     expected = reduced_of_dense(problem, backend_state(backend, there))[2]
-    assert graph.error(there) - backend.others.error(there) == pytest.approx(expected, rel=1e-9)
+    moved = gtsam.Values()
+    for key, part in sums.variables:
+        moved.insert(key, free[part])
+    assert linear.graph.error(moved) - others.error(there) == pytest.approx(expected, rel=1e-9)
+    assert np.array_equal(backend.free(linear.of_images(moved)), free)
 
 
 @pytest.mark.oracle
