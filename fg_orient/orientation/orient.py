@@ -355,10 +355,10 @@ def conclude(
     accuracy = _assess(compiled, ground, located, cofactors)
     assessment = verdict.assess_solution(compiled, estimate, unavailable)
     findings = [*verdict.findings(compiled, estimate, assessment, observability, block_view, accuracy)]
-    residuals = None
+    examined = doubts.Examined([])
     if assessment.status is not Status.NOT_CONVERGED:
-        raised, residuals = doubts.of_solution(compiled, estimate, ground, cofactors, accuracy.check)
-        findings += raised
+        examined = doubts.of_solution(compiled, estimate, ground, cofactors, accuracy.check)
+        findings += examined.findings
         if cofactors is not None:
             findings += camera.inseparable(camera.frame_cofactors(compiled, estimate.state, cofactors))
     if located is not None and len(located.lost):
@@ -367,16 +367,15 @@ def conclude(
     accept = compiled.block.options.accept
     status, reason, ordered = verdict.decided(assessment, estimate.end, findings, accept)
     if status is not Status.CONVERGED:
-        ordered = causes.added(ordered, compiled, estimate, cofactors, residuals, accuracy.check)
+        ordered = causes.added(ordered, compiled, estimate, cofactors, examined.sigmas, accuracy.check)
     return Solution(
-        problem=compiled, status=status, verdict=reason, end=estimate.end, residuals=residuals,
+        problem=compiled, status=status, verdict=reason, end=estimate.end, residuals=examined.residuals,
         backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,
         state=estimate.state, ground_m=ground, chi2=estimate.chi2,
         sigma0_interval=assessment.interval, log=estimate.log, iterations=estimate.iterations,
         residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, block_view=block_view,
-        accuracy=accuracy,
-        cofactors=cofactors, unavailable=unavailable, findings=ordered, weights=estimate.weights,
-        resumed_at=estimate.resumed_at,
+        accuracy=accuracy, cofactors=cofactors, sigmas=examined.sigmas, unavailable=unavailable, findings=ordered,
+        weights=estimate.weights, resumed_at=estimate.resumed_at,
         seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, working_clock() - start),
     )  # fmt: skip
 

@@ -31,6 +31,7 @@ from fg_orient.quality.rejection import Search
 from fg_orient.quality.reliability import ALPHA, POWER, BlockReliability, reliability
 from fg_orient.quality.significance import LEVEL as SIGNIFICANCE_LEVEL
 from fg_orient.quality.significance import Significance, significance
+from fg_orient.quality.stated_sigmas import StatedSigma
 from fg_orient.quality.suspects import Kind
 from fg_orient.quality.variance_components import VarianceComponents, variance_components
 from fg_orient.result.record import Result, html_table, one_line, overview
@@ -95,6 +96,8 @@ class Solution(AdjustmentResult):
         Iterations of an interrupted run that this run continued.
     snooping : Search or None
         Search for gross errors, if the options request one.
+    sigmas : tuple of StatedSigma
+        Stated sigmas of groups of observations beside the estimated ones, where the observations are tested.
     """
 
     verdict: Finding
@@ -115,6 +118,7 @@ class Solution(AdjustmentResult):
     seconds: Seconds = field(default_factory=Seconds)
     resumed_at: int = 0
     snooping: Search | None = None
+    sigmas: tuple[StatedSigma, ...] = ()
 
     @property
     def scale(self) -> float:

@@ -18,7 +18,7 @@ alpha at most if there is none (Markov's inequality).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, Final
@@ -35,7 +35,7 @@ from fg_orient.model.errors import DECISIVE, FgOrientError, Finding, finding
 from fg_orient.quality import hypotheses
 from fg_orient.quality.accuracy import PointDifferences
 from fg_orient.quality.covariance import Cofactors
-from fg_orient.quality.residuals import ResidualCofactors
+from fg_orient.quality.stated_sigmas import StatedSigma
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -85,18 +85,18 @@ class Cause:
 
 def added(
     ordered: tuple[Finding, ...], problem: Problem, estimate: Estimate, cofactors: Cofactors | None,
-    residuals: ResidualCofactors | None, check: PointDifferences,
+    sigmas: Sequence[StatedSigma], check: PointDifferences,
 ) -> tuple[Finding, ...]:  # fmt: skip
     """Findings of a result that is not trustworthy with its likely causes; others: see :func:`of_solution`."""
     mixed = mix_ups(problem.block)
     ordered = (*ordered[:1], *mixed, *ordered[1:])
     if not estimate.converged or mixed or not any(f.severity in DECISIVE for f in ordered):
         return ordered
-    return ordered + of_solution(problem, estimate, cofactors, residuals, check)
+    return ordered + of_solution(problem, estimate, cofactors, sigmas, check)
 
 
 def of_solution(
-    problem: Problem, estimate: Estimate, cofactors: Cofactors | None, residuals: ResidualCofactors | None,
+    problem: Problem, estimate: Estimate, cofactors: Cofactors | None, sigmas: Sequence[StatedSigma],
     check: PointDifferences,
 ) -> tuple[Finding, ...]:  # fmt: skip
     """Note on the most likely cause and those like it; empty if an error of one point explains more.
@@ -107,8 +107,8 @@ def of_solution(
     estimate : Estimate
         Of a least-squares adjustment; nothing is tested under a loss.
     cofactors : Cofactors or None
-    residuals : ResidualCofactors or None
-        Cofactors of all residuals, if they were computed.
+    sigmas : sequence of StatedSigma
+        Stated and estimated sigmas of groups of observations.
     check : PointDifferences
         Of the check points.
     """
@@ -116,7 +116,7 @@ def of_solution(
     if cofactors is None or estimate.weights is not None or problem.block.options.datum == "inner" or n > MOST:
         return ()
     system = _System.of(problem, estimate.state, cofactors, check)
-    tried = [*system.causes(), *_factors(residuals)] if system is not None else [*_factors(residuals)]
+    tried = [*(() if system is None else system.causes()), *_factors(sigmas)]
     named = [c for c in tried if c.kind != "single"]
     fixed, free = sum(c.free == 0 for c in named), sum(c.free > 0 for c in named)
     best: dict[str, Cause] = {}
@@ -133,30 +133,17 @@ def of_solution(
     return (finding("verdict.cause", what=first.what, gain=first.gain, also=alike, cure=first.cure),)
 
 
-def _factors(residuals: ResidualCofactors | None) -> Iterator[Cause]:
-    """Sigmas of a group that are wrong by a factor: likelihood of v^T v with the group's redundancy r.
+def _factors(sigmas: Sequence[StatedSigma]) -> Iterator[Cause]:
+    """Sigmas of a group that are wrong by a factor f: likelihood of its residuals with the redundancy r.
 
-    ``r (q - 1 - ln q)`` with the variance factor q = v^T v / r is the twofold logarithm of the likelihood ratio of r
-    independent normal residuals; its standard deviation of the factor is ``sqrt(q / 2 r)``.
+    ``r (f^2 - 1 - ln f^2)`` is the twofold logarithm of the likelihood ratio of r independent normal residuals.
     """
-    if residuals is None:
-        return
-    axes = np.diagonal(residuals.control, axis1=1, axis2=2)
-    groups = (
-        ("image points", residuals.v_image, np.diagonal(residuals.image, axis1=1, axis2=2)),
-        ("control points horizontally", residuals.v_control[:, :2], axes[:, :2]),
-        ("control points vertically", residuals.v_control[:, 2:], axes[:, 2:]),
-    )
-    for name, v, share in groups:
-        r = float(np.sum(share))
-        if r < 3.0:
-            continue
-        q = max(float(np.sum(v**2)) / r, 1e-12)
-        gain = r * (q - 1.0 - np.log(q))
-        text = f"sigmas of {name} too {'small' if q > 1 else 'large'}: " \
-               f"factor {np.sqrt(q):.2f} +- {np.sqrt(q / (2.0 * r)):.2f}"  # fmt: skip
+    for one in sigmas:
+        r, q = one.redundancy, max(one.factor, 1e-6) ** 2
+        gain, size = r * (q - 1.0 - np.log(q)), "small" if q > 1 else "large"
+        text = f"sigmas of {one.group} too {size}: factor {one.factor:.2f} +- {one.sd:.2f}"
         yield Cause(
-            text, "let option variance_components estimate the sigmas", gain, 1, gain - np.log(v.size), f"sigma {name}"
+            text, "let option variance_components estimate the sigmas", gain, 1, gain - np.log(r), f"sigma {one.group}"
         )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -26,24 +26,36 @@ from fg_orient.quality.hypotheses import CHECKED
 from fg_orient.quality.outlier_records import OutlierTests
 from fg_orient.quality.outliers import outlier_tests
 from fg_orient.quality.residuals import ResidualCofactors
+from fg_orient.quality.stated_sigmas import StatedSigma, stated_sigmas
 
 Array = npt.NDArray[np.float64]
 
 #: Largest probability of each doubt in a block without mistakes, all its tests together; docs/verdict.md prints it.
 BUDGET: Final = {
     "sigma0": 0.0005, "gross_error": 0.002, "beyond_prior": 0.001, "check_beyond": CHANCE, "check_far": CHANCE,
+    "sigmas": 0.001,
 }  # fmt: skip
 #: Probability of Baarda's test of one observation, above which the given sigmas allow its error.
 ALPHA: Final = 0.001
+#: Factor by which the sigma of a group must be too small, or too large, at least: less changes little.
+MATTERS: Final = 1.25
 #: Points whose accuracy is computed at once.
 _CHUNK: Final = 100_000
 _ACCEPTANCE: Final = re.compile(r"(verdict\.)?(?P<code>[a-z0-9_]+)(:(?P<place>.*?))?(<=(?P<limit>[0-9.eE+-]+))?")
 
 
+class Examined(NamedTuple):
+    """Doubts that follow from tests of a solution; if they were computed, cofactors of its residuals, sigmas."""
+
+    findings: list[Finding]
+    residuals: ResidualCofactors | None = None
+    sigmas: tuple[StatedSigma, ...] = ()
+
+
 def of_solution(
     problem: Problem, estimate: Estimate, ground_m: Array, cofactors: Cofactors | None, check: PointDifferences
-) -> tuple[list[Finding], ResidualCofactors | None]:  # fmt: skip
-    """Doubts that follow from tests of a solution, and the cofactors of its residuals if they were computed.
+) -> Examined:
+    """Doubts that follow from tests of a solution.
 
     Parameters
     ----------
@@ -59,14 +71,32 @@ def of_solution(
     scale = float(np.sqrt(estimate.chi2 / f)) if f > 0 and estimate.weights is None else 1.0
     out = missed_accuracy(problem, ground_m, cofactors, scale)
     if cofactors is None or estimate.weights is not None or f <= 0:
-        return out, None
+        return Examined(out)
     out += [*exceeded_priors(problem, estimate.state, cofactors), *of_check_points(check)]
     if not full_statistics(options, len(problem.observations), problem.n_image_unknowns):
-        return out, None
+        return Examined(out)
     residuals = ResidualCofactors(problem, estimate.state, cofactors)
     tests = outlier_tests(residuals, estimate.chi2, level=options.outlier_level, test=options.outlier_test,
                           control=options.multiple_testing)  # fmt: skip
-    return out + gross_errors(tests, options.accept), residuals
+    gross = gross_errors(tests, options.accept)
+    sigmas = stated_sigmas(residuals, tests if gross else None)
+    return Examined([*out, *gross, *wrong_sigmas(sigmas)], residuals, sigmas)
+
+
+def wrong_sigmas(sigmas: Sequence[StatedSigma]) -> list[Finding]:
+    """Doubt on the group whose stated sigmas are too small; notes on groups whose sigmas are too large.
+
+    Sigmas that are too large make the result look worse than it is, which is no reason not to trust it.
+    """
+    level, out = sidak(BUDGET["sigmas"], max(len(sigmas), 1)), list[Finding]()
+    small = [s for s in sigmas if s.larger <= level and s.factor - 2.0 * s.sd > 1.0 and s.factor >= MATTERS]
+    for s in sorted(small, key=lambda s: s.larger)[:1]:
+        out.append(finding("verdict.sigmas", place=s.group, words=s.words, size=s.factor,
+                           level=100.0 * BUDGET["sigmas"], more=[o.group for o in small if o is not s]))  # fmt: skip
+    for s in sigmas:
+        if s.smaller <= level and s.factor <= 1.0 / MATTERS:
+            out.append(finding("verdict.sigmas_large", place=s.group, words=s.words, size=s.factor))
+    return out
 
 
 def gross_errors(tests: OutlierTests, accept: Sequence[str] = ()) -> list[Finding]:

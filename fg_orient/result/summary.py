@@ -181,6 +181,7 @@ def summary(solution: Solution) -> dict[str, Any]:
         "robust": _robust(solution),
         "regularisation": solution.regularisation,
         "variance_components": None if solution.components is None else solution.components.as_dict(),
+        "stated_sigmas": [one.as_dict() for one in solution.sigmas],
         "resumed_at_iteration": solution.resumed_at or None,
         "us_per_observation_iteration": 1e6 * solution.seconds.solve / work if work else float("nan"),
         "memory": None if solution.memory is None else solution.memory.as_dict(),

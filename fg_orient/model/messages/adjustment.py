@@ -203,6 +203,13 @@ verdict.gross_error (doubt): gross error suspected
     + ; or in {also:5}, which cannot be separated from it
     + ; {more} more observation(s) are above their limits, perhaps because of this error
     -> correct the measurement or the coordinates, search with <snoop>, or <accept> "gross_error:{place}"
+verdict.sigmas (doubt): the stated standard deviations are too small: {words}; if they were right, fewer than
+    {level:g} % of blocks would have such residuals. Standard deviations and coordinates must not be trusted
+    + ; those of {more} are too small, too
+    -> correct them, let <variance_components> estimate them, or <accept> "sigmas:{place}<={size:.3g}"
+verdict.sigmas_large (note): the stated standard deviations are too large: {words}; the observations have too little
+    weight, and the result looks less accurate than it is
+    -> correct them, or let <variance_components> estimate them
 verdict.beyond_prior (doubt): the adjusted value differs by {correction:+.3g} {unit} from the metadata, {size:.1f}
     times the standard deviation of this difference; the prior standard deviation is {sigma:.3g} {unit}
     + ; {more} more unknown(s) are beyond their priors
