@@ -22,7 +22,7 @@ from fg_orient.adjustment.linear.registry import solver as find_solver
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, LinearSystem
 from fg_orient.adjustment.loop import Step, share_at_radius
 from fg_orient.adjustment.problem import ExtraArgument, Problem, State
-from fg_orient.adjustment.robust import Robust, control_squares, squares
+from fg_orient.adjustment.robust import Robust, control_squares, squares, together, two_ray_rows
 from fg_orient.adjustment.rows import linearised, refuse, residuals, rows_by_image
 from fg_orient.model.block import ExtraObservation
 from fg_orient.model.errors import InputError
@@ -288,7 +288,7 @@ class DenseBackend:
     def _weights(self, robust: Robust, residual: Array, state: State) -> tuple[Array, float]:
         """Roots of the weights (n,) of all rows; cost minus half the weighted sum of squares."""
         n = 2 * len(self.problem.observations)
-        image_squares = np.sum(residual[:n].reshape(-1, 2) ** 2, axis=1)
+        image_squares = together(np.sum(residual[:n].reshape(-1, 2) ** 2, axis=1), two_ray_rows(self.problem))
         observed_squares = control_squares(self.problem, state)
         image, control, cost = robust.weigh(image_squares, observed_squares)
         weights = np.ones(len(residual))

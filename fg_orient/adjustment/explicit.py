@@ -22,7 +22,7 @@ from fg_orient.adjustment.loop import Step, share_at_radius
 from fg_orient.adjustment.native import NativeObservation
 from fg_orient.adjustment.point_groups import vector_names, vector_parts
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.robust import Robust, ScaledLoss, squares
+from fg_orient.adjustment.robust import Robust, squares, weighted_problem, weights_at
 from fg_orient.adjustment.rows import groups
 from fg_orient.model.block import ExtraObservation
 
@@ -73,17 +73,17 @@ def image_unknown(problem: Problem, k: int) -> int | Split | Array:
     return Split(*(tuple(values) for values in zip(*parts, strict=True)))
 
 
-def build_graph(problem: Problem, image_loss: Any = None, control_loss: Any = None) -> gtsam.NonlinearFactorGraph:
-    """One factor per image point, control point and image prior; losses are GTSAM's (``noiseModel.mEstimator``)."""
+def build_graph(problem: Problem) -> gtsam.NonlinearFactorGraph:
+    """One factor per image point, control point and image prior."""
     graph = gtsam.NonlinearFactorGraph()
-    _add_image_points(graph, problem, image_loss)
-    _add_priors(graph, problem, control_loss)
+    _add_image_points(graph, problem)
+    _add_priors(graph, problem)
     for extra in problem.block.extra:
         graph.add(extra_factor(extra, problem))
     return graph
 
 
-def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss: Any) -> None:
+def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:
     """Add one factor per image point, point by point: neighbours in the graph share a ground point.
 
     Values, records and linear factors of one point then lie together in memory.
@@ -98,7 +98,7 @@ def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss:
         if equation.fill is None:  # general factors below
             continue
         make = image_point_factors(
-            equation, len(parameters), records, parameters.setup, lambda n: problem.label(rows[n]), loss=loss
+            equation, len(parameters), records, parameters.setup, lambda n: problem.label(rows[n])
         )
         makers |= dict.fromkeys(images, make)
     image_keys = [image_unknown(problem, i) for i in range(problem.n_images)]
@@ -115,7 +115,7 @@ def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss:
             setup = models[i].parameters.setup
             graph.add(factor(
                 models[i].equation, (own, point), (setup.shape[1], 3), records[n], setup,
-                label=problem.label(row), loss=loss,
+                label=problem.label(row),
             ))  # fmt: skip
 
 
@@ -137,11 +137,9 @@ def extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.NonlinearFa
     )  # fmt: skip
 
 
-def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss: Any) -> None:
+def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:
     for j in np.flatnonzero(problem.observed):
-        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.SqrtInformation(problem.control_weights(int(j)))
-        if loss is not None:
-            noise = gtsam.noiseModel.Robust.Create(loss, noise)
+        noise = gtsam.noiseModel.Gaussian.SqrtInformation(problem.control_weights(int(j)))
         graph.addPriorPoint3(point_key(int(j)), problem.control_records[j, POINT.place], noise)
     add_image_priors(graph, problem)
 
@@ -159,10 +157,9 @@ class ExplicitSystem:
 
     def __init__(self, backend: ExplicitBackend, values: gtsam.Values) -> None:
         self._backend = backend
-        self.linear: gtsam.GaussianFactorGraph = backend.graph.linearize(values)
-        quadratic = float(self.linear.error(backend.zero))
-        self.error = quadratic if backend.robust is None else backend.error(values)
-        self._excess = self.error - quadratic
+        graph, self._excess = backend.weighted(values)
+        self.linear: gtsam.GaussianFactorGraph = graph.linearize(values)
+        self.error = float(self.linear.error(backend.zero)) + self._excess
 
     @property
     def zero(self) -> gtsam.VectorValues:
@@ -220,15 +217,14 @@ class ExplicitBackend:
     ----------
     problem : Problem
     robust : Robust, optional
-        Losses; they may be replaced between linearisations, but not added or removed.
+        Losses; they may be replaced between linearisations.
     """
 
     name = "graph"
 
     def __init__(self, problem: Problem, robust: Robust | None = None) -> None:
         self.problem, self.robust = problem, robust
-        losses = () if robust is None else (self._estimator("image"), self._estimator("control"))
-        self.graph = build_graph(problem, *losses)
+        self.graph = build_graph(problem)
         # without priors the normal equations may be too ill-conditioned for Cholesky; their rank is known
         self.use_qr = not problem.block.options.priors
         self._points = [int(j) for j in np.flatnonzero(problem.active)]
@@ -245,16 +241,12 @@ class ExplicitBackend:
         for j in self._points:
             self.zero.insert(point_key(j), np.zeros(3))
 
-    def _estimator(self, kind: str) -> Any:
-        """GTSAM's form of a loss: it looks up the present loss at each call."""
-
-        def loss() -> ScaledLoss:
-            return getattr(self.robust, kind)  # type: ignore[no-any-return]
-
-        whole = gtsam.noiseModel.mEstimator.Base.ReweightScheme.Block
-        return gtsam.noiseModel.mEstimator.Custom(
-            lambda norm: float(loss().weights(float(norm))), lambda norm: float(loss().costs(float(norm))), whole, kind
-        )
+    def weighted(self, values: gtsam.Values) -> tuple[gtsam.NonlinearFactorGraph, float]:
+        """Graph with the weights of the losses at these values; their cost minus half its weighted sum of squares."""
+        if self.robust is None:
+            return self.graph, 0.0
+        weights, excess = weights_at(self.problem, self.state(values), self.robust)
+        return build_graph(weighted_problem(self.problem, weights)), excess
 
     def initial(self) -> gtsam.Values:
         """Start values."""
@@ -284,7 +276,8 @@ class ExplicitBackend:
 
     def error(self, state: gtsam.Values) -> float:
         """Half the weighted sum of squares, or the cost under the losses."""
-        return float(self.graph.error(state))
+        graph, excess = self.weighted(state)
+        return float(graph.error(state)) + excess
 
     def squares(self, state: gtsam.Values) -> tuple[Array, Array]:
         """See ``robust.RobustBackend``."""

@@ -31,10 +31,9 @@ from fg_orient.adjustment.robust import (
     NONE,
     FixedWeights,
     Weights,
-    control_squares,
     inlier_limit,
+    squares,
 )
-from fg_orient.adjustment.rows import residuals
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.distributions import chi_square_probability
 from fg_orient.model.errors import InputError
@@ -145,8 +144,9 @@ def reweight(
 
 
 def norms_at(problem: Problem, state: State) -> tuple[Array, Array]:
-    """Whitened norms of image points (n,) and observed control points (m,)."""
-    return np.linalg.norm(residuals(problem, state), axis=1), np.sqrt(control_squares(problem, state))
+    """Whitened norms that decide on the weights of image points (n,) and observed control points (m,)."""
+    image, control = squares(problem, state)
+    return np.sqrt(image), np.sqrt(control)
 
 
 def weights_of(problem: Problem, groups: tuple[Array, ...]) -> Weights:

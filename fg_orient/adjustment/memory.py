@@ -35,6 +35,9 @@ RESULTS: Final = 400
 #: Bytes per image point of the statistics of every observation, and of Jacobians that are in memory at once.
 STATISTICS: Final = 700
 STATISTICS_CHUNK: Final = 300
+#: Image points up to which the cofactors of groups of observations are computed in every adjustment, and bytes of each.
+EXACT_RAYS: Final = 3000
+GROUPS: Final = 5000
 #: Bytes that do not depend on the block: models, names, records of the run.
 FIXED: Final = 500_000
 #: Numbers per ground point in problem, state and results.
@@ -103,7 +106,8 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
 
 def _statistics(images: int, n: int, widest: int) -> float:
     """Cofactors and reliability of all image points; two arrays of the pairs of images."""
-    return n * STATISTICS + min(n, CHUNK) * STATISTICS_CHUNK + 2 * 8 * widest**2 * images * (images + 1) / 2
+    groups = n * GROUPS if n <= EXACT_RAYS else 0
+    return n * STATISTICS + groups + min(n, CHUNK) * STATISTICS_CHUNK + 2 * 8 * widest**2 * images * (images + 1) / 2
 
 
 def _working(backend: str, block: Block, n: int, u: int, widest: int) -> float:

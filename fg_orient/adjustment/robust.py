@@ -4,6 +4,10 @@ The cost is the sum of rho(t) over image points (t: whitened norm of 2 residuals
 sum of squares of priors and extra observations. Rows multiplied by the root of their weight give the Gauss-Newton steps
 of iteratively reweighted least squares (Holland & Welsch 1977). Their gradient is the gradient of the cost.
 
+The two rays of a tie point without further observations contradict each other in one residual, the y-parallax, and
+nothing says which of them is wrong. Each of them has the mean of their squared norms (:func:`together`): a gross error
+in one of them costs the point, not the ray that happens to have the larger residual.
+
 Each loss contains the share :data:`FLOOR` of the square. Therefore the intersection of its rays still determines a
 ground point whose image points have no other weight. With fixed weights the problem is an ordinary least-squares
 problem (:func:`weighted_problem`); covariances under a loss are the covariances of that problem.
@@ -24,6 +28,7 @@ from fg_orient.adjustment.rows import residuals, whitened_records
 from fg_orient.model.distributions import chi_square_quantile
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 
 #: Share of the square in every loss: a residual of 1000 sigmas has the effect of 0.001 sigma. With a smaller share,
 #: rounding dominates the cofactors of a point with one good ray (its pivots differ by this factor).
@@ -146,8 +151,25 @@ def control_squares(problem: Problem, state: State) -> Array:
 
 
 def squares(problem: Problem, state: State) -> tuple[Array, Array]:
-    """Squared whitened norms of the image points (n,) and of the observed control points (m,), in their order."""
-    return np.sum(residuals(problem, state) ** 2, axis=1), control_squares(problem, state)
+    """Squares that decide on the weights: of image points (n,) and of observed control points (m,), in their order."""
+    image = np.sum(residuals(problem, state) ** 2, axis=1)
+    return together(image, two_ray_rows(problem)), control_squares(problem, state)
+
+
+def two_ray_rows(problem: Problem) -> Index:
+    """Rows (p, 2) of the two rays of each unknown point that has no other observation."""
+    point = problem.observations.point
+    two = (np.bincount(point, minlength=len(problem.active)) == 2) & problem.active & ~problem.observed
+    two[problem.named_points()] = False
+    rows = np.flatnonzero(two[point])
+    return rows[np.argsort(point[rows], kind="stable")].reshape(-1, 2)
+
+
+def together(image_squares: Array, pairs: Index) -> Array:
+    """Squared norms (n,) of image points, with the mean of both rows of each pair (p, 2)."""
+    out = image_squares.copy()
+    out[pairs] = image_squares[pairs].mean(axis=1, keepdims=True)
+    return out
 
 
 def weights_at(problem: Problem, state: State, robust: Robust) -> tuple[Weights, float]:

@@ -21,7 +21,7 @@ from factors.conditions.control import POINT
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State, schur_possible
-from fg_orient.adjustment.robust import Weighing
+from fg_orient.adjustment.robust import Weighing, together, two_ray_rows
 from fg_orient.adjustment.runtime import Index, Workers
 from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
 from fg_orient.adjustment.schur_stages import Buffers, ImageExtras, Stages, TileRows
@@ -94,7 +94,7 @@ class SchurSystem:
         """Multiply all rows by the roots of their weights; store the cost minus half their sum of squares."""
         observed = self._backend.structure.observed
         control_squares = self._backend.control_squares(self.state)
-        image_squares = np.einsum("ni,ni->n", b.value, b.value)
+        image_squares = together(np.einsum("ni,ni->n", b.value, b.value), self._backend.pairs)
         image, control, cost = robust.weigh(image_squares, control_squares)
         self._excess = cost - 0.5 * float(np.vdot(image, image_squares) + np.vdot(control, control_squares))
         b.root_weight = np.sqrt(image)
@@ -345,7 +345,12 @@ class SchurBackend:
     def squares(self, state: State) -> tuple[Array, Array]:
         """See ``stages.RobustBackend``; image points in the order of the structure."""
         image = [np.einsum("ni,ni->n", value, value) for value in self._values(state)]
-        return np.concatenate(image), self.control_squares(state)
+        return together(np.concatenate(image), self.pairs), self.control_squares(state)
+
+    @cached_property
+    def pairs(self) -> Index:
+        """Rows (p, 2) of ``robust.two_ray_rows`` in the order of the structure."""
+        return np.asarray(np.argsort(self.structure.row)[two_ray_rows(self.problem)])
 
     def _values(self, state: State) -> Iterator[Array]:
         """Residuals (n, 2) of one tile after the other; the next tile overwrites them."""

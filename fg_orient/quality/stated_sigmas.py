@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from fg_orient.adjustment.memory import EXACT_RAYS
 from fg_orient.adjustment.problem import Problem
 from fg_orient.model.distributions import chi_square_probability, chi_square_tail
 from fg_orient.model.options import USUAL_GROUPS
@@ -97,7 +98,8 @@ def stated_sigmas(known: ResidualCofactors, without: OutlierTests | None = None)
         The point of the first suspect has a gross error, which is no error of the sigmas: its suspects do not count in
         the probabilities, the worst of each group.
     """
-    residuals = GroupedResiduals(known, groups_of(known.problem, USUAL_GROUPS), largest=QUICK)
+    largest = QUICK if len(known.problem.observations) <= EXACT_RAYS else 0
+    residuals = GroupedResiduals(known, groups_of(known.problem, USUAL_GROUPS), largest=largest)
     names, parts = residuals.groups.names, residuals.parts
     round_ = one_round(residuals)
     found = components_of(residuals.groups, round_, round_.variance, 1, "helmert")

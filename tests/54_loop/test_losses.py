@@ -21,7 +21,7 @@ from fg_orient.adjustment.robust import FLOOR, Robust, ScaledLoss, scaled, weigh
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.stages import SCHEDULES
 from fg_orient.model.errors import InputError
-from tests.support.full_statistics import after_numpy, step_of_numpy
+from tests.support.full_statistics import after_numpy, of_pairs, step_of_numpy
 from tests.support.states import largest
 
 from .conftest import clean_block, moved_rays
@@ -182,6 +182,7 @@ def written_out(problem: Problem, name: str, state: State) -> tuple[float, npt.N
     for size, count in ((2, len(problem.observations)), (3, int(problem.observed.sum()))):
         part = residual[at : at + size * count].reshape(count, size)
         c, t = loss.constant(size), np.linalg.norm(part, axis=1)
+        t = of_pairs(problem, t) if size == 2 else t
         value += float(np.sum((1.0 - FLOOR) * c**2 * loss.cost(t / c) + 0.5 * FLOOR * t**2))
         weights = (1.0 - FLOOR) * loss.weight(t / c) + FLOOR
         gradient[at : at + size * count] = (weights[:, None] * part).ravel()

@@ -20,6 +20,7 @@ from fg_orient.model.block import Block, Options
 from fg_orient.model.names import Role
 from fg_orient.orientation.run import run_project
 from fg_orient.orientation.solution import Solution
+from fg_orient.quality.stated_sigmas import stated_sigmas
 from fg_orient.result import statistics
 from fg_orient.simulate.block import BlockOptions, grid_block, simulate_block
 from tests.support.full_statistics import Full, fixed, options
@@ -185,6 +186,7 @@ def allocated(solution: Solution) -> int:
     tracemalloc.start()
     try:
         statistics.image_columns(solution)
+        stated_sigmas(solution.residual_cofactors)
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

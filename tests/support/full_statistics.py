@@ -96,6 +96,7 @@ def after_numpy(problem: Problem, state: State, robust: Robust | None = None) ->
     if robust is not None:
         n, m = 2 * len(problem.observations), 3 * int(problem.observed.sum())
         image, control = (np.linalg.norm(part.reshape(-1, k), axis=1) for part, k in ((v[:n], 2), (v[n : n + m], 3)))
+        image = of_pairs(problem, image)
         weights = [np.repeat(robust.image.weights(image), 2), np.repeat(robust.control.weights(control), 3)]
         root = np.sqrt(np.concatenate([*weights, np.ones(len(v) - n - m)]))
         v, design = root * v, root[:, None] * design
@@ -103,6 +104,16 @@ def after_numpy(problem: Problem, state: State, robust: Robust | None = None) ->
     scale = np.linalg.norm(design, axis=0)
     step = np.linalg.lstsq(design / scale, -v, rcond=None)[0] / scale
     return stepped(problem, state, step if problem.ties is None else problem.ties.widened(step))
+
+
+def of_pairs(problem: Problem, norm: np.ndarray) -> np.ndarray:
+    """Norms of image points, with the same for both rays of a tie point that has two, and nothing else."""
+    out = norm.copy()
+    for j in np.flatnonzero(problem.active & ~problem.observed):
+        rays = np.flatnonzero(problem.observations.point == j)
+        if len(rays) == 2:
+            out[rays] = np.hypot(*norm[rays]) / np.sqrt(2.0)
+    return out
 
 
 def stepped(problem: Problem, state: State, step: np.ndarray) -> State:

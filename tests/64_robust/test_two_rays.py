@@ -1,0 +1,81 @@
+"""Tie points with two rays under a loss: the pair is judged together, and what remains of the point is honest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2, norm
+
+import fg_orient as fg
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.robust import together, two_ray_rows
+from fg_orient.adjustment.rows import linearised
+from fg_orient.adjustment.schur import SchurBackend
+from fg_orient.model.block import Block
+from fg_orient.simulate.block import BlockOptions, grid_block
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+
+
+def spoiled(seed: int, share: float) -> tuple[Block, Array, Array]:
+    """Block with errors of 5 to 50 px in a share of all rays, true coordinates, and whether each ray is wrong."""
+    block, truth = grid_block(BlockOptions(points=200, control_share=0.1, check_share=0.0, seed=seed))
+    o, rng = block.observations, np.random.default_rng(seed)
+    bad = rng.random(len(o)) < share
+    size, angle = np.where(bad, rng.uniform(5.0, 50.0, len(o)), 0.0), rng.uniform(0.0, 2.0 * np.pi, len(o))
+    moved = replace(o, line=o.line + size * np.cos(angle), sample=o.sample + size * np.sin(angle))
+    return replace(block, observations=moved), truth.ecef_m, bad
+
+
+def across(problem: Problem, state: State, pairs: Array) -> Array:
+    """Directions (p, 3) across the plane of both rays of each point."""
+    rays = [np.linalg.svd(linearised(problem, state, pairs[:, k]).ground)[2][:, 2] for k in (0, 1)]
+    normal = np.cross(*rays)
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+@pytest.mark.truth
+@pytest.mark.parametrize("options", [{"loss": "tls", "gnc": True}, {"loss": "tukey", "max_iterations": 200}])
+@pytest.mark.parametrize("share", [0.05, 0.1])
+def test_regions_of_points_with_two_rays_hold(options: dict[str, Any], share: float) -> None:
+    """Across the rays 95 % in the limits of the binomial distribution; good points in all directions; no wrong ray.
+
+    An error along the plane of the rays is not seen by any other observation.
+    """
+    beyond, n, outside, good = 0, 0, 0, 0
+    for seed in range(6):
+        block, true, bad = spoiled(seed, share)
+        solution = fg.adjust(block, **options)
+        problem = solution.problem
+        pairs = two_ray_rows(problem)
+        points = problem.observations.point[pairs[:, 0]]
+        assert solution.cofactors is not None and solution.weights is not None
+        assert np.array_equal(*solution.weights.image[pairs].T)
+        q, away = solution.cofactors.points(points), solution.ground_m[points] - true[points]
+        normal = across(problem, solution.state, pairs)
+        own = np.einsum("pi,pi->p", normal, away) / np.sqrt(np.einsum("pi,pij,pj->p", normal, q, normal))
+        beyond, n = beyond + int(np.sum(np.abs(own) > norm.ppf(0.975))), n + len(own)
+        clean = ~bad[pairs].any(axis=1)
+        nees = np.einsum("pi,pij,pj->p", away[clean], np.linalg.inv(q[clean]), away[clean])
+        outside, good = outside + int(np.sum(nees > chi2.ppf(0.95, 3))), good + int(clean.sum())
+    assert binom.ppf(0.001, n, 0.035) <= beyond <= binom.ppf(0.999, n, 0.065)
+    assert binom.ppf(0.001, good, 0.035) <= outside <= binom.ppf(0.999, good, 0.065)
+
+
+@pytest.mark.oracle
+def test_pairs_are_those_of_a_count() -> None:
+    """Unknown points with two rays and nothing else, in the order of the problem and of the arrays."""
+    block, _, _ = spoiled(1, 0.05)
+    solution = fg.adjust(block, max_iterations=3)
+    problem, backend = solution.problem, SchurBackend(solution.problem)
+    expected = {
+        tuple(rows) for j in np.flatnonzero(problem.active & ~problem.observed)
+        if len(rows := np.flatnonzero(problem.observations.point == j).tolist()) == 2
+    }  # fmt: skip
+    assert expected and set(map(tuple, two_ray_rows(problem).tolist())) == expected
+    in_arrays = backend.structure.row[backend.pairs]
+    assert {tuple(sorted(pair)) for pair in in_arrays.tolist()} == expected
+    assert together(np.array([1.0, 5.0, 3.0]), np.array([[0, 2]])).tolist() == [2.0, 5.0, 2.0]
