@@ -44,7 +44,9 @@ CENTRE: Final = ("centre_x", "centre_y", "centre_z")
 ROTATION: Final = ("rotation_x", "rotation_y", "rotation_z")
 #: Smallest sigma of a constraint in the first adjustment, and sigma of a hard one afterwards, in units of the smallest
 #: sigma of its points with the images held fixed. A smaller sigma at the start makes a narrow curved valley.
+#: The valley of an observed constraint is wide enough if its sigma is not far below that of the points.
 FIRST: Final = 1.0
+FIRST_OBSERVED: Final = 0.1
 HARD: Final = 1e-3
 #: Improvements of the correlates; misclosure of a hard constraint in units of its sigma, and ratio of misclosures, at
 #: their end. The adjustment itself ends with a step of 1e-8 m.
@@ -211,7 +213,8 @@ def _prepared(problem: Problem, extra: ConstraintObservation, sigma: Array) -> C
         if c.kind in ("parallel", "perpendicular"):
             least /= float(np.linalg.norm(start[1::2] - start[::2], axis=1).max())
     last = c.sigma or HARD * least
-    head = HEAD.pack(weight=1.0 / max(last, FIRST * least), scale=scale, axes=axes.ravel(), frame=frame)
+    first = max(last, (FIRST if extra.hard else FIRST_OBSERVED) * least)
+    head = HEAD.pack(weight=1.0 / first, scale=scale, axes=axes.ravel(), frame=frame)
     record = np.concatenate([head, own, np.zeros(total)])
     return replace(extra, record=record, final_weight=1.0 / last)
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from operator import attrgetter
 from typing import Any, Final
 
@@ -172,19 +173,25 @@ def significance(
         t2, d, nu = (np.array(column, np.float64) for column in zip(*tests, strict=True))
         noise = np.where(d * t2 > 0.0, np.abs(x) / np.sqrt(np.maximum(t2, _TINY)), np.inf)
     coefficients = coefficient_tests([labels[k] for k in j.tolist()], x, m0 * np.sqrt(q), nu, scale[j], shares, noise)
-    groups = tuple(group_test(known, sigma0, freedom, name, index) for name, index in _groups(problem).items())
+    joint = lru_cache(1)(lambda images: known.cofactors.joint(images, ()))  # most groups are of the same images
+    groups = tuple(group_test(known, sigma0, freedom, name, index, joint) for name, index in _groups(problem).items())
     return Significance(f, level, coefficients, groups)
 
 
 def group_test(
-    known: ResidualCofactors, sigma0: float, freedom: UnknownFreedom | None, name: str, index: Index
-) -> GroupTest:
-    """F test of the unknowns at places (d,) in ``problem.image_columns``; others as of :func:`significance`."""
+    known: ResidualCofactors, sigma0: float, freedom: UnknownFreedom | None, name: str, index: Index,
+    joint: Callable[[tuple[int, ...]], Array] | None = None,
+) -> GroupTest:  # fmt: skip
+    """F test of the unknowns at places (d,) in ``problem.image_columns``; others as of :func:`significance`.
+
+    ``joint`` gives the cofactors of the unknowns of images, by default those of the solution.
+    """
     problem = known.problem
     images = tuple(np.unique(np.searchsorted(problem.first, index, side="right") - 1).tolist())
     places = np.concatenate([np.arange(problem.first[k], problem.first[k + 1]) for k in images])
     mine = np.searchsorted(places, index)
-    q = known.cofactors.joint(images, ())[np.ix_(mine, mine)]
+    joint = joint or (lambda which: known.cofactors.joint(which, ()))
+    q = joint(images)[np.ix_(mine, mine)]
     m0, f = (sigma0, float(problem.redundancy)) if freedom is None else (1.0, freedom.together(index))
     x = problem.image_columns(known.state)[index]
     if not problem.block.options.priors:

@@ -8,7 +8,7 @@ This takes a small part of the time of a decomposition of all rows (``fg_orient.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -72,33 +72,43 @@ def weakest(border: Border, limit: float, parts: int = 1, start: Array | None = 
     def solved(right: Array) -> Array:
         return np.asarray(lapack.dpotrs(factor, right, lower=1)[0])
 
-    def corrected(directions: Array) -> tuple[Array, Array]:
-        gradient = border.follow(directions).gradient * border.scale[:, None]
-        return _by_rows(border, directions - solved(gradient) * border.scale[:, None])
+    def corrected(found: _ByRows) -> _ByRows:
+        change = solved(found.gradient * border.scale[:, None])
+        return _by_rows(border, found.directions - change * border.scale[:, None])
 
     if start is not None:
-        return Weakest(border, *corrected(corrected(start)[1]))
+        found = corrected(corrected(_by_rows(border, start)))
+        return Weakest(border, found.values, found.directions)
     while True:
         count = min(count, border.n_images)
         space = np.random.default_rng(0).standard_normal((n, count))
         for _ in range(STEPS):
             space = np.asarray(qr(solved(space), mode="economic")[0], float)
-        s, directions = _by_rows(border, space * border.scale[:, None])
+        found = _by_rows(border, space * border.scale[:, None])
         for _ in range(CORRECTIONS):
-            s, directions = corrected(directions)
-        below = s < limit
+            found = corrected(found)
+        below = found.values < limit
         if not below.all() or count == border.n_images:
-            return Weakest(border, s[below], directions[:, below])
+            return Weakest(border, found.values[below], found.directions[:, below])
         count *= 2
 
 
-def _by_rows(border: Border, space: Array) -> tuple[Array, Array]:
-    """Singular values, ascending, and directions of a space (b, d) of movements, from all rows."""
+class _ByRows(NamedTuple):
+    """Singular values (d,), ascending, directions (b, d) and their gradient (b, d), from all rows."""
+
+    values: Array
+    directions: Array
+    gradient: Array
+
+
+def _by_rows(border: Border, space: Array) -> _ByRows:
+    """Resolve a space (b, d) of movements."""
     z = border.n_images
     r = np.linalg.qr(space[:z], mode="r")
     own = np.asarray(solve_triangular(r, space.T, trans="T").T)
-    effect = border.follow(own).effect
+    followed = border.follow(own)
+    effect = followed.effect
     _, s, vt = np.linalg.svd(effect, full_matrices=len(effect) < effect.shape[1])
     s = np.append(s, np.zeros(effect.shape[1] - len(s)))
-    order = np.argsort(s)
-    return s[order], own @ vt.T[:, order]
+    turn = vt.T[:, np.argsort(s)]
+    return _ByRows(np.sort(s), own @ turn, followed.gradient @ turn)
