@@ -124,7 +124,8 @@ def _show_reproduction(found: Reproduction, out: Path) -> None:
             rows.append(_verdict_row("  shuffled", {kind: round(n, 1) for kind, n in null.items()}, "", ""))
     heads = ("table", "cells", "equal", "rounding", "differs", "gained", "others")
     table("cells by verdict", heads, rows, left=7)
-    say("shuffled: printed values exchanged among cells of the same role; gained: cells that agree beyond that")
+    say("shuffled: printed values exchanged among cells of the same role")
+    say("gained: cells that agree beyond what shuffled values give")
     judged = [
         (c.id, f"{c.passed}/{c.of}", f"{c.interval[0]:.2f}-{c.interval[1]:.2f}", "met" if c.met else "not met",
          c.reason or c.text)

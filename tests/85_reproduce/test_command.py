@@ -54,6 +54,10 @@ def test_folder_holds_tables_record_and_report(written: tuple[Path, dict[str, An
     result = json.loads((out / "result.json").read_text("utf-8"))
     assert sum(result["verdicts"].values()) == len(cells)
     assert sum(sum(t["verdicts"].values()) for t in result["tables"].values()) == len(cells)
+    first = result["tables"]["1"]
+    assert sum(first["shuffled"].values()) == pytest.approx(60)
+    assert not any(result["tables"]["text"]["shuffled"].values())  # nothing to exchange with
+    assert 0 <= first["gained"] <= first["verdicts"]["order"]
     assert result["options"] == {"tables": ["text", "1"], "seeds": [1], "as_run": False}
     assert {"numpy", "fg_orient"} <= set(result["versions"])
     assert len(result["published_sha256"]) == 3
