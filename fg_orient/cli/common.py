@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from fg_orient.cli.command import argument, option
+from fg_orient.cli.output import tell
 from fg_orient.model.declaration import declared
 from fg_orient.model.errors import InputError
 from fg_orient.model.options import MAX_EXTRAPOLATION_S, Reading
@@ -85,6 +86,14 @@ def read_dem(path: Path | None, vertical_crs: str) -> RasterDem | None:
         if vertical_crs:
             raise InputError.of("dem.missing", option="dem", value="none given")
         return None
+    return open_dem(path, vertical_crs)
+
+
+def open_dem(path: Path, vertical_crs: str = "") -> RasterDem:
+    """Read a DEM; warn of heights that no land has."""
     from fg_orient.sensors.surface import RasterDem
 
-    return RasterDem(path, vertical_crs=vertical_crs)
+    surface = RasterDem(path, vertical_crs=vertical_crs)
+    for one in surface.notes:
+        tell("warning", one)
+    return surface

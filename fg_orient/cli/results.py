@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from fg_orient.cli.command import argument, command, option
-from fg_orient.cli.common import Overwrite
+from fg_orient.cli.common import Overwrite, open_dem
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress, progress_bar
 from fg_orient.model.errors import InputError
@@ -146,12 +146,12 @@ def accuracy(
     """Compare the heights of adjusted points with a DEM: bias, scatter, and the shift that explains them."""
     from fg_orient.quality.dem_accuracy import compare_dem, rows_of_role
     from fg_orient.result.record import read_result
-    from fg_orient.sensors.surface import RasterDem
 
+    surface = open_dem(dem)
     points = read_result(folder).points
     chosen = rows_of_role(points.words["role"], role)
     with progress_bar("comparing"):
-        record = compare_dem(points.numbers("x_m", "y_m", "z_m")[chosen], RasterDem(dem)).as_dict()
+        record = compare_dem(points.numbers("x_m", "y_m", "z_m")[chosen], surface).as_dict()
     answer(record, _show_accuracy)
 
 

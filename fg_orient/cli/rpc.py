@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fg_orient.cli.command import argument, command, option
-from fg_orient.cli.common import Extrapolate, Overwrite, Result, read_image
+from fg_orient.cli.common import Extrapolate, Overwrite, Result, open_dem, read_image
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.declaration import declared
@@ -63,9 +63,7 @@ def check(
     from fg_orient.rpc.points import read_measured
 
     if dem is not None:
-        from fg_orient.sensors.surface import RasterDem
-
-        heights = RasterDem(dem).range_m
+        heights = open_dem(dem).range_m
     model, measured = _opened(file, options), None if points is None else read_measured(points)
     _end(check_rpc(model, heights_m=heights, points=measured, against=against), _show_check)
 

@@ -111,21 +111,21 @@ def reproduce(
 def _show_reproduction(found: Reproduction, out: Path) -> None:
     """Print the assessments by table, the claims and the path of the report."""
     from fg_orient.studies.reproduce.html import verdict
-    from fg_orient.studies.reproduce.verdict import LEGEND
 
     words = verdict(found)
     say(words["title"])
     say(words["text"])
     say()
-    rows = [
-        (name, sum(found.counts(name).values()), *(found.counts(name)[kind] or "" for kind in LEGEND))
-        for name in found.titles
-    ]
-    table(
-        "cells by verdict",
-        ("table", "cells", *("not repr." if kind == "not_reproducible" else kind for kind in LEGEND)),
-        rows,
-    )
+    rows: list[tuple[object, ...]] = []
+    for name in found.titles:
+        true, null = found.counts(name), found.shuffled(name)
+        rows.append(_verdict_row(name, true, sum(true.values()), f"{found.gained(name):.1f}"))
+        if any(null.values()):
+            rows.append(_verdict_row("  shuffled", {kind: round(n, 1) for kind, n in null.items()}, "", ""))
+    heads = ("table", "cells", "equal", "rounding", "differs", "gained", "others")
+    table("cells by verdict", heads, rows, left=7)
+    say("shuffled: printed values exchanged among cells of the same role")
+    say("gained: cells that agree beyond what shuffled values give")
     judged = [
         (c.id, f"{c.passed}/{c.of}", f"{c.interval[0]:.2f}-{c.interval[1]:.2f}", "met" if c.met else "not met",
          c.reason or c.text)
@@ -134,3 +134,10 @@ def _show_reproduction(found: Reproduction, out: Path) -> None:
     if judged:
         table("claims", ("id", "seeds", "95 %", "", "claim"), judged, left=5)
     say(f"report: {out / 'report.html'}")
+
+
+def _verdict_row(name: str, counts: Mapping[str, float], cells: object, gained: str) -> tuple[object, ...]:
+    """Row of a table of verdicts; the weaker verdicts are named in the last column."""
+    first, words = ("equal", "rounding", "differs"), {"not_reproducible": "not repr."}
+    others = ", ".join(f"{n} {words.get(kind, kind)}" for kind, n in counts.items() if n and kind not in first)
+    return name, cells, *(counts[kind] or "" for kind in first), gained, others

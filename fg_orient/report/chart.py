@@ -64,7 +64,8 @@ INKS: Final = {
     **{f"deviation {sign}{step}": Ink(ink, width=0.3) for sign, ink in (("p", ORANGE), ("m", BLUE))
        for step in range(1, 6)},
     **{f"dot {kind}": Ink(ink, radius=3.0) for kind, ink in (
-        ("equal", GREEN), ("order", "#56b4e9"), ("rounding", BLUE), ("pattern", "#c9b400"), ("differs", ORANGE),
+        ("equal", GREEN), ("order", "#56b4e9"), ("rounding", BLUE), ("unit", "#cc79a7"), ("spread", "#cc79a7"),
+        ("sigma", "#e69f00"), ("side", "#c9b400"), ("fitted", "#b79bd0"), ("differs", ORANGE),
         ("not_reproducible", GREY))},
 }  # fmt: skip
 #: Number of kinds of marks for series.

@@ -16,6 +16,8 @@ from fg_orient.report.words import signed
 
 Box = tuple[float, float, float, float]
 
+#: Width of a digit of the ticks.
+_DIGIT: Final = 7.5
 #: Places of a name about its point: across, down, anchor; the first free one is taken. Then width of a letter.
 _PLACES: Final[dict[str, tuple[list[tuple[float, float, str]], float]]] = {
     "name": ([(7, -5, "start"), (-7, -5, "end"), (7, 15, "start"), (-7, 15, "end")], 8.0),
@@ -67,7 +69,8 @@ class _Drawing:
                 self.parts.append(f'<text class="small" {turned}>{escape(words)}</text>')
                 continue
             self._path("grid", f"M{at:.1f} {y0}V{y0 + tall:.1f}")
-            self._write(at, y0 + tall + 16, words, "middle")
+            half = 0.5 * _DIGIT * len(words)  # a long number at the end of the axis would be cut by the border
+            self._write(min(max(at, half), chart.width - half), y0 + tall + 16, words, "middle")
         for value, words in chart.y.ticks():
             at = float(chart.place(chart.x.limits[0], value)[1])
             if not chart.y.names:

@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Array
 from factors.geometry import ellipsoid
-from fg_orient.model.errors import InputError
+from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.correction import HeightSurface
 
 __all__ = ["RasterDem"]
@@ -27,6 +28,8 @@ __all__ = ["RasterDem"]
 TOLERANCE_M = 1e-4
 #: Rays are followed from this far above to this far below all DEM values (10 times the tolerance).
 MARGIN_M = 1e-3
+#: Plausible heights of a DEM, m: the lowest land is at -430, the highest at 8849. Others are undeclared nodata.
+PLAUSIBLE_M: Final = (-500.0, 9000.0)
 #: Knots of the undulation in a DEM: largest step, cells, and largest interpolation error.
 KNOT_STEP, UNDULATION_M = 32, 1e-3
 METRES = ("", "m", "metre", "metres", "meter", "meters")
@@ -46,7 +49,9 @@ class RasterDem:
     Attributes
     ----------
     heights_m : (rows, columns) array
-        Ellipsoidal heights, nan at nodata.
+        Ellipsoidal heights, nan at nodata, and at heights outside ``PLAUSIBLE_M``.
+    notes : tuple of Finding
+        Warning of heights outside ``PLAUSIBLE_M``, with the number of cells.
     crs : str
         Horizontal coordinate system as WKT.
 
@@ -75,7 +80,20 @@ class RasterDem:
         except rasterio.RasterioIOError as error:
             raise InputError.of("dem.unreadable", file=path, value=error) from error
         self.path, self.vertical_crs = str(path), vertical_crs
+        self.notes = self._without_implausible()
         self._to_ellipsoid(unit, vertical_crs)
+
+    def _without_implausible(self) -> tuple[Finding, ...]:
+        """Take implausible heights as nodata; a height of -9999 m would bend every ray that passes near it."""
+        low, high = PLAUSIBLE_M
+        wrong = (self.heights_m < low) | (self.heights_m > high)
+        if not wrong.any():
+            return ()
+        values = self.heights_m[wrong]
+        found = finding("dem.implausible", file=self.path, count=int(wrong.sum()), low=low, high=high,
+                        least=float(values.min()), most=float(values.max()))  # fmt: skip
+        self.heights_m[wrong] = np.nan
+        return (found,)
 
     def _to_ellipsoid(self, unit: str, given: str) -> None:
         """Add the undulation of a vertical CRS; keep the horizontal CRS."""

@@ -161,3 +161,18 @@ def test_heights_are_ellipsoidal_metres(tmp_path: Path, crs: str, unit: str | No
         with pytest.raises(InputError, match=message) as refused:
             RasterDem(path)
         assert refused.value.problems[0].code == ("dem.vertical_unit" if unit else "dem.geoid")
+
+
+@pytest.mark.behaviour
+def test_heights_that_no_land_has_are_nodata_and_told(sensor: PushbroomSensor, tmp_path: Path) -> None:
+    """A nodata value that the file does not declare: 300 m remain 300 m, and the number of cells is in the warning."""
+    corner = below_centre(sensor, "EPSG:4326")
+    heights = np.full((SIZE, SIZE), 300.0)
+    heights[:3] = -32767.0
+    heights[-1, -2:] = 9001.0
+    dem = RasterDem(write(tmp_path / "dem.tif", heights, "EPSG:4326", corner))
+    assert dem.range_m == (300.0, 300.0) and int(np.isnan(dem.heights_m).sum()) == 3 * SIZE + 2
+    (told,) = dem.notes
+    assert told.code == "dem.implausible" and f"{3 * SIZE + 2} cells" in told.message
+    heights[:3], heights[-1, -2:] = -500.0, 9000.0
+    assert RasterDem(write(tmp_path / "plausible.tif", heights, "EPSG:4326", corner)).notes == ()

@@ -54,6 +54,10 @@ def test_folder_holds_tables_record_and_report(written: tuple[Path, dict[str, An
     result = json.loads((out / "result.json").read_text("utf-8"))
     assert sum(result["verdicts"].values()) == len(cells)
     assert sum(sum(t["verdicts"].values()) for t in result["tables"].values()) == len(cells)
+    first = result["tables"]["1"]
+    assert sum(first["shuffled"].values()) == pytest.approx(60)
+    assert not any(result["tables"]["text"]["shuffled"].values())  # nothing to exchange with
+    assert 0 <= first["gained"] <= first["verdicts"]["order"]
     assert result["options"] == {"tables": ["text", "1"], "seeds": [1], "as_run": False}
     assert {"numpy", "fg_orient"} <= set(result["versions"])
     assert len(result["published_sha256"]) == 3
@@ -83,6 +87,8 @@ def test_an_altered_cell_is_found_by_the_command_and_text_is_escaped(
     before = json.loads(run("reproduce", "terlemezoglu2019", *QUICK, "--out", out, "--json").stdout)["rows"]
     done = run("reproduce", "terlemezoglu2019", *QUICK, "--published", folder, "--out", out, "--overwrite", "--json")
     after = json.loads(done.stdout)["rows"]
+    for row in (*before, *after):  # the chance of other cells of this role changes, too
+        del row["chance"]
     changed = [(b["cell"], b["verdict"], a["verdict"]) for b, a in zip(before, after, strict=True) if b != a]
     assert changed == [("bundle, n_observations", "equal", "differs")]
     html = (out / "report.html").read_text("utf-8")
@@ -94,7 +100,7 @@ def test_people_see_counts_claims_and_the_report(tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = run("reproduce", "terlemezoglu2019", *QUICK, "--out", out)
     assert done.exit_code == 0, done.output
-    assert "published numbers agree" in done.stdout
+    assert "published numbers" in done.stdout
     assert str(out / "report.html").replace("\n", "") in done.stdout.replace("\n", "")
     assert max(map(len, done.stdout.splitlines()[2:-1])) <= 80
     again = run("reproduce", "terlemezoglu2019", *QUICK, "--out", out)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from fg_orient.model.names import CellKey
+from fg_orient.report.chart import Axis, Chart
 from fg_orient.report.svg import svg
 from fg_orient.studies.published.tables import load
 from fg_orient.studies.reproduce.folder import reproduce_to
@@ -96,3 +97,13 @@ def test_kappas_of_the_tables_stand_on_their_l_curves(tmp_path: Path) -> None:
     assert page.count('class="panel broad"') == 6 and 'href="#l-curves"' in page
     none = reproduce("terlemezoglu2019", tables="4.28", n_seeds=1, claims=False)
     assert none.curves == {} and l_curves(none) == []
+
+
+@pytest.mark.behaviour
+def test_a_long_number_at_the_end_of_an_axis_is_not_cut() -> None:
+    """40000 was drawn as 4000: half of the text stood beyond the border of the picture."""
+    chart = Chart("length", Axis("m", (0.0, 40000.0)), Axis("m", (0.0, 1.0)), width=300.0, height=200.0)
+    ticks = {e.text: e for e in ElementTree.fromstring(str(svg(chart))).iter("text")}
+    last = ticks["40000"]
+    assert last.get("text-anchor") == "middle"
+    assert float(last.get("x", "nan")) + 2.5 * 7.3 <= chart.width  # digits of 13 px are 7.3 px wide

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,14 +22,14 @@ from fg_orient.studies.tables_twin import LEAST_SQUARES, collect, twin
 #: Publications that are computed on the twin; the other one: tests/75_rectification.
 TWINS = tuple(name for name, source in SOURCES.items() if source.compute is not None)
 #: Verdicts of numbers that are reproduced.
-REPRODUCED = ("equal", "order")
+REPRODUCED = ("equal", "rounding", "order")
 Computed = dict[str, dict[CellKey, npt.NDArray[np.float64]]]
 Printed = dict[str, PublishedTables]
 
 
 def rows_of(name: str, printed: PublishedTables, computed: Computed) -> tuple[Row, ...]:
     """All rows of a publication."""
-    return pair(printed, computed[name], SOURCES[name], tuple(printed.titles))
+    return pair(printed, computed[name], SOURCES[name], tuple(printed.titles))[0]
 
 
 @pytest.mark.behaviour
@@ -127,7 +128,7 @@ def test_one_altered_cell_changes_one_verdict(
         original = path.read_bytes()
         assert alter(path, row) == key
         after = rows_of(name, load(name, folder), computed)
-        differing = [(b, a) for b, a in zip(before, after, strict=True) if repr(b) != repr(a)]
+        differing = [(b, a) for b, a in zip(before, after, strict=True) if repr(b) != repr(replace(a, chance=b.chance))]
         assert [(b.table, b.cell) for b, _ in differing] == [(key.table, str(key))]
         if differing[0][0].verdict in REPRODUCED:
             assert differing[0][1].verdict not in REPRODUCED
@@ -139,7 +140,7 @@ def test_as_run_shows_the_constant_residual_of_the_program(printed: Printed) -> 
     """P-Table 1 prints 0.515, 0.169, 0.928 m after step 1: the program's matrices, not the points."""
     source = SOURCES["topan2010"]
     assert source.compute is not None
-    as_run = pair(printed["topan2010"], source.compute(("1",), [1], as_run=True, progress=None), source, ("1",))
+    as_run = pair(printed["topan2010"], source.compute(("1",), [1], as_run=True, progress=None), source, ("1",))[0]
     gcp = [r for r in as_run if "pre-adjusted, gcp" in r.cell and "H-0" in r.cell]
     norm = np.linalg.norm([r.reproduced for r in gcp])
     assert len(gcp) == 3
@@ -151,7 +152,7 @@ def test_as_run_shows_the_constant_residual_of_the_program(printed: Printed) -> 
 def test_without_as_run_the_residual_is_gone_and_the_sign_error_is_met(printed: Printed, computed: Computed) -> None:
     rows = rows_of("topan2010", printed["topan2010"], computed)
     left = [r for r in rows if r.table == "1" and "pre-adjusted, gcp" in r.cell]
-    assert all(r.reproduced < 1e-6 and r.verdict == "pattern" for r in left)
+    assert all(r.reproduced < 1e-6 and r.verdict == "side" for r in left)
     uncorrected = [r for r in rows if "uncorrected" in r.cell]
     assert len(uncorrected) == 21
     assert all(abs(r.reproduced / r.published - 1.0) < 0.03 for r in uncorrected)

@@ -237,8 +237,8 @@ verdict.loss_of_images (doubt): most image points of {count} image(s) have a wei
     their orientation rests on the rest and on the priors. Wrong metadata, wrong point numbers, or most control
     there is wrong
 verdict.no_redundancy (warning): no redundancy: nothing was checked
-verdict.components (warning): sigma0 is 1 by construction, since the sigmas were estimated from these residuals: it
-    does not test the model
+verdict.components (warning): sigma0 does not test the model: the sigmas were estimated from these residuals, which
+    brings it near 1
 weights.beyond (warning): robust loss {loss}: {down} of {n} image points and {control} control points lie beyond
     {limit:g} sigmas; their weights fall from the first residual on, so none is turned down, and sigma0 is not that
     of sigmas that hold
@@ -318,7 +318,8 @@ absent.no_unit_weight (warning): not given: {figures!w}; there is no redundancy
 absent.loss (warning): not given: {figures!w}; the weights of the loss change them
 absent.loss_but_redundancy (warning): not given: {figures!w}; the weights of the loss change them; residuals.csv
     holds the redundancy numbers
-absent.components (warning): not given: {figures!w}; with estimated variance components sigma0 is 1 by construction
+absent.components (warning): not given: {figures!w}; with estimated variance components sigma0 does not test the
+    model
 absent.not_converged (warning): not given: {figures!w}; the adjustment did not converge
 absent.covariance (warning): not given: {figures!w}; they need the covariance
 absent.basic (warning): not given: {figures!w}; <statistics> is "basic"

@@ -129,6 +129,9 @@ dem.vertical_unit: the DEM's heights are not in metres
     -> convert them to metres
 dem.unreadable: the DEM cannot be read
     -> give a raster that GDAL reads
+dem.implausible (warning): {count} cells have heights below {low:g} or above {high:g} m ({least:g} to {most:g}): taken
+    as nodata, which the file does not declare
+    -> declare it, for instance with gdal_edit -a_nodata
 dem.not_covered: a viewing ray meets nodata or comes from outside the DEM below its highest point
     -> use a DEM without holes that covers the image footprint and what lies in front of it
 geodesy.not_epsg: the coordinate reference system is not an EPSG code

@@ -39,7 +39,8 @@ statistics.significance_weighted: tests of unknowns need least squares: under a 
 statistics.reliability_weighted: minimal detectable biases are those of a test under least squares: the weights of a
     loss change its size and its power
     -> adjust with loss none; redundancy numbers with the weights are in residual_cofactors
-statistics.components_global: the global test is circular with estimated variance components: they make sigma0 1
+statistics.components_global: the global test is circular with estimated variance components: they bring sigma0 near
+    1
     -> test the model with the sigmas given, or by check points
 statistics.components_large: estimated sigmas leave tests of unknowns degrees of freedom of their own, and with
     {value} unknowns of images in {groups} groups they are too large to form

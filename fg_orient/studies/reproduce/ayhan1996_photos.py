@@ -9,7 +9,6 @@ relative to the printed m0). The observed stations are the listing's own result:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -259,7 +258,7 @@ SIGMA_OBSERVED: Final = 10.0
 BASE_M: Final = 1.199
 #: Approximate principal point, mm: the middle of the comparator's field; the print starts from whole millimetres.
 MIDDLE: Final = (115.0, 143.0)
-#: Largest relative difference between a mean error and its print with the verdict ``pattern``.
+#: Largest relative difference between a mean error and its print with the verdict ``fitted``.
 RATIO: Final = 0.05
 
 
@@ -307,25 +306,13 @@ def point_roots(result: BundleResult) -> Array:
     return np.asarray(np.sqrt([result.cofactors[k : k + 3] for k in rows]))
 
 
-def _near(
-    values: Values, table: str, quantities: Sequence[str], rows: Sequence[Row], numbers: Array, half: Array
-) -> Cells:
-    """Cells with the verdict ``pattern`` inside the spread, else ``differs``."""
-    cells = cells_of(table, quantities, rows, numbers, half)
-    inside = (np.abs(numbers - points_of(values, table, quantities, rows)) <= half).ravel()
-    return {
-        key: replace(cell, kind="pattern" if near else "differs")
-        for (key, cell), near in zip(cells.items(), inside.tolist(), strict=True)
-    }
-
-
 def camera_cells(values: Values) -> Cells:
     """Appendix 1: adjusted cameras, within a printed mean error."""
     adjusted = bundle(values)
     numbers = np.array([[value for value, _ in parameters(adjusted, k).values()] for k in range(len(PHOTOS))])
     half = points_of(values, "ek1.bundle", [f"m_{name}" for name in PRINTED], PHOTOS)
     half[:, 10:13] /= GON
-    out = _near(values, "ek1.cameras", PRINTED, PHOTOS, numbers, half)
+    out = cells_of("ek1.cameras", PRINTED, PHOTOS, numbers, half)
     for key in (row_key("ek1.cameras", photo, name) for photo in PHOTOS for name in STATION):
         out[key] = Recomputed(out[key].value, kind="not_reproducible")
     return out
@@ -336,12 +323,12 @@ def bundle_cells(values: Values) -> Cells:
     held, free = bundle(values), bundle(values, with_base=False)
     adjusted, errors = (tuple(name.format(axis) for axis in "xyz") for name in ("{}_adjusted_m", "m_{}_m"))
     half = points_of(values, "ek1.bundle", errors, CONTROL)
-    out = _near(values, "ek1.bundle", adjusted, CONTROL, held.points_m, half)
+    out = cells_of("ek1.bundle", adjusted, CONTROL, held.points_m, half)
     roots = np.array([[root for _, root in parameters(free, k).values()] for k in range(len(PHOTOS))])
     for quantities, rows, numbers in (
         ([f"m_{name}" for name in PRINTED], PHOTOS, roots), (errors, CONTROL, point_roots(free)),
     ):  # fmt: skip
-        out |= _near(values, "ek1.bundle", quantities, rows, numbers, RATIO * numbers)
+        out |= cells_of("ek1.bundle", quantities, rows, numbers, RATIO * numbers)
     assert held.m0 is not None
     key = row_key("ek1.bundle", "adjustment", "m0")
     out[key] = Recomputed(held.m0 * values[key], facts=(held.redundancy,))

@@ -19,7 +19,7 @@ from fg_orient.studies.reproduce.reproduction import Callback, Reproduction, rep
 
 #: Contents of the folder; result.json identifies it.
 CONTENTS: Final = Contents("result.json", ("result.json", "cells.csv", "claims.csv", "report.html"))
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2
 
 
 def reproduce_to(
@@ -76,7 +76,17 @@ def _write(folder: Path, result: Reproduction, command: Sequence[str]) -> None:
         "about": result.source.about,
         "options": result.options,
         "verdicts": result.counts(),
-        "tables": {table: {"title": title, "verdicts": result.counts(table)} for table, title in result.titles.items()},
+        "shuffled": result.shuffled(),
+        "gained": result.gained(),
+        "tables": {
+            table: {
+                "title": title,
+                "verdicts": result.counts(table),
+                "shuffled": result.shuffled(table),
+                "gained": result.gained(table),
+            }
+            for table, title in result.titles.items()
+        },
         "claims": as_record(result)["claims"],
         "published_sha256": result.sha256,
         "versions": versions(),

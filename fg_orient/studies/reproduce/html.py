@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any, Final, NamedTuple
@@ -13,6 +14,7 @@ from fg_orient.report.chart import Axis, Chart, plain_exponent
 from fg_orient.report.page import environment
 from fg_orient.report.plots import l_curve, ranked
 from fg_orient.result.plain import plain
+from fg_orient.studies.reproduce.null import SHUFFLES
 from fg_orient.studies.reproduce.reproduction import Reproduction, Row
 from fg_orient.studies.reproduce.verdict import KINDS, LEGEND
 
@@ -29,7 +31,7 @@ def render(result: Reproduction, record: dict[str, Any]) -> str:
     rows = {table: [row for row in result.rows if row.table == table] for table in result.titles}
     tables = [
         {"id": table, "name": table_name(table), "title": title, "counts": result.counts(table), "rows": rows[table],
-         "grid": grid(rows[table])}
+         "shuffled": result.shuffled(table), "gained": result.gained(table), "grid": grid(rows[table])}
         for table, title in result.titles.items()
     ]  # fmt: skip
     problems = [f"Claim {c.id} is not met: {c.reason or c.text}" for c in result.claims if not c.met]
@@ -37,7 +39,7 @@ def render(result: Reproduction, record: dict[str, Any]) -> str:
     return environment("fg_orient.studies.reproduce").get_template("reproduction.html.j2").render(
         record=record, legend=legend, kinds=KINDS, tables=tables, claims=result.claims, counts=result.counts(),
         verdict=verdict(result), scatter=scatter(result.rows), problems=problems, curves=l_curves(result),
-        seed=next(iter(result.options.get("seeds", [])), None),
+        shuffles=SHUFFLES, seed=next(iter(result.options.get("seeds", [])), None),
     )  # fmt: skip
 
 
@@ -52,18 +54,26 @@ def table_name(table: str) -> str:
 
 def verdict(result: Reproduction) -> dict[str, str]:
     """Outcome in sentences: ``kind`` (good, warn), ``title`` and ``text``."""
-    counts, n = result.counts(), len(result.rows)
-    met = sum(claim.met for claim in result.claims)
-    agree = n - counts["differs"] - counts["not_reproducible"]
-    title = f"{agree} of {n} published numbers agree in digits, size, spread or pattern"
+    counts, n, met = result.counts(), len(result.rows), sum(claim.met for claim in result.claims)
+    informing = Counter(row.verdict for row in result.rows if row.informs)
+    by_role = counts["equal"] + counts["rounding"] - informing.total()
+    title = (
+        f"of {n} published numbers {informing['equal']} are equal in all digits and {informing['rounding']} within "
+        "rounding"
+    )
     if result.claims:
         title += f"; {met} of {len(result.claims)} claims met"
+    others = [f"{counts[kind]} {LEGEND[kind][1]}" for kind in KINDS[2:-2] if counts[kind]]
     text = (
-        f"{counts['equal']} agree to the printed digits (counts and definitions among them), {counts['order']} within "
-        f"a factor of ten, {counts['rounding']} {result.source.counted}"
-        + (f", {counts['pattern']} {result.source.patterned}" if counts["pattern"] else "")
-        + f". {counts['differs']} differ; {counts['not_reproducible']} cannot be reproduced, each for the reason "
-        "beside it."
+        (
+            f"Not counted: {by_role} whose digits agree as well when the printed values are exchanged at random among "
+            "cells of the same role. "
+            if by_role
+            else ""
+        )
+        + (f"Weaker verdicts: {', '.join(others)}. " if others else "")
+        + f"{counts['differs']} differ; {counts['not_reproducible']} cannot be reproduced, each for the reason beside "
+        f"it. Beyond what exchanged values reach, {result.gained():.0f} cells agree in digits, spread or size."
     )
     return {"kind": "good" if met == len(result.claims) else "warn", "title": title, "text": text}
 

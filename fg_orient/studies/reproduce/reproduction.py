@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,8 +18,9 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.names import CellKey
 from fg_orient.studies.claims import ClaimResult, all_claims, run_claims
 from fg_orient.studies.published.tables import PublishedTables, load
+from fg_orient.studies.reproduce.null import AGREEING, DIGITS, Baseline, baseline
 from fg_orient.studies.reproduce.sources import SOURCES, Source
-from fg_orient.studies.reproduce.verdict import KINDS, CellComparison, assess_runs, known_reason
+from fg_orient.studies.reproduce.verdict import KINDS, CellComparison, Judge, assess_runs, known_reason
 from fg_orient.studies.tables_spot6 import PERMUTATIONS
 
 #: Called after each run with runs done, number of runs, and name of the work.
@@ -45,6 +47,9 @@ class Row:
         One of ``KINDS``, and its reason.
     printed, unit, note : str
         Digits as printed, unit, doubts about the number.
+    chance : float
+        Share of the shuffles of the printed values in which the cell gets this verdict or a stronger one; nan if it
+        has no verdict or nothing to be exchanged with (see ``null``).
     """
 
     key: CellKey
@@ -57,6 +62,12 @@ class Row:
     printed: str
     unit: str
     note: str
+    chance: float = math.nan
+
+    @property
+    def informs(self) -> bool:
+        """The digits agree, and not because the role of the cell alone makes them."""
+        return self.verdict in DIGITS and not self.chance == 1.0
 
     @property
     def table(self) -> str:
@@ -85,6 +96,8 @@ class Reproduction:
     titles : dict
         Titles of the tables, in order.
     rows : tuple of Row
+    baseline : Baseline
+        Verdicts of shuffled values.
     claims : tuple of ClaimResult
     options : dict
         ``tables``, ``seeds``, ``as_run``.
@@ -97,6 +110,7 @@ class Reproduction:
     source: Source
     titles: dict[str, str]
     rows: tuple[Row, ...]
+    baseline: Baseline
     claims: tuple[ClaimResult, ...]
     options: dict[str, Any]
     sha256: dict[str, str]
@@ -106,6 +120,18 @@ class Reproduction:
         """Number of rows with each verdict, of one table or of all."""
         counter = Counter(row.verdict for row in self.rows if table in (None, row.table))
         return {kind: counter[kind] for kind in KINDS}
+
+    def shuffled(self, table: str | None = None) -> dict[str, float]:
+        """Number of rows with each verdict if the printed values are shuffled, of one table or of all."""
+        chosen = [counts for name, counts in self.baseline.verdicts.items() if table in (None, name)]
+        return {kind: sum(counts[kind] for counts in chosen) for kind in KINDS}
+
+    def gained(self, table: str | None = None) -> float:
+        """Cells that agree in digits, spread or size beyond those that agree shuffled, of one table or of all."""
+        if table is None:
+            return sum(map(self.gained, self.titles))
+        true = sum(r.verdict in AGREEING for r in self.rows if r.table == table and r.key in self.baseline.chance)
+        return max(true - sum(self.shuffled(table)[kind] for kind in AGREEING), 0.0)
 
 
 def reproduce(
@@ -168,9 +194,9 @@ def reproduce(
     about_it = [claim for claim in all_claims() if claims and claim.id in source.claims]
     assessed = run_claims(seeds, progress("claims", n_seeds, steps), about_it) if about_it else []
     titles = {table: printed.titles[table] for table in chosen}
-    rows = pair(printed, computed, source, chosen, on_points, as_run=as_run)
+    rows, null = pair(printed, computed, source, chosen, on_points, as_run=as_run)
     curves = source.curves(on_twin, seeds[0], as_run=as_run) if source.curves else {}
-    return Reproduction(source, titles, rows, tuple(assessed), options, printed.sha256, curves)
+    return Reproduction(source, titles, rows, null, tuple(assessed), options, printed.sha256, curves)
 
 
 def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:
@@ -197,21 +223,25 @@ def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:
 
 def pair(
     printed: PublishedTables, computed: Mapping[CellKey, Array], source: Source, tables: Sequence[str],
-    compared: Mapping[CellKey, CellComparison] | None = None, *, as_run: bool = False,
-) -> tuple[Row, ...]:  # fmt: skip
-    """Compare each published cell of some tables with its runs, unless ``compared`` contains its comparison."""
-    rows = []
-    for cell in printed.cells:
-        key = cell.key
-        if key.table not in tables:
-            continue
-        orders = computed.get(key._replace(quantity="matrix_order"), np.array([math.nan]))
-        comparison, known = (compared or {}).get(key), ""
-        if comparison is None:
-            comparison = assess_runs(cell, computed.get(key), None if np.isnan(orders[0]) else float(orders[0]))
-            known = known_reason(source.known, cell, as_run) if comparison.kind == "differs" else ""
+    on_points: Mapping[CellKey, Judge] | None = None, *, as_run: bool = False,
+) -> tuple[tuple[Row, ...], Baseline]:  # fmt: skip
+    """Compare each published cell of some tables with its runs, or by its judge ``on_points``; then shuffled."""
+    cells = [cell for cell in printed.cells if cell.key.table in tables]
+    judges = {cell.key: (on_points or {}).get(cell.key) or _of_runs(cell.key, computed) for cell in cells}
+    null, rows = baseline(cells, judges), []
+    for cell in cells:
+        comparison: CellComparison = judges[cell.key](cell)
+        is_open = comparison.kind == "differs" and cell.key not in (on_points or {})
+        known = known_reason(source.known, cell, as_run) if is_open else ""
         rows.append(Row(
-            key, cell.value, comparison.reproduced, comparison.low, comparison.high, comparison.kind,
+            cell.key, cell.value, comparison.reproduced, comparison.low, comparison.high, comparison.kind,
             "; ".join(filter(None, (comparison.reason, known))), cell.text or cell.printed, cell.unit, cell.note,
+            null.chance.get(cell.key, math.nan),
         ))  # fmt: skip
-    return tuple(rows)
+    return tuple(rows), null
+
+
+def _of_runs(key: CellKey, computed: Mapping[CellKey, Array]) -> Judge:
+    """Judge of a cell by its runs on synthetic blocks."""
+    order = float(computed.get(key._replace(quantity="matrix_order"), np.array([math.nan]))[0])
+    return partial(assess_runs, runs=computed.get(key), order=None if math.isnan(order) else order)

@@ -19,7 +19,7 @@ from fg_orient.model.names import CellKey
 from fg_orient.studies import tables_spot5, tables_spot6, tables_twin
 from fg_orient.studies.published.tables import PublishedTables
 from fg_orient.studies.reproduce import ayhan1996, ipbuker1994, spot6
-from fg_orient.studies.reproduce.verdict import Cells, Comparisons, Values, assess_value, declared
+from fg_orient.studies.reproduce.verdict import Cells, Judges, Kind, Values, assess_value, declared
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,11 @@ class Source:
         Folder of the published tables; author, year and subject.
     about : str
         Basis of the numbers, for the report.
-    counted, patterned : str
-        Summary of the numbers with the verdicts ``rounding`` and ``pattern``.
     compute : callable or None
         ``compute(tables, seeds, as_run=, progress=)``: values (n,) of each cell on n synthetic blocks, one per seed.
         None if nothing is computed on synthetic blocks.
     real : callable, optional
-        ``real(printed, tables, data, permutations=, progress=)``: comparison of each cell of tables that need no
+        ``real(printed, tables, data, permutations=, progress=)``: judge of each cell of tables that need no
         synthetic block.
     real_tables : tuple of str
         Tables for ``real``, if ``compute`` computes others.
@@ -55,10 +53,8 @@ class Source:
     name: str
     title: str
     about: str
-    counted: str
-    patterned: str
     compute: Callable[..., dict[CellKey, Array]] | None = None
-    real: Callable[..., Comparisons] | None = None
+    real: Callable[..., Judges] | None = None
     real_tables: tuple[str, ...] = ()
     curves: Callable[..., dict[int, LCurve]] | None = None
     claims: tuple[str, ...] = ()
@@ -68,9 +64,10 @@ class Source:
 
 def recomputed(
     computers: Mapping[str, Callable[[Values], Cells]], remarks: Mapping[str, str], reasons: Mapping[str, str],
+    within: Mapping[str, Kind],
     printed: PublishedTables, tables: Collection[str], _: Path | None = None, *, permutations: int = 0,
     progress: Callable[[int, int], None] = lambda *_: None,
-) -> Comparisons:  # fmt: skip
+) -> Judges:  # fmt: skip
     """Compare tables that follow from printed numbers.
 
     Parameters
@@ -81,6 +78,8 @@ def recomputed(
         Regular expressions of "table, address" to the origin of computed cells, see ``Recomputed``.
     reasons : mapping
         Tables to the reason why their other cells cannot be reproduced; "*" for all other tables.
+    within : mapping
+        Regular expressions of "table, address" to the verdict inside a stated spread, where it is not ``spread``.
     printed : PublishedTables
     tables : collection of str
     permutations : int
@@ -90,7 +89,7 @@ def recomputed(
     """
     values: Values = {cell.key: np.float64(cell.value) for cell in printed.cells}
     why = {table: reason for names, reason in reasons.items() for table in names.split()}
-    out: Comparisons = {}
+    out: Judges = {}
     for done, table in enumerate(tables, start=1):
         cells, unknown = Cells(), why.get(table, why["*"])
         with one_blas_thread(), np.errstate(all="ignore"):  # a copy may contain any number: nan then differs
@@ -101,10 +100,17 @@ def recomputed(
                 unknown = f"the numbers have no solution: {error}"
             for cell in printed.cells:
                 if (key := cell.key).table == table:
-                    matches = (text for words, text in remarks.items() if re.fullmatch(words, f"{table}, {key}"))
-                    out[key] = assess_value(cell, cells.get(key), unknown, next(matches, ""))
+                    out[key] = partial(
+                        assess_value, other=cells.get(key), unknown=unknown, origin=_first(remarks, key, ""),
+                        within=_first(within, key, "spread"),
+                    )  # fmt: skip
         progress(done, len(tables))
     return out
+
+
+def _first(rules: Mapping[str, Any], key: CellKey, other: str) -> Any:
+    """Value of the first regular expression that matches "table, address"."""
+    return next((value for words, value in rules.items() if re.fullmatch(words, f"{key.table}, {key}")), other)
 
 
 _DECLARED: Final = declared("sources.toml")
@@ -115,7 +121,7 @@ def _source(name: str, computers: Mapping[str, Callable[[Values], Cells]] | None
     """Source of its declaration and functions; with ``computers`` its tables follow from printed numbers."""
     of_source = dict(_DECLARED[name])
     of_source["claims"] = tuple(of_source.get("claims", "").split())
-    texts = of_source.pop("remarks", {}), of_source.pop("reasons", {})
+    texts = of_source.pop("remarks", {}), of_source.pop("reasons", {}), of_source.pop("within", {})
     if computers is not None:
         functions["real"] = partial(recomputed, computers, *texts)
     return Source(name, **_DEFAULTS | of_source | functions)

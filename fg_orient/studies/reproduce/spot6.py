@@ -4,9 +4,10 @@ In contrast to the synthetic blocks of the other tables, these are the authors' 
 the printed digits or is rounding noise. The verdicts (docs/rfm.md):
 
 - ``equal``: the points in the order of their file give all printed digits, and each permutation of them is within one
-  unit of the last digit. If the method itself loses digits (degree 3, inverses formed from N): within 0.2 px^2
-  of [vv] in the order of the file.
-- ``rounding``: the published size, as an interval of its printed digits, meets min/30 to 30 max of the permutations.
+  unit of the last digit.
+- ``spread``: the published size, as an interval of its printed digits, meets min/30 to 30 max of the permutations.
+  If the method itself loses digits (degree 3, inverses formed from N): within 0.2 px^2 of [vv] in the order of the
+  file.
 - ``differs``: neither; ``not_reproducible``: no points, or nothing to compare with.
 """
 
@@ -15,6 +16,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Collection, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -26,7 +28,7 @@ from fg_orient.model.names import CellKey
 from fg_orient.rpc.rfm_points import SPOT6_FILE, SPOT6_FOLDER, ControlPoints, find_spot6, read_gcp
 from fg_orient.studies import tables_spot6
 from fg_orient.studies.published.tables import PublishedCell, PublishedTables
-from fg_orient.studies.reproduce.verdict import CellComparison, Comparisons, Kind, declared, known_reason
+from fg_orient.studies.reproduce.verdict import CellComparison, Judges, Kind, declared, known_reason
 
 #: Folder of real data if ``--data`` is not given.
 VARIABLE: Final = "FG_ORIENT_REAL_DATA"
@@ -68,7 +70,7 @@ def control_points(data: Path | None) -> ControlPoints | None:
 def compare(
     printed: PublishedTables, tables: Collection[str], data: Path | None, *,
     permutations: int = tables_spot6.PERMUTATIONS, progress: Callable[[int, int], None] | None = None,
-) -> Comparisons:  # fmt: skip
+) -> Judges:  # fmt: skip
     """Compare the cells of some tables; tables of other scenes are ignored.
 
     Parameters
@@ -87,12 +89,12 @@ def compare(
         return {}
     points = control_points(data)
     if points is None:
-        return {cell.key: CellComparison("not_reproducible", NO_POINTS) for cell in cells}
+        return {cell.key: lambda _: CellComparison("not_reproducible", NO_POINTS) for cell in cells}
     chosen = {cell.key.table for cell in cells}
     computed = tables_spot6.compute(
         chosen, points, permutations=permutations, kappas=printed_kappas(printed), progress=progress
     )
-    return {cell.key: assess(cell, computed) for cell in cells}
+    return {cell.key: partial(assess, computed=computed) for cell in cells}
 
 
 def printed_kappas(printed: PublishedTables) -> dict[tuple[str, int], float]:
@@ -131,13 +133,16 @@ def _tested(cell: PublishedCell, runs: Array, sizes: Array) -> tuple[Kind, str]:
     """Kind of verdict and its reason."""
     if reason := _equal(cell, runs):
         return "equal", reason
+    tolerance = _tolerance(cell.key)
+    if tolerance is not None and abs(runs[0] - cell.value) <= tolerance:
+        return "spread", f"{runs[0]:.4g} in the order of the file, within {tolerance:g}: the inverse loses digits"
     if hadamard := _hadamard(cell, runs):
         return "not_reproducible", hadamard
     if math.isnan(cell.value):
         return "not_reproducible", f"printed NaN; computed {runs[0]:.2g}"
     overflows = int(np.isinf(runs[1:]).sum())
     if math.isinf(cell.value) and overflows:
-        return "rounding", f"beyond the largest number, as printed, in {overflows} of {len(runs) - 1} permutations"
+        return "spread", f"beyond the largest number, as printed, in {overflows} of {len(runs) - 1} permutations"
     if not len(sizes):
         return "not_reproducible", f"no result in any of {len(runs) - 1} permutations"
     span = f"{sizes.min():.2g} to {sizes.max():.2g} in {len(sizes)} of {len(runs) - 1} permutations"
@@ -147,8 +152,8 @@ def _tested(cell: PublishedCell, runs: Array, sizes: Array) -> tuple[Kind, str]:
     if most >= sizes.min() / MARGIN and least <= sizes.max() * MARGIN:
         spread, gap = float(sizes.max() - sizes.min()), max(sizes.min() - most, least - sizes.max())
         if gap > spread and spread < STEADY * sizes.max():
-            return "rounding", f"within the limits, but steady here and not as printed: {noise}"
-        return "rounding", f"rounding noise: {noise}"
+            return "spread", f"within the limits, but steady here and not as printed: {noise}"
+        return "spread", f"rounding noise: {noise}"
     return "differs", f"{known_reason(declared('rules.toml')['spot6'], cell)} ({noise})"
 
 
@@ -159,9 +164,6 @@ def _equal(cell: PublishedCell, runs: Array) -> str:
     if not math.isfinite(cell.value) or not math.isfinite(runs[0]):
         return ""
     off = np.abs(runs - cell.value)
-    tolerance = _tolerance(cell.key)
-    if tolerance is not None and off[0] <= tolerance:
-        return f"{runs[0]:.4g} in the order of the file, within {tolerance:g}: the inverse loses digits"
     exact = cell.key.quantity in COUNTED or (cell.value == 0.0 and cell.key.quantity != "rpc")
     unit = 0.0 if exact else last_digit(cell.text)
     slack = 1e-9 * abs(cell.value)  # the decimal print of a double

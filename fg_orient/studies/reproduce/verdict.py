@@ -5,17 +5,19 @@ docs/reproduce.md). The tests of a rule are tried in order. The first that holds
 ``differs``:
 
 - ``equal``: every run gives all printed digits.
-- ``order``: published and reproduced (median of the runs) have a ratio of 0.1 to 10, signs aside.
-- ``rounding``: the published size lies between the smallest and the largest run, a decade added on
+- ``rounding``: the reproduced value (median of the runs) rounds to the printed digits.
+- ``order``: published and reproduced have a ratio of 0.1 to 10, signs aside.
+- ``spread``: the published size lies between the smallest and the largest run, a decade added on
   both sides (not for ranks).
-- ``pattern``: published and more than half of the runs lie on the same side of ``limit``. A solver that breaks down
+- ``side``: published and more than half of the runs lie on the same side of ``limit``. A solver that breaks down
   and a printed NaN count as above the limit.
 
 :func:`assess_value` compares a number with a number recomputed from other printed numbers, laws or simulations:
 
-- ``equal``: the printed digits.
-- ``rounding``: one unit of the last digit away (not for sums and products of printed numbers), or inside the stated
-  spread.
+- ``equal``: the printed digits; ``rounding``: the same, beside a stated spread that is wider than the print.
+- ``unit``: one unit of the last digit away (not for sums and products of printed numbers).
+- ``spread``, ``sigma``: inside the stated spread; ``sigma`` if that is one standard deviation.
+- ``fitted``: inside the stated spread, but something in the computation was fitted to the printed values.
 - ``order``: only the order of magnitude is expected to agree; the ratio is given.
 - ``differs``: none of these; ``not_reproducible``: with the reason.
 """
@@ -27,6 +29,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -38,8 +41,8 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.names import CellKey
 from fg_orient.studies.published.tables import PublishedCell
 
-Test = Literal["equal", "order", "rounding", "pattern"]
-Kind = Literal["equal", "order", "rounding", "pattern", "differs", "not_reproducible"]
+Test = Literal["equal", "rounding", "order", "spread", "side"]
+Kind = Literal["equal", "rounding", "unit", "spread", "sigma", "order", "side", "fitted", "differs", "not_reproducible"]
 #: Ratio of published and reproduced that still counts as the same order of magnitude.
 ORDER: Final = 10.0
 
@@ -67,7 +70,9 @@ class CellComparison:
     high: float = math.nan
 
 
-Comparisons = dict[CellKey, CellComparison]
+#: Comparison of a cell, whose printed number may be its own or that of another cell (see ``null``).
+Judge = Callable[[PublishedCell], CellComparison]
+Judges = dict[CellKey, Judge]
 
 
 @dataclass(frozen=True)
@@ -81,7 +86,7 @@ class Rule:
     what : str
         Meaning of the number, for the reason.
     limit : float
-        Limit of the test ``pattern``; nan for ranks, which are compared with the order of the matrix.
+        Limit of the test ``side``; nan for ranks, which are compared with the order of the matrix.
     unit : str
         Unit of the limit.
     without_value : str
@@ -89,7 +94,7 @@ class Rule:
     nan_above : bool
         A printed NaN means a solver that broke down and counts as above every limit.
     decade : bool
-        ``rounding`` widens the spread by a decade.
+        ``spread`` widens the spread by a decade.
     """
 
     tests: tuple[Test, ...]
@@ -101,6 +106,7 @@ class Rule:
     decade: bool = True
 
 
+@cache
 def declared(name: str) -> dict[str, Any]:
     """Content of a TOML file of this package."""
     return tomllib.loads(Path(__file__).with_name(name).read_text("utf-8"))
@@ -199,7 +205,7 @@ def _tested(cell: PublishedCell, runs: Array, median: float, order: float | None
 def _reason(test: Test, cell: PublishedCell, rule: Rule, runs: Array, median: float, order: float | None) -> str:
     """Reason if a test of the module docstring holds, else ""."""
     n, value, sizes = len(runs), cell.value, np.abs(runs[np.isfinite(runs)])
-    if test == "pattern":  # ranks: both deficient or both full
+    if test == "side":  # ranks: both deficient or both full
         is_rank = math.isnan(rule.limit)
         if (is_rank and order is None) or (math.isnan(value) and not rule.nan_above):
             return ""
@@ -218,6 +224,9 @@ def _reason(test: Test, cell: PublishedCell, rule: Rule, runs: Array, median: fl
         half = 0.0 if cell.text.lstrip("+-").isdigit() else 0.5 * last_digit(cell.text)
         slack = 1e-12 * abs(value)  # the decimal print of a double
         return f"all {n} runs" if len(sizes) == n and (np.abs(runs - value) <= half + slack).all() else ""
+    if test == "rounding":  # a printed zero is met by an exact zero alone
+        half = 0.5 * last_digit(cell.text) * (1.0 + 1e-9) if value else 0.0
+        return "the median rounds to the printed digits" if abs(median - value) <= half else ""
     if test == "order":
         ratio = abs(median / value) if value else 0.0
         return f"reproduced / published = {ratio:.2g}" if 1.0 / ORDER <= ratio <= ORDER else ""
@@ -247,7 +256,7 @@ class Recomputed:
         Arithmetic on printed numbers: a difference of one unit of the last digit is an error.
     is_order : bool
         Only the order of magnitude is expected to agree.
-    kind : str, optional
+    kind : {"differs", "not_reproducible"}, optional
         Verdict, if it does not follow from the numbers here.
     facts : tuple
         Values for the places of the declared sentence.
@@ -285,7 +294,9 @@ def attempt(call: Callable[..., float], *printed: float) -> float:
         return math.nan
 
 
-def assess_value(cell: PublishedCell, other: Recomputed | None, unknown: str, origin: str = "") -> CellComparison:
+def assess_value(
+    cell: PublishedCell, other: Recomputed | None, unknown: str, origin: str = "", within: Kind = "spread"
+) -> CellComparison:  # fmt: skip
     """Compare a printed number with a recomputed one; see the module docstring.
 
     Parameters
@@ -296,17 +307,19 @@ def assess_value(cell: PublishedCell, other: Recomputed | None, unknown: str, or
         Reason for a missing recomputed value.
     origin : str
         Sentence on the recomputed value, with places for its facts.
+    within : {"spread", "sigma", "fitted"}
+        Verdict inside the stated spread: by what the spread is.
     """
     if without := _without_number(cell):
         return without
     if other is None:
         return CellComparison("not_reproducible", unknown)
-    kind, words = (other.kind, "") if other.kind is not None else _value_kind(cell, other)
+    kind, words = (other.kind, "") if other.kind is not None else _value_kind(cell, other, within)
     reason = ": ".join(filter(None, (words, origin.format(*other.facts) + other.remark)))
     return CellComparison(kind, reason, other.value, other.low, other.high)
 
 
-def _value_kind(cell: PublishedCell, other: Recomputed) -> tuple[Kind, str]:
+def _value_kind(cell: PublishedCell, other: Recomputed, within: Kind) -> tuple[Kind, str]:
     """Compare the sizes, or with the spread widened by the rounding of the print, or with the printed digits."""
     unit = last_digit(cell.text)
     if other.is_order:
@@ -316,8 +329,12 @@ def _value_kind(cell: PublishedCell, other: Recomputed) -> tuple[Kind, str]:
         return ("order" if 1.0 / ORDER <= ratio <= ORDER else "differs"), f"reproduced / published = {ratio:.2g}"
     if not math.isnan(other.low):
         inside = other.low - 0.5 * unit <= cell.value <= other.high + 0.5 * unit
-        return ("rounding", "inside the spread") if inside else ("differs", "outside the spread")
+        if within != "fitted" and agreement(other.value - cell.value, cell.value, unit) == "equal":
+            return "rounding", MEANING["equal"]
+        return (within, "inside the spread") if inside else ("differs", "outside the spread")
     kind = agreement(other.value - cell.value, cell.value, unit)
-    if kind == "equal" or (kind == "rounding" and not other.is_exact):
+    if kind == "equal":
         return kind, MEANING[kind]
+    if kind == "rounding" and not other.is_exact:
+        return "unit", MEANING[kind]
     return "differs", f"published {cell.text}, reproduced {other.value:.7g}"
