@@ -108,13 +108,31 @@ def _bar(first: str) -> Iterator[Show | None]:
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TextColumn
 
-    columns = TextColumn("{task.description}", markup=False), BarColumn(bar_width=20), TimeElapsedColumn()
+    # TimeElapsedColumn stands still from the first time that all steps are done, although other work follows
+    clock = TextColumn("{task.fields[begin]}")
+    columns = TextColumn("{task.description}", markup=False), BarColumn(bar_width=20), clock
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(first, total=None)
+        task = bar.add_task(first, total=None, begin=_Clock())
+
+        def show(text: str, done: int, total: int | None) -> None:
+            bar.tasks[0].total = total  # None in update() changes nothing
+            bar.update(task, description=text, completed=done)
+
         with on_compilation(lambda kernel: bar.update(task, description=COMPILING)):
-            yield lambda text, done, total: bar.update(task, description=text, completed=done, total=total)
+            yield show
+
+
+class _Clock:
+    """Time since it was made, as text."""
+
+    def __init__(self) -> None:
+        self._begin = time.perf_counter()
+
+    def __str__(self) -> str:
+        seconds = int(time.perf_counter() - self._begin)
+        return f"{seconds // 3600}:{seconds // 60 % 60:02}:{seconds % 60:02}"
 
 
 class Watch:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import math
 import sys
+import time
+from dataclasses import replace
 
 import pytest
 from rich.progress import Progress
@@ -73,5 +75,10 @@ def test_bar_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
         for record in log(1.0, 1e-2):
             watch.iteration(record)
         assert "iteration 2, step 1.0e-02, 2,000 image points/s, about 2 s left" in terminal.getvalue()
+        for step in (1e-6, 1e-12):  # the last: nothing is left to do
+            watch.iteration(replace(log(1.0)[0], step=step))
+        begin = time.perf_counter()
+        monkeypatch.setattr(time, "perf_counter", lambda: begin + 3700.0)
         watch.stage("statistics", 1000)
-    assert "statistics" in terminal.getvalue()
+    last = terminal.getvalue().rpartition("statistics")[2]
+    assert "1:0" in last  # the clock goes on in the work after the iterations
