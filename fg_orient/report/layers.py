@@ -26,7 +26,7 @@ ENU: Final = ("east_m", "north_m", "up_m")
 POINT_FIELDS: Final = (
     "id", "role", "n_rays", "height_m", "sigma_scale", *(f"sigma_{a}" for a in ENU),
     *(f"difference_{a}" for a in ENU), *(f"own_sigma_{a}" for a in ENU), *(f"mdb_{a}" for a in ENU), "external_m",
-    "weight",
+    *(f"unseen_{a}" for a in ENU), "weight",
 )  # fmt: skip
 #: Texts and whole numbers among the attributes.
 TEXT: Final = WORDS | {"file", "sensor"}
