@@ -333,14 +333,17 @@ class Elimination:
         if not whole:
             places = np.concatenate([np.arange(*self.groups[g].places) for g in groups])
         b, number, last_cost, last_ground = self.backend.buffers, s.number[places], None, np.zeros(0)
-        near = not self._far
+        near, kept = not self._far, all(tile.kept for tile in s.tiles)
         for _ in range(MAX_STEPS):
-            self._eliminate(groups, state, near=near and not late)
+            whole_rows = near or not kept  # a step is expected to follow: derivatives by the points are enough
+            self._eliminate(groups, state, near=near and not late, of_images=whole_rows)
             decrement, before = self._decrements(places), largest
             largest = float(decrement.max(initial=0.0))
             if before < math.inf:
                 self._shrink = min(largest / before, 1.0)
             if largest <= INTERSECTED:
+                if not whole_rows:
+                    self._eliminate(groups, state, near=False)
                 break
             step = newton_steps(b.root[places], b.gradient[places])
             near = self._shrink * largest <= INTERSECTED
@@ -367,11 +370,14 @@ class Elimination:
         if not late:
             self._sum(groups, state, done=near)
 
-    def _eliminate(self, groups: Sequence[int], state: State, *, near: bool) -> None:
-        """Rows and point blocks of groups at a state; sums of the pairs of rays, too, ``near`` the intersection."""
+    def _eliminate(self, groups: Sequence[int], state: State, *, near: bool, of_images: bool = True) -> None:
+        """Rows and point blocks of groups at a state; sums of the pairs of rays, too, ``near`` the intersection.
+
+        Without ``of_images`` the rows have no derivatives by the images.
+        """
         wide = self.backend.structure.widened(state.image)
         for tile, lo, hi in self._ranges(groups):
-            self._chunks(tile, lo, hi, state, wide, pairs=near)
+            self._chunks(tile, lo, hi, state, wide, pairs=near, of_images=of_images)
 
     def _sum(self, groups: Sequence[int], state: State, *, done: bool = False) -> None:
         """Sums of the pairs of rays of eliminated groups, if not done."""
@@ -387,13 +393,15 @@ class Elimination:
             else:
                 self._chunks(tile, lo, hi, state, None if tile.kept else wide, pairs=True)
 
-    def _chunks(self, tile: Tile, lo: int, hi: int, state: State, wide: Array | None, *, pairs: bool) -> None:
+    def _chunks(
+        self, tile: Tile, lo: int, hi: int, state: State, wide: Array | None, *, pairs: bool, of_images: bool = True
+    ) -> None:
         """Eliminate the points of chunks of a tile; see :meth:`Stages.chunks`."""
         backend, b = self.backend, self.backend.buffers
         b.owner = self._name
         backend.workers.run(
-            backend.stages.chunks, backend.structure.cost[lo : hi + 1], b.rows(tile), state, wide, 0.0, b, pairs,
-            start=lo,
+            backend.stages.chunks, backend.structure.cost[lo : hi + 1], b.rows(tile, of_images=of_images), state, wide,
+            0.0, b, pairs, start=lo,
         )  # fmt: skip
         b.held = b.held if tile.kept else None
 

@@ -52,6 +52,7 @@ class Buffers:
         self.owner: object = None
         self.value, self.trial, self.root_weight = np.empty((n, 2)), np.empty((largest, 2)), np.ones(0)
         self._kept, self._again = row_arrays(kept, c), row_arrays(again, c)
+        self._no_image = np.empty((largest, 2, 0))
         self.held: Tile | None = None
         self.scaled = _aligned(largest, 8)
         self.root, self.gradient, self.squares = np.empty((p, 6)), np.empty((p, 3)), np.empty(len(s.chunks) - 1)
@@ -60,12 +61,12 @@ class Buffers:
         self.blocks = np.zeros((len(s.block_row), s.wide.shape[1], s.wide.shape[1]))
         self.control = control_records  # under a loss a copy with weights: see SchurSystem
 
-    def rows(self, tile: Tile) -> TileRows:
-        """Space for the rows of a tile."""
+    def rows(self, tile: Tile, *, of_images: bool = True) -> TileRows:
+        """Space for the rows of a tile; without ``of_images`` for derivatives by the points only."""
         lo, hi = tile.points
         d_image, d_ground = self._kept if tile.kept else self._again
         at = slice(lo, hi) if tile.kept else slice(0, hi - lo)
-        return TileRows(tile, self.value[lo:hi], d_image[at], d_ground[at])
+        return TileRows(tile, self.value[lo:hi], d_image[at] if of_images else self._no_image[: hi - lo], d_ground[at])
 
 
 def _aligned(*shape: int) -> Array:

@@ -140,7 +140,7 @@ def scatter(
             row = STORED.line_row.start + r * ROW.size
             value[a, r] = out[(STORED.line + r) * BLOCK + i]
             if want:
-                for k in range(c if i >= whole else 0):
+                for k in range(c if i >= whole and d_image.shape[2] > 0 else 0):
                     d_image[a, r, k] = out[(row + column[k]) * BLOCK + i]
                 for k in range(3):
                     d_ground[a, r, k] = out[(row + ROW.ground.start + k) * BLOCK + i]
@@ -195,7 +195,7 @@ def rows_of_form(
         Wide unknowns of the images.
     ground : (N, 3) array, m
     value, d_image, d_ground : (n, 2), (n, 2, c), (n, 2, 3) arrays
-        Written, whitened; Jacobians only with ``want``.
+        Written, whitened; Jacobians only with ``want``, those of images not if ``d_image`` is (n, 2, 0).
 
     Returns
     -------

@@ -60,7 +60,7 @@ def _rows(
         for r in range(2):
             value[a, r] = out[r, 0]
             if want:
-                for k in range(c):
+                for k in range(c if d_image.shape[2] > 0 else 0):
                     d_image[a, r, k] = out[r, 1 + k]
                 for k in range(3):
                     d_ground[a, r, k] = out[r, 1 + c + k]
@@ -122,7 +122,7 @@ def frame_rows(
         value[a, 0], value[a, 1], zero = frame.evaluated(table[i], observed, place, d, want)
         if want:
             for r in range(2):
-                for j in range(c):
+                for j in range(c if d_image.shape[2] > 0 else 0):
                     d_image[a, r, j] = d[r, column[j]] * sigma[j]
                 for j in range(3):
                     d_ground[a, r, j] = d[r, frame.GROUND + j]
