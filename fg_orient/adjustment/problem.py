@@ -325,7 +325,7 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
     options = block.options
     control_rows = block.points.where(Role.CONTROL)
     seen = np.unique(block.observations.point)
-    if options.datum == "priors" and not options.priors:
+    if options.datum in ("priors", "vendor") and not options.priors:
         raise InputError.of("adjust.relative_priors", file=block.name, place="priors", value="false")
     if like is not None:
         same_block = like.block.images is block.images and like.block.options == options

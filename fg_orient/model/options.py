@@ -11,7 +11,7 @@ from fg_orient.model.names import ALL_SETS, EOP_SETS
 
 CheckPoints = Literal["use", "exclude"]
 RpcCompensation = Literal["shift", "shift_drift", "affine"]
-Datum = Literal["control", "priors", "inner", "free"]
+Datum = Literal["control", "vendor", "priors", "inner", "free"]
 Backend = Literal["auto", "graph", "schur", "dense"]
 Optimizer = Literal["gauss-newton", "levenberg-marquardt", "dogleg"]
 RobustStart = Literal["none", "huber", "lms", "lts"]
@@ -205,7 +205,8 @@ class Options(Checked):
     )
     datum: Datum = option(
         "control", ADJUSTMENT,
-        "Datum; all but control: relative, no control point is needed. priors: they define what no control point does; "
+        "Datum; all but control: relative, no control point is needed. vendor: directions that the rays hardly see "
+        "stay as in the metadata; priors: they define what no control point does; "
         "inner: free network without priors, inner constraints on the ground points give its covariance; free: all "
         "steps are damped, there is no covariance.",
         recorded=True,

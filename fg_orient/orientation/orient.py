@@ -31,7 +31,7 @@ from fg_orient.model.options import Backend, Datum, Options
 from fg_orient.model.parameters import with_options
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.orientation.solution import Seconds, Solution
-from fg_orient.quality import camera, causes, doubts, verdict
+from fg_orient.quality import camera, causes, doubts, vendor_datum, verdict
 from fg_orient.quality.accuracy import Accuracy, Joint, PointDifferences, differences
 from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
 from fg_orient.quality.deficiency import compiled_problem, judge_observability, refuse_deficient, require_determined
@@ -172,7 +172,7 @@ def adjust(
         return adjust_with_components(block, run.once, begin)
 
     def next_round(block: Block, begin: State, like: Problem) -> AdjustmentResult:
-        if block.options.variance_components or block.options.datum == "inner" or has_constraints(block):
+        if block.options.variance_components or block.options.datum in ("inner", "vendor") or has_constraints(block):
             return runner(block, begin)
         return run.again(block, like, begin)
 
@@ -198,6 +198,7 @@ def _compiled(block: Block) -> tuple[Problem, tuple[ImageObservability, ...], Bl
     block_view = refuse_deficient(compiled, observability)
     if inner and block_view.null is not None:
         compiled = with_minimal_datum(compiled, block_view.null)
+    compiled = vendor_datum.with_vendor_datum(compiled) if block.options.datum == "vendor" else compiled
     return compiled, observability, block_view, working_clock() - start
 
 

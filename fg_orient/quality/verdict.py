@@ -25,11 +25,12 @@ import numpy as np
 
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.robust import UNWEIGHED, Weights, are_information
+from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.distributions import chi_square_interval
 from fg_orient.model.errors import DECISIVE, Finding, finding
 from fg_orient.model.names import Role, Status
-from fg_orient.quality import conditioning
+from fg_orient.quality import conditioning, vendor_datum
 from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy
 from fg_orient.quality.doubts import with_accepted
 from fg_orient.quality.observability import BlockObservability, ImageObservability
@@ -184,7 +185,10 @@ def findings(
             out.append(finding("solution.weak_directions", n=block.weak))
         if block.relative:
             axes = ", ".join(problem.axis_names)
-            out.append(finding("solution.relative", moved_m=_moved(problem, estimate), axes=axes))
+            out.append(finding("solution.relative", moved_m=_moved(problem, estimate), axes=axes,
+                               disagreement_m=disagreement_m(problem)))  # fmt: skip
+        held = vendor_datum.of_problem(problem)
+        out += [held.finding()] if held is not None else []
         out += block.deficiencies(problem)
     out += conditioning.findings(problem, estimate)
     dead = sum(o.rank_defect for o in observability)
@@ -211,6 +215,20 @@ def _moved(problem: Problem, estimate: Estimate) -> tuple[float, float, float]:
     mean = (estimate.state.ground[j] - problem.start.ground[j]).mean(axis=0)
     east, north, up = np.round(problem.axes(problem.origin_m[None])[0] @ mean, 1) + 0.0  # no negative zero
     return float(east), float(north), float(up)
+
+
+def disagreement_m(problem: Problem) -> float:
+    """RMS distance on the ground, m, by which the rays of the unknown points miss each other at the metadata.
+
+    With the distance d of two rays each residual is d/2; hence ``d^2 = 2 sum(v^2) / (rays - 1)``.
+    """
+    rows, o = linearised(problem, problem.start), problem.observations
+    per_metre = np.linalg.norm(rows.ground, ord=2, axis=(1, 2))  # sigmas
+    squares = np.sum(rows.residual**2, axis=1) / per_metre**2
+    rays = np.bincount(o.point, minlength=len(problem.active))
+    total = np.bincount(o.point, squares, len(problem.active))
+    seen = problem.active & ~problem.observed & (rays > 1)
+    return float(np.sqrt(np.mean(2.0 * total[seen] / (rays[seen] - 1)))) if seen.any() else 0.0
 
 
 def _outside(problem: Problem, estimate: Estimate) -> list[Finding]:

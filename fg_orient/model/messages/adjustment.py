@@ -32,6 +32,10 @@ adjust.backend: this backend does not exist in this version
     -> choose one of {known}
 adjust.no_model: images of this sensor cannot be adjusted
     -> derive its class from fg_orient.Sensor and give it the method image_model (docs/extending)
+adjust.vendor_datum: a block of {n} image unknowns is too large for this datum
+    -> datum = "priors", with the vendor's location error as prior sigma
+adjust.vendor_datum_points: the datum needs points that their rays determine: {why}
+    -> measure further image points, or datum = "priors"
 adjust.relative_priors: without control points and priors the datum of the block is not defined
     -> keep the priors, or leave out datum = "priors" and measure control points; datum = "free" lets the block
        float
@@ -121,7 +125,7 @@ block.not_finite: pixels, coordinates or sigmas are not finite, or sigmas not po
 block.no_rays: no image point takes part in the adjustment
     -> measure points in two images at least; check points alone determine nothing where they are excluded
 block.no_control: no control point is measured in any image: the block has no datum
-    -> give at least one point of role control, better six or more well spread; or datum = "priors" for a relative
+    -> give at least one point of role control, better six or more well spread; or datum = "vendor" for a relative
        adjustment, whose result has no accuracy
 remark.sigma_ground (note): standard deviations outside {low:g} .. {high:g} m at {count} point(s)
     -> check that they are in metres
@@ -257,8 +261,12 @@ solution.sigmas_large (warning): sigma0 lies below {limit:.2f}, the lower end of
 solution.weak_directions (warning): without priors {n} block direction(s) are determined 100 times worse than
     their prior sigma: results along them are not reliable
 solution.relative (warning): relative adjustment: no control point tells where the block lies; it moved by
-    {moved_m[0]:+.1f}, {moved_m[1]:+.1f}, {moved_m[2]:+.1f} m {axes}. No figure of it is an accuracy; if it moved
-    farther than the vendor's own location error, give that error as prior sigma
+    {moved_m[0]:+.1f}, {moved_m[1]:+.1f}, {moved_m[2]:+.1f} m {axes}, and at the metadata the rays of a point miss each
+    other by {disagreement_m:.2f} m (RMS). No figure of it is an accuracy
+    -> datum = "vendor" holds the directions that the rays hardly see; measure control points for an accuracy
+solution.vendor_datum (note): {n} directions of the images that the rays hardly see are held at the metadata; standard
+    deviations are relative. By the prior sigmas the whole block has a standard deviation of {east:.3g}, {north:.3g},
+    {up:.3g} m East, North, Up along these directions
 solution.motions (warning): {direction}
     -> {remedy}
 solution.motions_inner (warning): {direction}; inner constraints on the ground points carry them: standard

@@ -1,0 +1,142 @@
+"""Datum of a block without control points: directions that the rays hardly see stay where the metadata put them.
+
+A movement x of the image unknowns moves the image points by ``J x``. The rays of each point follow by a movement of the
+point; what they cannot follow is seen in the residuals. With N = J^T J and S, the normal matrix of the images after
+the elimination of all points (no priors),
+
+    S v = mu N v,    0 <= mu <= 1 without control points
+
+mu is the share of the movement v that the rays see. Translations of the block have mu = 0. Movements with a small mu
+are determined by the smallest errors of tie points and image models: a y-parallax of 0.3 px moves an image by
+0.3 / sqrt(mu) px. A loose prior does not prevent this, because tie points by the hundred outweigh it. Directions with
+``mu < SEEN`` are therefore held at the metadata, ``v^T N x = 0``: inner constraints on the image unknowns, in the
+metric of the image points. The other directions, which reduce the y-parallax, stay free. The correction is the
+smallest one of the image points with these y-parallaxes (minimum norm; Koch 1999, 1.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import eigh
+
+from factors._contract import Argument, Equation
+from fg_orient.adjustment.border import Border, small_enough
+from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.rows import linearised
+from fg_orient.adjustment.runtime import one_blas_thread
+from fg_orient.adjustment.schur_reduced import Singular
+from fg_orient.model.block import ExtraObservation
+from fg_orient.model.errors import Finding, InputError, finding
+
+Array = npt.NDArray[np.float64]
+
+#: Share of a movement that the rays must see; below, an error of the y-parallax moves an image by 5 times as much.
+SEEN: Final = 0.04
+#: RMS movement of the image points, in their sigmas, to which a direction is held.
+HELD: Final = 1e-3
+#: Smallest share of the largest eigenvalue of the scaled N; below, a movement of the unknowns moves no image point.
+MOVES: Final = 1e-10
+
+
+@dataclass(frozen=True)
+class HeldDatum(ExtraObservation):
+    """Directions held at the metadata.
+
+    Parameters
+    ----------
+    sigma_enu_m : tuple of float
+        Standard deviation of the position of the whole block along these directions by the prior sigmas, m.
+    """
+
+    sigma_enu_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def finding(self) -> Finding:
+        """Note on the directions."""
+        east, north, up = self.sigma_enu_m
+        return finding("solution.vendor_datum", n=self.n_residuals, east=east, north=north, up=up)
+
+
+def with_vendor_datum(problem: Problem) -> Problem:
+    """Problem whose hardly seen directions are held at the metadata.
+
+    InputError: the block is too large for the matrix of all its image unknowns, or a point is not determined.
+    """
+    if not small_enough(problem):
+        raise InputError.of("adjust.vendor_datum", option="datum", value="vendor", n=problem.n_free_unknowns)
+    with one_blas_thread():
+        try:
+            border = Border(_without_priors(problem), problem.start)
+        except Singular as error:
+            raise InputError.of("adjust.vendor_datum_points", place=problem.block.name, why=error) from None
+        n, s, z = _movement(problem), _without_named(border), problem.n_free_unknowns
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(n), np.finfo(float).tiny))
+        size, axes = eigh(n * np.outer(scale, scale))
+        basis = scale[:, None] * axes[:, size > MOVES * size[-1]] / np.sqrt(size[size > MOVES * size[-1]])
+        share, turn = eigh(basis.T @ s @ basis)
+        moves = basis @ turn[:, share < SEEN]
+        rows = moves.T @ n
+        ground = border.follow(np.vstack([moves, np.zeros((len(border) - z, moves.shape[1]))])).ground
+    if not len(rows):
+        return problem
+    mean = problem.axes(problem.origin_m[None])[0] @ ground[problem.active].mean(axis=0)
+    east, north, up = np.sqrt(np.sum((mean @ rows) ** 2, axis=1)).tolist()
+    held = _observation(problem, rows / (HELD * np.sqrt(2.0 * len(problem.observations))))
+    return replace(problem, block=replace(problem.block, extra=(
+        *problem.block.extra, replace(held, sigma_enu_m=(east, north, up)),
+    )))  # fmt: skip
+
+
+def of_problem(problem: Problem) -> HeldDatum | None:
+    """The held directions of a problem; None if there are none."""
+    return next((extra for extra in problem.block.extra if isinstance(extra, HeldDatum)), None)
+
+
+def _without_priors(problem: Problem) -> Problem:
+    return replace(problem, block=replace(problem.block, options=replace(problem.block.options, priors=False)))
+
+
+def _movement(problem: Problem) -> Array:
+    """N (z, z): whitened squares of the movements of the image points by the free image unknowns."""
+    design, image = linearised(problem, problem.start).image, problem.observations.image
+    out = np.zeros((problem.n_image_unknowns,) * 2)
+    for k in range(problem.n_images):
+        own, part = design[image == k], problem.image_slice(k)
+        rows = own.reshape(-1, own.shape[2])[:, : part.stop - part.start]
+        out[part, part] = rows.T @ rows
+    ties = problem.ties
+    return out if ties is None else np.asarray(ties.matrix.T @ (ties.matrix.T @ out).T)
+
+
+def _without_named(border: Border) -> Array:
+    """S (z, z) of the images, the named points eliminated, too."""
+    z = border.n_images
+    by_points = border.matrix[:z, z:]
+    return np.asarray(border.matrix[:z, :z] - by_points @ np.linalg.pinv(border.matrix[z:, z:]) @ by_points.T)
+
+
+def _observation(problem: Problem, rows: Array) -> HeldDatum:
+    """Observation of the rows (h, z) of the free unknowns, which shall be zero."""
+    wide = rows
+    if problem.ties is not None:  # a shared unknown is read from the first image that has it
+        wide = np.zeros((len(rows), problem.n_image_unknowns))
+        wide[:, problem.ties.place] = rows
+    images = [k for k in range(problem.n_images) if len(problem.parameters[k])]
+
+    def residual(_record: Any, setup: Any, *x: Any) -> Any:
+        return setup @ np.concatenate(x)
+
+    def kernel(record: Array, setup: Array, *x: Any) -> tuple[Array, ...]:
+        *values, want = x
+        ends = np.cumsum([len(v) for v in values])[:-1]
+        return residual(record, setup, *values), *(np.split(setup, ends, axis=1) if want else ())
+
+    arguments = tuple(Argument(f"x{k}", "prior sigma") for k in images)
+    equation = Equation("vendor_datum", kernel, residual, arguments, "inner constraints on images, Koch 1999, 1.5")
+    return HeldDatum(
+        equation, tuple(f"image:{problem.block.images[k].id}" for k in images), np.zeros(0), wide, len(rows),
+        "directions held at the metadata",
+    )  # fmt: skip

@@ -1,0 +1,154 @@
+"""Datum of the vendor: hardly seen directions stay at the metadata, whatever the backend; the y-parallax is reduced."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+
+import fg_orient as fg
+from fg_orient.adjustment.dense import assemble
+from fg_orient.adjustment.problem import compile_problem
+from fg_orient.model.block import Block
+from fg_orient.model.names import Role
+from fg_orient.quality.accuracy import rms_px, y_parallaxes
+from fg_orient.quality.vendor_datum import SEEN, of_problem
+from tests.support.real_rpc import pleiades_neo, spot7
+from tests.support.rpc_block import rpc_twin
+
+
+def without_control(noise_px: float = 0.3, seed: int = 3) -> tuple[Block, np.ndarray]:
+    """RPC pair whose points are all tie points, and their true coordinates."""
+    twin = rpc_twin("affine", seed=seed, noise_px=noise_px)
+    points = twin.block.points
+    known = replace(points.known, ecef_m=np.full(points.known.ecef_m.shape, np.nan))
+    points = replace(points, roles=(Role.TIE,) * len(points.ids), known=known)
+    block = replace(twin.block, points=points, withheld=replace(twin.block.withheld, ids=()))
+    return replace(block, options=replace(block.options, datum="vendor", rpc_compensation="affine")), twin.ecef_m
+
+
+def shares(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Shares mu, directions (u, h) and N, from all rows by numpy."""
+    problem = compile_problem(replace(block, options=replace(block.options, datum="priors")))
+    _, design = assemble(problem, problem.start)
+    rows = design[: 2 * len(problem.observations)]
+    u = problem.n_image_unknowns
+    images, points = rows[:, :u], rows[:, u:]
+    left = images - points @ np.linalg.lstsq(points, images, rcond=None)[0]
+    root = block_diag(*(np.linalg.qr(images[:, problem.image_slice(k)], mode="r") for k in range(problem.n_images)))
+    inverse = np.linalg.inv(root)
+    mu, turn = np.linalg.eigh(inverse.T @ left.T @ left @ inverse)
+    return mu, inverse @ turn, root.T @ root
+
+
+@pytest.mark.oracle
+def test_directions_are_those_of_all_rows() -> None:
+    """As many as numpy finds, and the result has no part along them; the others are free."""
+    block, _ = without_control()
+    mu, moves, n = shares(block)
+    solution = fg.adjust(block)
+    held = of_problem(solution.problem)
+    assert held is not None and held.n_residuals == int(np.sum(mu < SEEN)) > 3
+    assert (mu < 1.0 + 1e-9).all() and (mu > -1e-9).all()
+    along = moves.T @ n @ solution.problem.image_columns(solution.state)
+    n_rays = len(solution.problem.observations)
+    assert np.abs(along[mu < SEEN]).max() <= 0.1 * np.sqrt(2.0 * n_rays)
+    assert np.abs(along[mu > SEEN]).max() > 1.0
+
+
+@pytest.mark.oracle
+def test_backends_agree() -> None:
+    block, _ = without_control()
+    graph, dense = (fg.adjust(block, backend=name) for name in ("graph", "dense"))
+    assert np.abs(graph.state.image - dense.state.image).max() <= 1e-8
+    assert graph.chi2 == pytest.approx(dense.chi2, rel=1e-9)
+    with pytest.raises(fg.InputError, match="several images"):
+        fg.adjust(block, backend="schur")
+
+
+@pytest.mark.truth
+def test_parallax_falls_and_the_block_stays() -> None:
+    """The parallax of erroneous vendor models falls; the block moves by no more than its rays miss each other."""
+    for seed in range(5):
+        block, _ = without_control(seed=seed)
+        solution = fg.adjust(block)
+        _, before = y_parallaxes(solution.problem, solution.problem.start)
+        _, after = y_parallaxes(solution.problem, solution.state)
+        assert rms_px(after) < 1.0 and rms_px(after) < 0.5 * rms_px(before)
+        moved = np.linalg.norm((solution.state.ground - solution.problem.start.ground).mean(axis=0))
+        data = next(f for f in solution.findings if f.code == "solution.relative").data
+        assert moved <= data["disagreement_m"]
+
+
+@pytest.mark.behaviour
+def test_control_leaves_nothing_to_hold() -> None:
+    """With control points the rays and the control see all directions, and the result is that of the default."""
+    twin = rpc_twin("shift", seed=3, noise_px=0.3)
+    block = replace(twin.block, options=replace(twin.block.options, rpc_compensation="shift"))
+    vendor, default = fg.adjust(block, datum="vendor"), fg.adjust(block)
+    assert of_problem(vendor.problem) is None
+    assert np.abs(vendor.state.image - default.state.image).max() <= 1e-12
+
+
+def neo(real_data: Path) -> Block:
+    """The Pléiades Neo pair with the points of both images as tie points."""
+    block = pleiades_neo(real_data)
+    o = block.observations
+    points = replace(
+        block.points, roles=(Role.TIE,) * len(block.points.ids),
+        known=replace(block.points.known, ecef_m=np.full(block.points.known.ecef_m.shape, np.nan)),
+    )  # fmt: skip
+    both = np.bincount(o.point, minlength=len(block.points.ids))[o.point] == 2
+    return replace(block, points=points, observations=o.take(both))
+
+
+@pytest.mark.truth
+@pytest.mark.real_data
+@pytest.mark.parametrize("kind", ["shift", "affine"])
+def test_pleiades_neo_pair_stays(real_data: Path, kind: str) -> None:
+    """Its 24 common points without their coordinates; the pair is snooped, as one image point is 52 px wrong."""
+    block = neo(real_data)
+    solution = fg.adjust(block, rpc_compensation=kind, datum="vendor", snoop=True)
+    data = next(f for f in solution.findings if f.code == "solution.relative").data
+    assert np.linalg.norm(data["moved_m"]) <= data["disagreement_m"]
+    _, before = y_parallaxes(solution.problem, solution.problem.start)
+    _, after = y_parallaxes(solution.problem, solution.state)
+    assert np.median(after) <= np.median(before)
+
+
+@pytest.mark.truth
+@pytest.mark.real_data
+@pytest.mark.parametrize("kind", ["shift", "affine"])
+def test_spot7_pair_stays(real_data: Path, kind: str) -> None:
+    """The pair moves by less than its rays miss each other; the parallax is that of the priors' datum."""
+    block = spot7(real_data, 300)
+    solution = fg.adjust(block, rpc_compensation=kind, datum="vendor")
+    free = fg.adjust(block, rpc_compensation=kind, datum="priors")
+    data = next(f for f in solution.findings if f.code == "solution.relative").data
+    (_, held), (_, loose) = (y_parallaxes(s.problem, s.state) for s in (solution, free))
+    assert np.linalg.norm(data["moved_m"]) <= data["disagreement_m"]
+    assert np.median(held) <= 1.1 * np.median(loose)
+
+
+@pytest.mark.truth
+@pytest.mark.real_data
+def test_pleiades_pair_of_s2p_stays_and_fits_its_surface(real_data: Path, tmp_path: Path) -> None:
+    """Its tie points and RPC without control: moves below 1 m, y-parallax below 0.40 px."""
+    folder = (real_data / "s2p-pair").as_posix()
+    images = "".join(f'[[images]]\nid = "im{k}"\nmetadata = "{folder}/img_0{k}.tif"\n' for k in (1, 2))
+    path = tmp_path / "project.toml"
+    path.write_text(
+        f'schema = 1\nname = "s2p"\n{images}[points]\nfile = "{folder}/points.csv"\ncrs = "EPSG:4979"\n'
+        f'[observations]\nfile = "{folder}/observations.csv"\n[adjustment]\ndatum = "vendor"\n', "utf-8",
+    )  # fmt: skip
+    block = fg.read_project(path)
+    for kind in ("shift", "affine"):
+        solution = fg.adjust(block, rpc_compensation=kind)
+        data = next(f for f in solution.findings if f.code == "solution.relative").data
+        _, after = y_parallaxes(solution.problem, solution.state)
+        assert np.linalg.norm(data["moved_m"]) < 1.0
+        assert rms_px(after) <= 0.40
+        assert solution.compare_dem(real_data / "s2p-pair" / "dsm.tif").statistics()["nmad_m"] <= 0.55
