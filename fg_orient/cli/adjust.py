@@ -139,11 +139,12 @@ def show(record: dict[str, Any]) -> None:
     beyond = record["accuracy"]["check"]["beyond_3_sigma"]
     if beyond["by_chance"] and beyond["sentence"]:
         say(beyond["sentence"])
-    table("", ("standard deviations", "stated", "estimated / stated", "+-", "redundancy"), [
-        [s["group"], "several" if s["stated"] is None else f"{number(s['stated'])} {s['unit']}", number(s["factor"], 2),
-         number(s["factor_sd"], 2), number(s["redundancy"], 1)]
-        for s in record["stated_sigmas"]
-    ])  # fmt: skip
+    if record["stated_sigmas"]:
+        table("", ("standard deviations", "stated", "estimated / stated", "+-", "redundancy"), [
+            [s["group"], "several" if s["stated"] is None else f"{number(s['stated'])} {s['unit']}",
+             number(s["factor"], 2), number(s["factor_sd"], 2), number(s["redundancy"], 1)]
+            for s in record["stated_sigmas"]
+        ])  # fmt: skip
     components = record["variance_components"]
     if components is not None:
         table(f"sigmas estimated in {components['rounds']} adjustments", ("group", "redundancy", "times given", "sd"), [

@@ -26,13 +26,13 @@ class GroupedResiduals:
     ----------
     known : ResidualCofactors
     groups : Groups
-    largest : int
+    largest : int, optional
         Elements of the matrices of all groups above which they are not computed.
     """
 
     known: ResidualCofactors
     groups: Groups
-    largest: int = LARGEST
+    largest: int | None = None
 
     @cached_property
     def labels(self) -> Index:
@@ -61,7 +61,7 @@ class GroupedResiduals:
     @cached_property
     def parts(self) -> GroupCofactors | None:
         """Contributions of the groups to the cofactors; None if the block is too large."""
-        if cost(self.known.problem, len(self.groups.names)) > self.largest:
+        if cost(self.known.problem, len(self.groups.names)) > (LARGEST if self.largest is None else self.largest):
             return None
         return GroupCofactors(self.known, self.labels, len(self.groups.names))
 

@@ -16,7 +16,7 @@ HEAVY = ("gtsam", "numba", "scipy", "pandas", "matplotlib", "rasterio", "pyproj"
 #: Modules that no command below needs: a plot or a raster is not asked for.
 OPTIONAL = ("pandas", "matplotlib", "rasterio", "shapely", "pyogrio", "dask", "scipy.stats", "scipy.interpolate")
 #: Parts of scipy that take as long to load as an adjustment to compute, for tasks that most blocks do not have.
-SCIPY = ("scipy.optimize", "scipy.sparse", "scipy.spatial")
+SCIPY = ("scipy.optimize", "scipy.spatial")
 #: Name -> words of the command, and modules that it must do without.
 FORBIDDEN = {
     "--help": (
@@ -33,7 +33,8 @@ FORBIDDEN = {
     ),
     "locate": (
         ["locate", "{left}", "--line", "6000", "--sample", "6000", "--height", "350"],
-        (*OPTIONAL, *SCIPY, "gtsam", "pyproj", "erfa", "jinja2", "fg_orient.adjustment", "fg_orient.cli.adjust"),
+        (*OPTIONAL, *SCIPY, "scipy.sparse", "gtsam", "pyproj", "erfa", "jinja2", "fg_orient.adjustment",
+         "fg_orient.cli.adjust"),
     ),
     "adjust --backend schur": (
         ["adjust", "{project}", "--out", "{out}", "--backend", "schur"],

@@ -333,10 +333,15 @@ def test_loss_in_an_adjustment(files: dict[str, Path], twin: Path, tmp_path: Pat
     ended = in_process("--plugin", files["loss"], "adjust", twin, "--loss", "docs_fair", "--out", out, "--json")
     assert ended.code == 0, ended.stderr
     assert ended.json["loss"] == "docs_fair"
-    with (out / "residuals.csv").open() as stream:
-        for row in csv.DictReader(stream):
-            u = np.hypot(*(float(row[f"v_{a}_px"]) / float(row[f"sigma_{a}_px"]) for a in ("line", "sample"))) / 1.223
-            assert float(row["weight"]) == pytest.approx(1.0 / (1.0 + u), abs=1e-4)
+    with (out / "residuals.csv").open() as stream, (out / "points.csv").open() as points:
+        roles, rows = {row["id"]: row["role"] for row in csv.DictReader(points)}, list(csv.DictReader(stream))
+    square = [sum((float(row[f"v_{a}_px"]) / float(row[f"sigma_{a}_px"])) ** 2 for a in ("line", "sample"))
+              for row in rows]  # fmt: skip
+    for row in rows:
+        mine = [s for s, other in zip(square, rows, strict=True) if other["id"] == row["id"]]
+        two = len(mine) == 2 and roles[row["id"]] != "control"  # both rays have the mean of their squares
+        u = np.sqrt(np.mean(mine) if two else square[rows.index(row)]) / 1.223
+        assert float(row["weight"]) == pytest.approx(1.0 / (1.0 + u), abs=1e-4)
     u = np.linspace(0.0, 6.0, 6001)
     for name in ("docs_fair", "docs_halving"):
         own = losses.losses()[name]
