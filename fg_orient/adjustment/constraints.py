@@ -290,15 +290,26 @@ def hold(
         size = max((np.abs(c).max() * e.final_weight for _, e, c, _ in stated if e.hard), default=0.0)
         if tight and (size < HELD or size > SLOW * last):
             break
-        problem, before, last = _with_extra(problem, extra), estimate, size if tight else np.inf
-        n = len(before.log)
-        estimate = run(problem, before.state, n)
-        log = tuple(replace(record, iteration=n + k) for k, record in enumerate(estimate.log, start=1))
-        estimate = replace(
-            estimate, log=before.log + log, iterations=before.iterations + estimate.iterations,
-            solve_s=before.solve_s + estimate.solve_s,
-        )  # fmt: skip
+        problem, last = _with_extra(problem, extra), size if tight else np.inf
+        estimate = _continued(problem, estimate, run)
+    options = problem.block.options
+    if _has_hard(problem) and estimate.converged and options.optimizer != "gauss-newton" and not problem.least_damping:
+        # the damping is a share of the weights of the constraints: the last damped steps across them are too short
+        plain = replace(problem.block, options=replace(options, optimizer="gauss-newton"))
+        ahead = _continued(replace(problem, block=plain), estimate, run)
+        estimate = ahead if ahead.converged else estimate
     return problem, estimate
+
+
+def _continued(problem: Problem, before: Estimate, run: Callable[[Problem, State, int], Estimate]) -> Estimate:
+    """Estimate of a problem from the state of an earlier one, with the log of both."""
+    n = len(before.log)
+    estimate = run(problem, before.state, n)
+    log = tuple(replace(record, iteration=n + k) for k, record in enumerate(estimate.log, start=1))
+    return replace(
+        estimate, log=before.log + log, iterations=before.iterations + estimate.iterations,
+        solve_s=before.solve_s + estimate.solve_s,
+    )  # fmt: skip
 
 
 def _require_held(problem: Problem, state: State) -> None:
