@@ -1,6 +1,6 @@
 """Conventions of interior orientation and distortion of other programs, and conversion of values with covariance.
 
-A :class:`Convention` declares how the values of a program give the parameters of ``factors.cameras.frame_extended``:
+A :class:`Convention` declares how the values of a program give the parameters of ``factors.cameras.frame_extended``::
 
     ours = sign theirs unit + origin     focal length and principal point (px)
     ours = sign theirs + offset          coefficients in the unit of the convention; with "/f" theirs is first divided
