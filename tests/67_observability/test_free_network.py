@@ -325,7 +325,7 @@ def test_sensors_that_know_where_they_are_have_no_exact_defect(make, changes: di
         fg.adjust(block, datum="inner", **changes)
     (near,) = [p for p in caught.value.problems if p.code == "statistics.datum_near"]
     assert "3 motions are free (shifted together East, shifted together North, shifted together Up)" in near.place
-    assert 'datum = "priors"' in near.remedy
+    assert 'datum = "vendor"' in near.remedy
 
 
 @pytest.mark.oracle

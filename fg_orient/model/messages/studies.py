@@ -73,7 +73,7 @@ statistics.datum: these unknowns do not fix the {count} motions of the free netw
 statistics.no_free_network: this is no free network, or its covariance could not be computed
     -> adjust a block without control points with datum = "inner"
 statistics.datum_near: the observations depend weakly on these motions, so they are not an exact datum defect
-    -> keep the priors: datum = "priors"; or measure control points
+    -> keep the priors: datum = "vendor"; or measure control points
 curve.numbers: these must be finite numbers
     -> give {wanted}
 curve.unknowns: {count} observations do not determine {unknowns} unknowns
