@@ -88,7 +88,9 @@ def added(
     sigmas: Sequence[StatedSigma], check: PointDifferences,
 ) -> tuple[Finding, ...]:  # fmt: skip
     """Findings of a result that is not trustworthy with its likely causes; others: see :func:`of_solution`."""
-    mixed = mix_ups(problem.block)
+    # a mix-up moves points by thousands of pixels, which more than the sigmas of a group shows
+    doubted = {f.code for f in ordered if f.severity in DECISIVE}
+    mixed = mix_ups(problem.block) if not estimate.converged or doubted != {"verdict.sigmas"} else ()
     ordered = (*ordered[:1], *mixed, *ordered[1:])
     if not estimate.converged or mixed or not any(f.severity in DECISIVE for f in ordered):
         return ordered
