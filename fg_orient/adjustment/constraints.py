@@ -292,13 +292,18 @@ def hold(
             break
         problem, last = _with_extra(problem, extra), size if tight else np.inf
         estimate = _continued(problem, estimate, run)
-    options = problem.block.options
-    if _has_hard(problem) and estimate.converged and options.optimizer != "gauss-newton" and not problem.least_damping:
+    damped = problem.block.options.optimizer != "gauss-newton"
+    if _has_hard(problem) and estimate.converged and damped and not problem.least_damping:
         # the damping is a share of the weights of the constraints: the last damped steps across them are too short
-        plain = replace(problem.block, options=replace(options, optimizer="gauss-newton"))
-        ahead = _continued(replace(problem, block=plain), estimate, run)
+        ahead = _continued(undamped(problem), estimate, run)
         estimate = ahead if ahead.converged else estimate
     return problem, estimate
+
+
+def undamped(problem: Problem) -> Problem:
+    """The problem with Gauss-Newton as optimiser: damped steps along a weak motion converge too slowly."""
+    options = replace(problem.block.options, optimizer="gauss-newton")
+    return replace(problem, block=replace(problem.block, options=options))
 
 
 def _continued(problem: Problem, before: Estimate, run: Callable[[Problem, State, int], Estimate]) -> Estimate:

@@ -33,6 +33,7 @@ from scipy.linalg import qr
 
 from factors._contract import Argument, Equation
 from fg_orient.adjustment.border import Border, small_enough
+from fg_orient.adjustment.constraints import undamped
 from fg_orient.adjustment.dense import DenseSystem
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import weighted_problem
@@ -190,7 +191,7 @@ def to_inner_datum(
             break
         moved = problem.moved(state, step)
         if motions.border is None:
-            again = run(_holding(_undamped(replace(problem, start=moved)), chosen))
+            again = run(_holding(undamped(replace(problem, start=moved)), chosen))
             state = again.state
         else:
             near, state = motions.border, _minimised(motions.border, moved)
@@ -199,7 +200,7 @@ def to_inner_datum(
         motions = motions_of(weighted, state, near)
     held = _holding(replace(problem, start=state), chosen)
     if motions.border is None or isinstance(estimate.linear, DenseSystem):
-        estimate = replace(estimate, state=state, linear=run(replace(_undamped(held), start=state)).linear)
+        estimate = replace(estimate, state=state, linear=run(replace(undamped(held), start=state)).linear)
     else:
         estimate = replace(estimate, state=state, linear=motions.border)
     return replace(held, start=problem.start), estimate
@@ -217,12 +218,6 @@ def _minimised(near: Border, state: State) -> State:
             if size < REACHED or (before < math.inf and size**2 < REACHED * before):
                 break
     return state
-
-
-def _undamped(problem: Problem) -> Problem:
-    """The problem with Gauss-Newton as optimiser: damped steps along a weak motion converge too slowly."""
-    options = replace(problem.block.options, optimizer="gauss-newton")
-    return replace(problem, block=replace(problem.block, options=options))
 
 
 def datum_points(problem: Problem, names: tuple[str, ...] = ()) -> Mask:

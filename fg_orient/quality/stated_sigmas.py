@@ -78,11 +78,11 @@ class StatedSigma:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for the record of a run."""
-        known = self.stated is not None
+        stated = self.stated
         return {
-            "group": self.group, "stated": self.stated, "unit": self.unit,
-            "estimated": self.stated * self.factor if known else None,  # type: ignore[operator]
-            "estimated_sd": self.stated * self.sd if known else None,  # type: ignore[operator]
+            "group": self.group, "stated": stated, "unit": self.unit,
+            "estimated": None if stated is None else stated * self.factor,
+            "estimated_sd": None if stated is None else stated * self.sd,
             "factor": self.factor, "factor_sd": self.sd, "redundancy": self.redundancy, "sentence": self.words,
         }  # fmt: skip
 

@@ -31,6 +31,7 @@ from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.model.block import ExtraObservation
 from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.quality.free_network import without_priors
 
 Array = npt.NDArray[np.float64]
 
@@ -69,7 +70,7 @@ def with_vendor_datum(problem: Problem) -> Problem:
         raise InputError.of("adjust.vendor_datum", option="datum", value="vendor", n=problem.n_free_unknowns)
     with one_blas_thread():
         try:
-            border = Border(_without_priors(problem), problem.start)
+            border = Border(replace(problem, block=without_priors(problem.block)), problem.start)
         except Singular as error:
             raise InputError.of("adjust.vendor_datum_points", place=problem.block.name, why=error) from None
         n, s, z = _movement(problem), _without_named(border), problem.n_free_unknowns
@@ -93,10 +94,6 @@ def with_vendor_datum(problem: Problem) -> Problem:
 def of_problem(problem: Problem) -> HeldDatum | None:
     """The held directions of a problem; None if there are none."""
     return next((extra for extra in problem.block.extra if isinstance(extra, HeldDatum)), None)
-
-
-def _without_priors(problem: Problem) -> Problem:
-    return replace(problem, block=replace(problem.block, options=replace(problem.block.options, priors=False)))
 
 
 def _movement(problem: Problem) -> Array:

@@ -32,7 +32,7 @@ from fg_orient.sensors.conventions import (
 )
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameSensor
 from fg_orient.sensors.frame_unknowns import NAMES
-from fg_orient.sensors.interior import GRID, Interior
+from fg_orient.sensors.interior import Interior, directions, pixel_grid
 
 #: Step of the complex derivatives.
 _STEP: Final = 1e-30
@@ -165,17 +165,11 @@ def _fitted(
 ) -> tuple[Array, Array, dict[str, Any]]:  # fmt: skip
     """Values (k,) that fit best to the directions of a camera, their derivatives (k, n), and the remaining distance."""
     require_image(image, is_fit=True)
-    line, sample = (g.ravel() for g in np.meshgrid(
-        np.linspace(0.0, interior.n_lines - 1.0, GRID), np.linspace(0.0, interior.n_samples - 1.0, GRID)
-    ))  # fmt: skip
+    line, sample = pixel_grid(interior)
     shown = [OURS.index(name) for name in two.ours]
 
     def ground(camera: Interior) -> Array:
-        ideal = camera.ideal(line, sample)
-        bad = int((~np.isfinite(ideal).all(axis=1)).sum())
-        if bad:
-            raise InputError.of("frame.no_direction", place=camera.name, value=f"{bad} of {len(ideal)} pixels")
-        return np.column_stack([ideal, np.ones(len(ideal))])
+        return np.column_stack([directions(camera, line, sample), np.ones(len(line))])
 
     def rows(values: Array, at: Array) -> tuple[Array, Array]:
         residual, by_ours = _rows(two.interior(values, image), line, sample, at, two.ours)

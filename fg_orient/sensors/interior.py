@@ -108,13 +108,8 @@ def converted(interior: Interior, model: str, *, brown: bool = False) -> Convers
         raise InputError.of("frame.camera", place="model", value=model, expected=known)
     if model == interior.model and not brown:
         return Conversion(interior, 0.0, 0.0)
-    line, sample = (g.ravel() for g in np.meshgrid(
-        np.linspace(0.0, interior.n_lines - 1.0, GRID), np.linspace(0.0, interior.n_samples - 1.0, GRID)
-    ))  # fmt: skip
-    ideal = interior.ideal(line, sample)
-    if not np.isfinite(ideal).all():
-        n = int((~np.isfinite(ideal).all(axis=1)).sum())
-        raise InputError.of("frame.no_direction", place=interior.name, value=f"{n} of {len(ideal)} pixels")
+    line, sample = pixel_grid(interior)
+    ideal = directions(interior, line, sample)
     measured = (np.column_stack([sample, line]) - interior.principal_px[::-1]) / interior.focal_px
     argument, image = (ideal, measured) if model == IDEAL_TO_MEASURED else (measured, ideal)
     design = np.concatenate([_columns(argument, 0), _columns(argument, 1)])
@@ -124,6 +119,23 @@ def converted(interior: Interior, model: str, *, brown: bool = False) -> Convers
                   further={}, is_fisheye=False)  # fmt: skip
     apart = np.linalg.norm(out.ideal(line, sample) - ideal, axis=1) * interior.focal_px
     return Conversion(out, float(apart.max()), float(np.sqrt(np.mean(apart**2))))
+
+
+def pixel_grid(interior: Interior) -> tuple[Array, Array]:
+    """Lines and samples (N,) of a grid over the whole image."""
+    line, sample = np.meshgrid(
+        np.linspace(0.0, interior.n_lines - 1.0, GRID), np.linspace(0.0, interior.n_samples - 1.0, GRID)
+    )  # fmt: skip
+    return line.ravel(), sample.ravel()
+
+
+def directions(interior: Interior, line: Array, sample: Array) -> Array:
+    """Ideal coordinates (N, 2) of pixels; InputError where the polynomial folds."""
+    ideal = interior.ideal(line, sample)
+    bad = int((~np.isfinite(ideal).all(axis=1)).sum())
+    if bad:
+        raise InputError.of("frame.no_direction", place=interior.name, value=f"{bad} of {len(ideal)} pixels")
+    return ideal
 
 
 def _columns(xy: Array, axis: int) -> Array:
