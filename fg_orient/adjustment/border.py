@@ -140,6 +140,7 @@ class Border:
         pattern = self._system.structure.pattern
         out[:z, :z] = full_matrix(pattern, self.problem.first, blocks_gradient[0], self.problem.ties)
         gradient[:z] = blocks_gradient[1]
+        self._backend.buffers.release()
         for columns, value, design in self._explicit_rows():
             np.add.at(out, (columns[:, None], columns[None]), design.T @ design)
             np.add.at(gradient, columns, design.T @ value)

@@ -145,13 +145,14 @@ class GraphBackend:
 
     def linearise(self, state: State) -> SchurSystem | Border | ExplicitSystem:
         """Linearise at a solution, for cofactors: arrays, or all rows where these do not determine the unknowns."""
+        self.elimination.release()
         if not schur_possible(self.problem.block):
+            self.elimination.backend.buffers.release()
             with contextlib.suppress(Singular):
                 if self.robust is None and small_enough(self.problem):
                     return Border(self.problem, state)
             explicit = ExplicitBackend(self.problem)
             explicit.robust = self.robust
             return explicit.linearise(explicit.values(state))
-        self.elimination.release()
         self.elimination.backend.robust = self.robust
         return self.elimination.backend.linearise(state)

@@ -149,7 +149,7 @@ class SchurSystem:
     def _eliminated(self, damping: float) -> Array:
         """Blocks (B, k, k) of the reduced system; point blocks and gradients are in the buffers."""
         s, b = self.structure, self.buffers()
-        if self._eliminated_at != damping:
+        if self._eliminated_at != damping or not b.has_sums:
             self._eliminate(damping)
         self._backend.workers.run(
             gather_blocks, s.block_begin, s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column, b.sums,

@@ -57,10 +57,30 @@ class Buffers:
         self.held: Tile | None = None
         self.scaled = _aligned(largest, 8)
         self.root, self.gradient, self.squares = np.empty((p, 6)), np.empty((p, 3)), np.empty(len(s.chunks) - 1)
-        self.sums = _aligned(slots, int(s.n_basis.max()) ** 2, padded(c * c))
+        self._pairs = slots, int(s.n_basis.max()) ** 2, padded(c * c)
+        self._blocks = len(s.block_row), s.wide.shape[1], s.wide.shape[1]
         self.gradients = np.zeros((slots, int(s.n_basis.max()), (c + 7) // 8 * 8))
-        self.blocks = np.zeros((len(s.block_row), s.wide.shape[1], s.wide.shape[1]))
         self.control = control_records  # under a loss a copy with weights: see SchurSystem
+
+    @cached_property
+    def sums(self) -> Array:
+        """Sums of pairs of rays of each chunk."""
+        return _aligned(*self._pairs)
+
+    @cached_property
+    def blocks(self) -> Array:
+        """Blocks (B, k, k) of the reduced system."""
+        return np.zeros(self._blocks)
+
+    @property
+    def has_sums(self) -> bool:
+        """Whether there are sums of pairs."""
+        return "sums" in self.__dict__
+
+    def release(self) -> None:
+        """Free the largest arrays. The reduced system is eliminated again where it is needed again."""
+        for name in ("sums", "blocks"):
+            self.__dict__.pop(name, None)
 
     def rows(self, tile: Tile, *, of_images: bool = True) -> TileRows:
         """Space for the rows of a tile; without ``of_images`` for derivatives by the points only."""

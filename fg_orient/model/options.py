@@ -159,7 +159,7 @@ class Options(Checked):
     )
     snoop_kind: SnoopKind = option(
         "groups", TESTS,
-        "Left out in a round of the search: one observation, or all of its point. groups: an image point or the "
+        "What the search leaves out: observations, or all those of a point. groups: an image point or the "
         "coordinates of a control point; points: all observations of a point.",
         iterates=False,
     )

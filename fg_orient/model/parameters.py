@@ -82,9 +82,9 @@ def chosen_datum(options: Options, images: Sequence[Image], *, control: bool) ->
     ``control``: whether the block has control points, or observations that may replace them. "inner" stands for
     "vendor", too, where the metadata orient all images: these have no exact datum defect.
     """
-    by_metadata = options.priors and all(image.sensor.orients for image in images)
+    by_metadata = options.priors and not control and all(image.sensor.orients for image in images)
     if options.datum == "auto":
-        return "vendor" if by_metadata and not control else "control"
+        return "vendor" if by_metadata else "control"
     return "vendor" if options.datum == "inner" and by_metadata else options.datum
 
 
