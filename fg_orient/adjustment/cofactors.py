@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.rows import linearised
+from fg_orient.adjustment.rows import linearised, rows_by_image
+from fg_orient.adjustment.unknown_cofactors import DenseUnknowns
 from fg_orient.kernels.batch_cofactors import image_effects, ray_cofactors
 from fg_orient.model.options import Options
 
@@ -128,6 +129,41 @@ def cofactors_of_rays(problem: Problem, state: State, blocks: Callable[[Index], 
         out.points[part.points], out.fitted[part.rows], out.response[part.rows] = q_points, fitted, response
         out.on_image[part.rows] = np.sqrt(squared)
     return out
+
+
+class Star(NamedTuple):
+    """Cofactors of images and unknown points without those between images, or between points.
+
+    ``images`` (M, k, k), ``across`` (M, k, 3P) and ``points`` (P, 3, 3); shorter blocks end with zeros.
+    """
+
+    images: Array
+    across: Array
+    points: Array
+
+
+def rays_of_star(problem: Problem, state: State, star: Star) -> RayCofactors:
+    """Cofactors of all adjusted image points from those of images and points; also of points that others name."""
+    o, n = problem.observations, len(problem.observations)
+    rank, points = np.cumsum(problem.active) - 1, np.zeros((len(problem.active), 3, 3))
+    points[problem.active] = star.points
+    fitted, response, on_image = np.empty((n, 2, 2)), np.zeros((n, 3, 2)), np.empty((n, 2))
+    roots = inverse_roots(star.images, np.diff(problem.first))
+    _, d_image, d_ground = linearised(problem, state)
+    for k, rows in enumerate(rows_by_image(problem)):
+        size, point, m = len(problem.parameters[k]), o.point[rows], len(rows)
+        by_image, by_ground = d_image[rows, :, :size].reshape(2 * m, size), d_ground[rows]
+        at = 3 * np.maximum(rank[point], 0)[:, None] + np.arange(3)
+        across = star.across[k, :size, at] * problem.active[point][:, None, None]  # (m, 3, k)
+        on_image_unknowns = by_image @ star.images[k, :size, :size]
+        on_image_unknowns += (by_ground @ across).reshape(2 * m, size)
+        on_ground = across @ by_image.reshape(m, 2, size).transpose(0, 2, 1)
+        on_ground += points[point] @ by_ground.transpose(0, 2, 1)
+        response[rows] = on_ground
+        fitted[rows] = by_image.reshape(m, 2, size) @ on_image_unknowns.reshape(m, 2, size).transpose(0, 2, 1)
+        fitted[rows] += by_ground @ on_ground
+        on_image[rows] = np.linalg.norm(on_image_unknowns @ roots[k, :size, :size].T, axis=1).reshape(m, 2)
+    return RayCofactors(points, fitted, response, on_image, star.images)
 
 
 def inverse_roots(q: Array, size: Index) -> Array:
@@ -313,6 +349,16 @@ class ReducedCofactors:
     def blocks(self, pairs: npt.NDArray[np.intp]) -> Array:
         """See ``Cofactors``."""
         return blocks_of_images(self._problem, self._of, pairs)
+
+    def unknowns(self, places: Index) -> DenseUnknowns:
+        """See ``Cofactors``."""
+        first = self._problem.first
+        images = np.unique(np.searchsorted(first, places, side="right") - 1).tolist()
+        mine = np.searchsorted(np.concatenate([np.arange(first[k], first[k + 1]) for k in images]), places)
+        return DenseUnknowns(self._of(tuple(images))[np.ix_(mine, mine)])
+
+    def star(self) -> None:
+        """See ``Cofactors``."""
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """See ``Cofactors``."""

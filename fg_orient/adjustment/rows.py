@@ -142,7 +142,7 @@ def _evaluate(problem: Problem, state: State, rows: Index | None, out: Rows, *, 
         basis = values if len(own) == 1 else np.empty((len(row), values.shape[1]))
         basis[members] = values
         wide = np.zeros((problem.n_images, basis.shape[1] * c))
-        wide[np.ix_(images, columns.wide)] = state.image[images, :size] * columns.scale
+        wide[np.array(images)[:, None], columns.wide] = state.image[images, :size] * columns.scale
         direct = columns.is_plain and c == out.image.shape[2]
         d_image = out.image if direct or not want else np.zeros((len(row), 2, c))
         kernel(
