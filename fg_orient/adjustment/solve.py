@@ -342,6 +342,7 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
         return CycleResult(estimate.state, estimate.chi2)
 
     on_arrays = plain.backend != "dense" and schur_possible(problem.block) and eliminates_points(own)
+    on_arrays &= plain.backend == "schur" or not images_first(own)
     cycles = reweight(
         cycles_on_arrays(own, record) if on_arrays else fit, lambda f: norms_at(problem, f.state),
         lambda f: math.sqrt(f.chi2 / max(problem.redundancy, 1)), RULES[options.loss], DIMENSIONS,
