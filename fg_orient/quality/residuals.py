@@ -56,6 +56,8 @@ Index = npt.NDArray[np.intp]
 
 #: Elements of the matrices W_j of all groups up to which they are formed: 0.5 GB each kind; 4 groups, 4000 unknowns.
 LARGEST: Final = 2**26
+#: Unknowns over those of a point up to which the rows of the point are a full matrix.
+FULL: Final = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,11 +226,15 @@ class GroupCofactors:
             design = sparse.csr_array(
                 (part.design.ravel(), columns, np.arange(0, n * r * c + 1, c)), shape=(n * r, len(self._q))
             )
-            label = self._labels[part.rows.ravel()]
+            label, is_full = self._labels[part.rows.ravel()], FULL * c >= len(self._q)
             for j in np.unique(label):
                 mine = design[label == j]
-                product = (mine.T @ mine).tocoo()
-                normal[j][product.coords] += product.data
+                if is_full:  # BLAS is faster
+                    rows = mine.toarray()
+                    normal[j] += rows.T @ rows
+                else:
+                    product = (mine.T @ mine).tocoo()
+                    normal[j][product.coords] += product.data
         for own in normal:
             own[:] = self._q @ own
         return normal
