@@ -202,7 +202,11 @@ def to_inner_datum(
             again = run(_holding(undamped(replace(problem, start=moved)), chosen))
             state = again.state
         else:
-            near, state = motions.border, _minimised(motions.border, moved)
+            try:
+                near, state = motions.border, _minimised(motions.border, moved)
+            except Singular:  # the step has torn the network
+                estimate = replace(estimate, converged=False, end=finding("loop.free_datum"))
+                break
     else:
         estimate = replace(estimate, converged=False, end=finding("loop.free_datum"))
         motions = motions_of(weighted, state, near)

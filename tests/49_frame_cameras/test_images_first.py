@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,13 +13,16 @@ import fg_orient as fg
 from benchmarks.frames import Size, network
 from factors._contract import Argument, Equation
 from fg_orient.adjustment import images_first
+from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.images_border import ImagesBorder
 from fg_orient.adjustment.images_first import Images, Places
+from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.schur_reduced import Singular
+from fg_orient.adjustment.solve import solve
 from fg_orient.model.block import Coordinates, ExtraObservation
 from fg_orient.model.names import Role
 from fg_orient.orientation.solution import Solution
@@ -31,8 +35,9 @@ PHOTOS, POINTS = 14, 9
 
 
 def sequence(
-    camera: int = 8, bars: int = 2, controls: int = 0, cameras: int = 1, held: int = 0, *, gaps: bool = True
-) -> fg.Block:
+    camera: int = 8, bars: int = 2, controls: int = 0, cameras: int = 1, held: int = 0, known: int = 0,
+    *, gaps: bool = True,
+) -> fg.Block:  # fmt: skip
     """Photos of a few points.
 
     Parameters
@@ -41,8 +46,8 @@ def sequence(
         Shared parameters of each camera, scale bars, cameras.
     controls : int
         Control points, the last of them constant; 0: a free network.
-    held : int
-        Photos with a known projection centre.
+    held, known : int
+        Photos with a known projection centre, and without any unknown.
     gaps : bool
         A fifth of the image points is missing.
     """
@@ -52,7 +57,7 @@ def sequence(
         s, own = image.sensor, image.sensor.camera
         sigma = {name: value for name, value in own.sigma.items() if k >= held or not name.startswith("centre_")}
         shared = dict.fromkeys(own.shared, f"camera {k % cameras}")
-        own = replace(own, sigma=sigma, shared=shared)
+        own = replace(own, sigma=sigma if k >= known else {}, shared=shared if k >= known else {})
         images.append(replace(image, sensor=FrameSensor(own, s.n_lines, s.n_samples, georeferenced=False)))
     block = replace(block, images=tuple(images))
     if gaps:
@@ -61,13 +66,20 @@ def sequence(
     if not controls:
         return block
     is_control = np.arange(POINTS) < controls
-    known = Coordinates(
+    coordinates = Coordinates(
         np.where(is_control[:, None], ground, block.points.known.ecef_m),
         np.where(is_control[:, None], 2e-3, np.full((POINTS, 3), np.nan)), np.arange(POINTS) == controls - 1,
     )  # fmt: skip
     roles = tuple(Role.CONTROL if c else Role.TIE for c in is_control.tolist())
     options = replace(block.options, datum="control")
-    return replace(block, points=replace(block.points, roles=roles, known=known), options=options)
+    return replace(block, points=replace(block.points, roles=roles, known=coordinates), options=options)
+
+
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eliminate images first in small networks, too."""
+    monkeypatch.setattr(images_first, "GAIN", 0.0)
+    monkeypatch.setattr(images_first, "SAVED", -np.inf)
 
 
 @pytest.fixture
@@ -124,6 +136,7 @@ def require_equal(dense: Solution, found: Solution) -> None:
         ({"cameras": 2, "held": 3}, {}),
         ({"controls": 4}, {}),
         ({"controls": 4, "bars": 0}, {}),
+        ({"controls": 4, "known": 2}, {}),
         ({"controls": 4, "cameras": 2, "held": 3}, {"priors": True}),
         ({"controls": 4}, {"optimizer": "levenberg-marquardt"}),
         ({}, {"optimizer": "dogleg"}),
@@ -258,6 +271,37 @@ def test_movements_of_the_border_have_the_effect_of_all_rows() -> None:
     step = problem.vector(border.newton()) - problem.vector(state)
     expected = problem.ties.widened(np.linalg.lstsq(design, -r, rcond=None)[0])
     assert step == pytest.approx(expected, rel=1e-7, abs=1e-9)
+
+
+@pytest.mark.consistency
+@pytest.mark.parametrize("options", [{}, {"optimizer": "dogleg"}, {"loss": "huber"}, {"loss": "tls", "gnc": True}])
+def test_resumed_run_has_the_same_bits(at_once: None, options: dict[str, object], tmp_path: Path) -> None:
+    problem = compiled(sequence(controls=4), **options)
+
+    def stop(record: IterationRecord) -> None:
+        if record.iteration == 3:
+            raise KeyboardInterrupt
+
+    whole, path = solve(problem), tmp_path / "file"
+    with pytest.raises(KeyboardInterrupt):
+        solve(problem, stop, checkpoint=Checkpoint(path, every_s=0.0))
+    resumed = solve(problem, checkpoint=Checkpoint(path, every_s=0.0, resume=True))
+    assert resumed.resumed_at > 0 and isinstance(resumed.linear, ImagesBorder)
+    assert np.array_equal(resumed.state.image, whole.state.image)
+    assert np.array_equal(resumed.state.ground, whole.state.ground)
+    assert (resumed.chi2, resumed.iterations) == (whole.chi2, whole.iterations)
+
+
+@pytest.mark.behaviour
+def test_points_are_eliminated_where_images_cannot_be(at_once: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No image counts as determined: the solution is that of the other elimination."""
+    problem = compiled(sequence(controls=4), priors=True)
+    expected = solve(problem)
+    monkeypatch.setattr(images_first, "PIVOT", 1.0)
+    found = solve(problem)
+    assert isinstance(expected.linear, ImagesBorder) and not isinstance(found.linear, ImagesBorder)
+    assert found.chi2 == pytest.approx(expected.chi2, rel=1e-11)
+    assert found.state.ground == pytest.approx(expected.state.ground, abs=1e-9)
 
 
 @pytest.mark.behaviour
