@@ -13,6 +13,7 @@ points, after which the unknowns of all images would be left (:mod:`fg_orient.ad
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
@@ -25,6 +26,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised, refuse
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.kernels.batch_images import border_sums, own_sums
+from fg_orient.model.block import ExtraObservation
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -43,26 +45,58 @@ LARGEST: Final = 25_000_000
 PIVOT: Final = 1e-11
 
 
+@dataclass(frozen=True)
+class Sizes:
+    """What decides between both eliminations.
+
+    Parameters
+    ----------
+    own, border, widest : int
+        Own unknowns of all images, unknowns of the border, and the largest number of unknowns of an image.
+    rays : (N,) int array
+        Image points of each ground point.
+    named : (N,) bool array
+        Points that extra observations name: an elimination of points leaves them.
+    """
+
+    own: int
+    border: int
+    widest: int
+    rays: Index
+    named: Mask
+
+    @property
+    def images_first(self) -> bool:
+        """Whether an elimination of images is predicted to take much less work."""
+        if self.own * self.border > LARGEST:
+            return False
+        rays, points = self.rays[~self.named].astype(float), 3 * int(self.named.sum())
+        left = self.own + self.border - 3 * int((self.rays > 0).sum()) + points
+        of_points = 0.5 * float(rays @ rays) * self.widest**2 + left**3 / 6.0
+        of_images = 0.5 * self.own * self.border**2 + self.border**3 / 6.0
+        return of_points > GAIN * of_images and of_points - of_images > SAVED
+
+
+def each_of_one_image(extra: Sequence[ExtraObservation]) -> bool:
+    """Whether no extra observation has two images."""
+    return all(sum(name.startswith("image:") for name in one.unknowns) <= 1 for one in extra)
+
+
 def images_first(problem: Problem) -> bool:
     """Whether images are eliminated first: it is possible, and predicted to take much less work.
 
     No observation may have own unknowns of two images, and more than damping must fix the datum.
     """
     ties, o, z = problem.ties, problem.observations, problem.n_free_unknowns
-    if problem.least_damping > 0.0 or any(
-        sum(name.startswith("image:") for name in extra.unknowns) > 1 for extra in problem.block.extra
-    ):
+    if problem.least_damping > 0.0 or not each_of_one_image(problem.block.extra):
         return False
-    shared = 0 if ties is None else z - int(ties.part[problem.n_images])
-    border, widest = shared + 3 * int(problem.active.sum()), int(np.diff(problem.first).max())
-    if (z - shared) * border > LARGEST or not np.bincount(o.image, minlength=problem.n_images).all():
+    if not np.bincount(o.image, minlength=problem.n_images).all():
         return False
-    named = problem.named_points()
-    rays = np.bincount(o.point, minlength=len(problem.active)).astype(float)
-    rays[named] = 0.0
-    of_points = 0.5 * float(rays @ rays) * widest**2 + (z + 3 * len(named)) ** 3 / 6.0
-    of_images = 0.5 * (z - shared) * border**2 + border**3 / 6.0
-    return of_points > GAIN * of_images and of_points - of_images > SAVED
+    own = z if ties is None else int(ties.part[problem.n_images])
+    named = np.zeros(len(problem.active), bool)
+    named[problem.named_points()] = True
+    rays, widest = np.bincount(o.point, minlength=len(named)), int(np.diff(problem.first).max())
+    return Sizes(own, z - own + 3 * int(problem.active.sum()), widest, rays, named).images_first
 
 
 class Places:

@@ -26,6 +26,7 @@ from fg_orient.adjustment.cofactors import (
     SummedSystem,
     blocks_of_images,
     cofactors_of_points,
+    full_statistics,
 )
 from fg_orient.adjustment.constraints import has_constraints
 from fg_orient.adjustment.dense import DenseSystem
@@ -110,6 +111,12 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
             with one_blas_thread(), contextlib.suppress(Singular):  # its scaled Cholesky factor exists more often
                 return BorderCofactors(problem, Border(problem, estimate.state))
         raise Indeterminate(str(error) if reduced else "GTSAM finds the normal equations indeterminate") from error
+
+
+def gives_statistics(problem: Problem, cofactors: Cofactors) -> bool:
+    """Whether a run gives statistics of every observation; without a matrix of all images their number is no limit."""
+    unknowns = problem.n_image_unknowns if cofactors.star() is None else 0
+    return full_statistics(problem.block.options, len(problem.observations), unknowns)
 
 
 def of_border(problem: Problem, border: BorderMatrix) -> BorderCofactors | StarCofactors:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -322,3 +323,20 @@ def test_photo_that_its_points_do_not_determine_is_named() -> None:
     problem = replace(problem, observations=o.take(keep), records=problem.records[keep])
     with pytest.raises(Singular, match=r"an image|image p5"):
         Images(Places(problem), problem.start)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize(("photos", "points"), [(60, 20), (100, 37)])
+def test_estimated_memory_covers_what_is_allocated(photos: int, points: int) -> None:
+    """Arrays counted by tracemalloc, of networks that need no matrix of all images."""
+    block, _ = network(Size(photos, points, 0, 8, 2, 0.0))
+    fg.adjust(block)  # what is compiled or loaded once does not count
+    tracemalloc.start()
+    try:
+        solution = fg.adjust(block)
+        solution.reliability()
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert solution.memory is not None
+    assert peak < solution.memory.needed < 4.0 * peak
