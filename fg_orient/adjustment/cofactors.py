@@ -103,15 +103,48 @@ class RayCofactors:
     images: Array
 
 
-def cofactors_of_rays(problem: Problem, state: State, blocks: Callable[[Index], Array]) -> RayCofactors:
+class Datum(NamedTuple):
+    """S-transformation ``S Q S^T = Q - E W^T - W E^T + E C E^T`` of cofactors Q to another datum.
+
+    ``motions`` E and ``along`` W (n + 1, d) have a row for each column of ``Problem.vector`` and a last one of zeros,
+    ``core`` C is (d, d). As motions have no effect on an observation with the row A, ``S Q A^T = Q A^T - E (A W)^T``.
+    """
+
+    motions: Array
+    along: Array
+    core: Array
+
+    def elements(self, q: Array, rows: Index, columns: Index) -> Array:
+        """Elements Q (..., r, c) in the datum; ``rows`` (..., r), ``columns`` (..., c) of the unknowns, -1: zero."""
+        e, w = self.motions, self.along
+        left, right = e[rows], np.swapaxes(e[columns], -1, -2)
+        return np.asarray(q - left @ np.swapaxes(w[columns], -1, -2) - w[rows] @ right + left @ self.core @ right)
+
+
+def places_of_points(problem: Problem, points: Index) -> Index:
+    """Columns (n, 3) of ground points in ``Problem.vector``; -1 for points that are not unknowns."""
+    at = problem.point_columns[points, None] + np.arange(3)
+    return np.where(problem.active[points, None], at, -1)
+
+
+def places_of_images(problem: Problem) -> Index:
+    """Columns (M, k) of the unknowns of images in ``Problem.vector``; shorter rows end with -1."""
+    return np.where(problem.columns < problem.n_image_unknowns, problem.columns, -1)
+
+
+def cofactors_of_rays(
+    problem: Problem, state: State, blocks: Callable[[Index], Array], datum: Datum | None = None
+) -> RayCofactors:
     """Cofactors of all adjusted image points, of points and images; see :func:`cofactors_of_points`.
 
     Not valid for ground points with extra observations, because these also depend on the extra observations.
+    ``datum``: all are transformed to it.
     """
     n, order = len(problem.observations), _order(problem)
     pairs, block = _pairs(problem, order)
     q, size = blocks(pairs), np.diff(problem.first)
-    images = q[np.diagonal(block)]
+    images, place = q[np.diagonal(block)], places_of_images(problem)
+    images = images if datum is None else datum.elements(images, place, place)
     out = RayCofactors(
         np.zeros((len(problem.active), 3, 3)), np.empty((n, 2, 2)), np.zeros((n, 3, 2)), np.empty((n, 2)), images
     )
@@ -120,14 +153,21 @@ def cofactors_of_rays(problem: Problem, state: State, blocks: Callable[[Index], 
     lower = q @ np.swapaxes(roots[pairs[:, 1]], 1, 2)
     for part in parts_of(problem, state, order=order):
         rays = len(part.rows)
-        q_points, squared = np.empty((len(part.points), 3, 3)), np.empty((rays, 2))
+        q_points, effect = np.empty((len(part.points), 3, 3)), np.empty((rays, 2, q.shape[1]))
         fitted, response = np.empty((rays, 2, 2)), np.empty((rays, 3, 2))
         common = (part.first, part.image, size, problem.active[part.points].astype(np.int64), part.d_image,
                   part.d_ground, part.inverse, block)  # fmt: skip
         ray_cofactors(0, len(q_points), *common, q, q_points, fitted, response)
-        image_effects(0, len(q_points), *common, upper, lower, squared)
+        image_effects(0, len(q_points), *common, upper, lower, effect)
+        if datum is not None:
+            at = places_of_points(problem, part.points)
+            of_ray = np.repeat(at, np.diff(part.first), axis=0)
+            moved = part.d_image @ datum.along[place[part.image]] + part.d_ground @ datum.along[of_ray]
+            q_points = datum.elements(q_points, at, at)
+            response -= datum.motions[of_ray] @ np.swapaxes(moved, 1, 2)
+            effect -= moved @ np.swapaxes((roots @ datum.motions[place])[part.image], 1, 2)
         out.points[part.points], out.fitted[part.rows], out.response[part.rows] = q_points, fitted, response
-        out.on_image[part.rows] = np.sqrt(squared)
+        out.on_image[part.rows] = np.linalg.norm(effect, axis=2)
     return out
 
 
@@ -359,6 +399,10 @@ class ReducedCofactors:
 
     def star(self) -> None:
         """See ``Cofactors``."""
+
+    def rays(self, problem: Problem, state: State) -> RayCofactors:
+        """See ``Cofactors``."""
+        return cofactors_of_rays(problem, state, self.blocks)
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """See ``Cofactors``."""

@@ -21,11 +21,13 @@ from fg_orient.adjustment.border import Border, small_enough
 from fg_orient.adjustment.border_matrix import BorderMatrix
 from fg_orient.adjustment.cofactors import (
     WHOLE_LIMIT,
+    RayCofactors,
     ReducedCofactors,
     Star,
     SummedSystem,
     blocks_of_images,
     cofactors_of_points,
+    cofactors_of_rays,
     full_statistics,
 )
 from fg_orient.adjustment.constraints import has_constraints
@@ -87,6 +89,10 @@ class Cofactors(Protocol):
 
     def star(self) -> Star | None:
         """Cofactors of images and points where images are eliminated first; None for others."""
+        ...
+
+    def rays(self, problem: Problem, state: State) -> RayCofactors:
+        """Cofactors of the image points of a problem; without :meth:`star` not valid for named points."""
         ...
 
 
@@ -171,6 +177,10 @@ class MatrixCofactors:
     def star(self) -> None:
         """See :class:`Cofactors`."""
 
+    def rays(self, problem: Problem, state: State) -> RayCofactors:
+        """See :class:`Cofactors`."""
+        return cofactors_of_rays(problem, state, self.blocks)
+
     def times(self, columns: Array) -> Array:
         """Cofactors times columns (n, d)."""
         return np.asarray(self.cofactors @ columns)
@@ -228,6 +238,10 @@ class BorderCofactors:
 
     def star(self) -> None:
         """See :class:`Cofactors`."""
+
+    def rays(self, problem: Problem, state: State) -> RayCofactors:
+        """See :class:`Cofactors`."""
+        return cofactors_of_rays(problem, state, self.blocks)
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """See :class:`Cofactors`."""

@@ -33,7 +33,15 @@ from scipy.linalg import qr
 
 from factors._contract import Argument, Equation
 from fg_orient.adjustment.border_matrix import BorderMatrix
-from fg_orient.adjustment.cofactors import Star
+from fg_orient.adjustment.cofactors import (
+    Datum,
+    RayCofactors,
+    Star,
+    cofactors_of_rays,
+    places_of_images,
+    places_of_points,
+    rays_of_star,
+)
 from fg_orient.adjustment.constraints import undamped
 from fg_orient.adjustment.dense import DenseSystem
 from fg_orient.adjustment.images_border import border_of
@@ -300,19 +308,15 @@ class FreeNetwork:
             return cls(problem, given, state, motions, datum_points(problem))
 
     @cached_property
-    def _moved(self) -> tuple[Array, Array, Array]:
-        """``E`` and ``Q A^T`` (n + 1, d), whose last rows are zero, and ``A Q A^T`` (d, d)."""
+    def _moved(self) -> Datum:
+        """Transformation to the datum: with ``A`` it is ``W = Q A^T`` and ``C = A Q A^T``."""
         a = _coordinates(self.null_space, self.datum)
         qa = self.given.times(a.T)
-        return np.pad(self.null_space, ((0, 1), (0, 0))), np.pad(qa, ((0, 1), (0, 0))), a @ qa
+        return Datum(np.pad(self.null_space, ((0, 1), (0, 0))), np.pad(qa, ((0, 1), (0, 0))), a @ qa)
 
     def _in_datum(self, q: Array, rows: Index, columns: Index) -> Array:
-        """Elements Q (..., r, c) in this datum; ``rows`` (..., r), ``columns`` (..., c) of the unknowns, -1: zero."""
-        if not self.datum_defect:
-            return q
-        e, w, aqa = self._moved
-        left, right = e[rows], np.swapaxes(e[columns], -1, -2)
-        return np.asarray(q - left @ np.swapaxes(w[columns], -1, -2) - w[rows] @ right + left @ aqa @ right)
+        """See :meth:`Datum.elements`."""
+        return self._moved.elements(q, rows, columns) if self.datum_defect else q
 
     def image(self, k: int) -> Array:
         """See :class:`Cofactors`."""
@@ -327,8 +331,7 @@ class FreeNetwork:
 
     def points(self, index: Index) -> Array:
         """See :class:`Cofactors`."""
-        at = np.where(self.problem.active[index], self.problem.point_columns[index], -1)
-        at = np.where(at[:, None] < 0, -1, at[:, None] + np.arange(3))
+        at = places_of_points(self.problem, index)
         return self._in_datum(self.given.points(index), at, at)
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
@@ -340,7 +343,7 @@ class FreeNetwork:
 
     def blocks(self, pairs: Index) -> Array:
         """See :class:`Cofactors`."""
-        place = np.where(self.problem.columns < self.problem.n_image_unknowns, self.problem.columns, -1)
+        place = places_of_images(self.problem)
         return self._in_datum(self.given.blocks(pairs), place[pairs[:, 0]], place[pairs[:, 1]])
 
     def unknowns(self, places: Index) -> UnknownCofactors:
@@ -361,12 +364,17 @@ class FreeNetwork:
         star, problem = self.given.star(), self.problem
         if star is None:
             return None
-        place = np.where(problem.columns < problem.n_image_unknowns, problem.columns, -1)
-        points = problem.point_columns[problem.active, None] + np.arange(3)
+        place, points = places_of_images(problem), places_of_points(problem, np.flatnonzero(problem.active))
         return Star(
             self._in_datum(star.images, place, place), self._in_datum(star.across, place, points.ravel()),
             self._in_datum(star.points, points, points),
         )  # fmt: skip
+
+    def rays(self, problem: Problem, state: State) -> RayCofactors:
+        """See :class:`Cofactors`."""
+        if self._star is not None:
+            return rays_of_star(problem, state, self._star)
+        return cofactors_of_rays(problem, state, self.given.blocks, self._moved if self.datum_defect else None)
 
     @cached_property
     def cofactors(self) -> Array:

@@ -34,7 +34,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.cofactors import RayCofactors, cofactors_of_rays, inverse_roots, rays_of_star
+from fg_orient.adjustment.cofactors import RayCofactors, inverse_roots
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows, linearised, residuals
@@ -133,11 +133,8 @@ class ResidualCofactors:
     @cached_property
     def rays(self) -> RayCofactors:
         """Cofactors of adjusted image points, points and images."""
-        star = self.cofactors.star()
-        if star is not None:
-            return rays_of_star(self.problem, self.state, star)
-        rays = cofactors_of_rays(self.problem, self.state, self.cofactors.blocks)
-        if named := self.problem.named_points():
+        rays, named = self.cofactors.rays(self.problem, self.state), self.problem.named_points()
+        if named and self.cofactors.star() is None:
             self._correct_named_points(rays, named)
         return rays
 

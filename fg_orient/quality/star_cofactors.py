@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.cofactors import Star
+from fg_orient.adjustment.cofactors import RayCofactors, Star, rays_of_star
 from fg_orient.adjustment.images_border import ImagesBorder
-from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.unknown_cofactors import SpreadUnknowns
 
 Array = npt.NDArray[np.float64]
@@ -86,6 +86,10 @@ class StarCofactors:
         images = self.blocks(np.tile(np.arange(self.problem.n_images)[:, None], 2))
         across = self._across[:, :, len(self.border.places.shared) :]
         return Star(images, across, self.points(np.flatnonzero(self.problem.active)))
+
+    def rays(self, problem: Problem, state: State) -> RayCofactors:
+        """See :class:`Cofactors`."""
+        return rays_of_star(problem, state, self.star())
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """See :class:`Cofactors`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -176,10 +177,13 @@ def test_effects_of_image_points_are_those_of_their_cofactors(
     both: Callable[..., tuple[Solution, Solution]], controls: int
 ) -> None:
     """Rows of ``Q A^T`` in the datum of the solution, from the cofactors of all unknowns by full matrices."""
-    dense, found = both(sequence(controls=controls))
-    problem, q, o = dense.problem, all_cofactors(dense), dense.problem.observations
-    rows, rays = linearised(problem, dense.state), found.residual_cofactors.rays
-    for a in range(0, len(o), 7):
+    block = sequence(controls=controls)
+    solutions = (*both(block), fg.adjust(block))
+    assert solutions[2].backend == "graph" and not isinstance(solutions[2].cofactors, StarCofactors)
+    problem, q, o = solutions[0].problem, all_cofactors(solutions[0]), solutions[0].problem.observations
+    rows = linearised(problem, solutions[0].state)
+    for solution, a in product(solutions, range(0, len(o), 7)):
+        rays = solution.residual_cofactors.rays
         image, j = problem.image_slice(int(o.image[a])), int(o.point[a])
         design = np.zeros((2, len(q)))
         design[:, image] = rows.image[a, :, : image.stop - image.start]
@@ -187,6 +191,7 @@ def test_effects_of_image_points_are_those_of_their_cofactors(
             point = problem.point_slice(j)
             design[:, point] = rows.ground[a]
             assert rays.response[a] == pytest.approx(q[point] @ design.T, rel=1e-6, abs=1e-8 * np.sqrt(q[-1, -1]))
+            assert rays.points[o.point[a]] == pytest.approx(q[point, point], rel=1e-6, abs=1e-8 * q[-1, -1])
         else:
             assert not rays.response[a].any()
         effect = q[image] @ design.T
