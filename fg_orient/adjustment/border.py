@@ -5,28 +5,26 @@ to the border and to the point, H = G^T G and K = H^-1 G^T B
 
     S = sum (B^T B - B^T G K) + extra observations + priors,    x_p = H^-1 g_p - K x_b
 
-The border of a free network is singular. With a basis U of its null space, orthonormal in the unknowns scaled to a unit
-diagonal of S, ``(S + U U^T)^-1 - U U^T`` is its pseudo-inverse in this scale (Koch 1999, 1.59). No unknown is held, so
-that the condition is that of the network itself, whatever its datum.
+Its matrix and that of the border of eliminated images: :mod:`fg_orient.adjustment.border_matrix`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import lapack
 
+from fg_orient.adjustment.border_matrix import BorderMatrix, Followed, triangle
 from fg_orient.adjustment.cofactors import Part, parts_of
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.schur import SchurBackend
-from fg_orient.adjustment.schur_reduced import CONDITION_LIMIT, FULL_LIMIT, Singular, full_matrix, inverse_norm
+from fg_orient.adjustment.schur_reduced import FULL_LIMIT, full_matrix
 from fg_orient.model.block import ExtraObservation
 
 if TYPE_CHECKING:
@@ -62,26 +60,7 @@ def _part(problem: Problem, rays: Mask, points: Mask, extra: tuple[ExtraObservat
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Followed:
-    """Movements (b, d) of the border with the ground points that follow them best.
-
-    Parameters
-    ----------
-    ground : (N, 3, d) array
-        Movements of the ground points, m.
-    effect : (q, d) array
-        Effect on all observations, whitened, compressed by QR: its singular values are those of all rows.
-    gradient : (b, d) array
-        ``S`` times the movements, from the rows: not squared.
-    """
-
-    ground: Array
-    effect: Array
-    gradient: Array
-
-
-class Border:
+class Border(BorderMatrix):
     """The border of a problem, linearised at a state.
 
     Its unknowns are those of the images (shared ones once, prior sigmas), then three of each named ground point (m).
@@ -109,24 +88,9 @@ class Border:
             self._backend = near._backend
         #: Problem of the eliminated points.
         self.eliminated = self._backend.problem
-        #: Basis U (b, d) of the null space of a free network, in scaled unknowns.
-        self.null: Array | None = None
         self._kept: list[Part] = []
         self._system = self._backend.linearise(state)
-        self.matrix, self.gradient = self._normal()
-        diagonal = np.diag(self.matrix)
-        if not (diagonal > 0.0).all():
-            raise Singular("an unknown of an image is in no observation")
-        #: Units (b,) of the scaled unknowns.
-        self.scale = 1.0 / np.sqrt(diagonal)
-
-    def __len__(self) -> int:
-        return self.problem.n_free_unknowns + 3 * len(self.named)
-
-    @property
-    def moves(self) -> Array:
-        """Motions (b, d) without effect on the observations."""
-        return np.zeros((len(self), 0)) if self.null is None else self.null * self.scale[:, None]
+        super().__init__(problem, state, *self._normal())
 
     @property
     def n_images(self) -> int:
@@ -136,7 +100,8 @@ class Border:
     def _normal(self) -> tuple[Array, Array]:
         """S (b, b), and the gradient (b,) with the points at the intersection of their rays."""
         z, blocks_gradient = self.n_images, self._system.partial(0.0)
-        out, gradient = np.zeros((len(self), len(self))), np.zeros(len(self))
+        size = z + 3 * len(self.named)
+        out, gradient = np.zeros((size, size)), np.zeros(size)
         pattern = self._system.structure.pattern
         out[:z, :z] = full_matrix(pattern, self.problem.first, blocks_gradient[0], self.problem.ties)
         gradient[:z] = blocks_gradient[1]
@@ -221,7 +186,7 @@ class Border:
             yield part, wide[:, : len(self)]
 
     def follow(self, moves: Array) -> Followed:
-        """Movements (b, d) of the border, followed by the eliminated points so that the observations change least."""
+        """See :class:`BorderMatrix`."""
         d = moves.shape[1]
         ground, gradient, rows = np.zeros((len(self.problem.active), 3, d)), np.zeros(moves.shape), [np.zeros((0, d))]
         for part, design in self.parts():
@@ -246,42 +211,15 @@ class Border:
             rows.append(moves[: self.n_images])
         return Followed(ground, triangle(np.vstack(rows)), gradient)
 
+    def images_of(self, moves: Array) -> Array:
+        """See :class:`BorderMatrix`."""
+        return moves[: self.n_images]
+
     def effect_of(self, images: Array, ground: Array) -> Array:
-        """Effect (q, d) of movements of the images (z, d) and of the named ones of the points (N, 3, d)."""
+        """See :class:`BorderMatrix`; points that are not named follow."""
         return self.follow(np.vstack([images, ground[self.named].reshape(-1, images.shape[1])])).effect
 
     # --- solution ---------------------------------------------------------------------------------
-
-    @cached_property
-    def _factor(self) -> tuple[Any, float]:
-        """Cholesky factor of the scaled matrix with the null space added, and its 1-norm."""
-        s = self.matrix * np.outer(self.scale, self.scale)
-        if self.null is not None:
-            s += self.null @ self.null.T
-        norm = float(np.abs(s).sum(axis=0).max())
-        factor, info = lapack.dpotrf(s.T, lower=1, clean=0, overwrite_a=1)
-        if info != 0:
-            raise Singular("the reduced normal equations are not positive definite")
-        return factor, norm
-
-    def condition(self) -> float:
-        """Condition number of the scaled matrix in the 1-norm, without the null space of a free network."""
-        factor, norm = self._factor
-        return norm * inverse_norm(lambda right: np.asarray(lapack.dpotrs(factor, right, lower=1)[0]), len(self))
-
-    @cached_property
-    def inverse(self) -> Array:
-        """Cofactors (b, b) of the border; of a free network the pseudo-inverse in scaled unknowns.
-
-        Singular: the condition is too large.
-        """
-        if not self.condition() < CONDITION_LIMIT:
-            raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
-        half = np.tril(lapack.dpotri(self._factor[0], lower=1)[0])
-        out = half + np.tril(half, -1).T
-        if self.null is not None:
-            out -= self.null @ self.null.T
-        return np.asarray(out * np.outer(self.scale, self.scale))
 
     def times(self, border: Array, ground: Array) -> tuple[Array, Array]:
         """Cofactors of all unknowns times columns (b, d) and (N, 3, d): the same shapes."""
@@ -296,13 +234,13 @@ class Border:
         return solved, own + self.follow(solved).ground
 
     def at(self, state: State) -> Border:
-        """Border of the same problem at another state, with the motions here as its own."""
+        """See :class:`BorderMatrix`."""
         out = Border(self.problem, state, self)
-        out.null = np.linalg.qr(self.moves / out.scale[:, None])[0]
+        out.moves = self.moves
         return out
 
     def newton(self) -> State:
-        """State after a Gauss-Newton step."""
+        """See :class:`BorderMatrix`."""
         step, s = -(self.inverse @ self.gradient), self._system.structure
         moved = self._system.substitute(step[: self.n_images], 0.0)
         ground = self.state.ground.copy()
@@ -310,11 +248,6 @@ class Border:
         if self.named:
             ground[self.named] += step[self.n_images :].reshape(-1, 3)
         return State(self.state.image + self.problem.image_matrix(step[: self.n_images]), ground)
-
-
-def triangle(rows: Array) -> Array:
-    """R of rows (n, d) by QR; the rows themselves if there are not more than columns."""
-    return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
 
 
 def small_enough(problem: Problem) -> bool:

@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.rows import linearised
+from fg_orient.adjustment.rows import linearised, rows_by_image
+from fg_orient.adjustment.unknown_cofactors import DenseUnknowns
 from fg_orient.kernels.batch_cofactors import image_effects, ray_cofactors
 from fg_orient.model.options import Options
 
@@ -102,15 +103,51 @@ class RayCofactors:
     images: Array
 
 
-def cofactors_of_rays(problem: Problem, state: State, blocks: Callable[[Index], Array]) -> RayCofactors:
+class Datum(NamedTuple):
+    """S-transformation ``S Q S^T = Q - E W^T - W E^T + E C E^T`` of cofactors Q to another datum.
+
+    ``motions`` E and ``along`` W (n + 1, d) have a row for each column of ``Problem.vector`` and a last one of zeros,
+    ``core`` C is (d, d). As motions have no effect on an observation with the row A, ``S Q A^T = Q A^T - E (A W)^T``.
+    """
+
+    motions: Array
+    along: Array
+    core: Array
+
+    def elements(self, q: Array, rows: Index, columns: Index) -> Array:
+        """Elements Q (..., r, c) in the datum; ``rows`` (..., r), ``columns`` (..., c) of the unknowns, -1: zero."""
+        e, w = self.motions, self.along
+        left, right = e[rows], np.swapaxes(e[columns], -1, -2)
+        out = q - left @ np.swapaxes(w[columns], -1, -2)  # in place: q is the largest array of a large network
+        out -= w[rows] @ right
+        out += (left @ self.core) @ right
+        return np.asarray(out)
+
+
+def places_of_points(problem: Problem, points: Index) -> Index:
+    """Columns (n, 3) of ground points in ``Problem.vector``; -1 for points that are not unknowns."""
+    at = problem.point_columns[points, None] + np.arange(3)
+    return np.where(problem.active[points, None], at, -1)
+
+
+def places_of_images(problem: Problem) -> Index:
+    """Columns (M, k) of the unknowns of images in ``Problem.vector``; shorter rows end with -1."""
+    return np.where(problem.columns < problem.n_image_unknowns, problem.columns, -1)
+
+
+def cofactors_of_rays(
+    problem: Problem, state: State, blocks: Callable[[Index], Array], datum: Datum | None = None
+) -> RayCofactors:
     """Cofactors of all adjusted image points, of points and images; see :func:`cofactors_of_points`.
 
     Not valid for ground points with extra observations, because these also depend on the extra observations.
+    ``datum``: all are transformed to it.
     """
     n, order = len(problem.observations), _order(problem)
     pairs, block = _pairs(problem, order)
     q, size = blocks(pairs), np.diff(problem.first)
-    images = q[np.diagonal(block)]
+    images, place = q[np.diagonal(block)], places_of_images(problem)
+    images = images if datum is None else datum.elements(images, place, place)
     out = RayCofactors(
         np.zeros((len(problem.active), 3, 3)), np.empty((n, 2, 2)), np.zeros((n, 3, 2)), np.empty((n, 2)), images
     )
@@ -119,15 +156,57 @@ def cofactors_of_rays(problem: Problem, state: State, blocks: Callable[[Index], 
     lower = q @ np.swapaxes(roots[pairs[:, 1]], 1, 2)
     for part in parts_of(problem, state, order=order):
         rays = len(part.rows)
-        q_points, squared = np.empty((len(part.points), 3, 3)), np.empty((rays, 2))
+        q_points, effect = np.empty((len(part.points), 3, 3)), np.empty((rays, 2, q.shape[1]))
         fitted, response = np.empty((rays, 2, 2)), np.empty((rays, 3, 2))
         common = (part.first, part.image, size, problem.active[part.points].astype(np.int64), part.d_image,
                   part.d_ground, part.inverse, block)  # fmt: skip
         ray_cofactors(0, len(q_points), *common, q, q_points, fitted, response)
-        image_effects(0, len(q_points), *common, upper, lower, squared)
+        image_effects(0, len(q_points), *common, upper, lower, effect)
+        if datum is not None:
+            at = places_of_points(problem, part.points)
+            of_ray = np.repeat(at, np.diff(part.first), axis=0)
+            moved = part.d_image @ datum.along[place[part.image]] + part.d_ground @ datum.along[of_ray]
+            q_points = datum.elements(q_points, at, at)
+            response -= datum.motions[of_ray] @ np.swapaxes(moved, 1, 2)
+            effect -= moved @ np.swapaxes((roots @ datum.motions[place])[part.image], 1, 2)
         out.points[part.points], out.fitted[part.rows], out.response[part.rows] = q_points, fitted, response
-        out.on_image[part.rows] = np.sqrt(squared)
+        out.on_image[part.rows] = np.linalg.norm(effect, axis=2)
     return out
+
+
+class Star(NamedTuple):
+    """Cofactors of images and unknown points without those between images, or between points.
+
+    ``images`` (M, k, k), ``across`` (M, k, 3P) and ``points`` (P, 3, 3); shorter blocks end with zeros.
+    """
+
+    images: Array
+    across: Array
+    points: Array
+
+
+def rays_of_star(problem: Problem, state: State, star: Star) -> RayCofactors:
+    """Cofactors of all adjusted image points from those of images and points; also of points that others name."""
+    o, n = problem.observations, len(problem.observations)
+    rank, points = np.cumsum(problem.active) - 1, np.zeros((len(problem.active), 3, 3))
+    points[problem.active] = star.points
+    fitted, response, on_image = np.empty((n, 2, 2)), np.zeros((n, 3, 2)), np.empty((n, 2))
+    roots = inverse_roots(star.images, np.diff(problem.first))
+    _, d_image, d_ground = linearised(problem, state)
+    for k, rows in enumerate(rows_by_image(problem)):
+        size, point, m = len(problem.parameters[k]), o.point[rows], len(rows)
+        by_image, by_ground = d_image[rows, :, :size].reshape(2 * m, size), d_ground[rows]
+        at = 3 * np.maximum(rank[point], 0)[:, None] + np.arange(3)
+        across = star.across[k, :size, at] * problem.active[point][:, None, None]  # (m, 3, k)
+        on_image_unknowns = by_image @ star.images[k, :size, :size]
+        on_image_unknowns += (by_ground @ across).reshape(2 * m, size)
+        on_ground = across @ by_image.reshape(m, 2, size).transpose(0, 2, 1)
+        on_ground += points[point] @ by_ground.transpose(0, 2, 1)
+        response[rows] = on_ground
+        fitted[rows] = by_image.reshape(m, 2, size) @ on_image_unknowns.reshape(m, 2, size).transpose(0, 2, 1)
+        fitted[rows] += by_ground @ on_ground
+        on_image[rows] = np.linalg.norm(on_image_unknowns @ roots[k, :size, :size].T, axis=1).reshape(m, 2)
+    return RayCofactors(points, fitted, response, on_image, star.images)
 
 
 def inverse_roots(q: Array, size: Index) -> Array:
@@ -313,6 +392,20 @@ class ReducedCofactors:
     def blocks(self, pairs: npt.NDArray[np.intp]) -> Array:
         """See ``Cofactors``."""
         return blocks_of_images(self._problem, self._of, pairs)
+
+    def unknowns(self, places: Index) -> DenseUnknowns:
+        """See ``Cofactors``."""
+        first = self._problem.first
+        images = np.unique(np.searchsorted(first, places, side="right") - 1).tolist()
+        mine = np.searchsorted(np.concatenate([np.arange(first[k], first[k + 1]) for k in images]), places)
+        return DenseUnknowns(self._of(tuple(images))[np.ix_(mine, mine)])
+
+    def star(self) -> None:
+        """See ``Cofactors``."""
+
+    def rays(self, problem: Problem, state: State) -> RayCofactors:
+        """See ``Cofactors``."""
+        return cofactors_of_rays(problem, state, self.blocks)
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """See ``Cofactors``."""

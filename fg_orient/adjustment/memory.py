@@ -8,7 +8,7 @@ matrix are counted. The estimate does not include the block, which is in memory 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,12 +18,14 @@ import numpy as np
 
 from factors.cameras import pushbroom
 from fg_orient.adjustment.cofactors import CHUNK, WHOLE_LIMIT, full_statistics
+from fg_orient.adjustment.images_first import Sizes, each_of_one_image
 from fg_orient.adjustment.rows import image_models
 from fg_orient.adjustment.schur_structure import ALL_KEPT, LEAST_CHUNKS
 from fg_orient.adjustment.solve import suitable_backend
-from fg_orient.model.block import Block
+from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
+from fg_orient.sensors.base import ImageModel
 
 #: Default limit as share of the available memory.
 SHARE: Final = 0.8
@@ -38,6 +40,12 @@ STATISTICS_CHUNK: Final = 300
 #: Image points up to which the cofactors of groups of observations are computed in every adjustment, and bytes of each.
 EXACT_RAYS: Final = 3000
 GROUPS: Final = 5000
+#: Bytes per image point where images are eliminated first: rows and their columns at two states. Arrays with a row for
+#: each image unknown and a column for each unknown of the border.
+IMAGES_FIRST: Final = 2000
+ARRAYS: Final = 4
+#: Bytes of the matrices of points in many images that are in memory at once, for the cofactors of groups.
+MATRICES: Final = 60_000_000
 #: Bytes that do not depend on the block: models, names, records of the run.
 FIXED: Final = 500_000
 #: Numbers per ground point in problem, state and results.
@@ -95,6 +103,11 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
     records = 8 * (pushbroom.RECORD.size + options.curve_intervals)
     common = n * (2 * records + 48) + len(block.points.ids) * 8 * PER_POINT
     backend = suitable_backend(block)
+    border = _images_first(block, models) if backend == "graph" else None
+    if border is not None:
+        groups = MATRICES if n <= EXACT_RAYS else 0
+        needed = FIXED + common + n * (IMAGES_FIRST + RESULTS + STATISTICS) + 8 * ARRAYS * u * border + groups
+        return Need(backend, int(needed), allowed_bytes(options.memory_limit_gb))
     working = _working(backend, block, n, u, max(sizes))
     if backend == "schur" and elsewhere:
         working -= n * SCHUR
@@ -108,6 +121,20 @@ def _statistics(images: int, n: int, widest: int) -> float:
     """Cofactors and reliability of all image points; two arrays of the pairs of images."""
     groups = n * GROUPS if n <= EXACT_RAYS else 0
     return n * STATISTICS + groups + min(n, CHUNK) * STATISTICS_CHUNK + 2 * 8 * widest**2 * images * (images + 1) / 2
+
+
+def _images_first(block: Block, models: Sequence[ImageModel]) -> int | None:
+    """Unknowns of the border where images are eliminated first, else None."""
+    extra, points = [e for e in block.extra if isinstance(e, ExtraObservation)], block.points
+    parameters = [model.parameters for model in models]
+    shared = {(p.shared[j], p.codes[j]) for p in parameters for j in np.flatnonzero(~p.own).tolist()}
+    rays = np.bincount(block.observations.point, minlength=len(points.ids))
+    names = {name.removeprefix("point:") for e in extra for name in e.unknowns if name.startswith("point:")}
+    named = np.array([name in names for name in points.ids], bool) & (rays > 0)
+    border = len(shared) + 3 * int(((rays > 0) & ~points.known.fixed).sum())
+    widest = max(len(p) for p in parameters)
+    sizes = Sizes(sum(int(p.own.sum()) for p in parameters), border, widest, rays, named)
+    return border if each_of_one_image(extra) and sizes.images_first else None
 
 
 def _working(backend: str, block: Block, n: int, u: int, widest: int) -> float:

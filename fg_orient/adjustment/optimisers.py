@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.graph import GraphBackend
+from fg_orient.adjustment.images_graph import ImagesGraph, ImagesReduced
 from fg_orient.adjustment.loop import (
     ROUNDING_STEP,
     SHRINK,
@@ -77,7 +78,7 @@ class _Run:
     with the damping or radius of the last ones.
     """
 
-    def __init__(self, kind: str, backend: GraphBackend, values: gtsam.Values, control: float) -> None:
+    def __init__(self, kind: str, backend: GraphBackend | ImagesGraph, values: gtsam.Values, control: float) -> None:
         self.kind, self._backend = kind, backend
         self.control = {"levenberg-marquardt": DAMPING, "dogleg": RADIUS}.get(kind, math.nan)
         self.control = self.control if math.isnan(control) or kind == "gauss-newton" else control
@@ -112,14 +113,14 @@ class _Run:
         if not step.any():
             linear.graph.error(linear.values)  # the last evaluation was that of a refused step
         self.state = backend.state(self.values, self._free)
-        moved = np.abs(self.state.ground - here.ground) if step.any() else np.zeros(1)
-        length = max(float(np.abs(step).max(initial=0.0)), float(np.nanmax(moved, initial=0.0)))
+        moved = (self.state.image - here.image, self.state.ground - here.ground) if step.any() else ()
+        length = max((float(np.nanmax(np.abs(by), initial=0.0)) for by in moved), default=0.0)
         predicted, along = linear.after(self.values, step)
         gradient = math.sqrt(max(-along, 0.0)) if step.any() else linear.steepest()
         return _Step(None, length, predicted, gradient=gradient)
 
 
-def _optimizer(kind: str, linear: ReducedGraph, control: float, least: float) -> Any:
+def _optimizer(kind: str, linear: ReducedGraph | ImagesReduced, control: float, least: float) -> Any:
     """Make an optimiser whose own tests for the end never hold."""
     makers: dict[str, tuple[Any, Any]] = {
         "gauss-newton": (gtsam.GaussNewtonParams, gtsam.GaussNewtonOptimizer),
@@ -142,7 +143,7 @@ def _optimizer(kind: str, linear: ReducedGraph, control: float, least: float) ->
 
 def _optimise(
     kind: str,
-    backend: GraphBackend,
+    backend: GraphBackend | ImagesGraph,
     start: State | Carried[State],
     max_iterations: int,
     callback: Callback | None = None,
@@ -198,7 +199,7 @@ def _optimise(
     return course.end(run.state, run.error, False, exhausted(max_iterations))
 
 
-def _begin(kind: str, backend: GraphBackend, state: State, control: float) -> _Run:
+def _begin(kind: str, backend: GraphBackend | ImagesGraph, state: State, control: float) -> _Run:
     """Start an optimiser at a state, with the weights of the loss there."""
     values = backend.values(state)
     backend.elimination.hold_weights(backend.robust, state)
@@ -206,7 +207,7 @@ def _begin(kind: str, backend: GraphBackend, state: State, control: float) -> _R
 
 
 def _end(
-    course: Course[State], backend: GraphBackend, run: _Run, step: _Step, *, changed: bool
+    course: Course[State], backend: GraphBackend | ImagesGraph, run: _Run, step: _Step, *, changed: bool
 ) -> LoopResult[State]:  # fmt: skip
     """End of the run after a small step; the gradient says whether it is the solution."""
     if step.length < ROUNDING_STEP and step.gradient <= REMAINING:

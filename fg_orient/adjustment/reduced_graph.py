@@ -15,7 +15,7 @@ others: all that an iteration of GTSAM's optimisers asks for.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import combinations, pairwise
 from typing import TYPE_CHECKING, Any, Final
 
@@ -110,7 +110,8 @@ class GroupSums:
             pairs = set(combinations(self._parts, 2))
         #: Keys of the variables of the graph, and their parts.
         self.variables = [(self._keys[n], part) for n, part in self._parts.items()]
-        self.cost = _cost_factor(elimination, self.variables, with_priors=self.is_joined)
+        prior = 1.0 if self.is_joined and elimination.problem.block.options.priors else 0.0
+        self.cost = cost_factor(lambda free: elimination.cost(free) + 0.5 * prior * float(free @ free), self.variables)
         covered = cover(pairs)
         single, s = set(self._keys) - {n for own in covered for n in own}, elimination.backend.structure
         # block of the reduced matrix of each pair; images that no eliminated point is seen in have none
@@ -258,16 +259,12 @@ def _values(free: Array, vectors: Sequence[tuple[int, slice]]) -> gtsam.Values:
     return values
 
 
-def _cost_factor(
-    elimination: Elimination, vectors: Sequence[tuple[int, slice]], *, with_priors: bool
-) -> gtsam.CustomFactor:  # fmt: skip
-    """Factor with the cost of all groups, and of the priors, at any values; its Jacobian for one vector is zero."""
-    prior = 1.0 if with_priors and elimination.problem.block.options.priors else 0.0
+def cost_factor(cost: Callable[[Array], float], vectors: Sequence[tuple[int, slice]]) -> gtsam.CustomFactor:
+    """Factor with the cost at any values of the unknowns (u,) of vectors; its Jacobian for one vector is zero."""
 
     def error(_this: Any, values: Any, jacobians: Any) -> Array:
-        free = free_unknowns(values, vectors)
         if jacobians is not None:
             jacobians[0] = np.zeros((1, vectors[0][1].stop))
-        return np.array([math.sqrt(2.0 * elimination.cost(free) + prior * float(free @ free))])
+        return np.array([math.sqrt(2.0 * cost(free_unknowns(values, vectors)))])
 
     return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(1), [vectors[0][0]], error)

@@ -108,23 +108,50 @@ def refuse(problem: Problem, state: State, row: int) -> NoReturn:
 def residuals(problem: Problem, state: State) -> Array:
     """Whitened residuals (n, 2) of all image points."""
     out = np.empty((len(problem.observations), 2))
-    for k, rows in enumerate(rows_by_image(problem)):
-        out[rows] = image_rows(problem, state, k, rows, jacobian=False)[0]
+    _evaluate(problem, state, None, Rows(out, np.empty((0, 2, 0)), np.empty((0, 2, 3))), want=False)
     return out
 
 
 def linearised(problem: Problem, state: State, rows: Index | None = None) -> Rows:
     """Evaluate image points of any images: ``rows`` (n,) of ``problem.observations``, by default all."""
-    rows = np.arange(len(problem.observations)) if rows is None else rows
-    image, n, size = problem.observations.image[rows], len(rows), np.diff(problem.first)
-    out = Rows(np.empty((n, 2)), np.zeros((n, 2, int(size.max()))), np.empty((n, 2, 3)))
-    order = np.argsort(image, kind="stable")
-    images, first = np.unique(image[order], return_index=True)
-    for k, own in zip(images.tolist(), np.split(order, first[1:]), strict=False):  # no image points: one empty part
-        out.residual[own], out.image[own, :, : size[k]], out.ground[own] = image_rows(
-            problem, state, k, rows[own], jacobian=True
-        )
+    n = len(problem.observations) if rows is None else len(rows)
+    out = Rows(np.empty((n, 2)), np.zeros((n, 2, int(np.diff(problem.first).max()))), np.empty((n, 2, 3)))
+    _evaluate(problem, state, rows, out, want=True)
     return out
+
+
+def _evaluate(problem: Problem, state: State, rows: Index | None, out: Rows, *, want: bool) -> None:
+    """Write the residuals of image points and, if wanted, their Jacobians; images of one equation together."""
+    o, row = problem.observations, np.arange(len(out.residual), dtype=np.int32)
+    image, point, records = o.image, o.point, problem.records
+    if rows is not None:
+        image, point, records = image[rows], point[rows], records[rows]
+    own = groups(problem.models)
+    number = np.zeros(problem.n_images, np.intp)
+    for g, images in enumerate(own):
+        number[images] = g
+    arguments = records, row, image.astype(np.int32), point.astype(np.int32)
+    ground = np.ascontiguousarray(state.ground)
+    for g, images in enumerate(own):
+        members = row if len(own) == 1 else np.flatnonzero(number[image] == g).astype(np.int32)
+        if not len(members):
+            continue
+        mine, parameters = records if len(own) == 1 else records[members], problem.parameters[images[0]]
+        kernel, columns = batch(problem.models[images[0]].equation, parameters.setup, mine)
+        values, size, c = columns.values(mine), len(parameters), columns.n_components
+        basis = values if len(own) == 1 else np.empty((len(row), values.shape[1]))
+        basis[members] = values
+        wide = np.zeros((problem.n_images, basis.shape[1] * c))
+        wide[np.array(images)[:, None], columns.wide] = state.image[images, :size] * columns.scale
+        direct = columns.is_plain and c == out.image.shape[2]
+        d_image = out.image if direct or not want else np.zeros((len(row), 2, c))
+        kernel(
+            0, len(members), members, *arguments, columns.setup, basis.shape[1], basis, wide, ground, out.residual,
+            d_image, out.ground, want,
+        )  # fmt: skip
+        if want and not direct:
+            factor = basis[members][:, columns.basis] * columns.scale
+            out.image[members, :, :size] = d_image[members][:, :, columns.component] * factor[:, None]
 
 
 def side_by_side(problem: Problem, image: Index, d_image: Array) -> tuple[Array, Index, tuple[int, ...]]:

@@ -16,6 +16,7 @@ from factors._preparation import working_clock
 from factors.losses import losses
 from fg_orient.adjustment.best_rays import with_best_rays
 from fg_orient.adjustment.checkpoint import Checkpoint
+from fg_orient.adjustment.images_first import images_first
 from fg_orient.adjustment.irls import (
     DIMENSIONS,
     RULES,
@@ -57,7 +58,7 @@ from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.model.options import Backend
 
 if TYPE_CHECKING:
-    from fg_orient.adjustment.border import Border
+    from fg_orient.adjustment.border_matrix import BorderMatrix
     from fg_orient.adjustment.cofactors import SummedSystem
     from fg_orient.adjustment.dense import DenseSystem
     from fg_orient.adjustment.explicit import ExplicitSystem
@@ -82,7 +83,7 @@ class Estimate:
         Weighted sum of squares; under a loss with the weights at the state held fixed.
     backend, solver : str
         "graph", "schur" or "dense"; linear solver of the dense backend, else "".
-    linear : ExplicitSystem, SchurSystem, DenseSystem, SummedSystem or Border
+    linear : ExplicitSystem, SchurSystem, DenseSystem, SummedSystem or BorderMatrix
         The undamped linearisation at the state, for cofactors.
     structure_s, solve_s : float
         Wall-clock seconds of compilation and optimisation.
@@ -102,7 +103,7 @@ class Estimate:
     iterations: int
     backend: str
     solver: str
-    linear: ExplicitSystem | SchurSystem | DenseSystem | SummedSystem | Border
+    linear: ExplicitSystem | SchurSystem | DenseSystem | SummedSystem | BorderMatrix
     structure_s: float
     solve_s: float
     weights: Weights | None = None
@@ -321,6 +322,11 @@ def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:
         job.backend = "schur"
         return _run_schur(job, schur)
     run = {"dense": _run_dense, "schur": _run_schur, "graph": _run_graph}[job.backend]
+    if job.backend == "graph" and images_first(job.problem):
+        try:
+            return _run_images(job)
+        except (RuntimeError, NotFiniteError):
+            job.start_again("graph")
     if job.backend == "graph" and not eliminates_points(job.problem):
         return _run_explicit(job)
     try:
@@ -356,6 +362,7 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
         return CycleResult(estimate.state, estimate.chi2)
 
     on_arrays = plain.backend != "dense" and schur_possible(problem.block) and eliminates_points(own)
+    on_arrays &= plain.backend == "schur" or not images_first(own)
     cycles = reweight(
         cycles_on_arrays(own, record) if on_arrays else fit, lambda f: norms_at(problem, f.state),
         lambda f: math.sqrt(f.chi2 / max(problem.redundancy, 1)), RULES[options.loss], DIMENSIONS,
@@ -380,6 +387,20 @@ def _run_graph(job: _Job) -> Estimate:
         job.mark()
         linear = backend.linearise(result.state)
     return replace(job.estimate(backend, result, result.state, linear), widest=backend.sums.widest)
+
+
+def _run_images(job: _Job) -> Estimate:
+    """Build the graph of points, whose factors hold the images, let GTSAM optimise, linearise at the end."""
+    from fg_orient.adjustment.images_graph import ImagesGraph
+    from fg_orient.adjustment.optimisers import GTSAM_OPTIMIZERS
+
+    with one_blas_thread():
+        backend = ImagesGraph(job.problem)
+        job.mark()
+        result = job.optimise(backend, _same, _same, GTSAM_OPTIMIZERS)
+        job.mark()
+        linear = backend.linearise(result.state)
+    return job.estimate(backend, result, result.state, linear)
 
 
 def _run_explicit(job: _Job) -> Estimate:

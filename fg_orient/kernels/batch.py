@@ -59,6 +59,12 @@ class Columns:
         return int(self.setup.shape[1])
 
     @cached_property
+    def is_plain(self) -> bool:
+        """Whether the unknowns are the components, and their Jacobian that of the components."""
+        same = np.array_equal(self.component, np.arange(self.n_components))
+        return same and not self.basis.any() and bool((self.scale == 1.0).all()) and self.values is _ones
+
+    @cached_property
     def wide(self) -> Index:
         """Place (k,) of each unknown among the wide numbers."""
         return self.basis * self.n_components + self.component
@@ -90,12 +96,16 @@ def _value(records: Array, name: int) -> Array:
     return np.asarray(records[:, RECORD.s] ** (name - _LOOK) if look else records[:, RECORD.tau] ** name)
 
 
+def _ones(records: Array) -> Array:
+    """One basis value (n, 1), which is 1."""
+    return np.ones((len(records), 1))
+
+
 def _plain_columns(setup: Array) -> Columns:
     """Columns with one component per unknown."""
     k = setup.shape[1]
     return Columns(
-        np.ascontiguousarray(setup), np.arange(k), np.zeros(k, np.int64), np.ones(k),
-        lambda records: np.ones((len(records), 1)),
+        np.ascontiguousarray(setup), np.arange(k), np.zeros(k, np.int64), np.ones(k), _ones,
     )  # fmt: skip
 
 

@@ -171,7 +171,7 @@ def image_effects(
     lo: int, hi: int, first: Index, image: Index, size: Index, free: Index, d_image: Array, d_ground: Array,
     inverse: Array, block: Index, upper: Array, lower: Array, out: Array,
 ) -> None:  # fmt: skip
-    """Write the squared sizes (n, 2) for unit errors of line and sample of the rays of points lo to hi.
+    """Write the effects (n, 2, k) of unit errors of line and sample of the rays of points lo to hi on their image.
 
     Parameters as of :func:`ray_cofactors`, and
 
@@ -195,10 +195,7 @@ def image_effects(
                     _add_effect(upper, block[i, j], size[j], d_image, b, w, effect)
                 else:
                     _add_effect(lower, block[j, i], size[j], d_image, b, w, effect)
-            for c in range(2):
-                out[a, c] = 0.0
-                for s in range(k):
-                    out[a, c] += effect[c, s] * effect[c, s]
+            out[a] = effect
 
 
 @threaded

@@ -21,7 +21,7 @@ from fg_orient.model.names import Role, Status
 from fg_orient.orientation.solution import Seconds, Solution
 from fg_orient.quality import camera, causes, doubts, vendor_datum, verdict
 from fg_orient.quality.accuracy import Accuracy, Joint, PointDifferences, differences
-from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
+from fg_orient.quality.covariance import Cofactors, Indeterminate, PointCofactors, cofactors_of
 from fg_orient.quality.free_network import FreeNetwork
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.sensors import initial
@@ -104,7 +104,9 @@ def _located_afterwards(compiled: Problem, state: State) -> LocatedPoints | None
     return locate_points(compiled, state, start, seen)
 
 
-def _assess(compiled: Problem, ground: Array, located: LocatedPoints | None, cofactors: Cofactors | None) -> Accuracy:
+def _assess(
+    compiled: Problem, ground: Array, located: LocatedPoints | None, cofactors: PointCofactors | None
+) -> Accuracy:
     """Differences at control points and, after opening their coordinates, at check points."""
     points = compiled.block.points
     used = ~initial.missing_rows(ground)
@@ -122,7 +124,7 @@ def _assess(compiled: Problem, ground: Array, located: LocatedPoints | None, cof
 
 def _differences(
     compiled: Problem, ground: Array, index: Index, measured: Coordinates, rows: Index,
-    located: LocatedPoints | None, cofactors: Cofactors | None,
+    located: LocatedPoints | None, cofactors: PointCofactors | None,
 ) -> PointDifferences:  # fmt: skip
     """Differences of points ``index`` from measured coordinates, which are the ``rows`` of ``measured``."""
     ids = tuple(compiled.block.points.ids[j] for j in index)

@@ -44,7 +44,7 @@ from fg_orient.quality.check_tests import (
     probability_of_number,
     trend_squares,
 )
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.covariance import PointCofactors
 
 Array = npt.NDArray[np.float64]
 
@@ -136,7 +136,7 @@ class Joint:
 
     Parameters
     ----------
-    cofactors : Cofactors
+    cofactors : PointCofactors
     index : (n,) int array, rows in the block's ground points
     axes : (n, 3, 3) array
         East, North, Up of each point.
@@ -144,7 +144,7 @@ class Joint:
         East, North relative to the origin of the problem.
     """
 
-    cofactors: Cofactors
+    cofactors: PointCofactors
     index: npt.NDArray[np.intp]
     axes: Array
     place_km: Array

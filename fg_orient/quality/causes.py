@@ -34,7 +34,7 @@ from fg_orient.model.distributions import chi_square_tail, sidak
 from fg_orient.model.errors import DECISIVE, FgOrientError, Finding, finding
 from fg_orient.quality import hypotheses
 from fg_orient.quality.accuracy import PointDifferences
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.covariance import PointCofactors
 from fg_orient.quality.stated_sigmas import StatedSigma
 
 Array = npt.NDArray[np.float64]
@@ -84,7 +84,7 @@ class Cause:
 
 
 def added(
-    ordered: tuple[Finding, ...], problem: Problem, estimate: Estimate, cofactors: Cofactors | None,
+    ordered: tuple[Finding, ...], problem: Problem, estimate: Estimate, cofactors: PointCofactors | None,
     sigmas: Sequence[StatedSigma], check: PointDifferences,
 ) -> tuple[Finding, ...]:  # fmt: skip
     """Findings of a result that is not trustworthy with its likely causes; others: see :func:`of_solution`."""
@@ -98,7 +98,7 @@ def added(
 
 
 def of_solution(
-    problem: Problem, estimate: Estimate, cofactors: Cofactors | None, sigmas: Sequence[StatedSigma],
+    problem: Problem, estimate: Estimate, cofactors: PointCofactors | None, sigmas: Sequence[StatedSigma],
     check: PointDifferences,
 ) -> tuple[Finding, ...]:  # fmt: skip
     """Note on the most likely cause and those like it; empty if an error of one point explains more.
@@ -108,7 +108,7 @@ def of_solution(
     problem : Problem
     estimate : Estimate
         Of a least-squares adjustment; nothing is tested under a loss.
-    cofactors : Cofactors or None
+    cofactors : PointCofactors or None
     sigmas : sequence of StatedSigma
         Stated and estimated sigmas of groups of observations.
     check : PointDifferences
@@ -180,7 +180,7 @@ class _System:
     inverse: Array
 
     @classmethod
-    def of(cls, problem: Problem, state: State, cofactors: Cofactors, check: PointDifferences) -> _System | None:
+    def of(cls, problem: Problem, state: State, cofactors: PointCofactors, check: PointDifferences) -> _System | None:
         """System of a solution; None without measured points that are unknowns."""
         control = np.flatnonzero(problem.observed)
         usable = problem.active[check.index] & (np.nan_to_num(check.own_sigma_enu_m) > 0.0).all(axis=1)

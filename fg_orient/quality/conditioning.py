@@ -32,14 +32,14 @@ def condition(problem: Problem, estimate: Estimate) -> float | None:
     Compiled kernels eliminate the ground points for every backend. None where they do not apply: extra observations, a
     free datum, parts, a loss without the Schur backend, systems that GTSAM solves. Infinite for a singular system.
     """
-    from fg_orient.adjustment.border import Border
+    from fg_orient.adjustment.border_matrix import BorderMatrix
     from fg_orient.adjustment.schur import SchurBackend, SchurSystem
     from fg_orient.adjustment.schur_reduced import LapackReduced, Singular
 
     linear = estimate.linear
     if problem.least_damping > 0.0:
         return None
-    if isinstance(linear, Border):
+    if isinstance(linear, BorderMatrix):
         return linear.condition()
     if not isinstance(linear, SchurSystem):
         small = len(problem.observations) <= ELIMINATED_AGAIN and estimate.backend in ("graph", "dense")

@@ -18,19 +18,27 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.border import Border, small_enough
+from fg_orient.adjustment.border_matrix import BorderMatrix
 from fg_orient.adjustment.cofactors import (
     WHOLE_LIMIT,
+    RayCofactors,
     ReducedCofactors,
+    Star,
     SummedSystem,
     blocks_of_images,
     cofactors_of_points,
+    cofactors_of_rays,
+    full_statistics,
 )
 from fg_orient.adjustment.constraints import has_constraints
 from fg_orient.adjustment.dense import DenseSystem
+from fg_orient.adjustment.images_border import ImagesBorder
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import Estimate
+from fg_orient.adjustment.unknown_cofactors import DenseUnknowns, UnknownCofactors
+from fg_orient.quality.star_cofactors import StarCofactors
 
 if TYPE_CHECKING:
     import gtsam
@@ -52,12 +60,8 @@ class Indeterminate(Exception):
     """There is no covariance; the text gives the reason."""
 
 
-class Cofactors(Protocol):
-    """Joint cofactors at the solution, in prior scale; images in prior sigmas, points in m, ECEF axes."""
-
-    def image(self, k: int) -> Array:
-        """Cofactors (u, u) of an image's unknowns."""
-        ...
+class PointCofactors(Protocol):
+    """Cofactors of points with those of the images, in prior scale; images in prior sigmas, points in m, ECEF axes."""
 
     def point(self, j: int) -> Array:
         """Cofactors (3, 3) of a ground point; zero for a fixed one."""
@@ -76,6 +80,26 @@ class Cofactors(Protocol):
         ...
 
 
+class Cofactors(PointCofactors, Protocol):
+    """Joint cofactors at the solution."""
+
+    def image(self, k: int) -> Array:
+        """Cofactors (u, u) of an image's unknowns."""
+        ...
+
+    def unknowns(self, places: Index) -> UnknownCofactors:
+        """Joint cofactors of image unknowns by their places (d,) in ``Problem.image_columns``, ascending."""
+        ...
+
+    def star(self) -> Star | None:
+        """Cofactors of images and points where images are eliminated first; None for others."""
+        ...
+
+    def rays(self, problem: Problem, state: State) -> RayCofactors:
+        """Cofactors of the image points of a problem; without :meth:`star` not valid for named points."""
+        ...
+
+
 def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
     """Cofactors from the backend of the solution; Indeterminate if the normal equations are nearly singular."""
     from fg_orient.adjustment.schur import SchurSystem
@@ -84,19 +108,33 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
     if isinstance(linear, DenseSystem):
         return dense_cofactors(problem, linear.design)
     try:
-        if isinstance(linear, Border):
+        if isinstance(linear, BorderMatrix):
             with one_blas_thread():
-                return BorderCofactors(problem, linear)
+                return of_border(problem, linear)
         if not isinstance(linear, SchurSystem | SummedSystem):
             return GraphCofactors(problem, estimate.state, linear.linear, linear.zero)
         with one_blas_thread():
             return ReducedCofactors(problem, linear)
     except RuntimeError as error:
-        reduced = isinstance(linear, SchurSystem | SummedSystem | Border)
+        reduced = isinstance(linear, SchurSystem | SummedSystem | BorderMatrix)
         if not reduced and has_constraints(problem.block) and small_enough(problem):
             with one_blas_thread(), contextlib.suppress(Singular):  # its scaled Cholesky factor exists more often
                 return BorderCofactors(problem, Border(problem, estimate.state))
         raise Indeterminate(str(error) if reduced else "GTSAM finds the normal equations indeterminate") from error
+
+
+def gives_statistics(problem: Problem, cofactors: Cofactors) -> bool:
+    """Whether a run gives statistics of every observation; without a matrix of all images their number is no limit."""
+    unknowns = problem.n_image_unknowns if cofactors.star() is None else 0
+    return full_statistics(problem.block.options, len(problem.observations), unknowns)
+
+
+def of_border(problem: Problem, border: BorderMatrix) -> BorderCofactors | StarCofactors:
+    """Cofactors from a border; RuntimeError if the normal equations are too close to singular."""
+    if isinstance(border, ImagesBorder):
+        return StarCofactors(problem, border)
+    assert isinstance(border, Border)
+    return BorderCofactors(problem, border)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +173,17 @@ class MatrixCofactors:
     def blocks(self, pairs: Index) -> Array:
         """See :class:`Cofactors`."""
         return blocks_of_images(self.problem, lambda images: self.joint(images, ()), pairs)
+
+    def unknowns(self, places: Index) -> DenseUnknowns:
+        """See :class:`Cofactors`."""
+        return DenseUnknowns(self.cofactors[np.ix_(places, places)])
+
+    def star(self) -> None:
+        """See :class:`Cofactors`."""
+
+    def rays(self, problem: Problem, state: State) -> RayCofactors:
+        """See :class:`Cofactors`."""
+        return cofactors_of_rays(problem, state, self.blocks)
 
     def times(self, columns: Array) -> Array:
         """Cofactors times columns (n, d)."""
@@ -185,6 +234,18 @@ class BorderCofactors:
             row[: len(columns)] = columns
         padded = np.pad(self._q, (0, 1))
         return np.asarray(padded[place[pairs[:, 0]][:, :, None], place[pairs[:, 1]][:, None, :]])
+
+    def unknowns(self, places: Index) -> DenseUnknowns:
+        """See :class:`Cofactors`."""
+        at = self.border.free_columns[places]
+        return DenseUnknowns(self._q[np.ix_(at, at)])
+
+    def star(self) -> None:
+        """See :class:`Cofactors`."""
+
+    def rays(self, problem: Problem, state: State) -> RayCofactors:
+        """See :class:`Cofactors`."""
+        return cofactors_of_rays(problem, state, self.blocks)
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """See :class:`Cofactors`."""

@@ -14,14 +14,13 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.cofactors import full_statistics
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.distributions import chi_square_tail, sidak
 from fg_orient.model.errors import DECISIVE, Finding, InputError, finding
 from fg_orient.model.messages import CATALOGUE
 from fg_orient.quality.accuracy import CHANCE, PointDifferences
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.covariance import Cofactors, gives_statistics
 from fg_orient.quality.hypotheses import CHECKED
 from fg_orient.quality.outlier_records import OutlierTests
 from fg_orient.quality.outliers import outlier_tests
@@ -73,7 +72,7 @@ def of_solution(
     if cofactors is None or estimate.weights is not None or f <= 0:
         return Examined(out)
     out += [*exceeded_priors(problem, estimate.state, cofactors), *of_check_points(check)]
-    if not full_statistics(options, len(problem.observations), problem.n_image_unknowns):
+    if not gives_statistics(problem, cofactors):
         return Examined(out)
     residuals = ResidualCofactors(problem, estimate.state, cofactors)
     tests = outlier_tests(residuals, estimate.chi2, level=options.outlier_level, test=options.outlier_test,

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.conditions.control import POINT
-from fg_orient.adjustment.border import triangle
+from fg_orient.adjustment.border_matrix import triangle
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import Rows

@@ -32,20 +32,32 @@ import numpy.typing as npt
 from scipy.linalg import qr
 
 from factors._contract import Argument, Equation
-from fg_orient.adjustment.border import Border, small_enough
+from fg_orient.adjustment.border_matrix import BorderMatrix
+from fg_orient.adjustment.cofactors import (
+    Datum,
+    RayCofactors,
+    Star,
+    cofactors_of_rays,
+    places_of_images,
+    places_of_points,
+    rays_of_star,
+)
 from fg_orient.adjustment.constraints import undamped
 from fg_orient.adjustment.dense import DenseSystem
+from fg_orient.adjustment.images_border import border_of
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import weighted_problem
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import Estimate
+from fg_orient.adjustment.unknown_cofactors import DenseUnknowns, SpreadUnknowns, UnknownCofactors
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import InputError, finding
 from fg_orient.quality.covariance import BorderCofactors, Cofactors, Indeterminate, MatrixCofactors
 from fg_orient.quality.elimination import UNOBSERVABLE, followed_by_ground, reduced_rows, spectrum
 from fg_orient.quality.joint import NamedMatrix
+from fg_orient.quality.star_cofactors import StarCofactors
 from fg_orient.quality.structure import analyse_structure
 from fg_orient.quality.weakest import weakest
 
@@ -87,25 +99,25 @@ class Motions:
     ----------
     whole : (n, d) array
         Image unknowns in prior sigmas, then unknown points in m; orthonormal in the image unknowns (shared ones once).
-    border : Border or None
+    border : BorderMatrix or None
         Border of the normal equations with its null space; None where it does not determine the points.
     """
 
     whole: Array
-    border: Border | None
+    border: BorderMatrix | None
 
 
-def motions_of(problem: Problem, state: State, near: Border | None = None) -> Motions:
+def motions_of(problem: Problem, state: State, near: BorderMatrix | None = None) -> Motions:
     """Motions at a state; the minimal datum is not an observation. ``near``: border at a neighbouring state."""
     problem = _holding(problem, np.zeros(0, np.intp))
     with one_blas_thread():
         with contextlib.suppress(Singular):
-            if small_enough(problem):
-                border = Border(problem, state) if near is None else near.at(state)
+            border = border_of(problem, state) if near is None else near.at(state)
+            if border is not None:
                 start = None if near is None else near.moves
                 moves = weakest(border, UNOBSERVABLE, analyse_structure(problem).n_parts, start).directions
-                border.null = np.linalg.qr(moves / border.scale[:, None])[0]
-                return Motions(_widened(problem, moves, border.follow(moves).ground), border)
+                border.moves = moves
+                return Motions(_of_border(border, moves), border)
         rows = linearised(problem, state)
         s, vt = spectrum(reduced_rows(problem, rows, state))
         moves = np.asarray(vt[s <= UNOBSERVABLE].T)
@@ -114,11 +126,15 @@ def motions_of(problem: Problem, state: State, near: Border | None = None) -> Mo
 
 
 def _widened(problem: Problem, moves: Array, ground: Array) -> Array:
-    """Motions (n, d) from those of the free image unknowns (z, d), or of the border, and of the points (N, 3, d)."""
-    z = problem.n_free_unknowns
-    wide = moves[:z] if problem.ties is None else problem.ties.widened(moves[:z])
+    """Motions (n, d) from those of the free image unknowns (z, d) and of the points (N, 3, d)."""
+    wide = moves if problem.ties is None else problem.ties.widened(moves)
     own = ground[problem.active]
     return np.vstack([wide, own.reshape(3 * len(own), moves.shape[1])])
+
+
+def _of_border(border: BorderMatrix, moves: Array) -> Array:
+    """Motions (n, d) from those of the border (b, d)."""
+    return _widened(border.problem, *border.movements(moves))
 
 
 def without_priors(block: Block) -> Block:
@@ -186,8 +202,12 @@ def to_inner_datum(
             break
         near, before, least = motions.border, size, state
         if near is not None:
-            with one_blas_thread():
-                least = near.newton()
+            try:
+                with one_blas_thread():
+                    least = near.newton()
+            except Singular:  # the step has torn the network
+                estimate = replace(estimate, converged=False, end=finding("loop.free_datum"))
+                break
         size = float(np.abs(problem.vector(least) - problem.vector(state)).max())
         step = datum_step(problem.vector(least) - reference, motions.whole, datum)
         state = problem.moved(least, step)
@@ -240,7 +260,7 @@ class FreeNetwork:
     ----------
     problem : Problem
         With its minimal datum.
-    given : MatrixCofactors or BorderCofactors
+    given : MatrixCofactors, BorderCofactors or StarCofactors
         In another datum.
     state : State
     null_space : (n, d) array
@@ -250,7 +270,7 @@ class FreeNetwork:
     """
 
     problem: Problem
-    given: MatrixCofactors | BorderCofactors
+    given: MatrixCofactors | BorderCofactors | StarCofactors
     state: State
     null_space: Array
     datum: Mask
@@ -262,12 +282,11 @@ class FreeNetwork:
         Indeterminate is raised for more than 3000 unknowns where only GTSAM determines them.
         """
         with one_blas_thread():
-            if isinstance(given, BorderCofactors):
-                moves = given.border.moves
-                motions = _widened(problem, moves, given.border.follow(moves).ground)
+            if isinstance(given, BorderCofactors | StarCofactors):
+                motions = _of_border(given.border, given.border.moves)
             else:
                 motions = motions_of(problem, state).whole
-            if not isinstance(given, MatrixCofactors | BorderCofactors):
+            if not isinstance(given, MatrixCofactors | BorderCofactors | StarCofactors):
                 if problem.n_unknowns > MAX_UNKNOWNS:
                     raise Indeterminate(f"the free network has {problem.n_unknowns} unknowns that only GTSAM's QR "
                                         f"determines; all its cofactors are formed up to {MAX_UNKNOWNS}")  # fmt: skip
@@ -276,26 +295,22 @@ class FreeNetwork:
             return cls(problem, given, state, motions, datum_points(problem))
 
     @cached_property
-    def _moved(self) -> tuple[Array, Array, Array]:
-        """``E`` and ``Q A^T`` (n + 1, d), whose last rows are zero, and ``A Q A^T`` (d, d)."""
+    def _moved(self) -> Datum:
+        """Transformation to the datum: with ``A`` it is ``W = Q A^T`` and ``C = A Q A^T``."""
         a = _coordinates(self.null_space, self.datum)
         qa = self.given.times(a.T)
-        return np.pad(self.null_space, ((0, 1), (0, 0))), np.pad(qa, ((0, 1), (0, 0))), a @ qa
+        return Datum(np.pad(self.null_space, ((0, 1), (0, 0))), np.pad(qa, ((0, 1), (0, 0))), a @ qa)
 
     def _in_datum(self, q: Array, rows: Index, columns: Index) -> Array:
-        """Elements Q (..., r, c) in this datum; ``rows`` (..., r), ``columns`` (..., c) of the unknowns, -1: zero."""
-        if not self.datum_defect:
-            return q
-        e, w, aqa = self._moved
-        left, right = e[rows], np.swapaxes(e[columns], -1, -2)
-        out = q - left @ np.swapaxes(w[columns], -1, -2)  # in place: q is the largest array of a large network
-        out -= w[rows] @ right
-        out += (left @ aqa) @ right
-        return np.asarray(out)
+        """See :meth:`Datum.elements`."""
+        return self._moved.elements(q, rows, columns) if self.datum_defect else q
 
     def image(self, k: int) -> Array:
         """See :class:`Cofactors`."""
-        return self.joint((k,), ())
+        if self._star is None:
+            return self.joint((k,), ())
+        size = len(self.problem.parameters[k])
+        return self._star.images[k, :size, :size]
 
     def point(self, j: int) -> Array:
         """See :class:`Cofactors`."""
@@ -303,8 +318,7 @@ class FreeNetwork:
 
     def points(self, index: Index) -> Array:
         """See :class:`Cofactors`."""
-        at = np.where(self.problem.active[index], self.problem.point_columns[index], -1)
-        at = np.where(at[:, None] < 0, -1, at[:, None] + np.arange(3))
+        at = places_of_points(self.problem, index)
         return self._in_datum(self.given.points(index), at, at)
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
@@ -316,8 +330,38 @@ class FreeNetwork:
 
     def blocks(self, pairs: Index) -> Array:
         """See :class:`Cofactors`."""
-        place = np.where(self.problem.columns < self.problem.n_image_unknowns, self.problem.columns, -1)
+        place = places_of_images(self.problem)
         return self._in_datum(self.given.blocks(pairs), place[pairs[:, 0]], place[pairs[:, 1]])
+
+    def unknowns(self, places: Index) -> UnknownCofactors:
+        """See :class:`Cofactors`."""
+        given, d = self.given.unknowns(places), self.datum_defect
+        if not isinstance(given, SpreadUnknowns):
+            return DenseUnknowns(self._in_datum(given.matrix, places, places))
+        e, w, aqa = self._moved
+        core = np.block([[aqa, -np.eye(d)], [-np.eye(d), np.zeros((d, d))]])
+        return given.changed(np.hstack([e[places], w[places]]), core)
+
+    def star(self) -> Star | None:
+        """See :class:`Cofactors`."""
+        return self._star
+
+    @cached_property
+    def _star(self) -> Star | None:
+        star, problem = self.given.star(), self.problem
+        if star is None:
+            return None
+        place, points = places_of_images(problem), places_of_points(problem, np.flatnonzero(problem.active))
+        return Star(
+            self._in_datum(star.images, place, place), self._in_datum(star.across, place, points.ravel()),
+            self._in_datum(star.points, points, points),
+        )  # fmt: skip
+
+    def rays(self, problem: Problem, state: State) -> RayCofactors:
+        """See :class:`Cofactors`."""
+        if self._star is not None:
+            return rays_of_star(problem, state, self._star)
+        return cofactors_of_rays(problem, state, self.given.blocks, self._moved if self.datum_defect else None)
 
     @cached_property
     def cofactors(self) -> Array:

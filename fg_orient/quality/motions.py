@@ -118,7 +118,7 @@ class _Part:
             own, p = mine[image[mine] == k], problem.parameters[k]
             if len(own):
                 # a camera that several images have in common stays unchanged
-                a = np.where(p.own, rows.image[own, :, : len(p)], 0.0).reshape(-1, len(p))
+                a = np.where(p.own, rows.image[own, :, : len(p)], 0.0).reshape(2 * len(own), len(p))
                 b = np.einsum("nij,njd->nid", rows.ground[own], shift[point[own]]).reshape(-1, 7)
                 # compressed: few rows instead of two per image point
                 r = np.asarray(np.linalg.qr(np.hstack([a, b]), mode="r"))

@@ -23,7 +23,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.border import Border, small_enough
+from fg_orient.adjustment.images_border import border_of
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
@@ -290,8 +290,8 @@ def affordable(problem: Problem) -> bool:
 def _least(problem: Problem, parts: int) -> Weakest | None:
     """Weakest directions at the start; None where the border of the normal equations does not determine the points."""
     with contextlib.suppress(Singular):
-        if small_enough(problem):
-            return weakest(Border(problem, problem.start), WEAK_WITHOUT_PRIORS, parts)
+        border = border_of(problem, problem.start)
+        return None if border is None else weakest(border, WEAK_WITHOUT_PRIORS, parts)
     return None
 
 
@@ -330,7 +330,7 @@ def analyse_block(problem: Problem, structure: Structure | None = None, *, whole
     datum = tuple(text for part in texts for text in part)
     if least is not None:
         dead = least.values <= UNOBSERVABLE
-        null = least.directions[: problem.n_free_unknowns, dead]
+        null = least.border.images_of(least.directions[:, dead])
         sentences, unexplained = _unobservable_sentences(problem, null, motions, texts)
         weak = int((~dead).sum())
         return BlockObservability(np.zeros(0), sentences, weak, datum, motions, structure, unexplained, null=null)

@@ -34,7 +34,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.cofactors import RayCofactors, cofactors_of_rays, inverse_roots
+from fg_orient.adjustment.cofactors import RayCofactors, inverse_roots
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows, linearised, residuals
@@ -56,6 +56,8 @@ Index = npt.NDArray[np.intp]
 
 #: Elements of the matrices W_j of all groups up to which they are formed: 0.5 GB each kind; 4 groups, 4000 unknowns.
 LARGEST: Final = 2**26
+#: Unknowns over those of a point up to which the rows of the point are a full matrix.
+FULL: Final = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,8 +133,8 @@ class ResidualCofactors:
     @cached_property
     def rays(self) -> RayCofactors:
         """Cofactors of adjusted image points, points and images."""
-        rays = cofactors_of_rays(self.problem, self.state, self.cofactors.blocks)
-        if named := self.problem.named_points():
+        rays, named = self.cofactors.rays(self.problem, self.state), self.problem.named_points()
+        if named and self.cofactors.star() is None:
             self._correct_named_points(rays, named)
         return rays
 
@@ -221,11 +223,15 @@ class GroupCofactors:
             design = sparse.csr_array(
                 (part.design.ravel(), columns, np.arange(0, n * r * c + 1, c)), shape=(n * r, len(self._q))
             )
-            label = self._labels[part.rows.ravel()]
+            label, is_full = self._labels[part.rows.ravel()], FULL * c >= len(self._q)
             for j in np.unique(label):
                 mine = design[label == j]
-                product = (mine.T @ mine).tocoo()
-                normal[j][product.coords] += product.data
+                if is_full:  # BLAS is faster
+                    rows = mine.toarray()
+                    normal[j] += rows.T @ rows
+                else:
+                    product = (mine.T @ mine).tocoo()
+                    normal[j][product.coords] += product.data
         for own in normal:
             own[:] = self._q @ own
         return normal

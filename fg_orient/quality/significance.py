@@ -21,7 +21,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from operator import attrgetter
 from typing import Any, Final
 
@@ -29,6 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.unknown_cofactors import DenseUnknowns, UnknownCofactors
 from fg_orient.model.distributions import f_tail, holm, t_two_sided
 from fg_orient.model.errors import NoSolutionError
 from fg_orient.model.parameters import term_of
@@ -173,30 +173,20 @@ def significance(
         t2, d, nu = (np.array(column, np.float64) for column in zip(*tests, strict=True))
         noise = np.where(d * t2 > 0.0, np.abs(x) / np.sqrt(np.maximum(t2, _TINY)), np.inf)
     coefficients = coefficient_tests([labels[k] for k in j.tolist()], x, m0 * np.sqrt(q), nu, scale[j], shares, noise)
-    joint = lru_cache(1)(lambda images: known.cofactors.joint(images, ()))  # most groups are of the same images
-    groups = tuple(group_test(known, sigma0, freedom, name, index, joint) for name, index in _groups(problem).items())
+    groups = tuple(group_test(known, sigma0, freedom, name, index) for name, index in _groups(problem).items())
     return Significance(f, level, coefficients, groups)
 
 
 def group_test(
-    known: ResidualCofactors, sigma0: float, freedom: UnknownFreedom | None, name: str, index: Index,
-    joint: Callable[[tuple[int, ...]], Array] | None = None,
-) -> GroupTest:  # fmt: skip
-    """F test of the unknowns at places (d,) in ``problem.image_columns``; others as of :func:`significance`.
-
-    ``joint`` gives the cofactors of the unknowns of images, by default those of the solution.
-    """
-    problem = known.problem
-    images = tuple(np.unique(np.searchsorted(problem.first, index, side="right") - 1).tolist())
-    places = np.concatenate([np.arange(problem.first[k], problem.first[k + 1]) for k in images])
-    mine = np.searchsorted(places, index)
-    joint = joint or (lambda which: known.cofactors.joint(which, ()))
-    q = joint(images)[np.ix_(mine, mine)]
+    known: ResidualCofactors, sigma0: float, freedom: UnknownFreedom | None, name: str, index: Index
+) -> GroupTest:
+    """F test of the unknowns at places (d,) in ``problem.image_columns``; others as of :func:`significance`."""
+    problem, q = known.problem, known.cofactors.unknowns(index)
     m0, f = (sigma0, float(problem.redundancy)) if freedom is None else (1.0, freedom.together(index))
     x = problem.image_columns(known.state)[index]
     if not problem.block.options.priors:
         return together(name, x, q, m0, f)
-    statistic, d, f = under_priors(x, q, m0, f, freedom is None)
+    statistic, d, f = under_priors(x, q.matrix, m0, f, freedom is None)
     return GroupTest(name, d, statistic, float(f_tail(d, f, statistic)) if d else 1.0, f)
 
 
@@ -213,7 +203,7 @@ def under_priors(x: Array, q: Array, m0: float, f: float, estimated: bool) -> tu
         return 0.0, 0, max(left, 1.0)
     prior = float(np.sum((axes.T @ x)[tested] ** 2 / (1.0 - share[tested])))
     square = (m0**2 * f - prior) / left if estimated else m0**2
-    return (_square(x, q) + prior) / (d * max(square, _TINY)), d, left
+    return (DenseUnknowns(q).square(x) + prior) / (d * max(square, _TINY)), d, left
 
 
 def coefficient_tests(
@@ -243,16 +233,10 @@ def coefficient_tests(
     return tuple(CoefficientTest(*label, *row) for label, *row in rows)
 
 
-def together(name: str, x: Array, q: Array, m0: float, f: float) -> GroupTest:
-    """F test of unknowns x (d,) with cofactors q (d, d); f: degrees of freedom of m0."""
-    d, statistic = len(x), _square(x, q) / (len(x) * m0**2)
+def together(name: str, x: Array, q: UnknownCofactors, m0: float, f: float) -> GroupTest:
+    """F test of unknowns x (d,) with cofactors q; f: degrees of freedom of m0."""
+    d, statistic = len(x), q.square(x) / (len(x) * m0**2)
     return GroupTest(name, d, statistic, float(f_tail(d, f, statistic)), f)
-
-
-def _square(x: Array, q: Array) -> float:
-    """``x^T q^-1 x``, scaled to correlations, because unknowns of very different size are tested together."""
-    length = np.sqrt(np.diag(q))
-    return float((x / length) @ np.linalg.solve(q / np.outer(length, length), x / length))
 
 
 def camera_significance(
@@ -277,7 +261,7 @@ def camera_significance(
         parts.setdefault(f"{part[k]} of {labels[k][0]}", []).append(k)
     freedom = np.full(len(rows), float(redundancy))
     coefficients = coefficient_tests([(*labels[k], "") for k in rows], values[rows], sd[rows], freedom)
-    groups = (together(name, values[at], cofactors[np.ix_(at, at)], m0, float(redundancy))
+    groups = (together(name, values[at], DenseUnknowns(cofactors[np.ix_(at, at)]), m0, float(redundancy))
               for name, at in parts.items() if len(at) > 1)  # fmt: skip
     return Significance(redundancy, LEVEL, coefficients, tuple(groups))
 

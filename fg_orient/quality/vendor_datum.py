@@ -39,7 +39,7 @@ from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 from fg_orient.model.parameters import chosen_datum, with_options
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.covariance import PointCofactors
 from fg_orient.quality.free_network import without_priors
 
 Array = npt.NDArray[np.float64]
@@ -79,33 +79,33 @@ class HeldDatum(ExtraObservation):
 
 @dataclass(frozen=True)
 class WithDatum:
-    """Cofactors of a solution plus those of its held directions by the prior sigmas (``covariance.Cofactors``)."""
+    """Cofactors of a solution plus those of its held directions by the prior sigmas (``covariance.PointCofactors``)."""
 
     problem: Problem
-    shape: Cofactors
+    shape: PointCofactors
     held: HeldDatum
 
     def image(self, k: int) -> Array:
-        """See ``Cofactors``."""
+        """See ``PointCofactors``."""
         return self.joint((k,), ())
 
     def point(self, j: int) -> Array:
-        """See ``Cofactors``."""
+        """See ``PointCofactors``."""
         return np.asarray(self.shape.point(j) + self.held.ground[j] @ self.held.ground[j].T)
 
     def points(self, index: npt.NDArray[np.intp]) -> Array:
-        """See ``Cofactors``."""
+        """See ``PointCofactors``."""
         moved = self.held.ground[index]
         return np.asarray(self.shape.points(index) + moved @ np.swapaxes(moved, 1, 2))
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
-        """See ``Cofactors``."""
+        """See ``PointCofactors``."""
         parts = [self.held.image[self.problem.image_slice(k)] for k in images]
         moved = np.vstack([*parts, *(self.held.ground[j] for j in points if self.problem.active[j])])
         return np.asarray(self.shape.joint(images, points) + moved @ moved.T)
 
     def blocks(self, pairs: npt.NDArray[np.intp]) -> Array:
-        """See ``Cofactors``."""
+        """See ``PointCofactors``."""
         return blocks_of_images(self.problem, lambda images: self.joint(images, ()), pairs)
 
 
@@ -115,7 +115,7 @@ def with_datum(block: Block) -> Block:
     return with_options(block, "adjust", datum=chosen_datum(block.options, block.images, control=control))
 
 
-def absolute(problem: Problem, cofactors: Cofactors | None) -> Cofactors | None:
+def absolute(problem: Problem, cofactors: PointCofactors | None) -> PointCofactors | None:
     """Cofactors of positions on the Earth: with the held directions by the prior sigmas."""
     held = of_problem(problem)
     return cofactors if held is None or cofactors is None else WithDatum(problem, cofactors, held)

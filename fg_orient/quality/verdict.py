@@ -25,7 +25,7 @@ import numpy as np
 
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.robust import UNWEIGHED, Weights, are_information
-from fg_orient.adjustment.rows import linearised
+from fg_orient.adjustment.rows import linearised, rows_by_image
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.distributions import chi_square_interval
 from fg_orient.model.errors import DECISIVE, Finding, finding
@@ -234,8 +234,8 @@ def disagreement_m(problem: Problem) -> float:
 def _outside(problem: Problem, estimate: Estimate) -> list[Finding]:
     """Findings on adjusted points outside the validity of an image model, one per image."""
     out = []
-    for k, (image, model) in enumerate(zip(problem.block.images, problem.models, strict=True)):
-        points = np.unique(problem.observations.point[problem.observations.image == k])
+    for image, model, rows in zip(problem.block.images, problem.models, rows_by_image(problem), strict=True):
+        points = np.unique(problem.observations.point[rows])
         valid = model.is_valid(estimate.state.ground[points] + problem.origin_m)
         if not valid.all():
             names = [problem.block.points.ids[int(j)] for j in points[~valid]]

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack, qr, solve_triangular
 
-from fg_orient.adjustment.border import Border
+from fg_orient.adjustment.border_matrix import BorderMatrix
 from fg_orient.adjustment.schur_reduced import Singular
 
 Array = npt.NDArray[np.float64]
@@ -33,24 +33,24 @@ class Weakest:
 
     Parameters
     ----------
-    border : Border
+    border : BorderMatrix
     values : (d,) array
         Singular values, ascending: length of the whitened residuals per unit of the image unknowns in prior sigmas.
     directions : (b, d) array
         Of the border; orthonormal in the image unknowns.
     """
 
-    border: Border
+    border: BorderMatrix
     values: Array
     directions: Array
 
 
-def weakest(border: Border, limit: float, parts: int = 1, start: Array | None = None) -> Weakest:
+def weakest(border: BorderMatrix, limit: float, parts: int = 1, start: Array | None = None) -> Weakest:
     """Directions with a singular value below a limit.
 
     Parameters
     ----------
-    border : Border
+    border : BorderMatrix
     limit : float
     parts : int
         Parts of the block, each with seven motions at most.
@@ -63,6 +63,7 @@ def weakest(border: Border, limit: float, parts: int = 1, start: Array | None = 
         Rounding has left no positive definite matrix.
     """
     n, count = len(border), 7 * parts + BESIDE
+    most = min(n, border.problem.n_free_unknowns)
     scaled = border.matrix * np.outer(border.scale, border.scale)
     scaled[np.arange(n), np.arange(n)] += SHIFT
     factor, info = lapack.dpotrf(scaled, lower=1, clean=0, overwrite_a=1)
@@ -80,7 +81,7 @@ def weakest(border: Border, limit: float, parts: int = 1, start: Array | None = 
         found = corrected(corrected(_by_rows(border, start)))
         return Weakest(border, found.values, found.directions)
     while True:
-        count = min(count, border.n_images)
+        count = min(count, most)
         space = np.random.default_rng(0).standard_normal((n, count))
         for _ in range(STEPS):
             space = np.asarray(qr(solved(space), mode="economic")[0], float)
@@ -88,7 +89,7 @@ def weakest(border: Border, limit: float, parts: int = 1, start: Array | None = 
         for _ in range(CORRECTIONS):
             found = corrected(found)
         below = found.values < limit
-        if not below.all() or count == border.n_images:
+        if not below.all() or count == most:
             return Weakest(border, found.values[below], found.directions[:, below])
         count *= 2
 
@@ -101,10 +102,9 @@ class _ByRows(NamedTuple):
     gradient: Array
 
 
-def _by_rows(border: Border, space: Array) -> _ByRows:
+def _by_rows(border: BorderMatrix, space: Array) -> _ByRows:
     """Resolve a space (b, d) of movements."""
-    z = border.n_images
-    r = np.linalg.qr(space[:z], mode="r")
+    r = np.linalg.qr(border.images_of(space), mode="r")
     own = np.asarray(solve_triangular(r, space.T, trans="T").T)
     followed = border.follow(own)
     effect = followed.effect

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.cofactors import AUTO_LIMIT, full_statistics
+from fg_orient.adjustment.cofactors import AUTO_LIMIT
 from fg_orient.model.errors import Finding, finding
+from fg_orient.quality.covariance import gives_statistics
 from fg_orient.quality.reliability import CHECKABLE, noncentrality
 from fg_orient.result.plain import Column, Table, of_axes, table_of_rows
 
@@ -44,7 +45,7 @@ def unavailable(solution: Solution, *figures: str) -> Finding | None:
     problem, chosen = solution.problem, solution.block.options.statistics
     if solution.cofactors is None:
         return finding("absent.covariance", figures=figures)
-    if full_statistics(solution.block.options, len(problem.observations), problem.n_image_unknowns):
+    if gives_statistics(problem, solution.cofactors):
         return None
     if chosen == "basic":
         return finding("absent.basic", figures=figures)

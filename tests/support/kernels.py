@@ -18,6 +18,7 @@ def main() -> None:
             fg.adjust(block, backend=backend)
     for n_parameters in (8, 10):  # the equations of frame images without and with further coefficients
         fg.adjust(network(Size(11, 200, 5, n_parameters, 2, 0.0))[0])
+    fg.adjust(network(Size(60, 12, 0, 8, 2, 0.0))[0])  # images are eliminated first
 
 
 if __name__ == "__main__":
