@@ -18,9 +18,10 @@ from factors._contract import Argument, Equation
 from factors.conditions.circles import CIRCLE_RECORD
 from factors.conditions.constraints import FACTOR, FIGURE
 from factors.records import Record
-from fg_orient.adjustment.constraint_kinds import OF_PHOTOS, RELATIONS, ROWS, SIZES, Constraint, Figure, figure_of
+from fg_orient.adjustment.constraint_kinds import RELATIONS, ROWS, Figure, figure_of
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.model.block import ExtraObservation
+from fg_orient.model.constraint import OF_PHOTOS, SIZES, Constraint
 
 Array = npt.NDArray[np.float64]
 
@@ -75,11 +76,10 @@ def constraint_observation(
     InputError: a figure through too few points.
     """
     n, total, free = len(constraint.members), ROWS.get(constraint.kind, 1), 0
+    constraint.require_surplus(0 if is_exact else 1)
     if constraint.kind in SIZES:
-        rows, free = SIZES[constraint.kind]
-        total = n * rows + len(constraint.observed)
-        if total < free or (total == free and not is_exact):
-            raise constraint.fault("members", n, "more points: a figure of this kind goes through any such points")
+        free = SIZES[constraint.kind][1]
+        total = constraint.surplus + free
     kind, unit = ("image", "prior sigma") if constraint.kind in OF_PHOTOS else ("point", "m")
     argument = tuple(Argument(f"{kind} {name}", unit, is_point=kind == "point") for name in constraint.members)
 

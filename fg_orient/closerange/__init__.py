@@ -15,6 +15,6 @@ _HOME = names_of(__name__, {
     "surface": "Surface map_points",
     "surface_fit": "SurfaceFit fit_surface",
 })  # fmt: skip
-_HOME["Constraint"] = "fg_orient.adjustment.constraint_kinds"
+_HOME["Constraint"] = "fg_orient.model.constraint"
 __all__ = sorted(_HOME)
 __getattr__ = on_first_use(globals(), _HOME)

@@ -9,7 +9,6 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.constraint_kinds import Constraint
 from fg_orient.adjustment.constraint_rows import ConstraintObservation, FittedFigure
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
@@ -21,6 +20,7 @@ from fg_orient.closerange.corrections import NAMES
 from fg_orient.closerange.fitting import as_points, require_sigmas, unit_weight
 from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.model.block import Options
+from fg_orient.model.constraint import Constraint
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.model.names import Status
 from fg_orient.orientation.orient import adjust

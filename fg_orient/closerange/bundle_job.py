@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.constraint_kinds import Constraint
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import files, job
@@ -22,7 +21,9 @@ from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.options import BundleOptions
 from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.closerange.resection import resect
-from fg_orient.formats.closerange import ConstraintEntry, read_constraints, read_photos
+from fg_orient.formats.closerange import read_photos
+from fg_orient.formats.constraints import read_constraints
+from fg_orient.model.constraint import Constraint, foreign_members, place_of
 from fg_orient.model.errors import Finding, InputError, as_record, finding
 from fg_orient.quality.camera import ImageCofactors, inseparable
 from fg_orient.quality.reliability import ALPHA, CHECKABLE, POWER, noncentrality
@@ -84,10 +85,11 @@ def run_bundle(
     both = [name for name in withheld if name in known]
     if both:
         raise InputError.of("closerange.check_and_control", file=check, place=f"point {both[0]}")
-    entries = read_constraints(constraints) if constraints else ()
-    stated = [Constraint(e.kind, e.members, e.value_m, e.sigma, e.observed, e.axis,
-                         np.eye(3) if e.offset is None else np.array(e.offset)) for e in entries]  # fmt: skip
-    job.require_absolute(path, table, _sigmas(control, sigma_control_m, known, constraints, entries, stations, seen))
+    stated = read_constraints(constraints) if constraints else ()
+    foreign = foreign_members(stated, ids, names, str(constraints))
+    if foreign:
+        raise InputError(*foreign)
+    job.require_absolute(path, table, _sigmas(control, sigma_control_m, known, constraints, stated, stations, seen))
     report_progress("start values", len(table.ids))
     with one_blas_thread():
         starts, begin, doubts = _approximate(photos, table, places, seen, begun)
@@ -114,18 +116,18 @@ def run_bundle(
 
 def _sigmas(
     control: Path | None, sigma_m: float, known: Mapping[str, tuple[Array, Array]], constraints: Path | None,
-    entries: Sequence[ConstraintEntry], stations: Path | None, seen: Mapping[str, files.Station],
+    stated: Sequence[Constraint], stations: Path | None, seen: Mapping[str, files.Station],
 ) -> Iterator[tuple[str, str, float]]:  # fmt: skip
     """Sigmas in m or rad: file, place and value of control points, constraints with their observations, stations."""
     for name, (_, sigma) in known.items():
         if sigma.any():
             own = (str(control), f"control {name}")
             yield *(("", "<sigma_control>") if (sigma == sigma_m).all() else own), float(sigma.max())
-    for k, entry in enumerate(entries, start=1):
-        stated = {"": entry.sigma} | {f"observed.{name}": value for name, (_, value) in entry.observed.items()}
-        for place, one in stated.items():
+    for k, c in enumerate(stated):
+        sigmas = {"sigma": c.sigma} | {f"observed.{name}": value for name, (_, value) in c.observed.items()}
+        for place, one in sigmas.items():
             if one is not None:
-                yield str(constraints), f"constraints[{k}].{place or 'sigma'}", one
+                yield str(constraints), f"{place_of(k)}.{place}", one
     for name, station in seen.items():
         yield str(stations), f"photo {name}", float(station.sigma_m.max())
 

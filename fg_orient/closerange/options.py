@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from fg_orient.model.declaration import Checked, Group, Names, documented, option
+from fg_orient.model.names import LARGEST, SMALLEST
 
 MODEL: Final = Group("Model")
 WEIGHTS: Final = Group("Weights")
-#: Smallest and largest standard deviation: ``SMALLEST`` and ``LARGEST`` of ``formats.closerange``.
-SIZES: Final = (1e-12, 1e12)
+#: Smallest and largest standard deviation.
+SIZES: Final = (SMALLEST, LARGEST)
 RELATIVE: Final = "without it weights are relative, and m0 is that standard deviation"
 
 # fmt: off

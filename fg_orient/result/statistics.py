@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.cofactors import AUTO_LIMIT, full_statistics
+from fg_orient.adjustment.constraints import has_constraints
 from fg_orient.model.errors import Finding, finding
 from fg_orient.quality.reliability import CHECKABLE, noncentrality
 from fg_orient.result.plain import Column, Table, of_axes, table_of_rows
@@ -59,7 +60,8 @@ def reliability_of(solution: Solution) -> BlockReliability | None:
 def missing(solution: Solution) -> list[Finding]:
     """Reasons why figures of reliability and correlations are null."""
     if solution.cofactors is None:
-        return [finding("absent.covariance", figures=["reliability", "correlations"])]
+        own = ["figures"] if has_constraints(solution.problem.block) else []
+        return [finding("absent.covariance", figures=["reliability", "correlations", *own])]
     why = unavailable(solution, "reliability")
     if why is None and solution.weights is not None:
         why = finding("absent.loss_but_redundancy", figures=["reliability"])

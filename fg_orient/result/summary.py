@@ -22,6 +22,7 @@ from fg_orient.model.options import Options
 from fg_orient.quality.accuracy import rms_px, y_parallaxes
 from fg_orient.quality.deficiency import DEFICIENT, Evidence, judge_observability
 from fg_orient.quality.elimination import UNOBSERVABLE
+from fg_orient.quality.figures import constraint_records
 from fg_orient.quality.verdict import DOWN, points_with_rays, turned_down_images
 from fg_orient.result.joint import LIMIT, joint_cofactors_of, points_within
 from fg_orient.result.plain import plain
@@ -185,6 +186,8 @@ def summary(solution: Solution) -> dict[str, Any]:
         "resumed_at_iteration": solution.resumed_at or None,
         "us_per_observation_iteration": 1e6 * solution.seconds.solve / work if work else float("nan"),
         "memory": None if solution.memory is None else solution.memory.as_dict(),
+        "constraints": constraint_records(problem, solution.state),
+        "figures": None if solution.cofactors is None else [figure.as_dict() for figure in solution.figures()],
         **outlier_records(solution),
         "reliability": reliability_record(solution),
         "correlations": correlation_record(solution),

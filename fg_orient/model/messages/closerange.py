@@ -26,7 +26,7 @@ closerange.kind: not possible with this kind of surface
 closerange.method: no such method
 closerange.prior: no such observed parameter, or a value or sigma that is not possible (lengths are above 0); the
     algebraic method and quadrics take none
-closerange.member: the constraint names a point or photo that is not there
+closerange.member: the constraint names a point or photo that is not measured, or not there
 closerange.backend: not a backend of close range; other backends do not support hard constraints
 closerange.parameter: this is no name of a camera parameter, nor of a set of them
     -> choose one of {known}
