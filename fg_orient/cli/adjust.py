@@ -11,7 +11,7 @@ import typer
 from fg_orient.cli.command import command, option
 from fg_orient.cli.common import Overwrite, Project, Scheduler, VerticalCrs, command_line, read_dem, require_project
 from fg_orient.cli.log import session
-from fg_orient.cli.output import answer, folded, note, number, say, table, tell, tell_findings
+from fg_orient.cli.output import answer, folded, note, number, say, show_components, table, tell, tell_findings
 from fg_orient.cli.progress import progress, progress_bar
 from fg_orient.model.errors import InputError, read
 from fg_orient.model.names import EXIT_CODE, Status
@@ -145,12 +145,7 @@ def show(record: dict[str, Any]) -> None:
              number(s["factor"], 2), number(s["factor_sd"], 2), number(s["redundancy"], 1)]
             for s in record["stated_sigmas"]
         ])  # fmt: skip
-    components = record["variance_components"]
-    if components is not None:
-        table(f"sigmas estimated in {components['rounds']} adjustments", ("group", "redundancy", "times given", "sd"), [
-            [c["group"], number(c["redundancy"], 1), number(c["factor"]), "held" if c["held"] else number(c["sd"])]
-            for c in components["components"]
-        ])  # fmt: skip
+    show_components(record)
     if "y_parallax" in record:
         found = record["y_parallax"]
         say(f"y-parallax of {found['n']} tie points, RMS: {number(found['rms_before_px'])} px before, "

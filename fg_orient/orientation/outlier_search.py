@@ -221,6 +221,7 @@ class _Rounds:
                 for r, change in changes if (one := change.left_out) is not None
             ),
             _given_up(end), tuple(self._name(r) for r in single.tolist()), tuple(points.ids[j] for j in lost),
+            tuple(kept.tolist()),
         )  # fmt: skip
 
 

@@ -289,7 +289,7 @@ def outlier_records(solution: Solution) -> dict[str, Any]:
             "n_not_checkable": int(np.count_nonzero(tests.dimension == 0)),
         },
         "suspicious_observations": None if tests is None else [_test_record(test) for test in tests.suspicious()],
-        "snooping": _search_record(solution),
+        "snooping": search_record(solution),
     }  # fmt: skip
 
 
@@ -314,7 +314,7 @@ def _test_record(test: GroupTest) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _search_record(solution: Solution) -> dict[str, Any] | None:
+def search_record(solution: Solution) -> dict[str, Any] | None:
     """Rounds of the search and the observations that it excluded; None without a search."""
     search = solution.snooping
     if search is None:

@@ -179,7 +179,7 @@ def summary(solution: Solution) -> dict[str, Any]:
             "control": solution.accuracy.control.statistics(),
             "check": {**_check(solution.accuracy.check), **_prediction(solution)},
         },
-        "robust": _robust(solution),
+        "robust": robust_record(solution),
         "regularisation": solution.regularisation,
         "variance_components": None if solution.components is None else solution.components.as_dict(),
         "stated_sigmas": [one.as_dict() for one in solution.sigmas],
@@ -195,7 +195,7 @@ def summary(solution: Solution) -> dict[str, Any]:
     }
 
 
-def _robust(solution: Solution) -> dict[str, Any] | None:
+def robust_record(solution: Solution) -> dict[str, Any] | None:
     """Observations down-weighted by the loss, smallest weight first; null without a loss."""
     weights, problem = solution.weights, solution.problem
     if weights is None:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fg_orient.closerange.bundle import BundlePhoto, BundleResult, adjust_bundle
+from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
+from fg_orient.closerange.bundle_result import BundleResult
 from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.model.constraint import KINDS, Constraint
 

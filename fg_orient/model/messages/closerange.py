@@ -18,6 +18,8 @@ closerange.sigma: standard deviations are finite numbers above 0
 closerange.relative: a standard deviation in metres or radians means nothing beside points of {points} that have
     none: their weights are only relative
     -> give <sigma>, or columns of standard deviations in {points}
+closerange.needs_sigma: this needs standard deviations of the image points, and {points} has none
+    -> give <sigma>, or columns of standard deviations in {points}
 closerange.not_converged: the adjustment does not converge: {reason}
     -> look for gross errors in the points, and at their distribution
 closerange.surface: these parameters make no surface
