@@ -252,7 +252,7 @@ def _constraints(problem: Problem, state: State) -> list[tuple[int, ConstraintOb
     for n, e in enumerate(problem.block.extra):
         if isinstance(e, ConstraintObservation):
             points, total = e.members(problem, state), e.n_residuals + SIZES.get(e.constraint.kind, (0, 0))[1]
-            closed, value = total - len(e.constraint.observed), whole_rows(e.constraint, e.record, points, total)[0]
+            closed, value = total - len(e.constraint.observed), whole_rows(e.constraint, e.record, points, total).value
             misclosures = (value - e.record[-total:])[:closed] / e.record[HEAD.weight]
             out.append((n, e, misclosures, np.where(np.arange(total) < (closed if e.hard else 0), value, 0.0)))
     return out
