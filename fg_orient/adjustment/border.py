@@ -172,6 +172,10 @@ class Border:
             ]
             yield np.concatenate(at).astype(np.intp), value, np.hstack([block for _, block in blocks])
 
+    def squares(self) -> float:
+        """Squares of the whitened residuals of the eliminated points, moved along their rays; the images stay."""
+        return 2.0 * self._system.substitute(np.zeros(self.n_images), 0.0).predicted_error
+
     def columns_of(self, j: int) -> Index:
         """Columns (3,) of a named point."""
         return self.n_images + 3 * self.named.index(j) + np.arange(3)

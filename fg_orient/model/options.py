@@ -11,7 +11,7 @@ from fg_orient.model.names import ALL_SETS, EOP_SETS
 
 CheckPoints = Literal["use", "exclude"]
 RpcCompensation = Literal["shift", "shift_drift", "affine"]
-Datum = Literal["control", "vendor", "priors", "inner", "free"]
+Datum = Literal["auto", "control", "vendor", "priors", "inner", "free"]
 Backend = Literal["auto", "graph", "schur", "dense"]
 Optimizer = Literal["gauss-newton", "levenberg-marquardt", "dogleg"]
 RobustStart = Literal["none", "huber", "lms", "lts"]
@@ -204,9 +204,10 @@ class Options(Checked):
         recorded=True,
     )
     datum: Datum = option(
-        "control", ADJUSTMENT,
-        "Datum; all but control: relative, no control point is needed. vendor: directions that the rays hardly see "
-        "stay as in the metadata; priors: they define what no control point does; "
+        "auto", ADJUSTMENT,
+        "Datum. control: by control points, which the block must have; all others: relative. vendor: directions of the "
+        "images that the rays hardly see stay as in the metadata; auto: vendor for satellite images with priors and "
+        "without control point, else control; priors: they define what no control point does; "
         "inner: free network without priors, inner constraints on the ground points give its covariance; free: all "
         "steps are damped, there is no covariance.",
         recorded=True,
