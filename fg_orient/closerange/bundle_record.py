@@ -266,6 +266,7 @@ def _findings(
         if unseen:
             out.append(finding(code, names=unseen))
     out += inseparable(_cofactors(result))
+    out += [one for one in solution.findings if one.code == "camera.direction"]
     if result.beyond:
         out.append(finding("closerange.no_photo_file", parameters=result.beyond))
     return out
