@@ -200,10 +200,11 @@ def _show_reduction(found: Reduction) -> None:
     first = found.steps[0]
     columns = ["step", "u", "p", "sigma0", "AIC", "AICc", "BIC"]
     columns += ["image px", "ground m"] if first.validation else []
-    sign, rows = "-" if found.direction == "backward" else "+", []
+    sign, first_words = ("-", "all") if found.direction == "backward" else ("+", "kept")
+    rows = []
     for step in found.steps:
         c, v = step.criteria, step.validation
-        row = [f"{sign} {step.changed}" if step.changed else "all", len(step.unknowns),
+        row = [f"{sign} {step.changed}" if step.changed else first_words, len(step.unknowns),
                number(step.test.probability if step.test else None), number(c.sigma0), number(c.aic, 1),
                number(c.aicc, 1), number(c.bic, 1)]  # fmt: skip
         rows.append(row + ([number(v.image_rms), number(v.ground_rms)] if v else []))
