@@ -87,7 +87,10 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
     drop = project.values_of(Reading)["points_seen_once"] == "drop"
     ids, control = [image.id for image in known], bool(points.points.where(Role.CONTROL).size)
     relative = chosen_datum(options, known, control=control) != "control"
-    kept, measured, withheld, left_out = assemble(ids, points, observations, drop=drop, relative=relative)
+    named = {name for c in constraints for name in c.members}
+    kept, measured, withheld, left_out = assemble(
+        ids, points, observations, drop=drop, relative=relative, named=named
+    )  # fmt: skip
     foreign = foreign_members(constraints, kept.ids, ids, str(path))
     if foreign:
         raise InputError(*foreign)

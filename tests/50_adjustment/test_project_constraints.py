@@ -133,6 +133,27 @@ def test_constraints_hold_at_the_solution(project: Path, tmp_path: Path) -> None
     assert '<section id="constraints"' not in (tmp_path / "plain" / "report.html").read_text()
 
 
+@pytest.mark.truth
+def test_a_fixed_point_that_no_image_shows(project: Path, tmp_path: Path) -> None:
+    """A hard distance of a tie point from it, by numpy; without the constraint the point is left out."""
+    plain = fg.adjust(fg.read_project(project))
+    at = plain.ground_m[-1] + [30.0, 40.0, 0.0]
+    place = ",".join(repr(float(v[0])) for v in ecef_to_geodetic(at[None]))
+    table = (project.parent / "points.csv").read_text().rstrip("\n") + f"\nFAR,control,{place},fixed,fixed,fixed\n"
+    project.with_name("more.csv").write_text(table)
+    text = project.read_text().replace("points.csv", "more.csv")
+    entry = f'\n[[constraints]]\nkind = "distance"\nmembers = ["FAR", "{FLAT[-1]}"]\nvalue_m = 50.1\n'
+    project.with_name("far.toml").write_text(text + entry)
+    ended = in_process("adjust", project.with_name("far.toml"), "--out", tmp_path / "out", "--json")
+    assert ended.code == 0, ended.stderr
+    with (tmp_path / "out" / "points.csv").open() as stream:
+        found = {row["id"]: row for row in csv.DictReader(stream)}
+    tie = np.array([float(found[FLAT[-1]][f"{axis}_m"]) for axis in "xyz"])
+    assert np.linalg.norm(tie - at) == pytest.approx(50.1, abs=1e-6)
+    project.with_name("without.toml").write_text(text)
+    assert "FAR" not in fg.read_project(project.with_name("without.toml")).points.ids
+
+
 @pytest.mark.behaviour
 def test_one_declaration_with_close_range(project: Path) -> None:
     """A file of constraints of the bundle and a project state the same constraints."""
