@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from factors.losses import register as register_loss
     from factors.losses.construct import loss_from_weight
     from factors.records import Record
-    from fg_orient.adjustment.constraint_kinds import Constraint
     from fg_orient.adjustment.linear.kappa import KappaChoice, register_kappa_rule
     from fg_orient.adjustment.linear.registry import register_solver
     from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from fg_orient.formats.registry import Format, register_format
     from fg_orient.formats.sensor import read_sensor
     from fg_orient.model.block import Block, ExtraObservation, GroundPoints, Image, ImagePoints, Options
+    from fg_orient.model.constraint import Constraint
     from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError, RankDeficientError
     from fg_orient.model.names import Role, Status
     from fg_orient.model.parameters import ImageParameters
@@ -77,7 +77,7 @@ _require_own_factors()
 _HOME: Final = {
     "Argument": "factors._contract",
     "Block": "fg_orient.model.block",
-    "Constraint": "fg_orient.adjustment.constraint_kinds",
+    "Constraint": "fg_orient.model.constraint",
     "Equation": "factors._contract",
     "ExtraObservation": "fg_orient.model.block",
     "FactorGraph": "fg_orient.orientation.factor_graph",

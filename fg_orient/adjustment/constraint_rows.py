@@ -9,6 +9,7 @@ They are eliminated: f minimises ``|w c + k|^2``, and the rows of the adjustment
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -18,9 +19,10 @@ from factors._contract import Argument, Equation
 from factors.conditions.circles import CIRCLE_RECORD
 from factors.conditions.constraints import FACTOR, FIGURE
 from factors.records import Record
-from fg_orient.adjustment.constraint_kinds import OF_PHOTOS, RELATIONS, ROWS, SIZES, Constraint, Figure, figure_of
+from fg_orient.adjustment.constraint_kinds import RELATIONS, ROWS, Figure, figure_of
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.model.block import ExtraObservation
+from fg_orient.model.constraint import OF_PHOTOS, SIZES, Constraint
 
 Array = npt.NDArray[np.float64]
 
@@ -74,12 +76,11 @@ def constraint_observation(
 
     InputError: a figure through too few points.
     """
-    n, total, free = len(constraint.members), ROWS.get(constraint.kind, 1), 0
+    total, free = ROWS.get(constraint.kind, 1), 0
+    constraint.require_surplus(0 if is_exact else 1)
     if constraint.kind in SIZES:
-        rows, free = SIZES[constraint.kind]
-        total = n * rows + len(constraint.observed)
-        if total < free or (total == free and not is_exact):
-            raise constraint.fault("members", n, "more points: a figure of this kind goes through any such points")
+        free = SIZES[constraint.kind][1]
+        total = constraint.surplus + free
     kind, unit = ("image", "prior sigma") if constraint.kind in OF_PHOTOS else ("point", "m")
     argument = tuple(Argument(f"{kind} {name}", unit, is_point=kind == "point") for name in constraint.members)
 
@@ -87,16 +88,19 @@ def constraint_observation(
         return [p.base + p.by @ x for p, x in zip(places, unknowns, strict=True)] if places else unknowns
 
     def residual(record: Any, _setup: Any, *unknowns: Any) -> Any:
-        value, basis, _ = whole_rows(constraint, record, at(unknowns), total)
-        return basis.T @ value
+        rows = whole_rows(constraint, record, at(unknowns), total)
+        return rows.basis.T @ rows.value
 
     def kernel(record: Array, setup: Array, *unknowns_and_want: Any) -> tuple[Array, ...]:
         *unknowns, want = unknowns_and_want
-        value, basis, blocks = whole_rows(constraint, record, at(unknowns), total)
+        rows = whole_rows(constraint, record, at(unknowns), total)
+        value, across = rows.basis.T @ rows.value, rows.basis.T
         if not want:
-            return basis.T @ value, *(np.empty((0, 0)) for _ in blocks)
-        by = [p.by for p in places] or [np.eye(3)] * n
-        return basis.T @ value, *(np.ascontiguousarray(basis.T @ b @ c) for b, c in zip(blocks, by, strict=True))
+            return value, *(np.empty((0, 0)) for _ in rows.blocks)
+        blocks = [
+            across[:, first : first + len(block)] @ block for first, block in zip(rows.first, rows.blocks, strict=True)
+        ]
+        return value, *((b @ p.by for b, p in zip(blocks, places, strict=True)) if places else blocks)
 
     equation = Equation(f"constraint {constraint.kind}", kernel, residual, argument, "see this module")
     names, record = tuple(f"{kind}:{name}" for name in constraint.members), np.zeros(HEAD.size + total)
@@ -105,31 +109,64 @@ def constraint_observation(
     )
 
 
-def whole_rows(constraint: Constraint, record: Any, points: Any, total: int) -> tuple[Any, Array, list[Array]]:
-    """Rows ``w c + k`` (r,), their basis N (r, r - f) without the figure, and derivatives (r, 3) by each point.
+@dataclass(frozen=True, eq=False)
+class WholeRows:
+    """Rows of a constraint before its figure is eliminated.
 
-    Points may be complex; basis and derivatives are those of their real parts.
+    Parameters
+    ----------
+    value : (r,) array
+        ``w c + k``.
+    blocks : list of (m, 3) array
+        Derivatives by each point.
+    first : list of int
+        First row of each block; the others are zero.
+    design : (r, f) array
+        Derivatives by the figure; none (f = 0) for a relation.
     """
+
+    value: Any
+    blocks: list[Array]
+    first: list[int]
+    design: Array
+
+    @cached_property
+    def basis(self) -> Array:
+        """N (r, r - f): rows without the figure."""
+        r, f = self.design.shape
+        return np.linalg.qr(self.design, mode="complete")[0][:, f:] if f else np.eye(r)
+
+
+def whole_rows(constraint: Constraint, record: Any, points: Any, total: int) -> WholeRows:
+    """Rows of a constraint. Points may be complex; the derivatives are those of their real parts."""
     head, own = record[: HEAD.size], record[HEAD.size : len(record) - total].copy()
     correlates, real = record[len(record) - total :], [np.ascontiguousarray(np.real(p)) for p in points]
     if constraint.kind not in SIZES:
         equation = RELATIONS[constraint.kind]
         own[FACTOR.factor] *= head[HEAD.weight]
         own_blocks = equation.kernel(own, _NONE, *real, True)[1:]
-        return equation.residual(own, _NONE, *points) + correlates, np.eye(total), list(own_blocks)
+        value = equation.residual(own, _NONE, *points) + correlates
+        return WholeRows(value, list(own_blocks), [0] * len(own_blocks), np.zeros((total, 0)))
     axes = head[HEAD.axes].reshape(3, 3)
     _, design, value, blocks, _ = _fitted(constraint, head, [axes @ p for p in points], correlates)
-    basis = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
-    return value, basis, [block @ axes for block in blocks]
+    first = range(0, len(blocks) * len(blocks[0]), len(blocks[0]))
+    return WholeRows(value, [block @ axes for block in blocks], list(first), design)
+
+
+def figure_rows(extra: ConstraintObservation, problem: Problem, state: State) -> WholeRows:
+    """Rows of a figure at a state: each of a single point, beside its figure."""
+    total = extra.n_residuals + SIZES[extra.constraint.kind][1]
+    return whole_rows(extra.constraint, extra.record, extra.members(problem, state), total)
 
 
 def _fitted(
     constraint: Constraint, head: Array, points: Any, correlates: Array
 ) -> tuple[Any, Array, Any, list[Array], Figure]:  # fmt: skip
-    """Figure x (f,) that minimises ``|w c + k|^2``, with its design (r, f), rows (r,), derivatives by the points."""
-    real = np.real(np.array(points))
+    """Figure x (f,) that minimises ``|w c + k|^2``, its design (r, f), rows (r,), derivatives (m, 3) by each point."""
+    whole = np.array(points)
+    real = np.ascontiguousarray(np.real(whole))
     figure = figure_of(constraint, real)
-    own, x, m = figure.record.copy(), figure.start, figure.n_residuals
+    own, x = figure.record.copy(), figure.start
     own[FACTOR.factor] = head[HEAD.weight] * head[HEAD.scale]
     if constraint.kind in FRAMES and head[HEAD.frame].any():  # the correlates have the axes of the start
         record, (normal, first, _) = FRAMES[constraint.kind], head[HEAD.frame].reshape(3, 3)
@@ -142,7 +179,9 @@ def _fitted(
     for _ in range(_FITS):
         rows = [figure.equation.kernel(own, figure.setup, np.ascontiguousarray(np.real(x)), p, True) for p in real]
         design = np.vstack([*(row[1] for row in rows), by_element])
-        parts = [figure.equation.residual(own, figure.setup, x, p) for p in points]
+        parts = [row[0] for row in rows]
+        if np.iscomplexobj(whole):
+            parts = [figure.equation.residual(own, figure.setup, x, p) for p in points]
         observed = [(x[j] + figure.offset[j] - value) / sigma for j, value, sigma in elements]
         value = np.concatenate([*parts, observed]) + correlates
         length = np.linalg.norm(design, axis=0)
@@ -153,10 +192,7 @@ def _fitted(
         if (np.abs(step) <= _FITTED * (1.0 + np.abs(x))).all():
             break
         x = x - step
-    blocks = [np.zeros((len(value), 3)) for _ in rows]
-    for k, (block, row) in enumerate(zip(blocks, rows, strict=True)):
-        block[k * m : k * m + m] = row[2]
-    return x, design, value, blocks, figure
+    return x, design, value, [row[2] for row in rows], figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +237,8 @@ def fitted_figures(problem: Problem, state: State) -> list[FittedFigure]:
         x, design, _, blocks, figure = _fitted(e.constraint, head, at, e.record[-total:])
         left, right = np.linalg.qr(design)
         inverse = np.linalg.inv(right)
-        by = -inverse @ left.T @ np.hstack([block @ axes for block in blocks])
+        m = figure.n_residuals
+        by = -inverse @ np.hstack([left[k * m : k * m + m].T @ block @ axes for k, block in enumerate(blocks)])
         points = tuple(a.index for a in problem.extra_arguments(e))
         values = x + figure.offset[: len(x)]
         out.append(FittedFigure(e.label, figure.names, values, points, inverse @ inverse.T, by))

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.constraint_kinds import OF_PHOTOS, ROWS, SIZES, figure_of, relation_record
+from fg_orient.adjustment.constraint_kinds import ROWS, figure_of, relation_record
 from fg_orient.adjustment.constraint_rows import (
     DEPENDENT,
     FRAMES,
@@ -31,6 +31,7 @@ from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import ExtraArgument, Problem, State
 from fg_orient.adjustment.rows import linearised
 from fg_orient.model.block import Block, ExtraObservation
+from fg_orient.model.constraint import OF_PHOTOS, SIZES
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import FrameSensor
 
@@ -251,15 +252,20 @@ def _constraints(problem: Problem, state: State) -> list[tuple[int, ConstraintOb
     for n, e in enumerate(problem.block.extra):
         if isinstance(e, ConstraintObservation):
             points, total = e.members(problem, state), e.n_residuals + SIZES.get(e.constraint.kind, (0, 0))[1]
-            closed, value = total - len(e.constraint.observed), whole_rows(e.constraint, e.record, points, total)[0]
+            closed, value = total - len(e.constraint.observed), whole_rows(e.constraint, e.record, points, total).value
             misclosures = (value - e.record[-total:])[:closed] / e.record[HEAD.weight]
             out.append((n, e, misclosures, np.where(np.arange(total) < (closed if e.hard else 0), value, 0.0)))
     return out
 
 
+def misclosures(problem: Problem, state: State) -> list[tuple[ConstraintObservation, Array]]:
+    """Constraints with their misclosures (c,) at a state, m or sines; of a figure those of its points."""
+    return [(e, c) for _, e, c, _ in _constraints(problem, state)]
+
+
 def missed_most(problem: Problem, state: State) -> tuple[str, float]:
     """Hard constraint with the largest misclosure at a state, m or a sine; "" and 0 without one."""
-    away = [(e.label, float(np.abs(c).max())) for _, e, c, _ in _constraints(problem, state) if e.hard]
+    away = [(e.label, float(np.abs(c).max())) for e, c in misclosures(problem, state) if e.hard]
     return max(away, key=lambda one: one[1], default=("", 0.0))
 
 

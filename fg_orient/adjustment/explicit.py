@@ -7,7 +7,8 @@ first, then images: the Schur complement as an ordering) and retracts; ``fg_orie
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -18,6 +19,8 @@ import numpy.typing as npt
 from factors.conditions.control import POINT
 from factors.graph import factor, image_point_factors
 from factors.split import Split
+from fg_orient.adjustment.constraint_rows import ConstraintObservation, figure_rows
+from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.loop import Step, share_at_radius
 from fg_orient.adjustment.native import NativeObservation
 from fg_orient.adjustment.point_groups import vector_names, vector_parts
@@ -25,6 +28,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust, squares, weighted_problem, weights_at
 from fg_orient.adjustment.rows import groups
 from fg_orient.model.block import ExtraObservation
+from fg_orient.model.constraint import SIZES
 
 Array = npt.NDArray[np.float64]
 
@@ -71,6 +75,11 @@ def image_unknown(problem: Problem, k: int) -> int | Split | Array:
     if len(parts) == 1 and parts[0][3] == size:
         return parts[0][0]
     return Split(*(tuple(values) for values in zip(*parts, strict=True)))
+
+
+def figure_key(n: int) -> int:
+    """GTSAM key of the change of the figure of the n-th extra observation."""
+    return int(gtsam.symbol("f", n))
 
 
 def build_graph(problem: Problem) -> gtsam.NonlinearFactorGraph:
@@ -152,6 +161,29 @@ def add_image_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> Non
             graph.addPriorVector(key, np.zeros(k), gtsam.noiseModel.Unit.Create(k))
 
 
+def add_figures(linear: gtsam.GaussianFactorGraph, problem: Problem, state: State, figures: Sequence[int]) -> None:
+    """Add rows of figures, the n-th extra observations, each of one point and the change of the figure.
+
+    The minimum over this change gives the rows of the extra observation, which join all points of the figure.
+    """
+    for n in figures:
+        extra = problem.block.extra[n]
+        assert isinstance(extra, ConstraintObservation)
+        rows, key, done = figure_rows(extra, problem, state), figure_key(n), 0
+        arguments = problem.extra_arguments(extra)
+        for argument, block, first in zip(arguments, rows.blocks, rows.first, strict=True):
+            part, done = slice(first, first + len(block)), first + len(block)
+            unit, right = gtsam.noiseModel.Unit.Create(len(block)), -rows.value[part]
+            if argument.constant is None:
+                point = point_key(argument.index)
+                linear.add(gtsam.JacobianFactor(key, rows.design[part], point, block, right, unit))
+            else:
+                linear.add(gtsam.JacobianFactor(key, rows.design[part], right, unit))
+        if done < len(rows.value):  # observed numbers of the figure
+            unit = gtsam.noiseModel.Unit.Create(len(rows.value) - done)
+            linear.add(gtsam.JacobianFactor(key, rows.design[done:], -rows.value[done:], unit))
+
+
 class ExplicitSystem:
     """One linearisation of the graph; see ``loop.System``."""
 
@@ -159,6 +191,8 @@ class ExplicitSystem:
         self._backend = backend
         graph, self._excess = backend.weighted(values)
         self.linear: gtsam.GaussianFactorGraph = graph.linearize(values)
+        if backend.figures:
+            add_figures(self.linear, backend.problem, backend.state(values), list(backend.figures))
         self.error = float(self.linear.error(backend.zero)) + self._excess
 
     @property
@@ -173,7 +207,9 @@ class ExplicitSystem:
         diagonal: Array = np.bincount(np.asarray(column, np.intp) - 1, weights=np.asarray(value) ** 2).astype(
             np.float64, copy=False
         )
-        sizes = {key: self.zero.at(key).size for key in sorted(self._backend.ordering_keys)}
+        sizes = {
+            key: self.zero.at(key).size for key in sorted([*self._backend.ordering_keys, *self._backend.figure_keys])
+        }
         ends = np.cumsum(list(sizes.values()))
         parts = zip(sizes, np.split(diagonal, ends)[: len(sizes)], strict=True)
         return {key: part for key, part in parts if gtsam.symbolChr(key) == ord("p")}
@@ -207,7 +243,13 @@ class ExplicitSystem:
         return self._step(steepest.add(across.scale(share)))
 
     def _step(self, delta: gtsam.VectorValues) -> Step:
-        return Step(delta, float(np.abs(delta.vector()).max()), self._excess + float(self.linear.error(delta)))
+        error, backend = self._excess + float(self.linear.error(delta)), self._backend
+        if backend.figures:
+            own, whole = gtsam.VectorValues(), delta
+            for key in backend.ordering_keys:
+                own.insert(key, whole.at(key))
+            delta = own
+        return Step(delta, float(np.abs(delta.vector()).max()), error)
 
 
 class ExplicitBackend:
@@ -224,7 +266,12 @@ class ExplicitBackend:
 
     def __init__(self, problem: Problem, robust: Robust | None = None) -> None:
         self.problem, self.robust = problem, robust
-        self.graph = build_graph(problem)
+        # unknowns of each figure whose points are variables; the gradient of Dogleg has no place for them
+        found = [] if problem.block.options.optimizer == "dogleg" else list(enumerate(problem.block.extra))
+        self.figures = {n: SIZES[e.constraint.kind][1] for n, e in found
+                        if isinstance(e, ConstraintObservation) and e.constraint.kind in SIZES}  # fmt: skip
+        self.figure_keys = list(map(figure_key, self.figures))
+        self.graph = self._built(problem)
         # without priors the normal equations may be too ill-conditioned for Cholesky; their rank is known
         self.use_qr = not problem.block.options.priors
         self._points = [int(j) for j in np.flatnonzero(problem.active)]
@@ -233,20 +280,27 @@ class ExplicitBackend:
             self.ordering.push_back(point_key(j))
         self._vectors = vector_keys(problem)
         self.ordering_keys = [key for key, _ in self._vectors] + [point_key(j) for j in self._points]
-        for key, _ in self._vectors:
+        for key in (*(key for key, _ in self._vectors), *self.figure_keys):
             self.ordering.push_back(key)
         self.zero = gtsam.VectorValues()
         for key, part in self._vectors:
             self.zero.insert(key, np.zeros(part.stop - part.start))
         for j in self._points:
             self.zero.insert(point_key(j), np.zeros(3))
+        for key, size in zip(self.figure_keys, self.figures.values(), strict=True):
+            self.zero.insert(key, np.zeros(size))
+
+    def _built(self, problem: Problem) -> gtsam.NonlinearFactorGraph:
+        """Graph of a problem without its figures, which the linear system has row by row."""
+        extra = tuple(e for n, e in enumerate(problem.block.extra) if n not in self.figures)
+        return build_graph(replace(problem, block=replace(problem.block, extra=extra)) if self.figures else problem)
 
     def weighted(self, values: gtsam.Values) -> tuple[gtsam.NonlinearFactorGraph, float]:
         """Graph with the weights of the losses at these values; their cost minus half its weighted sum of squares."""
         if self.robust is None:
             return self.graph, 0.0
         weights, excess = weights_at(self.problem, self.state(values), self.robust)
-        return build_graph(weighted_problem(self.problem, weights)), excess
+        return self._built(weighted_problem(self.problem, weights)), excess
 
     def initial(self) -> gtsam.Values:
         """Start values."""
@@ -277,7 +331,10 @@ class ExplicitBackend:
     def error(self, state: gtsam.Values) -> float:
         """Half the weighted sum of squares, or the cost under the losses."""
         graph, excess = self.weighted(state)
-        return float(graph.error(state)) + excess
+        own = [self.problem.block.extra[n] for n in self.figures]
+        at = self.state(state) if own else None
+        rows = (extra_blocks(self.problem, e, at, jacobian=False)[0] for e in own if at is not None)
+        return float(graph.error(state)) + excess + 0.5 * sum(float(v @ v) for v in rows)
 
     def squares(self, state: gtsam.Values) -> tuple[Array, Array]:
         """See ``robust.RobustBackend``."""

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Argument, Equation
-from fg_orient.adjustment.constraint_kinds import Constraint
 from fg_orient.adjustment.constraint_rows import constraint_observation
 from fg_orient.model.block import Block, ExtraObservation
+from fg_orient.model.constraint import Constraint
 from fg_orient.model.errors import InputError
 
 if TYPE_CHECKING:

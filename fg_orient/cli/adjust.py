@@ -11,7 +11,7 @@ import typer
 from fg_orient.cli.command import command, option
 from fg_orient.cli.common import Overwrite, Project, Scheduler, VerticalCrs, command_line, read_dem, require_project
 from fg_orient.cli.log import session
-from fg_orient.cli.output import answer, folded, note, number, say, table, tell, tell_findings
+from fg_orient.cli.output import answer, folded, note, number, say, show_components, table, tell, tell_findings
 from fg_orient.cli.progress import progress, progress_bar
 from fg_orient.model.errors import InputError, read
 from fg_orient.model.names import EXIT_CODE, Status
@@ -145,12 +145,7 @@ def show(record: dict[str, Any]) -> None:
              number(s["factor"], 2), number(s["factor_sd"], 2), number(s["redundancy"], 1)]
             for s in record["stated_sigmas"]
         ])  # fmt: skip
-    components = record["variance_components"]
-    if components is not None:
-        table(f"sigmas estimated in {components['rounds']} adjustments", ("group", "redundancy", "times given", "sd"), [
-            [c["group"], number(c["redundancy"], 1), number(c["factor"]), "held" if c["held"] else number(c["sd"])]
-            for c in components["components"]
-        ])  # fmt: skip
+    show_components(record)
     if "y_parallax" in record:
         found = record["y_parallax"]
         say(f"y-parallax of {found['n']} tie points, RMS: {number(found['rms_before_px'])} px before, "
@@ -205,10 +200,11 @@ def _show_reduction(found: Reduction) -> None:
     first = found.steps[0]
     columns = ["step", "u", "p", "sigma0", "AIC", "AICc", "BIC"]
     columns += ["image px", "ground m"] if first.validation else []
-    sign, rows = "-" if found.direction == "backward" else "+", []
+    sign, first_words = ("-", "all") if found.direction == "backward" else ("+", "kept")
+    rows = []
     for step in found.steps:
         c, v = step.criteria, step.validation
-        row = [f"{sign} {step.changed}" if step.changed else "all", len(step.unknowns),
+        row = [f"{sign} {step.changed}" if step.changed else first_words, len(step.unknowns),
                number(step.test.probability if step.test else None), number(c.sigma0), number(c.aic, 1),
                number(c.aicc, 1), number(c.bic, 1)]  # fmt: skip
         rows.append(row + ([number(v.image_rms), number(v.ground_rms)] if v else []))

@@ -12,10 +12,12 @@ import typer
 
 from fg_orient.cli.command import argument, command, option
 from fg_orient.cli.common import ImageSize, Overwrite, command_line, image_sizes
-from fg_orient.cli.output import answer, number, say, table, tell, tell_findings
+from fg_orient.cli.output import answer, number, say, show_components, table, tell, tell_findings
 from fg_orient.cli.progress import progress
-from fg_orient.closerange.options import BundleOptions, DltOptions, ImageOptions, SurfaceOptions
+from fg_orient.closerange.options import COMMON, DEFAULTS, BundleOptions, DltOptions, ImageOptions, SurfaceOptions
+from fg_orient.model.declaration import declared
 from fg_orient.model.errors import InputError, finding
+from fg_orient.model.options import Options
 
 app = typer.Typer(help="Close range: DLT, resection, intersection, bundle, surfaces of the second degree.")
 
@@ -82,7 +84,7 @@ def intersect(points: Measured, photos: Photos, options: Mapping[str, Any], outp
 
 
 @app.command("bundle")
-@command(BundleOptions)
+@command(Options, BundleOptions, only=(*declared(BundleOptions), *COMMON), defaults=DEFAULTS)
 @outputs
 def bundle(
     points: Measured,
@@ -106,13 +108,15 @@ def bundle(
         ),
     ] = None,
 ) -> None:
-    """Adjust photos and points together: self-calibration, control points, constraints."""
+    """Adjust photos and points together: self-calibration, control points, constraints, search for gross errors."""
     from fg_orient.closerange.bundle_job import run_bundle
 
+    common = {name: value for name, value in options.items() if name in COMMON}
+    own = BundleOptions(**{name: value for name, value in options.items() if name not in COMMON})
     with progress() as watch:
         record = run_bundle(
-            points, photos, BundleOptions(**options), control=control, start=start, constraints=constraints,
-            stations=stations, check=check, output=output, callback=watch.iteration, stage=watch.stage,
+            points, photos, own, control=control, start=start, constraints=constraints,
+            stations=stations, check=check, output=output, callback=watch.iteration, stage=watch.stage, **common,
         )  # fmt: skip
     answer(record, _show, record, _show_bundle)
 
@@ -266,6 +270,7 @@ def _show_bundle(record: dict[str, Any]) -> None:
     rows = [(name, *row) for name, numbers in parts for row in _numbers(numbers)]
     rows += [(p["photo"], *row) for p in record["photos"] for row in _centre(p["exterior"])]
     table("", ("of", "", "value", "sigma"), rows)
+    show_components(record)
     _point_table(record)
     if record["check"] is not None:
         along = ", ".join(f"{v:.3f}" for v in record["check"]["rms_mm"])

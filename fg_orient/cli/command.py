@@ -9,6 +9,7 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -50,7 +51,10 @@ SHARED: Final = {"quiet": (Quiet, False), "log": (Log, None), "as_json": (Json, 
 
 
 def command(
-    *records: type, only: Collection[str] = (), named: Mapping[str, str] | None = None
+    *records: type,
+    only: Collection[str] = (),
+    named: Mapping[str, str] | None = None,
+    defaults: Mapping[str, Any] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Decorator: give a command its shared options and exit codes, and the options that dataclasses declare.
 
@@ -62,8 +66,12 @@ def command(
         Names of the declared options; default: all.
     named : mapping, optional
         Flags of the command for names of the library's arguments that differ from them.
+    defaults : mapping, optional
+        Defaults of the command that differ from the declared ones, for its help.
     """
-    options = [one for name, one in declared(*records).items() if not only or name in only]
+    own = defaults or {}
+    options = [replace(one, default=own.get(name, one.default))
+               for name, one in declared(*records).items() if not only or name in only]  # fmt: skip
     flags = {one.name: one.flag for one in options} | dict(named or {})
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:

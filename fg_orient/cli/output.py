@@ -177,6 +177,16 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], 
         _print_records(console, columns, cells)
 
 
+def show_components(record: dict[str, Any]) -> None:
+    """Table of the variance components of a record, if it has any."""
+    components = record["variance_components"]
+    if components is not None:
+        table(f"sigmas estimated in {components['rounds']} adjustments", ("group", "redundancy", "times given", "sd"), [
+            [c["group"], number(c["redundancy"], 1), number(c["factor"]), "held" if c["held"] else number(c["sd"])]
+            for c in components["components"]
+        ])  # fmt: skip
+
+
 def _least(name: str, cells: Sequence[str], *, text: bool) -> int:
     """Least width of a column: numbers are not broken, text is broken between words."""
     from rich.cells import cell_len

@@ -6,7 +6,8 @@ from fg_orient.model.public import names_of, on_first_use
 
 _HOME = names_of(__name__, {
     "accuracy": "Comparison compare_points",
-    "bundle": "Adjustment BundlePhoto BundleResult adjust_bundle",
+    "bundle": "BundlePhoto adjust_bundle",
+    "bundle_result": "Adjustment BundleResult",
     "dlt": "DltFit fit_dlt",
     "intersection": "Intersection intersect_photos normal_case",
     "orientation": "RelativeOrientation Similarity absolute_orientation relative_orientation",
@@ -15,6 +16,6 @@ _HOME = names_of(__name__, {
     "surface": "Surface map_points",
     "surface_fit": "SurfaceFit fit_surface",
 })  # fmt: skip
-_HOME["Constraint"] = "fg_orient.adjustment.constraint_kinds"
+_HOME["Constraint"] = "fg_orient.model.constraint"
 __all__ = sorted(_HOME)
 __getattr__ = on_first_use(globals(), _HOME)

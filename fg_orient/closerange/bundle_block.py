@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from factors.cameras.frame_camera import rotated
 from factors.conditions.constraints import ELEMENT, OBSERVED_ELEMENT
-from fg_orient.adjustment.constraint_kinds import MEASURED, OF_PHOTOS, SIZES, Constraint
 from fg_orient.adjustment.constraint_rows import (
     ConstraintObservation,
     FittedFigure,
@@ -36,6 +35,7 @@ from fg_orient.model.block import (
     Options,
     WithheldCoordinates,
 )
+from fg_orient.model.constraint import MEASURED, OF_PHOTOS, SIZES, Constraint, foreign_members
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.model.names import Role
 from fg_orient.quality.deficiency import compiled_problem
@@ -244,7 +244,7 @@ def build(
         if len(set(names)) != len(names):
             raise InputError.of("closerange.bundle", place=place, value="a name twice", expected="different names")
     _require_members(photos, ids, constraints, control)
-    exact = tuple(c for c in constraints if _goes_through_any(c))
+    exact = tuple(c for c in constraints if c.kind in SIZES and not c.surplus)
     constraints = [c for c in constraints if c not in exact]
     points = _points(ids, start, control)
     for k, j in zip(which.tolist(), of.tolist(), strict=True):
@@ -258,12 +258,6 @@ def build(
     return Built(tuple(photos), ids, points.known.ecef_m, block, frozenset(observed), exact)
 
 
-def _goes_through_any(constraint: Constraint) -> bool:
-    """Whether a figure goes through any points of this number."""
-    rows, free = SIZES.get(constraint.kind, (0, -1))
-    return len(constraint.members) * rows + len(constraint.observed) == free
-
-
 def _require_members(
     photos: Sequence[BundlePhoto], ids: Sequence[str], constraints: Sequence[Constraint], control: Control
 ) -> None:  # fmt: skip
@@ -271,14 +265,13 @@ def _require_members(
 
     The adjustment refuses equal ones as dependent; lengths with a sigma are observations.
     """
-    first: dict[tuple[str, frozenset[str]], Constraint] = {}
+    first, by_name = dict[tuple[str, frozenset[str]], Constraint](), {p.name: p for p in photos}
+    foreign = foreign_members(constraints, ids, tuple(by_name))
+    if foreign:
+        raise InputError(*foreign)
     for c in constraints:
-        known = [p.name for p in photos] if c.kind in OF_PHOTOS else list(ids)
-        for name in c.members:
-            if name not in known:
-                raise InputError.of("closerange.member", place=c.label, value=name, known=", ".join(known[:10]))
         if c.kind in OF_PHOTOS:
-            held = all(photos[known.index(name)].held for name in c.members)
+            held = all(by_name[name].held for name in c.members)
         else:
             held = all(name in control and not np.any(control[name][1]) for name in c.members)
         if held and c.kind not in SIZES:

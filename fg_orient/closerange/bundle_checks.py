@@ -53,7 +53,8 @@ def require_determined(built: Built, state: State) -> None:
     border = border * unit
     basis = np.eye(len(unit))
     if len(border):
-        basis = np.linalg.svd(border / np.linalg.norm(border, axis=1, keepdims=True))[2][len(border) :].T
+        rows = border / np.linalg.norm(border, axis=1, keepdims=True)
+        basis = np.linalg.qr(rows.T, mode="complete")[0][:, len(border) :]
     reduced = np.linalg.qr(design * unit, mode="r") @ basis  # its singular values, in a tenth of the time
     _, values, right = np.linalg.svd(reduced, full_matrices=len(reduced) < reduced.shape[1])
     values = np.concatenate([values, np.zeros(reduced.shape[1] - len(values))])

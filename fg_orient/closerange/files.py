@@ -18,11 +18,11 @@ import numpy.typing as npt
 
 from factors.cameras.image_corrections import NAMES
 from fg_orient.closerange.photo import Photo, PhotoInterior, rotation_from_aerial
-from fg_orient.formats.closerange import LARGEST, SMALLEST
 from fg_orient.formats.table_files import require_table
 from fg_orient.formats.tables import Table
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import LARGEST, SMALLEST
 from fg_orient.rpc.points import checks
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ import numpy.typing as npt
 from fg_orient.adjustment.dense import DenseRows, RowsBackend
 from fg_orient.adjustment.dense import equation_rows as equation_rows
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
-from fg_orient.formats.closerange import LARGEST, SMALLEST
 from fg_orient.model.errors import InputError, NoSolutionError
+from fg_orient.model.names import LARGEST, SMALLEST
 
 Array = npt.NDArray[np.float64]
 Rows = DenseRows

@@ -4,14 +4,21 @@ The types are read when the program runs, so annotations are not postponed here.
 """
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from fg_orient.model.declaration import Checked, Group, Names, documented, option
+from fg_orient.model.names import LARGEST, SMALLEST
 
 MODEL: Final = Group("Model")
 WEIGHTS: Final = Group("Weights")
-#: Smallest and largest standard deviation: ``SMALLEST`` and ``LARGEST`` of ``formats.closerange``.
-SIZES: Final = (1e-12, 1e12)
+#: Smallest and largest standard deviation.
+SIZES: Final = (SMALLEST, LARGEST)
+#: Options of the common adjustment that a bundle has, and defaults that differ from it.
+COMMON: Final = (
+    "optimizer", "solver", "max_iterations", "memory_limit_gb", "loss", "gnc", "inlier_probability", "robust_start",
+    "robust_scale", "snoop", "snoop_kind", "outlier_test", "outlier_level", "multiple_testing", "variance_components",
+)  # fmt: skip
+DEFAULTS: Final[dict[str, Any]] = {"optimizer": "levenberg-marquardt", "max_iterations": 100}
 RELATIVE: Final = "without it weights are relative, and m0 is that standard deviation"
 
 # fmt: off

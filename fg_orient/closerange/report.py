@@ -63,7 +63,7 @@ def write_figures(
 ) -> tuple[Path, list[str]]:
     """Write the figures of a close-range folder; see :func:`fg_orient.report.figures.write_figures`."""
     figures.require_matplotlib()
-    record = read_record(Path(folder))
+    record = _used(read_record(Path(folder)))
 
     def captions(drawn: Collection[str]) -> str:
         return "\n".join(["# Figures", "", *(f"- `{name}`: {plots.PLOTS[name][1]}" for name in drawn), ""])
@@ -82,6 +82,7 @@ def render(record: dict[str, Any]) -> str:
     record : dict
         Of ``dlt``, ``resect``, ``intersect``, ``bundle`` or ``surface``.
     """
+    record = _used(record)
     lists = ("photos", "cameras", "points", "figures", "residuals", "observations", "distortion", "history")
     photo: dict[str, Any] = {"parameters": [], "interior": None, "observed": None}
     photos = [photo | one for one in record.get("photos", [])]
@@ -125,13 +126,19 @@ def _accuracy(record: dict[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _used(record: dict[str, Any]) -> dict[str, Any]:
+    """The record without image points that a search for gross errors rejected."""
+    return record | {"residuals": [row for row in record.get("residuals", []) if row.get("weight") != 0.0]}
+
+
 def _worst(record: dict[str, Any]) -> list[dict[str, Any]]:
     """Image points with the largest residuals, over their own standard deviations where these are known."""
     rows = record["residuals"] or photo_rows(record)
 
     def size(row: dict[str, Any]) -> float:
         own = [abs(row[f"w_{a}"]) for a in "xy" if row.get(f"w_{a}") is not None]
-        return max(own) if own else -1.0 if "w_x" in row else math.hypot(row["residual_x"], row["residual_y"])
+        unchecked = "w_x" in row and record.get("loss", "none") == "none"
+        return max(own) if own else -1.0 if unchecked else math.hypot(row["residual_x"], row["residual_y"])
 
     return sorted(rows, key=lambda row: -size(row))[:WORST]
 

@@ -68,6 +68,10 @@ def m0_words(record: dict[str, Any]) -> tuple[str, str]:
     m0, f = record["m0"], record["redundancy"]
     if m0 is None:
         return "warn", "Without redundancy nothing was checked: there are no standard deviations."
+    if record.get("loss", "none") != "none":
+        return "good", f"With the loss {record['loss']} the weighted residuals are no test of the model."
+    if record.get("variance_components"):
+        return "good", "The standard deviations were estimated from the residuals: m0 is no test of the model."
     if record["weights"] == "relative":
         unit = "metres" if record["kind"] == "surface" else "the unit of the image coordinates"
         return "good", f"m0, the standard deviation of one observation, is {significant(m0)}, in {unit}."

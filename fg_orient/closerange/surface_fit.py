@@ -19,8 +19,8 @@ import numpy.typing as npt
 from fg_orient.closerange import fitting
 from fg_orient.closerange.minima import followed, held, reach
 from fg_orient.closerange.surface import Kind, Surface, SurfaceModel, models_of
-from fg_orient.formats.closerange import LARGEST, SMALLEST
 from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
+from fg_orient.model.names import LARGEST, SMALLEST
 
 Array = npt.NDArray[np.float64]
 Method = Literal["geometric", "algebraic"]

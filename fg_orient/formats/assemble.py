@@ -5,7 +5,7 @@ Only control coordinates and image positions are used; the coordinates of check 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -31,13 +31,20 @@ CLUSTER_SPAN: Final = 0.25
 
 
 def assemble(
-    image_ids: Sequence[str], points: PointFile, observations: ObservationFile, *, drop: bool, relative: bool = False
+    image_ids: Sequence[str],
+    points: PointFile,
+    observations: ObservationFile,
+    *,
+    drop: bool,
+    relative: bool = False,
+    named: Collection[str] = (),
 ) -> tuple[GroundPoints, ImagePoints, WithheldCoordinates, tuple[Finding, ...]]:
     """Points of the block, their observations, sealed check points and remarks.
 
-    Unmeasured points are left out. Check and tie points with a single ray are refused, or left out by ``drop``.
-    Control points with a single ray stay: their coordinates complete it. An image without measured points is refused,
-    and a block without measured control points, unless the adjustment is ``relative``.
+    Unmeasured points are left out, except fixed ones that constraints name (``named``). Check and tie points with a
+    single ray are refused, or left out by ``drop``. Control points with a single ray stay: their coordinates complete
+    it. An image without measured points is refused, and a block without measured control points, unless the adjustment
+    is ``relative``.
 
     Raises
     ------
@@ -55,7 +62,8 @@ def assemble(
         code, listed = ("remark.seen_once", remarks) if drop else ("observations.seen_once", problems)
         named = _named(_with_image(points.points.ids, image_ids, observations.observations), np.flatnonzero(lonely))
         listed.append(finding(code, file=file, place="column id", value=named, count=int(lonely.sum())))
-    unmeasured = np.flatnonzero(rays == 0)
+    held = points.points.known.fixed & np.isin(points.points.ids, list(named))
+    unmeasured = np.flatnonzero((rays == 0) & ~held)
     if len(unmeasured):
         named = _named(points.points.ids, unmeasured)
         remarks.append(
@@ -64,7 +72,7 @@ def assemble(
     if not relative and not (control & (rays > 0)).any():
         value = f"{control.sum()} control points in the file, 0 measured"
         problems.append(finding("block.no_control", file=point_file, place="column role", value=value))
-    kept = np.flatnonzero((rays > 0) & ~lonely)
+    kept = np.flatnonzero((rays > 0) & ~lonely | held)
     taken = _renumber(observations.observations, kept, len(rays))
     for k in np.flatnonzero(np.bincount(taken.image, minlength=len(image_ids)) == 0).tolist():
         problems.append(finding("observations.image_unused", file=file, place="column image", value=image_ids[k]))

@@ -1,8 +1,7 @@
-"""Photo files and constraint files of close range, in TOML; docs/closerange.md describes them.
+"""Photo files of close range, in TOML; docs/closerange.md describes them.
 
 One ``[[photos]]`` table per photo: either ``focal`` with ``principal`` and ``y_axis`` (and, once it is oriented,
-``rotation`` and ``centre_m``), or the ``matrix`` of a DLT with its ``origin_m``. One
-``[[constraints]]`` table per constraint.
+``rotation`` and ``centre_m``), or the ``matrix`` of a DLT with its ``origin_m``.
 """
 
 from __future__ import annotations
@@ -14,19 +13,15 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from fg_orient.formats.schema import Table, Text, read_toml
+from fg_orient.formats.schema import Size, Table, Text, read_toml
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import LARGEST
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
 
-#: Coordinates beyond this (m, mm or pixels) have a resolution of more than 1e-4 in double precision.
-LARGEST: Final = 1e12
-#: Standard deviations and focal lengths below this do not occur in measurements, in any unit.
-SMALLEST: Final = 1e-12
 #: Coefficients, of coordinates in m to the power of -7 at most.
 _COEFFICIENT: Final = 1e30
 
 Number = Annotated[float, Field(strict=True, ge=-LARGEST, le=LARGEST)]
-Positive = Annotated[float, Field(strict=True, ge=SMALLEST, le=LARGEST)]
 Coefficient = Annotated[float, Field(strict=True, ge=-_COEFFICIENT, le=_COEFFICIENT)]
 Two = tuple[Number, Number]
 Three = tuple[Number, Number, Number]
@@ -37,7 +32,7 @@ class PhotoEntry(Table):
     """One ``[[photos]]`` table."""
 
     name: Text = Field(description='a name in quotes, such as "left"')
-    focal: Positive | None = Field(
+    focal: Size | None = Field(
         default=None, description="the principal distance, in the unit of the image coordinates, 1e-12 to 1e12"
     )
     principal: Two = Field(default=(0.0, 0.0), description="x and y of the principal point, at most 1e12: [0.0, 0.0]")
@@ -107,35 +102,3 @@ def _require_rotation(entry: PhotoEntry, place: str, path: Path) -> None:
     if away > ORTHONORMAL:
         raise InputError.of("closerange.camera", file=path, place=place, value=not_a_rotation(away),
                             expected="rows that are unit vectors at right angles, right-handed")  # fmt: skip
-
-
-# --- constraints ---------------------------------------------------------------------------------
-
-
-class ConstraintEntry(Table):
-    """One ``[[constraints]]`` table."""
-
-    kind: Text = Field(description='what it is, such as "distance" or "horizontal circle"')
-    members: tuple[Text, ...] = Field(min_length=1, description='ids of points (or names of photos): ["1", "2"]')
-    value_m: Positive | None = Field(default=None, description="a distance or base, m")
-    sigma: Positive | None = Field(default=None, description="m (rad for angles) above 0; without it it is hard")
-    observed: dict[str, tuple[Positive, Positive]] = Field(default={}, description="name = [value, sigma], m, above 0")
-    axis: Text = Field(default="y", description='"x", "y" or "z"')
-    offset: tuple[Three, Three, Three] | None = Field(default=None, description="three rows of three numbers")
-
-
-class ConstraintFile(Table):
-    """A whole constraint file."""
-
-    constraints: tuple[ConstraintEntry, ...] = Field(min_length=1, description="at least one [[constraints]] table")
-
-
-def read_constraints(path: Path) -> tuple[ConstraintEntry, ...]:
-    """Read a constraint file.
-
-    Raises
-    ------
-    InputError
-        All faults of the file.
-    """
-    return read_toml(path, ConstraintFile).constraints

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from fg_orient.formats.assemble import assemble, geometry_remarks
+from fg_orient.formats.constraints import constraints_of
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.foreign import Table, read_foreign_observations, read_foreign_points
 from fg_orient.formats.observations import ObservationFile, read_observations
@@ -22,6 +23,7 @@ from fg_orient.formats.text_files import sha256_of
 from fg_orient.formats.toml import parse_toml
 from fg_orient.geodesy import crs_kind
 from fg_orient.model.block import Block, Image, Options, Source
+from fg_orient.model.constraint import foreign_members
 from fg_orient.model.declaration import declared, require_declared
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
@@ -77,14 +79,21 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
     folder = path.parent
     images, image_problems = _images(project, folder, str(path))
     points, observations, table_problems = _tables(project, folder, str(path), images)
-    problems += [*image_problems, *table_problems]
+    constraints, constraint_problems = constraints_of(project.constraints, str(path), surplus=1)
+    problems += [*image_problems, *table_problems, *constraint_problems]
     if problems or points is None or observations is None:
         raise InputError(*problems)
     known = tuple(image for image in images.values() if image is not None)
     drop = project.values_of(Reading)["points_seen_once"] == "drop"
     ids, control = [image.id for image in known], bool(points.points.where(Role.CONTROL).size)
     relative = chosen_datum(options, known, control=control) != "control"
-    kept, measured, withheld, left_out = assemble(ids, points, observations, drop=drop, relative=relative)
+    named = {name for c in constraints for name in c.members}
+    kept, measured, withheld, left_out = assemble(
+        ids, points, observations, drop=drop, relative=relative, named=named
+    )  # fmt: skip
+    foreign = foreign_members(constraints, kept.ids, ids, str(path))
+    if foreign:
+        raise InputError(*foreign)
     geometry = geometry_remarks(known, kept, measured, str(points.path))
     remarks = (*points.remarks, *observations.remarks, *left_out, *geometry)
     block = Block(
@@ -99,6 +108,7 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
             *(Source(str(table.path), table.sha256) for table in (points, observations)),
         ),
         notes=_notes(known, points, [p for p in remarks if p.code != FEW_CHECK_CODE]),
+        extra=constraints,  # type: ignore[arg-type]  # the adjustment makes observations of them
     )
     return _navigated(block, project, folder, str(path)), remarks
 

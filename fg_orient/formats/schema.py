@@ -18,10 +18,13 @@ from fg_orient.formats.toml import parse_toml
 from fg_orient.model import declaration as option_types
 from fg_orient.model.declaration import Option, declared, toml
 from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.names import LARGEST, SMALLEST
 from fg_orient.model.options import Options, Reading
 
 Text = Annotated[str, Field(strict=True), StringConstraints(min_length=1, strip_whitespace=True)]
 Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
+#: A length or standard deviation of a measurement.
+Size = Annotated[float, Field(strict=True, ge=SMALLEST, le=LARGEST)]
 Three = tuple[Positive, Positive, Positive]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Row = tuple[Number, Number, Number]
@@ -97,6 +100,18 @@ class NavigationEntry(Table):
     boresight_sigma_deg: Three | None = Field(default=None, description="three numbers above zero, degrees")
 
 
+class ConstraintEntry(Table):
+    """One ``[[constraints]]`` table, of a project file or of a file of constraints."""
+
+    kind: Text = Field(description='what it is, such as "distance" or "horizontal circle"')
+    members: tuple[Text, ...] = Field(min_length=1, description='ids of points (or names of photos): ["1", "2"]')
+    value_m: Size | None = Field(default=None, description="a distance or base, m")
+    sigma: Size | None = Field(default=None, description="m (rad for angles) above 0; without it it is hard")
+    observed: dict[str, tuple[Size, Size]] = Field(default={}, description="name = [value, sigma], m, above 0")
+    axis: Text = Field(default="y", description='"x", "y" or "z"')
+    offset: tuple[Row, Row, Row] | None = Field(default=None, description="three rows of three numbers")
+
+
 #: Types of options in a project file.
 _TYPES: Final[dict[Any, Any]] = {
     bool: Switch, int: Annotated[int, Field(strict=True)], float: Number, str: Text, option_types.Three: Three,
@@ -142,6 +157,7 @@ class ProjectFile(Table):
     points: PointsEntry = Field(description="a table [points] with file and crs")
     observations: ObservationsEntry = Field(description="a table [observations] with file")
     navigation: NavigationEntry | None = Field(default=None, description="a table [navigation] with file and crs")
+    constraints: tuple[ConstraintEntry, ...] = Field(default=(), description="[[constraints]] tables with kind")
     orientation: Orientation = Field(default_factory=Orientation, description="a table [orientation]")
     adjustment: Adjustment = Field(default_factory=Adjustment, description="a table [adjustment]")
 
@@ -187,8 +203,6 @@ def validate(content: dict[str, Any], file: str, model: type[Model]) -> Model:
 
 def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str, root: type[BaseModel]) -> Finding:
     path, field, siblings = _walk(loc, root)
-    if kind == "extra_forbidden" and path == "constraints":
-        return finding("project.constraints", file=file, place=path)
     if kind == "extra_forbidden":
         hint = did_you_mean(path.rpartition(".")[2], siblings)
         return finding("project.unknown_key", file=file, place=path, value=value, hint=hint)

@@ -7,7 +7,7 @@ The check of values, the project file's schema, the command line, the keyword ar
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from functools import cache
@@ -206,9 +206,9 @@ class Checked:
         require_allowed(self)
 
 
-def require_declared(names: Iterable[str], caller: str, *records: type) -> None:
-    """Raise TypeError for a name that no record declares, with the most similar name."""
-    known = declared(*records)
+def require_declared(names: Iterable[str], caller: str, *records: type, only: Collection[str] = ()) -> None:
+    """Raise TypeError for a name that no record declares, or that is not among ``only``, with the most similar name."""
+    known = [name for name in declared(*records) if not only or name in only]
     for name in sorted(set(names) - set(known)):
         close = get_close_matches(name, known, 1)
         hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"

@@ -6,6 +6,10 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import Final, NamedTuple
 
+#: Coordinates beyond this (m, mm or pixels) have a resolution of more than 1e-4 in double precision.
+LARGEST: Final = 1e12
+#: Standard deviations and focal lengths below this do not occur in measurements, in any unit.
+SMALLEST: Final = 1e-12
 #: Callback of long work: steps done, steps in all, name of this step.
 Progress = Callable[[int, int, str], None]
 

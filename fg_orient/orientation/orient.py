@@ -27,6 +27,7 @@ from fg_orient.model.errors import InputError, finding
 from fg_orient.model.options import Backend, Datum, Options
 from fg_orient.model.parameters import with_options
 from fg_orient.orientation.adjusted import AdjustmentResult
+from fg_orient.orientation.camera_direction import with_direction
 from fg_orient.orientation.conclusion import cofactors_at, conclude
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality import doubts, vendor_datum, verdict
@@ -173,8 +174,9 @@ def adjust(
         return run.again(block, like, begin)
 
     runner = run_with_components if block.options.variance_components else run.once
+    alone = replace(run, callback=None, stage=None, checkpoint=None, begin=None)
     if not block.options.snoop:
-        return runner(block, None)
+        return with_direction(runner(block, None), block, alone.once)
     from fg_orient.orientation.outlier_search import require_possible_search, search
 
     require_possible_search(block)
@@ -183,7 +185,8 @@ def adjust(
     whole = end.whole(solution.seconds.jit) if isinstance(end, Again) else end
     assert isinstance(whole, Solution)
     findings = doubts.with_accepted([*record.findings(), *whole.findings], block.options.accept)
-    return replace(whole, snooping=record, findings=tuple(findings), memory=solution.memory)
+    whole = replace(whole, snooping=record, findings=tuple(findings), memory=solution.memory)
+    return with_direction(whole, block, alone.once)
 
 
 def _compiled(block: Block) -> tuple[Problem, tuple[ImageObservability, ...], BlockObservability | None, float]:

@@ -232,6 +232,7 @@ class _Rounds:
                 for r, change in changes for one in change.left_out
             ),
             _given_up(end), tuple(self._name(r) for r in single.tolist()), tuple(points.ids[j] for j in lost),
+            tuple(kept.tolist()),
         )  # fmt: skip
 
 

@@ -3,7 +3,8 @@
 Backward: the least significant coefficient is dropped and the block adjusted again, as long as its probability is
 above the level. Forward: the first coefficient is the most significant one alone; then the most significant further
 coefficient is added, as long as it is significant. A coefficient belongs to all images; an F test covers all images
-that have it (``fg_orient.quality.significance``). A step tests many coefficients at Sidak's level.
+that have it (``fg_orient.quality.significance``). A step tests many coefficients at Sidak's level. With camera
+parameters or without priors, poses of frame images stay in all models.
 
 Criteria for n observations and k unknowns, including the unit weight::
 
@@ -35,6 +36,7 @@ from fg_orient.model.parameters import N_EOP, eop_codes, parameter_name
 from fg_orient.orientation.orient import adjust
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality.significance import GroupTest, group_test, places_of
+from fg_orient.sensors.frame_unknowns import INTERIOR, UNKNOWNS
 
 Array = npt.NDArray[np.float64]
 Direction = Literal["backward", "forward"]
@@ -180,16 +182,20 @@ class Step:
 
 @dataclass(frozen=True)
 class Reduction:
-    """All models of a reduction in their order, the level of each step, and the solution of the last model."""
+    """All models of a reduction in their order, the level of each step, and the solution of the last model.
+
+    ``kept``: unknowns that all models have.
+    """
 
     direction: Direction
     level: float
     steps: tuple[Step, ...]
     solution: Solution
+    kept: tuple[str, ...] = ()
 
     @property
     def unknowns(self) -> tuple[str, ...]:
-        """Unknowns of the last model: all significant."""
+        """Unknowns of the last model: all significant, or kept."""
         return self.steps[-1].unknowns
 
     @property
@@ -212,7 +218,7 @@ class Reduction:
         closest = self.closest_set
         named = ("aic", "aicc", "bic", *(("image", "ground") if self.steps[0].validation else ()))
         return {
-            "direction": self.direction, "level": self.level, "unknowns": list(self.unknowns),
+            "direction": self.direction, "level": self.level, "unknowns": list(self.unknowns), "kept": list(self.kept),
             "closest_eop_set": None if closest is None else {
                 "number": closest[0], "name": EOP_SETS[closest[0]].name, "only_in_set": list(closest[1]),
                 "not_in_set": list(closest[2]),
@@ -278,9 +284,21 @@ def reduce_unknowns(
     run = _Runs(block, options, progress, folds)
     full = run.adjust(())
     every = tuple(dict.fromkeys(name for p in full.problem.parameters for name in p.names))
-    run.keep(full, len(every) if direction == "backward" else 1 + len(every) * (len(every) + 1) // 2)
+    run.kept = kept = _poses(every) if _has_camera(every) or not full.block.options.priors else ()
+    n = len(every) - len(kept)
+    run.keep(full, n + 1 if direction == "backward" else 1 + n * (n + 1) // 2)
     steps = _backward(run, full, every, level) if direction == "backward" else _forward(run, every, level)
-    return Reduction(direction, level, tuple(step for step, _ in steps), steps[-1][1])
+    return Reduction(direction, level, tuple(step for step, _ in steps), steps[-1][1], kept)
+
+
+def _poses(names: Iterable[str]) -> tuple[str, ...]:
+    """Unknowns of the poses of frame images among these."""
+    return tuple(name for name in names if name in UNKNOWNS and name not in INTERIOR)
+
+
+def _has_camera(names: Iterable[str]) -> bool:
+    """Whether there are parameters of cameras among these."""
+    return any(name in INTERIOR for name in names)
 
 
 class _Runs:
@@ -290,6 +308,8 @@ class _Runs:
         self._block, self._options, self._count = block, options, folds
         self._folds: Parts = () if folds is None else folds_of(block, folds)
         self._report, self._done, self.most = progress or (lambda done, most, text: None), 0, 1
+        #: Unknowns that all models have.
+        self.kept: tuple[str, ...] = ()
 
     def adjust(self, unknowns: tuple[str, ...]) -> Solution:
         """Adjust with these unknowns; by default those of the options."""
@@ -312,7 +332,8 @@ class _Runs:
 
     def step(self, solution: Solution, unknowns: tuple[str, ...], changed: str, test: GroupTest | None) -> Step:
         """Record a model."""
-        tests = sorted((coefficient_test(solution, name) for name in unknowns), key=lambda t: -t.probability)
+        tested = (coefficient_test(solution, name) for name in unknowns if name not in self.kept)
+        tests = sorted(tested, key=lambda t: -t.probability)
         validation = None
         if self._folds:
             self._report(self._done, self.most, f"cross-validation of {len(unknowns)} unknowns")
@@ -329,10 +350,10 @@ def coefficient_test(solution: Solution, name: str) -> GroupTest:
 def _backward(run: _Runs, full: Solution, every: tuple[str, ...], level: float) -> list[tuple[Step, Solution]]:
     """Drop the least significant coefficient until all are significant."""
     steps = [(run.step(full, every, "", None), full)]
-    while len(steps[-1][0].unknowns) > 1:
+    while len(steps[-1][0].tests) > (0 if run.kept else 1):
         last = steps[-1][0]
         worst = last.tests[0]
-        if worst.probability <= sidak(level, len(last.unknowns)):
+        if worst.probability <= sidak(level, len(last.tests)):
             break
         rest = tuple(name for name in last.unknowns if name != worst.group)
         try:
@@ -344,8 +365,11 @@ def _backward(run: _Runs, full: Solution, every: tuple[str, ...], level: float) 
 
 
 def _forward(run: _Runs, every: tuple[str, ...], level: float) -> list[tuple[Step, Solution]]:
-    """Add the most significant coefficient until none is significant; the first one is always added."""
+    """Add the most significant coefficient until none is significant; without kept ones the first is always added."""
     steps: list[tuple[Step, Solution]] = []
+    if run.kept:
+        solution = run.adjust(run.kept)
+        steps.append((run.step(solution, run.kept, "", None), solution))
     while True:
         chosen = steps[-1][0].unknowns if steps else ()
         trials: list[tuple[GroupTest, tuple[str, ...], Solution]] = []

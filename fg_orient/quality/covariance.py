@@ -253,6 +253,9 @@ class BorderCofactors:
         at = np.concatenate([np.zeros(0, np.intp), *(self._columns[k] for k in images)])
         if not unknown:
             return np.asarray(self._q[np.ix_(at, at)])
+        if np.isin(unknown, border.named).all():
+            at = np.concatenate([at, *(border.columns_of(j) for j in unknown)])
+            return np.asarray(self._q[np.ix_(at, at)])
         n = len(at)
         effect, own = np.zeros((n + 3 * len(unknown), len(self._q))), np.zeros((n + 3 * len(unknown),) * 2)
         effect[np.arange(n), at] = 1.0
@@ -367,7 +370,8 @@ class GraphCofactors(ReducedCofactors):
 
         order = gtsam.Ordering()
         points = np.flatnonzero(self._problem.active).tolist()
-        for key in (*(key for key, _ in vector_keys(self._problem)), *map(point_key, points)):
+        known = [*(key for key, _ in vector_keys(self._problem)), *map(point_key, points)]
+        for key in (*known, *sorted({*self._linear.keys()} - {*known})):  # others are those of figures
             order.push_back(key)
         normal = np.asarray(self._linear.hessian(order)[0])
         length = np.sqrt(np.diag(normal))

@@ -1,13 +1,15 @@
-"""Figures of constraints as results: values and covariance."""
+"""Constraints as results: misclosures, and figures with their covariance."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.constraint_rows import fitted_figures
+from fg_orient.adjustment.constraints import misclosures
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.quality.covariance import Cofactors
 
@@ -35,6 +37,13 @@ class AdjustedFigure:
     values: Array
     covariance: Array
 
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        sigma = np.sqrt(self.covariance.diagonal()).tolist()
+        numbers = zip(self.names, self.values.tolist(), sigma, strict=True)
+        return {"figure": self.label, "numbers": [{"name": n, "value": v, "sigma": s} for n, v, s in numbers],
+                "covariance": self.covariance.tolist()}  # fmt: skip
+
 
 def adjusted_figures(problem: Problem, state: State, cofactors: Cofactors, scale: float) -> tuple[AdjustedFigure, ...]:
     """Figures of the constraints of a solution; ``scale``: standard deviations from roots of cofactors."""
@@ -46,3 +55,12 @@ def adjusted_figures(problem: Problem, state: State, cofactors: Cofactors, scale
         q = figure.own + by @ cofactors.joint((), free) @ by.T
         out.append(AdjustedFigure(figure.label, figure.names, figure.values, scale**2 * q))
     return tuple(out)
+
+
+def constraint_records(problem: Problem, state: State) -> list[dict[str, Any]]:
+    """Constraints for JSON: sigma (None: hard), RMS and largest size of their misclosures."""
+    return [
+        {"constraint": e.label, "sigma": e.constraint.sigma, "rms": float(np.sqrt(np.mean(c**2))),
+         "largest": float(np.abs(c).max())}
+        for e, c in misclosures(problem, state)
+    ]  # fmt: skip

@@ -195,6 +195,8 @@ class Search:
         Image points that stay out because they would be the only image point of a point.
     check_points : tuple of str
         Ids of check points without remaining image points: they are not in the accuracy.
+    kept : tuple of int
+        Rows of the given block's image points that stay.
     """
 
     rounds: tuple[Round, ...]
@@ -202,6 +204,7 @@ class Search:
     given_up: Finding | None = None
     went_with: tuple[str, ...] = ()
     check_points: tuple[str, ...] = ()
+    kept: tuple[int, ...] = ()
 
     @property
     def left_out(self) -> tuple[ExcludedObservation, ...]:

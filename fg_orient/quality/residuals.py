@@ -168,7 +168,7 @@ class ResidualCofactors:
         images, points = (tuple(index for is_image, index in parts if is_image is kind) for kind in (True, False))
         q = self.cofactors.joint(images, points)
         design = np.hstack([parts[True, k] for k in images] + [parts[False, j] for j in points])
-        return np.asarray(1.0 - np.einsum("ri,ij,rj->r", design, q, design))
+        return np.asarray(1.0 - np.sum((design @ q) * design, axis=1))
 
 
 # --- contributions of groups ----------------------------------------------------------------------

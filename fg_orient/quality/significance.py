@@ -240,8 +240,9 @@ def together(name: str, x: Array, q: UnknownCofactors, m0: float, f: float) -> G
 
 
 def camera_significance(
-    labels: Sequence[tuple[str, str]], values: Array, cofactors: Array, m0: float, redundancy: int
-) -> Significance:
+    labels: Sequence[tuple[str, str]], values: Array, cofactors: Array, m0: float, redundancy: int,
+    freedom: Callable[[Sequence[int]], float] | None = None,
+) -> Significance:  # fmt: skip
     """Tests of distortion parameters with the hypothesis 0: each, and the parts of the distortion of each camera.
 
     Parameters
@@ -253,15 +254,18 @@ def camera_significance(
     m0 : float
     redundancy : int
         Above 0.
+    freedom : callable, optional
+        Degrees of freedom of the variance of some parameters together, by their numbers; default: the redundancy.
     """
+    freedom = freedom or (lambda _: float(redundancy))
     part = [next((words for words, form in DISTORTION.items() if form.fullmatch(name)), "") for _, name in labels]
     sd, parts = m0 * np.sqrt(np.diag(cofactors)), dict[str, list[int]]()
     rows = [k for k, words in enumerate(part) if words and sd[k] > 0.0]
     for k in rows:
         parts.setdefault(f"{part[k]} of {labels[k][0]}", []).append(k)
-    freedom = np.full(len(rows), float(redundancy))
-    coefficients = coefficient_tests([(*labels[k], "") for k in rows], values[rows], sd[rows], freedom)
-    groups = (together(name, values[at], DenseUnknowns(cofactors[np.ix_(at, at)]), m0, float(redundancy))
+    each = np.array([freedom([k]) for k in rows], float)
+    coefficients = coefficient_tests([(*labels[k], "") for k in rows], values[rows], sd[rows], each)
+    groups = (together(name, values[at], DenseUnknowns(cofactors[np.ix_(at, at)]), m0, freedom(at))
               for name, at in parts.items() if len(at) > 1)  # fmt: skip
     return Significance(redundancy, LEVEL, coefficients, tuple(groups))
 

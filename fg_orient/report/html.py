@@ -57,8 +57,9 @@ class Section:
 SECTIONS: Final = [Section(name, title) for name, title in (
     ("summary", "Summary"), ("map", "Map"), ("figures", "Figures"), ("accuracy", "Accuracy axis by axis"),
     ("residuals", "Image residuals"), ("reliability", "Reliability"),
-    ("orientation", "Corrections of the exterior orientation"), ("metadata", "Orientation of the metadata"),
-    ("observability", "Observability"), ("regularisation", "Regularisation"), ("iterations", "Iterations"),
+    ("orientation", "Corrections of the exterior orientation"), ("constraints", "Constraints"),
+    ("metadata", "Orientation of the metadata"), ("observability", "Observability"),
+    ("regularisation", "Regularisation"), ("iterations", "Iterations"),
 )]  # fmt: skip
 
 

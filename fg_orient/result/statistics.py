@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.cofactors import AUTO_LIMIT
+from fg_orient.adjustment.constraints import has_constraints
 from fg_orient.model.errors import Finding, finding
 from fg_orient.quality.covariance import gives_statistics
 from fg_orient.quality.reliability import CHECKABLE, noncentrality
@@ -60,7 +61,8 @@ def reliability_of(solution: Solution) -> BlockReliability | None:
 def missing(solution: Solution) -> list[Finding]:
     """Reasons why figures of reliability and correlations are null."""
     if solution.cofactors is None:
-        return [finding("absent.covariance", figures=["reliability", "correlations"])]
+        own = ["figures"] if has_constraints(solution.problem.block) else []
+        return [finding("absent.covariance", figures=["reliability", "correlations", *own])]
     why = unavailable(solution, "reliability")
     if why is None and solution.weights is not None:
         why = finding("absent.loss_but_redundancy", figures=["reliability"])
@@ -288,7 +290,7 @@ def outlier_records(solution: Solution) -> dict[str, Any]:
             "n_not_checkable": int(np.count_nonzero(tests.dimension == 0)),
         },
         "suspicious_observations": None if tests is None else [_test_record(test) for test in tests.suspicious()],
-        "snooping": _search_record(solution),
+        "snooping": search_record(solution),
     }  # fmt: skip
 
 
@@ -313,7 +315,7 @@ def _test_record(test: GroupTest) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _search_record(solution: Solution) -> dict[str, Any] | None:
+def search_record(solution: Solution) -> dict[str, Any] | None:
     """Rounds of the search and the observations that it excluded; None without a search."""
     search = solution.snooping
     if search is None:

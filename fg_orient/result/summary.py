@@ -22,6 +22,7 @@ from fg_orient.model.options import Options
 from fg_orient.quality.accuracy import rms_px, y_parallaxes
 from fg_orient.quality.deficiency import DEFICIENT, Evidence, judge_observability
 from fg_orient.quality.elimination import UNOBSERVABLE
+from fg_orient.quality.figures import constraint_records
 from fg_orient.quality.verdict import DOWN, points_with_rays, turned_down_images
 from fg_orient.result.joint import LIMIT, joint_cofactors_of, points_within
 from fg_orient.result.plain import plain
@@ -178,13 +179,15 @@ def summary(solution: Solution) -> dict[str, Any]:
             "control": solution.accuracy.control.statistics(),
             "check": {**_check(solution.accuracy.check), **_prediction(solution)},
         },
-        "robust": _robust(solution),
+        "robust": robust_record(solution),
         "regularisation": solution.regularisation,
         "variance_components": None if solution.components is None else solution.components.as_dict(),
         "stated_sigmas": [one.as_dict() for one in solution.sigmas],
         "resumed_at_iteration": solution.resumed_at or None,
         "us_per_observation_iteration": 1e6 * solution.seconds.solve / work if work else float("nan"),
         "memory": None if solution.memory is None else solution.memory.as_dict(),
+        "constraints": constraint_records(problem, solution.state),
+        "figures": None if solution.cofactors is None else [figure.as_dict() for figure in solution.figures()],
         **outlier_records(solution),
         "reliability": reliability_record(solution),
         "correlations": correlation_record(solution),
@@ -192,7 +195,7 @@ def summary(solution: Solution) -> dict[str, Any]:
     }
 
 
-def _robust(solution: Solution) -> dict[str, Any] | None:
+def robust_record(solution: Solution) -> dict[str, Any] | None:
     """Observations down-weighted by the loss, smallest weight first; null without a loss."""
     weights, problem = solution.weights, solution.problem
     if weights is None:

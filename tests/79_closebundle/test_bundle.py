@@ -11,13 +11,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from factors.cameras.image_corrections import ideal_points
-from fg_orient.adjustment.constraint_kinds import Constraint
-from fg_orient.closerange.bundle import BundlePhoto, BundleResult, adjust_bundle
+from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
 from fg_orient.closerange.bundle_block import build
 from fg_orient.closerange.bundle_checks import motions
+from fg_orient.closerange.bundle_result import BundleResult
 from fg_orient.closerange.corrections import NAMES, SETS, parameters_of
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.model.block import Options
+from fg_orient.model.constraint import Constraint
 from fg_orient.model.errors import FgOrientError, InputError
 from fg_orient.model.names import CellKey
 from fg_orient.studies.reproduce import ayhan1996_photos as thesis

@@ -78,17 +78,6 @@ def test_what_cannot_be_written_or_was_not_measured_is_said(tmp_path: Path) -> N
 
 
 @pytest.mark.behaviour
-def test_a_project_with_constraints_is_sent_to_the_bundle(tmp_path: Path) -> None:
-    entry = '[[constraints]]\nkind = "distance"\nmembers = ["1", "2"]\nvalue_m = 1.0\n'
-    (tmp_path / "project.toml").write_text("schema = 1\n" + entry, "utf-8")
-    for command in (("adjust", tmp_path / "project.toml"), ("validate", tmp_path / "project.toml")):
-        done = run(*command)
-        assert done.code == 2
-        assert "constraints: a project takes no constraints" in done.stderr + done.stdout
-        assert "closerange bundle --constraints FILE" in done.stderr + done.stdout
-
-
-@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("words", "text"),
     [

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fg_orient.adjustment.constraint_kinds import KINDS, Constraint
-from fg_orient.closerange.bundle import BundlePhoto, BundleResult, adjust_bundle
+from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
+from fg_orient.closerange.bundle_result import BundleResult
 from fg_orient.closerange.photo import Photo, PhotoInterior
+from fg_orient.model.constraint import KINDS, Constraint
 
 from .conftest import SIGMA, Array
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fg_orient.adjustment.constraint_kinds import Constraint
-from fg_orient.closerange.bundle import BundleResult, adjust_bundle
+from fg_orient.closerange.bundle import adjust_bundle
+from fg_orient.closerange.bundle_result import BundleResult
+from fg_orient.model.constraint import Constraint
 from fg_orient.model.errors import InputError
 
 from .conftest import SIGMA, Array, make

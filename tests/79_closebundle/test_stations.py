@@ -12,10 +12,10 @@ from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
 from factors.cameras.image_corrections import ideal_points
-from fg_orient.adjustment.constraint_kinds import Constraint
 from fg_orient.closerange.bundle import adjust_bundle
-from fg_orient.closerange.bundle_job import directions
+from fg_orient.closerange.bundle_record import directions
 from fg_orient.closerange.photo import aerial_from_rotation
+from fg_orient.model.constraint import Constraint
 from tests.support import photomodeler
 from tests.support.command import Ended
 from tests.support.command import in_process as run

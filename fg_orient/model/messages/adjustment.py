@@ -348,5 +348,6 @@ figures_in_words: Final = {
     "outlier_tests": "tests of single observations", "suspicious_observations": "suspicious observations",
     "reliability": "redundancy numbers and minimal detectable biases",
     "correlations": "correlations of the orientation", "block_observability": "directions of the whole block",
+    "figures": "figures of constraints",
     "us_per_observation_iteration": "the time per image point and iteration",
 }  # fmt: skip

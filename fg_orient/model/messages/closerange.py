@@ -18,6 +18,8 @@ closerange.sigma: standard deviations are finite numbers above 0
 closerange.relative: a standard deviation in metres or radians means nothing beside points of {points} that have
     none: their weights are only relative
     -> give <sigma>, or columns of standard deviations in {points}
+closerange.needs_sigma: this needs standard deviations of the image points, and {points} has none
+    -> give <sigma>, or columns of standard deviations in {points}
 closerange.not_converged: the adjustment does not converge: {reason}
     -> look for gross errors in the points, and at their distribution
 closerange.surface: these parameters make no surface
@@ -26,7 +28,7 @@ closerange.kind: not possible with this kind of surface
 closerange.method: no such method
 closerange.prior: no such observed parameter, or a value or sigma that is not possible (lengths are above 0); the
     algebraic method and quadrics take none
-closerange.member: the constraint names a point or photo that is not there
+closerange.member: the constraint names a point or photo that is not measured, or not there
 closerange.backend: not a backend of close range; other backends do not support hard constraints
 closerange.parameter: this is no name of a camera parameter, nor of a set of them
     -> choose one of {known}

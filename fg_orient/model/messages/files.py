@@ -254,9 +254,6 @@ project.images_alike: two images of the file are one of the project
     -> name the id of each in the table images
 project.missing: a required entry is missing
     -> add it: {expected}
-project.constraints: a project takes no constraints: they have no form in the backends of satellite images
-    -> adjust photos with them by fg-orient closerange bundle <constraints> FILE; in Python one with a sigma is an
-       observation of Block.extra
 project.value: the value is not allowed
     -> give {expected}
 project.image_twice: the image id is used twice

@@ -1,0 +1,287 @@
+"""Record of a bundle: what ``closerange.json`` and the report contain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.robust import NONE
+from fg_orient.closerange import files, job
+from fg_orient.closerange.accuracy import compare_points
+from fg_orient.closerange.bundle_block import CENTRE, TURNS
+from fg_orient.closerange.bundle_checks import NAMED
+from fg_orient.closerange.bundle_result import Adjustment, BundleResult
+from fg_orient.closerange.corrections import NAMES, camera_of, profile
+from fg_orient.model.errors import Finding, NoSolutionError, as_record, finding
+from fg_orient.quality.camera import ImageCofactors, inseparable
+from fg_orient.quality.reliability import ALPHA, CHECKABLE, POWER, noncentrality
+from fg_orient.quality.significance import camera_significance
+from fg_orient.report.tables import correlations
+from fg_orient.result.statistics import search_record
+from fg_orient.result.summary import robust_record
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Known = Mapping[str, tuple[Array, Array]]
+
+#: Limit of listed correlations; number of listed correlations and of weak directions.
+HIGH: Final = 0.9
+LISTED: Final = 40
+#: Fields of an iteration.
+HISTORY: Final = ("iteration", "chi2", "chi2_after", "ratio", "step", "accepted")
+_WEAK: Final = 5
+#: Unknowns of a direction that are named, at most.
+_FEW: Final = 4
+
+
+def bundle_record(
+    result: BundleResult, table: files.Observed, known: Known, which: Index, of: Index,
+    seen: Mapping[str, files.Station], check: Mapping[str, Array], started: Sequence[Finding],
+) -> job.Record:  # fmt: skip
+    """Record of a bundle.
+
+    Parameters
+    ----------
+    result : BundleResult
+    table : files.Observed
+        Image points. With relative weights m0 replaces the sigmas in tests.
+    known, check : mappings
+        Coordinates and sigmas of control points; coordinates of check points.
+    which, of : (m,) int arrays
+        Photo and point of each image point.
+    seen : mapping
+        Observed stations by photo.
+    started : sequence of Finding
+        Warnings on the start values.
+    """
+    unit = (result.m0 or 1.0) if table.sigma is None else 1.0
+    solution, free = result.solution, result.others_redundancy
+    r, options = result.redundancy_numbers[~result.rejected], solution.block.options
+    w, _ = _tested(result.others_whitened, unit, free)
+    if options.loss != NONE:
+        w = np.full(len(w), np.nan)
+    return {
+        "kind": "bundle", "backend": result.backend, "m0": result.m0, "redundancy": result.redundancy,
+        "iterations": result.iterations, "unknowns": len(result.labels), "photos": _photos(result, which, seen),
+        "cameras": [{"camera": c.name, "parameters": _numbers(c)} for c in result.cameras],
+        "figures": [{"figure": f.name, "numbers": _numbers(f)} for f in result.figures],
+        "points": _points(result, known, of, check), "residuals": _residuals(result, table, unit),
+        "loss": options.loss, "robust": robust_record(solution), "snooping": search_record(solution),
+        "variance_components": None if solution.components is None else solution.components.as_dict(),
+        "distortion": _distortion(result, table, which),
+        "observations": job.rows({"what": result.others, "redundancy": free, "w": w}),
+        "check": _check(result, check), "reliability": {
+            "redundancy_of_images": r.sum(), "mean": r.mean(), "least": r.min(), "alpha": ALPHA, "power": POWER,
+            "limit_of_checkable": CHECKABLE, "n_not_checkable": (r < CHECKABLE).any(axis=1).sum(),
+        },
+        "significance": _significance(result),
+        "correlations": _correlations(result), "directions": directions(result),
+        "history": [{name: getattr(i, name) for name in HISTORY} for i in result.history],
+        **as_record([*_findings(result, known, seen, check), *started]),
+    }  # fmt: skip
+
+
+def _numbers(one: Adjustment, *names: str) -> list[job.Record]:
+    """Some values, by default all, with standard deviations."""
+    return [{"name": n, "value": one[n][0], "sigma": one[n][1]} for n in (names or one.names)]
+
+
+def _photos(result: BundleResult, which: Index, seen: Mapping[str, files.Station]) -> list[job.Record]:
+    photos, m0 = [], np.nan if result.m0 is None else result.m0
+    for k, (one, rotation, centre) in enumerate(zip(result.photos, result.rotations, result.centres_m, strict=True)):
+        sigma, turns = ([one[n][1] for n in names] for names in (CENTRE, TURNS))
+        own = [n for n in one.names if n in NAMES]
+        angles = m0 * np.sqrt(result.angle_cofactors[k].diagonal())
+        inner, station = result.interiors[k], seen.get(one.name)
+        observed = None if station is None else {
+            "centre_m": station.centre_m, "sigma_m": station.sigma_m, "residual_m": centre - station.centre_m,
+        }  # fmt: skip
+        photos.append({
+            "photo": one.name, "parameters": _numbers(one, *own) if own else [], "interior": None, "points": [],
+            "exterior": job.exterior_record(rotation, centre, turns, sigma) | {"sigma_angles_deg": angles},
+            "camera": {"focal": inner.focal, "principal": inner.principal, "corrections": inner.corrections,
+                       "y_axis": inner.y_axis},
+            "observed": observed,
+            "rms": np.sqrt(np.mean(result.residuals[(which == k) & ~result.rejected] ** 2, axis=0)),
+        })  # fmt: skip
+    return photos
+
+
+def _distortion(result: BundleResult, table: files.Observed, which: Index) -> list[job.Record]:
+    """Corrections along the radius of each camera: common ones, of each photo, or fixed ones that are not 0."""
+    labels, out = result.orientation_labels, list[job.Record]()
+    m0 = result.m0 or 0.0
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for k, photo in enumerate(result.photos):
+        own = [n for n in photo.names if n in NAMES]
+        inner = result.interiors[k]
+        same = ("photo", photo.name) if own else (inner.focal, *inner.principal, *inner.corrections)
+        groups.setdefault(same, []).append(k)
+    for members in groups.values():
+        photo, inner = result.photos[members[0]], result.interiors[members[0]]
+        camera = camera_of(inner)
+        parts = [*((f"camera {c.name}", c) for c in result.cameras), (f"photo {photo.name}", photo)]
+        where = {n: (f"{of} {n}", p[n][0]) for of, p in parts for n in p.names if n in NAMES}
+        for name, (_, value) in where.items():
+            camera[NAMES.index(name)] = value
+        rows = [labels.index(label) for label, _ in where.values()]
+        covariance = m0**2 * result.orientation[np.ix_(rows, rows)]
+        reach = np.linalg.norm(table.image[np.isin(which, members)] - inner.principal, axis=1)
+        curve = profile(camera, float(reach.max(initial=1e-9)), list(where), covariance)
+        if any(curve["radial"]) or any(curve["across"]) or any(curve["sigma"]):
+            out.append({"photos": [result.photos[k].name for k in members], "determined": list(where), **curve})
+    return out
+
+
+def _points(result: BundleResult, known: Known, of: Index, check: Mapping[str, Array]) -> list[job.Record]:
+    n, kept = len(result.ids), ~result.rejected
+    of = of[kept]
+    rays = np.bincount(of, minlength=n)
+    with np.errstate(invalid="ignore"):  # points without rays have no misfit
+        misfit = np.sqrt(np.bincount(of, np.sum(result.residuals[kept] ** 2, axis=1), n) / rays)
+    given = np.array([known[i][0] if i in known else check.get(i, np.full(3, np.nan)) for i in result.ids])
+    role = ["control" if i in known else "check" if i in check else "new" for i in result.ids]
+    places = job.point_columns(result.points_m, result.sigma_m, result.point_cofactors, result.m0)
+    return job.rows({"id": result.ids, "role": role, **places, "difference_{}_m": result.points_m - given,
+                     "rays": rays, "misfit": misfit})  # fmt: skip
+
+
+def _residuals(result: BundleResult, table: files.Observed, unit: float) -> list[job.Record]:
+    """Image points: residuals (computed minus measured, corrected), redundancy numbers, w and detectable errors.
+
+    With a loss or a search for gross errors they have weights, 0 if rejected; under a loss there are no tests.
+    """
+    sigma, options = result.image_sigma, result.solution.block.options
+    own, detectable = _tested(result.residuals, sigma * unit, result.redundancy_numbers)
+    robust = options.loss != NONE
+    if robust:
+        own, detectable = np.full_like(own, np.nan), np.full_like(own, np.nan)
+    weights = {"weight": result.weights} if robust or options.snoop else {}
+    return job.rows({
+        "photo": table.photos, "id": table.ids, "{}": table.image, "residual_{}": result.residuals, "sigma_{}": sigma,
+        "redundancy_{}": result.redundancy_numbers, "w_{}": own, "mdb_{}": detectable, **weights,
+    })  # fmt: skip
+
+
+def _tested(residual: Array, sigma: Array | float, redundancy: Array) -> tuple[Array, Array]:
+    """Normalised residuals and minimal detectable biases; nan if the observation is not checked."""
+    root = np.sqrt(np.where(redundancy >= CHECKABLE, redundancy, np.nan))
+    return residual / (sigma * root), np.sqrt(noncentrality()) * sigma / root
+
+
+def _check(result: BundleResult, check: Mapping[str, Array]) -> job.Record | None:
+    """Statistics of adjusted minus given coordinates of the check points; None without check points."""
+    rows = [name for name in check if name in result.ids]
+    if not rows:
+        return None
+    given, ours = np.array([check[name] for name in rows]), result.points_m[[result.ids.index(name) for name in rows]]
+    measures = compare_points(given, ours, np.zeros(len(rows), bool)).other
+    return {"n": len(rows), "rms_mm": measures.rms_mm[:3], "worst_mm": measures.worst_mm,
+            "mean_mm": 1e3 * (ours - given).mean(axis=0)}  # fmt: skip
+
+
+def _correlations(result: BundleResult) -> job.Record:
+    """High correlations of the orientation, largest first; all correlations of each photo and camera as triangles.
+
+    Unknowns that hard conditions fix have none.
+    """
+    rho, labels = correlations(result.orientation), result.orientation_labels
+    first, second = np.nonzero(np.tril(np.abs(np.nan_to_num(rho)) > HIGH, -1))
+    order = np.argsort(-np.abs(rho[first, second]), kind="stable")[:LISTED]
+    owner = [label.rpartition(" ")[0] for label in labels]
+    parts = []
+    for name in dict.fromkeys(o for o in owner if o.startswith(("photo ", "camera "))):
+        rows = [k for k, o in enumerate(owner) if o == name]
+        parts.append({"of": name, "names": [labels[k].rpartition(" ")[2] for k in rows],
+                      "triangle": [rho[k, rows[:i]] for i, k in enumerate(rows)]})  # fmt: skip
+    return {
+        "limit": HIGH, "n": len(first), "parts": parts,
+        "largest": [{"a": labels[i], "b": labels[j], "correlation": rho[i, j]}
+                    for i, j in zip(first[order], second[order], strict=True)],
+    }  # fmt: skip
+
+
+def _significance(result: BundleResult) -> job.Record | None:
+    """Tests of the distortion parameters; None without redundancy, under a loss, or for too many components."""
+    solution = result.solution
+    if result.m0 is None or solution.weights is not None:
+        return None
+    try:
+        freedom = solution.unknown_freedom
+    except NoSolutionError:
+        return None
+    owners = [*(("camera", c) for c in result.cameras), *(("photo", p) for p in result.photos)]
+    values = {f"{of} {one.name} {name}": one[name][0] for of, one in owners for name in one.names if name in NAMES}
+    own = [(k, label) for k, label in enumerate(result.orientation_labels) if label in values]
+    rows = [k for k, _ in own]
+    named = [(label.rpartition(" ")[0], label.rpartition(" ")[2]) for _, label in own]
+    x, q = np.array([values[label] for _, label in own]), result.orientation[np.ix_(rows, rows)]
+    if freedom is None:
+        return camera_significance(named, x, q, result.m0, result.redundancy).as_dict()
+    ties, places = solution.problem.ties, np.array(rows, np.intp)
+    places = places if ties is None else ties.place[places]
+    return camera_significance(named, x, q, 1.0, result.redundancy, lambda at: freedom.together(places[at])).as_dict()
+
+
+def directions(result: BundleResult) -> job.Record:
+    """Singular values of the orientation in its units, and its weakest directions by their main unknowns.
+
+    A direction with the value s has a standard deviation of 1/s units; directions that hard conditions fix are counted.
+    """
+    units = result.orientation_units
+    variances, vectors = np.linalg.eigh(result.orientation / np.outer(units, units))
+    values = 1.0 / np.sqrt(variances[variances > 0.0][::-1])
+    return {
+        "singular_values": values, "held": len(units) - len(values),
+        "weakest": [{"value": value, "words": _words(vectors[:, -1 - k], result.orientation_labels)}
+                    for k, value in enumerate(values[:_WEAK])],
+    }  # fmt: skip
+
+
+def _words(direction: Array, labels: Sequence[str]) -> str:
+    """Main unknowns of a direction (o,)."""
+    size = np.abs(direction)
+    order = [int(k) for k in np.argsort(-size, kind="stable")[:_FEW] if size[k] >= NAMED * size.max()]
+    sign = np.sign(direction[order[0]]) or 1.0
+    return ", ".join(f"{sign * direction[k]:+.2f} {labels[k]}".replace("-", "−") for k in order)
+
+
+def _findings(
+    result: BundleResult, known: Known, seen: Mapping[str, files.Station], check: Mapping[str, Array]
+) -> list[Finding]:  # fmt: skip
+    """Warnings on the result."""
+    solution = result.solution
+    out = job.no_redundancy(result.m0)
+    out += solution.snooping.findings() if solution.snooping is not None else ()
+    out += solution.components.findings if solution.components is not None else ()
+    for code, names, measured in (
+        ("closerange.unseen_control", known, result.ids),
+        ("closerange.unseen_check", check, result.ids),
+        ("closerange.unseen_station", seen, [p.name for p in result.photos]),
+    ):
+        unseen = [name for name in names if name not in set(measured)]
+        if unseen:
+            out.append(finding(code, names=unseen))
+    out += inseparable(_cofactors(result))
+    out += [one for one in solution.findings if one.code == "camera.direction"]
+    if result.beyond:
+        out.append(finding("closerange.no_photo_file", parameters=result.beyond))
+    return out
+
+
+def _cofactors(result: BundleResult) -> Iterator[ImageCofactors]:
+    """Cofactors of the unknowns of each photo and of its camera."""
+    labels = {label: k for k, label in enumerate(result.orientation_labels)}
+    for photo, rotation in zip(result.photos, result.rotations, strict=True):
+        own = [f"photo {photo.name} {name}" for name in photo.names]
+        names = [label for label in (*own, *(f"camera {c.name} {n}" for c in result.cameras for n in c.names))
+                 if label in labels]  # fmt: skip
+        short = tuple(label.rpartition(" ")[2] for label in names)
+        rows = [labels[label] for label in names]
+        along = np.array([rotation[2][CENTRE.index(name)] if name in CENTRE else 0.0 for name in short])
+        same = not result.cameras or any(name in NAMES for name in photo.names)
+        key = f"photo {photo.name}" if same else f"camera {result.cameras[0].name}"
+        yield ImageCofactors(key, short, result.orientation[np.ix_(rows, rows)], along)

@@ -1,0 +1,139 @@
+"""Constraints between ground points or images, as they are stated."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.names import LARGEST, SMALLEST
+
+Array = npt.NDArray[np.float64]
+
+#: Kinds with their smallest number of members; kinds between photos are last.
+LEAST: Final = {
+    "distance": 2, "parallel": 4, "perpendicular": 4, "equal": 4,
+    "plane": 3, "line": 2, "plumb line": 1, "circle": 3, "horizontal circle": 3,
+    "sphere": 4, "spheroid": 5, "base": 2, "equal attitude": 2,
+}  # fmt: skip
+KINDS: Final = tuple(LEAST)
+OF_PHOTOS: Final = ("base", "equal attitude")
+#: Kinds that need a value, m, and those with a fixed number of members.
+MEASURED: Final = ("distance", "base")
+EXACT: Final = ("distance", "parallel", "perpendicular", "equal", *OF_PHOTOS)
+#: Observable parameters of figures.
+OBSERVABLE: Final = {
+    "circle": ("radius",), "horizontal circle": ("radius",), "sphere": ("radius",), "spheroid": ("a", "b"),
+}  # fmt: skip
+AXES: Final = ("x", "y", "z")
+#: Residuals of each point, and unknowns, of each figure.
+SIZES: Final = {
+    "plane": (1, 3), "line": (2, 4), "plumb line": (2, 2), "circle": (2, 6), "horizontal circle": (2, 4),
+    "sphere": (1, 4), "spheroid": (1, 5),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """Relation between points or photos.
+
+    Parameters
+    ----------
+    kind : str
+        One of ``KINDS``: "distance", "parallel", "perpendicular" and "equal" (two points on each of two lines),
+        "plane", "line", "plumb line", "circle", "horizontal circle", "sphere", "spheroid"; of photos "base" and
+        "equal attitude".
+    members : tuple of str
+        Points, or photos.
+    value_m : float, optional
+        Distance or base.
+    sigma : float, optional
+        m; rad for "parallel", "perpendicular" and "equal attitude". None: a hard constraint, which holds exactly.
+    observed : mapping
+        Observed parameters of the figure, value and sigma, m: ``radius`` of circles and spheres, ``a`` (across the
+        axis) and ``b`` of a spheroid.
+    axis : str
+        Of a spheroid: "x", "y" or "z".
+    offset : (3, 3) array
+        For "equal attitude": axes of the second camera from those of the first; default: equal.
+
+    Raises
+    ------
+    InputError
+        An impossible kind, number of members or value.
+    """
+
+    kind: str
+    members: tuple[str, ...]
+    value_m: float | None = None
+    sigma: float | None = None
+    observed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    axis: str = "y"
+    offset: Array = field(default_factory=lambda: np.eye(3))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "members", tuple(self.members))
+        if self.kind not in LEAST:
+            raise self.fault("kind", self.kind, f"one of {', '.join(KINDS)}")
+        n, least = len(self.members), LEAST[self.kind]
+        if n < least or (self.kind in EXACT and n != least) or len(set(self.members)) != n:
+            raise self.fault("members", n, f"{least}{'' if self.kind in EXACT else ' or more'} different ones")
+        if (self.value_m is None) == (self.kind in MEASURED) or not (self.value_m is None or 0.0 < self.value_m < 1e9):
+            raise self.fault("value_m", self.value_m, "a length above 0 for a distance or base, none for others")
+        if self.sigma is not None and not SMALLEST <= self.sigma <= LARGEST:
+            raise self.fault("sigma", self.sigma, "a number above 0, or none: the constraint is then hard")
+        known = OBSERVABLE.get(self.kind, ())
+        for name, (value, sigma) in self.observed.items():
+            if name not in known or not (0.0 < value <= LARGEST and SMALLEST <= sigma <= LARGEST):
+                expected = f"value and sigma of {', '.join(known) or '-'}, above 0"
+                raise self.fault(f"observed {name}", f"{value} +- {sigma}", expected)
+        if self.axis not in AXES:
+            raise self.fault("axis", self.axis, "x, y or z")
+        turn = np.asarray(self.offset, float)
+        if turn.shape != (3, 3) or np.abs(turn @ turn.T - np.eye(3)).max() > 1e-9 or np.linalg.det(turn) < 0.0:
+            raise self.fault("offset", turn.tolist(), "a rotation matrix")
+
+    @property
+    def label(self) -> str:
+        """Words for messages."""
+        return f"{self.kind} of {', '.join(self.members)}"
+
+    @property
+    def surplus(self) -> int:
+        """Residuals of a figure minus its unknowns: 0 if it goes through any such points."""
+        rows, free = SIZES[self.kind]
+        return len(self.members) * rows + len(self.observed) - free
+
+    def require_surplus(self, least: int = 1) -> None:
+        """Refuse a figure through too few points."""
+        if self.kind in SIZES and self.surplus < least:
+            expected = "more points: a figure of this kind goes through any such points"
+            raise self.fault("members", len(self.members), expected)
+
+    def fault(self, place: str, value: object, expected: str) -> InputError:
+        """Error of the constraint."""
+        more = ", ..." if len(self.members) > 6 else ""
+        text = f"{self.kind if self.kind in LEAST else 'constraint'} of {', '.join(self.members[:6])}{more}"
+        return InputError.of("closerange.constraint", place=f"{text}, {place}", value=value, expected=expected)  # type: ignore[return-value]
+
+
+def place_of(number: int) -> str:
+    """Place of a constraint in a file, by its number from 0."""
+    return f"constraints[{number + 1}]"
+
+
+def foreign_members(
+    constraints: Sequence[Constraint], points: Collection[str], images: Collection[str], file: str = ""
+) -> list[Finding]:
+    """Errors of members that are no points or images; with a file they have its name and the number of the entry."""
+    out = []
+    for k, c in enumerate(constraints):
+        known = images if c.kind in OF_PHOTOS else points
+        place = f"{place_of(k)}.members" if file else c.label
+        out += [finding("closerange.member", file=file, place=place, value=name, known=", ".join([*known][:10]))
+                for name in c.members if name not in known]  # fmt: skip
+    return out

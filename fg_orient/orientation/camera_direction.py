@@ -1,0 +1,159 @@
+"""Whether the other direction of the distortion polynomial fits better with the same terms.
+
+Brown's polynomial leads from measured to ideal coordinates or from ideal to measured ones. Its terms do not describe
+the same lenses in both directions: the inverse of a polynomial has infinitely many terms. If sigma0 is larger than
+chance allows, the block is adjusted once more with the other direction, and both are compared by Vuong's test (1989)
+of models of which none contains the other: the differences of the squared residuals of each image point have a mean
+that is far from 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors._preparation import working_clock
+from factors.conditions.constraints import ELEMENT, OBSERVED_ELEMENT
+from factors.conditions.navigation import ANTENNA_POSITION, INERTIAL_ATTITUDE
+from fg_orient.adjustment.cofactors import full_statistics
+from fg_orient.adjustment.constraint_rows import ConstraintObservation
+from fg_orient.model.block import Block, ExtraObservation, Image
+from fg_orient.model.distributions import chi_square_limit, normal_quantile
+from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
+from fg_orient.model.names import Status
+from fg_orient.orientation.solution import Solution
+from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL, FrameCamera, FrameSensor
+from fg_orient.sensors.frame_unknowns import FURTHER, NAMES
+
+Array = npt.NDArray[np.float64]
+
+#: Level of the tests.
+LEVEL: Final = 0.001
+#: Terms of the polynomial, and their powers of the unit of length of the coordinates.
+POWERS: Final = {"k1": 2, "k2": 4, "k3": 6, "p1": 1, "p2": 1}
+_WORDS: Final = {MEASURED_TO_IDEAL: "measured to ideal", IDEAL_TO_MEASURED: "ideal to measured"}
+
+
+def with_direction(solution: Solution, block: Block, run: Callable[[Block], Solution]) -> Solution:
+    """The solution of a block with a note on a direction of the polynomials that fits significantly better.
+
+    Parameters
+    ----------
+    solution : Solution
+    block : Block
+        Before the adjustment; observations and sigmas are those of the solution.
+    run : callable
+        Adjusts a block once.
+    """
+    begin = working_clock()
+    own = replace(block, observations=solution.block.observations, points=solution.block.points)
+    found = _better_direction(solution, own, run)
+    if not found:
+        return solution
+    seconds = replace(solution.seconds, statistics=solution.seconds.statistics + working_clock() - begin)
+    return replace(solution, findings=(*solution.findings, *found), seconds=seconds)
+
+
+def _better_direction(solution: Solution, block: Block, run: Callable[[Block], Solution]) -> tuple[Finding, ...]:
+    """Note on a better direction; nothing where sigma0 does not ask for one."""
+    problem = solution.problem
+    judged = solution.weights is None and solution.components is None and solution.status is not Status.NOT_CONVERGED
+    if not judged or not full_statistics(block.options, len(problem.observations), problem.n_image_unknowns):
+        return ()
+    whole = solution.global_test(level=LEVEL)
+    other = None if whole is None or whole.accepted or solution.sigma0 < 1.0 else turned_block(block)
+    if other is None:
+        return ()
+    try:
+        turned = run(other)
+    except (InputError, NoSolutionError):
+        return ()
+    if turned.status is Status.NOT_CONVERGED or not is_better(solution, turned):
+        return ()
+    models = {i.sensor.camera.model for i in block.images if isinstance(i.sensor, FrameSensor) and _is_turned(i)}
+    here = " and ".join(_WORDS[m] for m in sorted(models))
+    there = " and ".join(_WORDS[m] for m in (IDEAL_TO_MEASURED, MEASURED_TO_IDEAL) if {m} != models)
+    return (finding(
+        "camera.direction (note): the same distortion terms fit significantly better from {there} coordinates: sigma0 "
+        "is {other:.4g}, from {here} {own:.4g}\n"
+        "    -> choose the other direction of the polynomial (docs/frame-cameras.md), or more terms",
+        here=here, there=there, own=solution.sigma0, other=turned.sigma0,
+    ),)  # fmt: skip
+
+
+def is_better(one: Solution, other: Solution) -> bool:
+    """Whether the other of two solutions with the same observations and number of unknowns fits significantly better.
+
+    The likelihood must grow more than that of one more unknown without effect would, and by more than chance makes of
+    the image points (Vuong 1989). Residuals are those of measured coordinates: of corrected ones they have the scale
+    of the correction.
+    """
+    squares, others = _squares(one), _squares(other)
+    scale = float(others.sum()) / max(other.redundancy, 1)
+    if one.redundancy != other.redundancy or not np.isfinite(scale) or scale == 0.0:
+        return False
+    gain = 0.5 * (squares - others) / scale
+    least = max(-float(normal_quantile(LEVEL)) * np.sqrt(len(gain)) * gain.std(), 0.5 * chi_square_limit(1, LEVEL))
+    return bool(gain.sum() > least)
+
+
+def _squares(solution: Solution) -> Array:
+    """Squared residuals (n,) of the image points, of measured coordinates; nan behind a camera."""
+    o, out = solution.problem.observations, np.zeros(len(solution.problem.observations))
+    for k, image in enumerate(solution.block.images):
+        rows = np.flatnonzero(o.image == k)
+        line, sample = image.sensor.project(solution.ground_m[o.point[rows]], solution.correction(image.id))
+        out[rows] = ((line - o.line[rows]) / o.sigma_line_px[rows]) ** 2
+        out[rows] += ((sample - o.sample[rows]) / o.sigma_sample_px[rows]) ** 2
+    return out
+
+
+def turned_block(block: Block) -> Block | None:
+    """The block with the other direction of Brown's polynomial; None without unknown terms, or with other terms."""
+    turned = {image.id for image in block.images if _is_turned(image)}
+    if not turned:
+        return None
+    for extra in block.extra:
+        names = {name.removeprefix("image:") for name in extra.unknowns if name.startswith("image:")}
+        if names & turned and not _is_of_pose(extra):
+            return None
+    images = [
+        replace(i, sensor=i.sensor.with_camera(turned_camera(i.sensor.camera), i.sensor.file))
+        if i.id in turned and isinstance(i.sensor, FrameSensor) else i
+        for i in block.images
+    ]  # fmt: skip
+    return replace(block, images=tuple(images))
+
+
+def _is_of_pose(extra: ExtraObservation) -> bool:
+    """Whether an observation of an image does not depend on the terms of its polynomial."""
+    if extra.equation is OBSERVED_ELEMENT:
+        return NAMES[int(extra.record[ELEMENT.number])] not in POWERS
+    return isinstance(extra, ConstraintObservation) or extra.equation in (ANTENNA_POSITION, INERTIAL_ATTITUDE)
+
+
+def _is_turned(image: Image) -> bool:
+    """Whether an image has unknown terms of Brown's polynomial, and no others."""
+    sensor = image.sensor
+    if not isinstance(sensor, FrameSensor):
+        return False
+    camera = sensor.camera
+    terms = any(camera.further.values()) or not camera.sigma.keys().isdisjoint(FURTHER) or camera.aspect != 0.0
+    other = terms or camera.is_fisheye or camera.is_condition
+    return not other and not POWERS.keys().isdisjoint(camera.sigma)
+
+
+def turned_camera(camera: FrameCamera) -> FrameCamera:
+    """Camera with the other direction of the polynomial: the same correction to the first order."""
+    unit = float(camera.unit_px or camera.focal_px)
+    scale = camera.focal_px / unit if camera.corrects_measured else unit / camera.focal_px
+    factor = {name: scale**power for name, power in POWERS.items()}
+    return replace(
+        camera, model=IDEAL_TO_MEASURED if camera.corrects_measured else MEASURED_TO_IDEAL,
+        distortion=-camera.distortion * np.array(list(factor.values())),
+        sigma={name: sigma * factor.get(name, 1.0) for name, sigma in camera.sigma.items()},
+    )  # fmt: skip
