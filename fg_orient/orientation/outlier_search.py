@@ -84,7 +84,8 @@ def require_possible_search(block: Block) -> None:
 class _Removal:
     """Observations excluded together: ``rows`` of the given block's image points; ``control``: the point's coordinates.
 
-    ``test``, ``with_it`` and ``fit``: see :class:`ExcludedObservation`.
+    ``test``, ``with_it`` and ``fit``: see :class:`ExcludedObservation`; ``rivals``: excluded with it, because nothing
+    tells which of them is wrong.
     """
 
     point: int
@@ -93,6 +94,13 @@ class _Removal:
     test: GroupTest = field(compare=False)
     with_it: tuple[str, ...] = field(default=(), compare=False)
     fit: ConsistencyTest | None = field(default=None, compare=False)
+    rivals: tuple[_Removal, ...] = field(default=(), compare=False, repr=False)
+
+    @property
+    def probability(self) -> float:
+        """Probability of the test against the others, 0 if it does not fit."""
+        p = 0.0 if self.fit is None else self.fit.probability or 0.0
+        return p if p > self.test.level else 0.0
 
 
 class _Rounds:
@@ -115,8 +123,8 @@ class _Rounds:
         if solution.status is Status.NOT_CONVERGED:
             return [0.0] * len(out)
         self._predict(solution, out)
-        probabilities = [0.0 if r.fit is None else r.fit.probability or 0.0 for r in out]
-        return [p if p > r.test.level else 0.0 for p, r in zip(probabilities, out, strict=True)]
+        # of rivals one returns only where another one does not fit
+        return [r.probability if all(not rival.probability for rival in r.rivals) else 0.0 for r in out]
 
     def worst(self, solution: AdjustmentResult, out: Sequence[_Removal]) -> list[_Removal]:
         """Observations of the adjustment tested last that are to be excluded, the worst first."""
@@ -130,6 +138,10 @@ class _Rounds:
         removals = list[_Removal]()
         for one in found:
             removals.append(self._removal(one, kept, before, [*out, *removals]))
+        for removal, one in zip(removals, found, strict=True):
+            removal.rivals = tuple(
+                r for r, other in zip(removals, found, strict=True) if other.number == one.number and r is not removal
+            )
         return removals
 
     def _removal(self, one: Exclusion, kept: Index, before: Block, out: Sequence[_Removal]) -> _Removal:
@@ -164,6 +176,9 @@ class _Rounds:
             stay = self._staying(j, [removal, *others])
             back = [row for row in self._staying(j, others) if row not in stay]
             known = self._is_control(j, others) and self._full.observed[j]
+            if not back and not removal.control:  # its rivals are out, too: nothing is left to test it
+                removal.fit = None
+                continue
             part = removal.test.part
             suspect = Suspect(part, int(self._place[removal.rows[0]]) if part == "image" else -1)
             fit = prediction(

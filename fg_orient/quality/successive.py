@@ -7,6 +7,9 @@ linear model those of the adjustment without it (Kok 1984)::
 
 so that the tests of the next rounds follow from those of this round. The search adjusts again with all of them left
 out, tests all observations anew, and takes back what fits.
+
+Rays of a point with three and more may be *rivals*: each alone explains the residuals, with likelihoods that differ by
+less than 1 to 100. Nothing tells which one is wrong, so all go.
 """
 
 from __future__ import annotations
@@ -31,16 +34,29 @@ Index = npt.NDArray[np.intp]
 
 #: Suspects with the smallest probabilities that take part: matrices of twice this size.
 CANDIDATES: Final = 256
+#: Difference of T, in units of the variance factor, below which rays of a point are rivals: likelihoods of 1 to 100.
+RIVAL: Final = 9.21
 #: Controls of multiple tests whose level of a single test does not depend on the other tests.
 FIXED_LEVEL: Final = ("none", "bonferroni", "sidak")
 
 
 @dataclass(frozen=True)
 class Exclusion:
-    """A suspect to leave out: its place among the tests, and its test without those before it."""
+    """A suspect to leave out.
+
+    Parameters
+    ----------
+    place : int
+        Among the tests.
+    test : GroupTest
+        Its test without those before it.
+    number : int
+        Equal for rivals.
+    """
 
     place: int
     test: GroupTest
+    number: int = 0
 
 
 def successive(known: ResidualCofactors, tests: OutlierTests, chi2: float, kind: Kind, most: int) -> list[Exclusion]:
@@ -64,9 +80,10 @@ def successive(known: ResidualCofactors, tests: OutlierTests, chi2: float, kind:
     first = [Exclusion(0, tests[0])]
     problem = known.problem
     wide = problem.n_image_unknowns > WHOLE_LIMIT
-    if tests.control not in FIXED_LEVEL or most == 1 or tests.n_suspicious == 1 or kind == "points" or wide:
+    if tests.control not in FIXED_LEVEL or most == 1 or kind == "points" or wide:
         return first
     e_v, q, scale, of = _candidates(known, tests, kind)
+    rays = np.bincount(problem.observations.point, minlength=len(problem.active))
     f, out = float(problem.redundancy), list[Exclusion]()
     left = np.ones(len(of), bool)
     while len(out) < most:
@@ -79,16 +96,22 @@ def successive(known: ResidualCofactors, tests: OutlierTests, chi2: float, kind:
             break
         same = tested & (tests.point[of] == tests.point[of[k]]) & (d == d[k]) & (t >= (1.0 - SAME) * t[k])
         k = int(np.lexsort((tests.row[of] < 0, ~same))[0])  # of inseparable ones an image point, the first
-        statistic = float(hypotheses.statistics(t[k : k + 1], d[k : k + 1], chi2, f, tests.test)[0])
-        limit = float(hypotheses.limits(tests.level_each, d[k : k + 1], f, tests.test)[0])
-        size = error[k] / scale[k]
-        test = replace(
-            tests[int(of[k])], dimension=int(d[k]), statistic=statistic, critical=limit, probability=float(p[k]),
-            error=size[np.isfinite(size)],
-        )  # fmt: skip
-        out.append(Exclusion(int(of[k]), tests[0] if not out else test))
+        going, point = [k], tests.point[of[k]]
+        if tests.row[of[k]] >= 0 and rays[point] > 2:
+            factor = 1.0 if tests.test == "baarda" else (chi2 - float(t[k])) / (f - float(d[k]))
+            near = tested & (tests.point[of] == point) & (tests.row[of] >= 0) & (t > t[k] - RIVAL * factor)
+            going += [i for i in np.flatnonzero(near).tolist() if tests.row[of[i]] != tests.row[of[k]]]
+        found = [_test(tests, int(of[i]), t[i], d[i], error[i] / scale[i], p[i], chi2, f) for i in going]
+        names = [test.name for test in found]
+        out += [
+            Exclusion(int(of[i]), test if len(going) == 1 else replace(test, inseparable=(*names[:n], *names[n + 1 :])),
+                      len(out))
+            for n, (i, test) in enumerate(zip(going, found, strict=True))
+        ]  # fmt: skip
+        rays[point] -= len(going)
         # the whole observation goes: line and sample, or position and height
-        for i in np.flatnonzero((tests.point[of] == tests.point[of[k]]) & (tests.row[of] == tests.row[of[k]])).tolist():
+        gone = (tests.point[of] == point) & np.isin(tests.row[of], tests.row[of[going]])
+        for i in np.flatnonzero(gone).tolist():
             size, axes = np.linalg.eigh(q[i, :, i])
             checked = size > hypotheses.CHECKED
             inverse = (axes[:, checked] / size[checked]) @ axes[:, checked].T
@@ -96,6 +119,18 @@ def successive(known: ResidualCofactors, tests: OutlierTests, chi2: float, kind:
             gain = q[:, :, i] @ inverse
             e_v, q = e_v - gain @ e_v[i], q - np.einsum("iab,bjc->iajc", gain, q[i])
     return out or first
+
+
+def _test(
+    tests: OutlierTests, place: int, t: float, d: int, error: Array, probability: float, chi2: float, f: float
+) -> GroupTest:
+    """Test of a suspect without those before it."""
+    at = np.array([t]), np.array([d])
+    return replace(
+        tests[place], dimension=int(d), statistic=float(hypotheses.statistics(*at, chi2, f, tests.test)[0]),
+        critical=float(hypotheses.limits(tests.level_each, at[1], f, tests.test)[0]), probability=float(probability),
+        error=error[np.isfinite(error)],
+    )  # fmt: skip
 
 
 def _quadratics(e_v: Array, q: Array, left: npt.NDArray[np.bool_]) -> tuple[Array, Index, Array]:
