@@ -56,7 +56,7 @@ def without_control(block: fg.Block) -> fg.Block:
     known, n = block.points.known, len(block.points.ids)
     empty = replace(known, ecef_m=np.full((n, 3), np.nan), sigma_enu_m=np.full((n, 3), np.nan))
     points = replace(block.points, roles=(Role.TIE,) * n, known=empty)
-    options = replace(block.options, datum="priors", rpc_shift_sigma_px=VENDOR_PX)
+    options = replace(block.options, rpc_shift_sigma_px=VENDOR_PX)
     return replace(block, points=points, withheld=replace(block.withheld, ids=()), options=options)
 
 

@@ -105,6 +105,7 @@ class Border(BorderMatrix):
         pattern = self._system.structure.pattern
         out[:z, :z] = full_matrix(pattern, self.problem.first, blocks_gradient[0], self.problem.ties)
         gradient[:z] = blocks_gradient[1]
+        self._backend.buffers.release()
         for columns, value, design in self._explicit_rows():
             np.add.at(out, (columns[:, None], columns[None]), design.T @ design)
             np.add.at(gradient, columns, design.T @ value)
@@ -136,6 +137,10 @@ class Border(BorderMatrix):
                 free[problem.image_slice(a.index)] if a.is_image else place[a.index] + np.arange(3) for a, _ in blocks
             ]
             yield np.concatenate(at).astype(np.intp), value, np.hstack([block for _, block in blocks])
+
+    def squares(self) -> float:
+        """Squares of the whitened residuals of the eliminated points, moved along their rays; the images stay."""
+        return 2.0 * self._system.substitute(np.zeros(self.n_images), 0.0).predicted_error
 
     def columns_of(self, j: int) -> Index:
         """Columns (3,) of a named point."""

@@ -118,7 +118,10 @@ class Datum(NamedTuple):
         """Elements Q (..., r, c) in the datum; ``rows`` (..., r), ``columns`` (..., c) of the unknowns, -1: zero."""
         e, w = self.motions, self.along
         left, right = e[rows], np.swapaxes(e[columns], -1, -2)
-        return np.asarray(q - left @ np.swapaxes(w[columns], -1, -2) - w[rows] @ right + left @ self.core @ right)
+        out = q - left @ np.swapaxes(w[columns], -1, -2)  # in place: q is the largest array of a large network
+        out -= w[rows] @ right
+        out += (left @ self.core) @ right
+        return np.asarray(out)
 
 
 def places_of_points(problem: Problem, points: Index) -> Index:

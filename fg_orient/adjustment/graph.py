@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cached_property
 
 import gtsam
@@ -81,8 +80,6 @@ class GraphBackend:
         #: Ground points that are variables of the graph.
         self.points = np.array(problem.named_points(), np.int64)
         reduced, explicit = divided(problem)
-        if not schur_possible(reduced.block):  # observations of several images are factors of their own, see below
-            reduced = replace(reduced, block=replace(reduced.block, extra=()))
         self.elimination = Elimination(reduced, threads, grouped=grouped)
         self.robust: Robust | None = None
         self._vectors = vector_keys(problem)
@@ -148,13 +145,14 @@ class GraphBackend:
 
     def linearise(self, state: State) -> SchurSystem | Border | ExplicitSystem:
         """Linearise at a solution, for cofactors: arrays, or all rows where these do not determine the unknowns."""
+        self.elimination.release()
         if not schur_possible(self.problem.block):
+            self.elimination.backend.buffers.release()
             with contextlib.suppress(Singular):
                 if self.robust is None and small_enough(self.problem):
                     return Border(self.problem, state)
             explicit = ExplicitBackend(self.problem)
             explicit.robust = self.robust
             return explicit.linearise(explicit.values(state))
-        self.elimination.release()
         self.elimination.backend.robust = self.robust
         return self.elimination.backend.linearise(state)

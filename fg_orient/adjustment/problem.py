@@ -332,7 +332,7 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
         like = like if same_block and like.block.points.ids == block.points.ids else None
     models = image_models(block.images, options) if like is None else like.models
     held = any(not model.parameters.own.any() for model in models)
-    if not np.isin(control_rows, seen).any() and options.datum == "control" and not held and not block.extra:
+    if not np.isin(control_rows, seen).any() and options.datum in ("auto", "control") and not held and not block.extra:
         raise InputError.of("block.no_control", file=block.name, place="points", value=f"{len(control_rows)} measured")
     if not any(len(model.parameters) for model in models):
         raise InputError.of("frame.nothing_unknown", file=block.images[0].sensor.file, place="sigma")
@@ -421,8 +421,8 @@ def _require_finite(block: Block, observations: ImagePoints, control: npt.NDArra
 
 
 def schur_possible(block: Block) -> bool:
-    """Whether the Schur backend supports a block: each extra observation names one image and no ground point."""
-    return all(len(extra.unknowns) == 1 and extra.unknowns[0].startswith("image:") for extra in block.extra)
+    """Whether the Schur backend supports a block: no extra observation names a ground point."""
+    return all(name.startswith("image:") for extra in block.extra for name in extra.unknowns)
 
 
 def participates(block: Block) -> npt.NDArray[np.bool_]:

@@ -18,13 +18,12 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.conditions.control import POINT
-from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State, schur_possible
 from fg_orient.adjustment.robust import Weighing, together, two_ray_rows
 from fg_orient.adjustment.runtime import Index, Workers
 from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
-from fg_orient.adjustment.schur_stages import Buffers, ImageExtras, Stages, TileRows
+from fg_orient.adjustment.schur_stages import Buffers, ImageExtras, Stages, TileRows, half_extras
 from fg_orient.adjustment.schur_structure import SERIAL_LIMIT, Grouping, Structure, Tile, compile_structure
 from fg_orient.kernels.batch_pairs import gather_blocks, gather_gradients, image_gradients
 from fg_orient.kernels.batch_points import control_squares, move, product, scale_rows
@@ -132,13 +131,17 @@ class SchurSystem:
 
         Singular if a ground point, or the reduced system, is not determined.
         """
-        return self._backend.reduced(self._eliminated(damping), self._backend.prior + damping)
+        return self._reduced(self._eliminated(damping), damping)
+
+    def _reduced(self, blocks: Array, damping: float) -> Reduced:
+        """Reduced system of these blocks, with priors, damping and observations of several images."""
+        return self._backend.reduced(blocks, self._backend.prior + damping, self._extras.matrix)
 
     def partial(self, damping: float) -> tuple[Array, Array]:
         """Eliminate the points: blocks (B, k, k) without priors and damping of the images, and gradient (u,).
 
-        They are contributions to the reduced normal equations of a larger block. Singular if a ground point is not
-        determined.
+        Observations of several images are in the gradient only. They are contributions to the reduced normal equations
+        of a larger block. Singular if a ground point is not determined.
         """
         blocks = self._eliminated(damping)
         return blocks, self._gathered_gradient()
@@ -146,13 +149,13 @@ class SchurSystem:
     def _eliminated(self, damping: float) -> Array:
         """Blocks (B, k, k) of the reduced system; point blocks and gradients are in the buffers."""
         s, b = self.structure, self.buffers()
-        if self._eliminated_at != damping:
+        if self._eliminated_at != damping or not b.has_sums:
             self._eliminate(damping)
         self._backend.workers.run(
             gather_blocks, s.block_begin, s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column, b.sums,
             s.wide, s.scale, s.size, s.n_basis, s.n_components, b.blocks,
         )  # fmt: skip
-        self._extras.add_blocks(s, b.blocks)
+        self._extras.add_blocks(s.own_block, b.blocks)
         return b.blocks
 
     def _eliminate(self, damping: float, *, fresh: bool = False) -> None:
@@ -191,7 +194,7 @@ class SchurSystem:
         if damping == 0.0 and self._newton is not None:
             return self._newton
         blocks, gradient = self.partial(damping)
-        step = self.substitute(self._backend.reduced(blocks, self._backend.prior + damping).solve(gradient), damping)
+        step = self.substitute(self._reduced(blocks, damping).solve(gradient), damping)
         if damping == 0.0:
             self._newton = step
         return step
@@ -298,7 +301,7 @@ class SchurBackend:
     Raises
     ------
     InputError
-        Extra observations name ground points or several images.
+        Extra observations name ground points.
     """
 
     name = "schur"
@@ -307,8 +310,7 @@ class SchurBackend:
         self, problem: Problem, threads: int | None = None, reduced: str = "auto", grouping: Grouping | None = None
     ) -> None:
         if not schur_possible(problem.block):
-            value = "extra observations name ground points or several images"
-            raise InputError.of("adjust.schur", option="backend", value=value)
+            raise InputError.of("adjust.schur", option="backend", value="extra observations name ground points")
         if reduced not in REDUCED:
             raise ValueError(f"reduced = {reduced!r}: one of {', '.join(REDUCED)}")
         self.problem, self.structure = problem, compile_structure(problem, grouping)
@@ -340,7 +342,7 @@ class SchurBackend:
         if self.robust is None:
             return self.half_squares(self._values(state), state)
         _, _, cost = self.robust.weigh(*self.squares(state))
-        return cost + 0.5 * self.prior * self.problem.prior_squares(state) + self._half_extras(state)
+        return cost + 0.5 * self.prior * self.problem.prior_squares(state) + half_extras(self.problem, state)
 
     def squares(self, state: State) -> tuple[Array, Array]:
         """See ``stages.RobustBackend``; image points in the order of the structure."""
@@ -384,14 +386,9 @@ class SchurBackend:
 
     def half_squares(self, values: Iterable[Array], state: State, records: Array | None = None) -> float:
         """Half the weighted sum of squares, from whitened residuals of the image points and control records."""
-        return self.half_linear(state, records) + self._half_extras(state) + 0.5 * sum(
+        return self.half_linear(state, records) + half_extras(self.problem, state) + 0.5 * sum(
             float(np.vdot(v, v)) for v in values
         )  # fmt: skip
-
-    def _half_extras(self, state: State) -> float:
-        """Half the sum of squares of the extra observations."""
-        extras = (extra_blocks(self.problem, e, state, jacobian=False)[0] for e in self.problem.block.extra)
-        return 0.5 * sum(float(r @ r) for r in extras)
 
     def half_linear(self, state: State, records: Array | None = None) -> float:
         """Half the weighted sum of squares of control points and priors."""

@@ -88,6 +88,8 @@ class LapackReduced:
         Order of the images for the banded matrix; without an order the matrix is full.
     ties : Ties, optional
         Unknowns shared by images: the matrix is ``T^T S T`` of the free unknowns, full.
+    added : (z, z) array, optional
+        Added to the matrix, which is then full.
 
     Raises
     ------
@@ -97,13 +99,13 @@ class LapackReduced:
 
     def __init__(
         self, pattern: Pattern, first: Bounds, blocks: Array, diagonal: float, order: Order | None = None,
-        ties: Ties | None = None,
+        ties: Ties | None = None, added: Array | None = None,
     ) -> None:  # fmt: skip
         self._first, self._ties, self._banded = first, ties, order is not None
         n = int(first[-1]) if ties is None else len(ties)
         self._order = order or Order(first[:-1].astype(np.int64), np.arange(n), n - 1)
         # scaled to a unit diagonal: the limit for pivots does not depend on the units
-        if ties is None:
+        if ties is None and added is None:
             self._scale, sums, s = np.empty(n), np.empty(n), np.zeros((n, self._order.band + 1))
             at = (pattern.block_row, pattern.block_column, self._order.place, pattern.size, blocks)
             regular = fill_lower(*at, diagonal, self._banded, s, self._scale, sums)
@@ -111,6 +113,7 @@ class LapackReduced:
         else:
             s = full_matrix(pattern, first, blocks, ties)
             s[np.arange(n), np.arange(n)] += diagonal
+            s += 0.0 if added is None else added
             d = np.diag(s)
             regular = bool((d > 0.0).all())
             self._scale = 1.0 / np.sqrt(np.where(d > 0.0, d, 1.0))
@@ -325,10 +328,10 @@ class ReducedSystems:
         self.kind = _suitable(pattern, int(first[-1]), self._order.band) if kind == "auto" else kind
         self._ordering = elimination_order(pattern) if self.kind == "graph" else None
 
-    def __call__(self, blocks: Array, diagonal: float) -> Reduced:
-        """System of these blocks (B, k, k) with ``diagonal`` added; Singular if it is not positive definite."""
-        if self._ties is not None:
-            return LapackReduced(self.pattern, self._first, blocks, diagonal, ties=self._ties)
+    def __call__(self, blocks: Array, diagonal: float, added: Array | None = None) -> Reduced:
+        """System of these blocks (B, k, k) with ``diagonal`` and a matrix (z, z) added; Singular if not definite."""
+        if self._ties is not None or added is not None:
+            return LapackReduced(self.pattern, self._first, blocks, diagonal, ties=self._ties, added=added)
         if self._ordering is not None:
             return GraphReduced(self.pattern, self._first, blocks, diagonal, self._ordering)
         order = self._order if self.kind == "banded" else None

@@ -6,6 +6,7 @@ rows are still in the cache when they are used.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -56,10 +57,30 @@ class Buffers:
         self.held: Tile | None = None
         self.scaled = _aligned(largest, 8)
         self.root, self.gradient, self.squares = np.empty((p, 6)), np.empty((p, 3)), np.empty(len(s.chunks) - 1)
-        self.sums = _aligned(slots, int(s.n_basis.max()) ** 2, padded(c * c))
+        self._pairs = slots, int(s.n_basis.max()) ** 2, padded(c * c)
+        self._blocks = len(s.block_row), s.wide.shape[1], s.wide.shape[1]
         self.gradients = np.zeros((slots, int(s.n_basis.max()), (c + 7) // 8 * 8))
-        self.blocks = np.zeros((len(s.block_row), s.wide.shape[1], s.wide.shape[1]))
         self.control = control_records  # under a loss a copy with weights: see SchurSystem
+
+    @cached_property
+    def sums(self) -> Array:
+        """Sums of pairs of rays of each chunk."""
+        return _aligned(*self._pairs)
+
+    @cached_property
+    def blocks(self) -> Array:
+        """Blocks (B, k, k) of the reduced system."""
+        return np.zeros(self._blocks)
+
+    @property
+    def has_sums(self) -> bool:
+        """Whether there are sums of pairs."""
+        return "sums" in self.__dict__
+
+    def release(self) -> None:
+        """Free the largest arrays. The reduced system is eliminated again where it is needed again."""
+        for name in ("sums", "blocks"):
+            self.__dict__.pop(name, None)
 
     def rows(self, tile: Tile, *, of_images: bool = True) -> TileRows:
         """Space for the rows of a tile; without ``of_images`` for derivatives by the points only."""
@@ -182,33 +203,60 @@ class Stages:
 
 
 class ImageExtras:
-    """Extra observations of single images, linearised at a state: J^T J is added to the block of their image.
+    """Extra observations of images, linearised at a state: J^T J is added to the reduced system.
 
-    Elimination and back-substitution of the ground points do not depend on them.
+    That of one image is added to its block, that of several images to the full matrix. Elimination and
+    back-substitution of the ground points do not depend on them.
     """
 
     def __init__(self, problem: Problem, state: State) -> None:
         self._problem = problem
-        self._rows: list[tuple[int, Array, Array]] = []
+        self._rows: list[tuple[tuple[int, ...], Array, tuple[Array, ...]]] = []
         for extra in problem.block.extra:
-            residual, [(argument, jacobian)] = extra_blocks(problem, extra, state, jacobian=True)
-            self._rows.append((argument.index, residual, jacobian))
+            residual, blocks = extra_blocks(problem, extra, state, jacobian=True)
+            self._rows.append((tuple(a.index for a, _ in blocks), residual, tuple(block for _, block in blocks)))
 
-    def add_blocks(self, structure: Structure, blocks: Array) -> None:
-        """Add ``J^T J`` to the blocks (B, k, k) of the reduced system."""
-        for k, _, j in self._rows:
-            blocks[structure.own_block[k], : j.shape[1], : j.shape[1]] += j.T @ j
+    def add_blocks(self, own_block: Mapping[int, int], blocks: Array) -> None:
+        """Add ``J^T J`` of single images to the blocks (B, k, k) ; ``own_block``: of each image."""
+        for images, _, jacobians in self._rows:
+            if len(images) == 1:
+                (k,), (j,) = images, jacobians
+                blocks[own_block[k], : j.shape[1], : j.shape[1]] += j.T @ j
+
+    @property
+    def matrix(self) -> Array | None:
+        """``J^T J`` (z, z) of the free unknowns by observations of several images; None without such."""
+        wide = [self._free(images, jacobians) for images, _, jacobians in self._rows if len(images) > 1]
+        rows = np.vstack(wide) if wide else None
+        return None if rows is None else rows.T @ rows
+
+    def _free(self, images: tuple[int, ...], jacobians: tuple[Array, ...]) -> Array:
+        """Jacobian (r, z) by the free unknowns of all images."""
+        out = np.zeros((len(jacobians[0]), self._problem.n_image_unknowns))
+        for k, j in zip(images, jacobians, strict=True):
+            out[:, self._problem.image_slice(k)] += j
+        return out if self._problem.ties is None else np.asarray(out @ self._problem.ties.matrix)
 
     @cached_property
     def gradient(self) -> Array:
         """``J^T r`` (w,) of the unknowns of all images, one image after the other."""
         out = np.zeros(self._problem.n_image_unknowns)
-        for k, r, j in self._rows:
-            out[self._problem.first[k] : self._problem.first[k + 1]] += j.T @ r
+        for images, r, jacobians in self._rows:
+            for k, j in zip(images, jacobians, strict=True):
+                out[self._problem.image_slice(k)] += j.T @ r
         return out
 
     def squares_along(self, image: Array, share: float) -> float:
         """Sum of squares of ``share`` of the residuals plus their Jacobian times a step (u,) of the images."""
         step = self._problem.image_matrix(image)
-        parts = (share * r + j @ step[k, : j.shape[1]] for k, r, j in self._rows)
-        return sum(float(v @ v) for v in parts)
+        moved = (
+            share * r + sum(j @ step[k, : j.shape[1]] for k, j in zip(images, jacobians, strict=True))
+            for images, r, jacobians in self._rows
+        )  # fmt: skip
+        return sum(float(v @ v) for v in moved)
+
+
+def half_extras(problem: Problem, state: State) -> float:
+    """Half the sum of squares of the extra observations at a state."""
+    extras = (extra_blocks(problem, e, state, jacobian=False)[0] for e in problem.block.extra)
+    return 0.5 * sum(float(r @ r) for r in extras)

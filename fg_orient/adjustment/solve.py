@@ -14,6 +14,7 @@ import numpy.typing as npt
 from factors._contract import NotFiniteError
 from factors._preparation import working_clock
 from factors.losses import losses
+from fg_orient.adjustment.best_rays import with_best_rays
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.images_first import images_first
 from fg_orient.adjustment.irls import (
@@ -38,7 +39,17 @@ from fg_orient.adjustment.loop import (
 )
 from fg_orient.adjustment.problem import Problem, State, schur_possible
 from fg_orient.adjustment.resection import METHODS, resection_start
-from fg_orient.adjustment.robust import A_PRIORI, NONE, Robust, Weights, weighted_problem, weights_at
+from fg_orient.adjustment.robust import (
+    A_PRIORI,
+    CONTROL,
+    IMAGE,
+    NONE,
+    Robust,
+    Weights,
+    inlier_limit,
+    weighted_problem,
+    weights_at,
+)
 from fg_orient.adjustment.robust_scale import robust_scale
 from fg_orient.adjustment.runtime import calm_memory, one_blas_thread
 from fg_orient.adjustment.stages import FROM_RESECTIONS, PLAIN, SCHEDULES, plan_of, run_stages
@@ -238,6 +249,14 @@ class _Job:
         """Scale of the losses at a state."""
         return robust_scale(self.problem, state) if self.options.robust_scale == "mad" else A_PRIORI
 
+    def _best(self, state: State, scale: tuple[float, float]) -> State:
+        """Start of the last stage: under a redescending loss points lie where most of their rays agree."""
+        if not (self.options.gnc or find_loss(self.options.loss).redescending):
+            return state
+        image, control = (s * inlier_limit(self.options.inlier_probability, d)
+                          for s, d in zip(scale, (IMAGE, CONTROL), strict=True))  # fmt: skip
+        return with_best_rays(self.problem, state, (image, control))
+
     def start_again(self, backend: str) -> None:
         """Begin from the start with another backend."""
         self.backend, self._resumed, self._marks = backend, None, [working_clock()]
@@ -279,6 +298,7 @@ class _Job:
         result, self._scale = run_stages(
             backend, run, self._plan, carried, options.max_iterations, keep,
             lambda state: self._measured(to_state(state)),
+            lambda state, scale: of_state(self._best(to_state(state), scale)),
         )  # fmt: skip
         return result
 

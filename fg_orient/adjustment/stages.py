@@ -253,6 +253,7 @@ def run_stages(
     max_iterations: int,
     keep: Callable[[Carried[S]], None],
     measure: Callable[[S], Scale],
+    begin: Callable[[S, Scale], S],
 ) -> tuple[LoopResult[S], Scale]:
     """Run the stages from ``carried.mu`` on.
 
@@ -266,6 +267,8 @@ def run_stages(
         Receives the input of each further stage.
     measure : callable
         Scale of the residuals at a state.
+    begin : callable
+        Start of the last stage, from the end of the stage before and the scale.
 
     Returns
     -------
@@ -281,6 +284,11 @@ def run_stages(
         settled = all(abs(new / old - 1.0) <= SETTLED for new, old in zip(scale, carried.scale, strict=True))
         mu = plan.following(carried.mu, backend.squares(result.state), settled)
         carried = Carried(
-            result.state, log=result.log, begun_at=len(result.log), mu=mu, image_scale=scale[0], control_scale=scale[1]
+            begin(result.state, scale) if mu == EXACT else result.state,
+            log=result.log,
+            begun_at=len(result.log),
+            mu=mu,
+            image_scale=scale[0],
+            control_scale=scale[1],
         )
         keep(carried)

@@ -159,7 +159,7 @@ def camera_group() -> None:
 @camera.command("convert")
 @command()
 def convert_camera(
-    file: Annotated[Path, argument("CAMERA.toml", "Camera file.")],
+    file: Annotated[Path, argument("CAMERA.toml", "Camera file, or cameras exported by Metashape (XML).")],
     model: Annotated[str, option(
         "brown_ideal_to_measured, brown_measured_to_ideal, or a program's convention (docs/frame-cameras.md).", "MODEL",
         flag="--to",

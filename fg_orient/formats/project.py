@@ -24,8 +24,9 @@ from fg_orient.geodesy import crs_kind
 from fg_orient.model.block import Block, Image, Options, Source
 from fg_orient.model.declaration import declared, require_declared
 from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.names import Role
 from fg_orient.model.options import Reading
-from fg_orient.model.parameters import eop_set_number
+from fg_orient.model.parameters import chosen_datum, eop_set_number
 
 if TYPE_CHECKING:
     from fg_orient.formats.schema import ProjectFile
@@ -81,7 +82,8 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
         raise InputError(*problems)
     known = tuple(image for image in images.values() if image is not None)
     drop = project.values_of(Reading)["points_seen_once"] == "drop"
-    ids, relative = [image.id for image in known], options.datum != "control"
+    ids, control = [image.id for image in known], bool(points.points.where(Role.CONTROL).size)
+    relative = chosen_datum(options, known, control=control) != "control"
     kept, measured, withheld, left_out = assemble(ids, points, observations, drop=drop, relative=relative)
     geometry = geometry_remarks(known, kept, measured, str(points.path))
     remarks = (*points.remarks, *observations.remarks, *left_out, *geometry)

@@ -11,7 +11,7 @@ from fg_orient.model.names import ALL_SETS, EOP_SETS
 
 CheckPoints = Literal["use", "exclude"]
 RpcCompensation = Literal["shift", "shift_drift", "affine"]
-Datum = Literal["control", "vendor", "priors", "inner", "free"]
+Datum = Literal["auto", "control", "vendor", "priors", "inner", "free"]
 Backend = Literal["auto", "graph", "schur", "dense"]
 Optimizer = Literal["gauss-newton", "levenberg-marquardt", "dogleg"]
 RobustStart = Literal["none", "huber", "lms", "lts"]
@@ -159,7 +159,7 @@ class Options(Checked):
     )
     snoop_kind: SnoopKind = option(
         "groups", TESTS,
-        "Left out in a round of the search: one observation, or all of its point. groups: an image point or the "
+        "What the search leaves out: observations, or all those of a point. groups: an image point or the "
         "coordinates of a control point; points: all observations of a point.",
         iterates=False,
     )
@@ -204,9 +204,10 @@ class Options(Checked):
         recorded=True,
     )
     datum: Datum = option(
-        "control", ADJUSTMENT,
-        "Datum; all but control: relative, no control point is needed. vendor: directions that the rays hardly see "
-        "stay as in the metadata; priors: they define what no control point does; "
+        "auto", ADJUSTMENT,
+        "Datum. control: by control points, which the block must have; all others: relative. vendor: directions of the "
+        "images that the rays hardly see stay as in the metadata; auto: vendor for satellite images with priors and "
+        "without control point, else control; priors: they define what no control point does; "
         "inner: free network without priors, inner constraints on the ground points give its covariance; free: all "
         "steps are damped, there is no covariance.",
         recorded=True,

@@ -16,10 +16,11 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.model.block import Block, Options
+from fg_orient.model.block import Block, Image, Options
 from fg_orient.model.declaration import require_declared
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import ATTITUDE, COMPONENTS, EOP_SETS, POSITION, VELOCITY
+from fg_orient.model.options import Datum
 
 Array = npt.NDArray[np.float64]
 
@@ -73,6 +74,18 @@ def with_options(block: Block, caller: str, **given: Any) -> Block:
     if "eop_set" in values:
         values["eop_set"] = eop_set_number(values["eop_set"])
     return replace(block, options=replace(block.options, **values))
+
+
+def chosen_datum(options: Options, images: Sequence[Image], *, control: bool) -> Datum:
+    """Datum of a block: "auto" stands for "vendor" if only the metadata tell where the images lie, else for "control".
+
+    ``control``: whether the block has control points, or observations that may replace them. "inner" stands for
+    "vendor", too, where the metadata orient all images: these have no exact datum defect.
+    """
+    by_metadata = options.priors and not control and all(image.sensor.orients for image in images)
+    if options.datum == "auto":
+        return "vendor" if by_metadata else "control"
+    return "vendor" if options.datum == "inner" and by_metadata else options.datum
 
 
 def eop_codes(number: int) -> tuple[int, ...]:

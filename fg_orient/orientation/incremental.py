@@ -383,7 +383,7 @@ def _require_supported(block: Block) -> None:
     options = block.options
     for option, value, good in (
         ("loss", options.loss, options.loss == "none"),
-        ("datum", options.datum, options.datum in ("control", "priors")),
+        ("datum", options.datum, options.datum in ("auto", "control", "priors")),
         ("snoop", options.snoop, not options.snoop),
         ("extra", f"{len(block.extra)} observations", not block.extra),
     ):

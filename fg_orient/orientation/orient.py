@@ -21,22 +21,17 @@ from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.memory import require_memory
 from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.resection import LocatedPoints, locate_points
-from fg_orient.adjustment.robust import are_information, weighted_problem
 from fg_orient.adjustment.solve import Estimate, require_possible, solve
-from fg_orient.model.block import Block, Coordinates
-from fg_orient.model.errors import Finding, InputError, finding
-from fg_orient.model.names import Role, Status
+from fg_orient.model.block import Block
+from fg_orient.model.errors import InputError, finding
 from fg_orient.model.options import Backend, Datum, Options
 from fg_orient.model.parameters import with_options
 from fg_orient.orientation.adjusted import AdjustmentResult
-from fg_orient.orientation.solution import Seconds, Solution
-from fg_orient.quality import camera, causes, doubts, vendor_datum, verdict
-from fg_orient.quality.accuracy import Accuracy, Joint, PointDifferences, differences
-from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
+from fg_orient.orientation.conclusion import cofactors_at, conclude
+from fg_orient.orientation.solution import Solution
+from fg_orient.quality import doubts, vendor_datum, verdict
 from fg_orient.quality.deficiency import compiled_problem, judge_observability, refuse_deficient, require_determined
 from fg_orient.quality.free_network import (
-    FreeNetwork,
     held_unknowns,
     to_inner_datum,
     with_minimal_datum,
@@ -44,7 +39,6 @@ from fg_orient.quality.free_network import (
 )
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.result.record import Result
-from fg_orient.sensors import initial
 
 if TYPE_CHECKING:
     import gtsam
@@ -144,6 +138,11 @@ def adjust(
         block, begin = continued(block, start, with_prior=start_prior)
     elif start_prior:
         raise InputError.of("earlier.no_start", option="start_prior")
+    named = None if callable(optimizer) else optimizer
+    block = with_options(block, "adjust", optimizer=named)
+    require_possible(block.options)
+    doubts.require_acceptances(block.options.accept)
+    block = vendor_datum.with_datum(block)
     if callable(optimizer):
         wanted = {
             "snoop": block.options.snoop, "variance_components": block.options.variance_components, "parts": parts,
@@ -153,9 +152,6 @@ def adjust(
             raise InputError.of("graph.own_optimizer", option=ignored[0])
         own = _factor_graph(block, "eliminated", begin)
         return own.solution(optimizer(own.graph, own.values))
-    block = with_options(block, "adjust", optimizer=optimizer)
-    require_possible(block.options)
-    doubts.require_acceptances(block.options.accept)
     shared = not (parts is None and workers is None and cluster is None)
     if work_dir is not None and not shared:
         raise InputError.of("parallel.no_parts", option="work_dir", value=work_dir)
@@ -198,8 +194,8 @@ def _compiled(block: Block) -> tuple[Problem, tuple[ImageObservability, ...], Bl
     block_view = refuse_deficient(compiled, observability)
     if inner and block_view.null is not None:
         compiled = with_minimal_datum(compiled, block_view.null)
-    compiled = vendor_datum.with_vendor_datum(compiled) if block.options.datum == "vendor" else compiled
-    return compiled, observability, block_view, working_clock() - start
+    held = vendor_datum.with_vendor_datum(compiled) if block.options.datum == "vendor" else compiled
+    return held, observability, block_view, working_clock() - start
 
 
 def factor_graph(block: Block, points: Literal["eliminated", "explicit"] = "eliminated") -> FactorGraph:
@@ -225,7 +221,7 @@ def factor_graph(block: Block, points: Literal["eliminated", "explicit"] = "elim
     RankDeficientError
         Without priors some directions are not observable.
     """
-    return _factor_graph(with_observations(block), points)
+    return _factor_graph(vendor_datum.with_datum(with_observations(block)), points)
 
 
 def _factor_graph(
@@ -298,7 +294,7 @@ class _Run:
         structure = working_clock() - start
         estimate = self._solved(compiled, None, begin)
         self._report("statistics", len(compiled.observations))
-        cofactors, unavailable = _cofactors(compiled, estimate)
+        cofactors, unavailable = cofactors_at(compiled, estimate)
         return Again(
             problem=compiled, status=verdict.assess_solution(compiled, estimate, unavailable).status,
             state=estimate.state, chi2=estimate.chi2, cofactors=cofactors, unavailable=unavailable, estimate=estimate,
@@ -336,115 +332,3 @@ class Again(AdjustmentResult):
         block_view = refuse_deficient(self.problem, observability)
         solution = conclude(self.problem, observability, block_view, self.estimate, self.structure_s)
         return replace(solution, seconds=replace(solution.seconds, jit=jit_s))
-
-
-def conclude(
-    compiled: Problem,
-    observability: tuple[ImageObservability, ...],
-    block_view: BlockObservability | None,
-    estimate: Estimate,
-    structure_s: float,
-) -> Solution:
-    """Statistics after convergence; only here the coordinates of check points are opened."""
-    start = working_clock()
-    weighted = compiled if estimate.weights is None else weighted_problem(compiled, estimate.weights)
-    cofactors, unavailable = _cofactors(weighted, estimate)
-    located = _located_afterwards(compiled, estimate.state)
-    ground = estimate.state.ground + compiled.origin_m
-    if located is not None:
-        ground[located.index] = located.ground_m
-    accuracy = _assess(compiled, ground, located, cofactors)
-    assessment = verdict.assess_solution(compiled, estimate, unavailable)
-    findings = [*verdict.findings(compiled, estimate, assessment, observability, block_view, accuracy)]
-    examined = doubts.Examined([])
-    if assessment.status is not Status.NOT_CONVERGED:
-        examined = doubts.of_solution(compiled, estimate, ground, cofactors, accuracy.check)
-        findings += examined.findings
-        if cofactors is not None:
-            findings += camera.inseparable(camera.frame_cofactors(compiled, estimate.state, cofactors))
-    if located is not None and len(located.lost):
-        names = [compiled.block.points.ids[j] for j in located.lost]
-        findings.append(finding("solution.check_not_located", n=len(names), points=names))
-    accept = compiled.block.options.accept
-    status, reason, ordered = verdict.decided(assessment, estimate.end, findings, accept)
-    if status is not Status.CONVERGED:
-        ordered = causes.added(ordered, compiled, estimate, cofactors, examined.sigmas, accuracy.check)
-    return Solution(
-        problem=compiled, status=status, verdict=reason, end=estimate.end, residuals=examined.residuals,
-        backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,
-        state=estimate.state, ground_m=ground, chi2=estimate.chi2,
-        sigma0_interval=assessment.interval, log=estimate.log, iterations=estimate.iterations,
-        residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, block_view=block_view,
-        accuracy=accuracy, cofactors=cofactors, sigmas=examined.sigmas, unavailable=unavailable, findings=ordered,
-        weights=estimate.weights, resumed_at=estimate.resumed_at,
-        seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, working_clock() - start),
-    )  # fmt: skip
-
-
-def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None, tuple[Finding, ...]]:
-    if compiled.least_damping > 0.0:
-        return None, (finding("unavailable.free_datum"),)
-    loss = compiled.block.options.loss
-    if estimate.weights is not None and not are_information(loss, estimate.weights):
-        return None, (finding("unavailable.loss", loss=loss),)
-    try:
-        cofactors = cofactors_of(compiled, estimate)
-        inner = compiled.block.options.datum == "inner"
-        return (FreeNetwork.of(compiled, estimate.state, cofactors) if inner else cofactors), ()
-    except Indeterminate as reason:
-        return None, (finding("unavailable.indeterminate", why=reason),)
-
-
-def _located_afterwards(compiled: Problem, state: State) -> LocatedPoints | None:
-    """Excluded check points, located with the adjusted orientation; None without such points."""
-    missing = initial.missing_rows(state.ground)
-    o = compiled.block.observations
-    rows = missing[o.point]
-    if not rows.any():
-        return None
-    seen, unknown = np.unique(o.point[rows]), np.zeros_like(state.ground)
-    unknown[seen] = np.nan
-    start = initial.ground_points(
-        compiled.block.images, o.take(rows), compiled.block.points.ids, unknown, compiled.corrections(state)
-    )
-    return locate_points(compiled, state, start, seen)
-
-
-def _assess(compiled: Problem, ground: Array, located: LocatedPoints | None, cofactors: Cofactors | None) -> Accuracy:
-    """Differences at control points and, after opening their coordinates, at check points."""
-    points = compiled.block.points
-    used = ~initial.missing_rows(ground)
-    control, check = (rows[used[rows]] for rows in (points.where(Role.CONTROL), points.where(Role.CHECK)))
-    adjusted = control[compiled.active[control]]  # a fixed point is a constant: it has no difference
-    opened = compiled.block.withheld.open() if len(check) else None
-    place = {name: k for k, name in enumerate(compiled.block.withheld.ids)}
-    order = [place[points.ids[j]] for j in check]
-    at_control = _differences(compiled, ground, adjusted, points.known, adjusted, located, cofactors)
-    return Accuracy(
-        replace(at_control, n_fixed=len(control) - len(adjusted)),
-        _differences(compiled, ground, check, opened or points.known, np.array(order, np.intp), located, cofactors),
-    )
-
-
-def _differences(
-    compiled: Problem, ground: Array, index: Index, measured: Coordinates, rows: Index,
-    located: LocatedPoints | None, cofactors: Cofactors | None,
-) -> PointDifferences:  # fmt: skip
-    """Differences of points ``index`` from measured coordinates, which are the ``rows`` of ``measured``."""
-    ids = tuple(compiled.block.points.ids[j] for j in index)
-    measured_m = measured.ecef_m[rows].reshape(-1, 3)
-    q = np.full((len(index), 3, 3), np.nan)
-    if cofactors is not None:
-        after = np.zeros(len(index), bool) if located is None else np.isin(index, located.index)
-        q[~after] = cofactors.points(index[~after])
-        if located is not None and after.any():
-            own = replace(located, index=index[after])
-            q[after] = own.cofactors(cofactors.blocks)
-    sigma = measured.sigma_enu_m[rows].reshape(-1, 3)
-    # East, North, Up of the adjusted point: no estimated sigma may depend on a check coordinate
-    axes = compiled.axes(ground[index].reshape(-1, 3))
-    found = differences(ids, index, ground[index], measured_m, sigma, q, axes)
-    if cofactors is None or not compiled.active[index].all():
-        return found
-    place = (ground[index].reshape(-1, 3) - compiled.origin_m) @ compiled.axes(compiled.origin_m[None])[0, :2].T
-    return replace(found, joint=Joint(cofactors, index, axes, 1e-3 * place))

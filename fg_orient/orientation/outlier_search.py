@@ -22,9 +22,10 @@ from fg_orient.model.names import Role, Status
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.quality.freedom import least_freedom
 from fg_orient.quality.observation_groups import groups_of, scaled
-from fg_orient.quality.outlier_records import GroupTest, OutlierTests
+from fg_orient.quality.outlier_records import GroupTest
 from fg_orient.quality.prediction import ConsistencyTest, Suspect, prediction
 from fg_orient.quality.rejection import MOST, ExcludedObservation, Rejection, Round, Search, reject
+from fg_orient.quality.successive import Exclusion, successive
 from fg_orient.quality.variance_components import VarianceComponents
 from fg_orient.sensors import initial
 
@@ -32,6 +33,8 @@ Index = npt.NDArray[np.intp]
 #: Adjusts a block from a state and the problem of the last round, which differs in some observations.
 Run = Callable[[Block, State, Problem], AdjustmentResult]
 
+#: Largest number of observations that a round excludes.
+ROUND: Final = 50
 #: Place of the finding that ended a search.
 GIVEN_UP: Final = "snooping was given up"
 
@@ -115,24 +118,32 @@ class _Rounds:
         probabilities = [0.0 if r.fit is None else r.fit.probability or 0.0 for r in out]
         return [p if p > r.test.level else 0.0 for p, r in zip(probabilities, out, strict=True)]
 
-    def worst(self, solution: AdjustmentResult, out: Sequence[_Removal]) -> _Removal | None:
-        """Worst observation of the adjustment tested last."""
-        if solution.status is Status.NOT_CONVERGED or not self._tests.n_suspicious:
-            return None
-        return self._removal(self._tests, out)
-
-    def _removal(self, tests: OutlierTests, out: Sequence[_Removal]) -> _Removal:
-        """Observations to be excluded by the first of the tests."""
+    def worst(self, solution: AdjustmentResult, out: Sequence[_Removal]) -> list[_Removal]:
+        """Observations of the adjustment tested last that are to be excluded, the worst first."""
+        if solution.status is Status.NOT_CONVERGED:
+            return []
+        most = 1 if solution.components is not None else ROUND
+        found = successive(
+            solution.residual_cofactors, self._tests, solution.chi2, self._block.options.snoop_kind, most
+        )  # fmt: skip
         kept, before = self._kept(out)
-        point, row = int(tests.point[0]), int(tests.row[0])
+        removals = list[_Removal]()
+        for one in found:
+            removals.append(self._removal(one, kept, before, [*out, *removals]))
+        return removals
+
+    def _removal(self, one: Exclusion, kept: Index, before: Block, out: Sequence[_Removal]) -> _Removal:
+        """Observations to be excluded for a test of the block ``before``, whose image points are ``kept``."""
+        tests, still = self._tests, self._kept(out)[0]
+        point, row = int(tests.point[one.place]), int(tests.row[one.place])
         taking_part = kept[participates(before)]
         rows = taking_part[[row]] if row >= 0 else taking_part[:0]
-        if tests.parts[tests.part[0]] == "point":
+        if tests.parts[tests.part[one.place]] == "point":
             rows = kept[before.observations.point == point]
         control = row < 0 and before.points.roles[point] is Role.CONTROL
-        removal = _Removal(point, tuple(rows.tolist()), control, tests[0])
+        removal = _Removal(point, tuple(rows.tolist()), control, one.test)
         after, _ = self._kept([*out, removal])
-        gone = np.setdiff1d(kept, np.concatenate([after, rows]))
+        gone = np.setdiff1d(still, np.concatenate([after, rows]))
         return replace(removal, with_it=tuple(self._name(r) for r in gone.tolist()))
 
     def _name(self, row: int) -> str:
@@ -212,13 +223,13 @@ class _Rounds:
         readmitted = {id(change.put_back): r.number for r, change in changes if change.put_back is not None}
         return Search(
             tuple(
-                replace(r, left_out=c.left_out.test.name if c.left_out else "",
+                replace(r, left_out="; ".join(one.test.name for one in c.left_out),
                         put_back=c.put_back.test.name if c.put_back else "")
                 for r, c in changes
             ),
             tuple(
                 ExcludedObservation(one.test, r.number, one.with_it, one.fit, readmitted.get(id(one)))
-                for r, change in changes if (one := change.left_out) is not None
+                for r, change in changes for one in change.left_out
             ),
             _given_up(end), tuple(self._name(r) for r in single.tolist()), tuple(points.ids[j] for j in lost),
         )  # fmt: skip

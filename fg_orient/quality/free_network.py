@@ -69,10 +69,9 @@ Mask = npt.NDArray[np.bool_]
 MAX_UNKNOWNS: Final = 3000
 #: A datum is reached when its step is below this, in prior sigmas and metres.
 REACHED: Final = 1e-9
-#: Steps to the datum; convergence is quadratic.
-MAX_STEPS: Final = 10
-#: Gauss-Newton steps after each of them.
-MAX_CORRECTIONS: Final = 50
+#: Steps to the datum. A motion changes the residuals in second order only: a Gauss-Newton step across the motions goes
+#: with each. Where the network is well determined both converge quadratically.
+MAX_STEPS: Final = 60
 _LABEL: Final = "minimal datum"
 
 
@@ -196,25 +195,23 @@ def to_inner_datum(
     """
     chosen, reference, state = held_unknowns(problem), problem.vector(problem.start), estimate.state
     weighted = problem if estimate.weights is None else weighted_problem(problem, estimate.weights)
-    datum, near = datum_points(problem), None
+    datum, near, size = datum_points(problem), None, math.inf
     for _ in range(MAX_STEPS):
         motions = motions_of(weighted, state, near)
-        step = datum_step(problem.vector(state) - reference, motions.whole, datum)
         if not len(chosen) or not estimate.converged:
             break
-        if np.abs(step).max() < REACHED:
-            state = problem.moved(state, step)
+        near, before, least = motions.border, size, state
+        if near is not None:
+            with one_blas_thread():
+                least = near.newton()
+        size = float(np.abs(problem.vector(least) - problem.vector(state)).max())
+        step = datum_step(problem.vector(least) - reference, motions.whole, datum)
+        state = problem.moved(least, step)
+        settled = size < REACHED or (before < math.inf and size**2 < REACHED * before)
+        if settled and np.abs(step).max() < REACHED:
             break
-        moved = problem.moved(state, step)
-        if motions.border is None:
-            again = run(_holding(undamped(replace(problem, start=moved)), chosen))
-            state = again.state
-        else:
-            try:
-                near, state = motions.border, _minimised(motions.border, moved)
-            except Singular:  # the step has torn the network
-                estimate = replace(estimate, converged=False, end=finding("loop.free_datum"))
-                break
+        if near is None:
+            state = run(_holding(undamped(replace(problem, start=state)), chosen)).state
     else:
         estimate = replace(estimate, converged=False, end=finding("loop.free_datum"))
         motions = motions_of(weighted, state, near)
@@ -224,20 +221,6 @@ def to_inner_datum(
     else:
         estimate = replace(estimate, state=state, linear=motions.border)
     return replace(held, start=problem.start), estimate
-
-
-def _minimised(near: BorderMatrix, state: State) -> State:
-    """State of least cost near a state, by Gauss-Newton steps across the motions; weights are held."""
-    size = math.inf
-    with one_blas_thread():
-        for _ in range(MAX_CORRECTIONS):
-            near = near.at(state)
-            ahead = near.newton()
-            before, size = size, float(np.abs(near.problem.vector(ahead) - near.problem.vector(state)).max())
-            state = ahead
-            if size < REACHED or (before < math.inf and size**2 < REACHED * before):
-                break
-    return state
 
 
 def datum_points(problem: Problem, names: tuple[str, ...] = ()) -> Mask:

@@ -1,8 +1,8 @@
 """Rejection of gross errors: fit, test, exclude the worst observation, fit again.
 
-One observation per round (Baarda 1968), because a gross error increases the statistics of its neighbours, too. Each
-domain supplies its fit and its tests; this loop decides which observation is left out or put back and when the search
-ends.
+One observation after the other (Baarda 1968), because a gross error increases the statistics of its neighbours, too.
+Each domain supplies its fit and its tests, which may name several observations of a round in their order
+(``fg_orient.quality.successive``); this loop decides which are left out or put back and when the search ends.
 
 An early choice among suspects may be wrong. After each fit the excluded observations are therefore predicted from the
 others, and the observation that fits best is put back before another one is left out. Each observation returns at most
@@ -35,9 +35,9 @@ MOST: Final = 0.25
 
 @dataclass(frozen=True)
 class Change(Generic[T]):
-    """Observation that was left out or put back after a fit; None and None after the last fit."""
+    """Observations that were left out, or the one that was put back, after a fit; nothing after the last fit."""
 
-    left_out: T | None = None
+    left_out: tuple[T, ...] = ()
     put_back: T | None = None
 
 
@@ -69,7 +69,7 @@ class Rejection(Generic[F, T]):
 def reject(
     first: F,
     fit: Callable[[Sequence[T], F], F],
-    worst: Callable[[F, Sequence[T]], T | None],
+    worst: Callable[[F, Sequence[T]], Sequence[T]],
     most: int,
     *,
     returning: Callable[[F, Sequence[T]], Sequence[float]] = lambda _, out: [0.0] * len(out),
@@ -84,35 +84,41 @@ def reject(
     fit : callable
         Fits without the excluded observations, given these and the previous fit.
     worst : callable
-        Most suspicious observation, given a fit and the excluded observations; None if no observation is suspicious.
+        Observations to leave out, the most suspicious first, given a fit and the excluded observations; empty if no
+        observation is suspicious.
     most : int
         Maximum number of excluded observations.
     returning : callable, optional
         For each excluded observation the probability of its test in the fit without it; 0 if it does not fit. Without
         this function no observation returns.
     impossible : tuple of exception classes
-        Errors of a fit that the remaining observations do not determine. The last exclusion is then undone, and the
-        search ends.
+        Errors of a fit that the remaining observations do not determine. Of several exclusions all but the first are
+        then undone. If the fit is still impossible, the first is undone, too, and the search ends.
     """
     last, out, changes, returned = first, list[T](), list[Change[T]](), list[T]()
     while True:
         probabilities = [0.0 if one in returned else p for one, p in zip(out, returning(last, out), strict=True)]
         back = max(probabilities, default=0.0) > 0.0
-        suspect = None if back else worst(last, out)
         if back:
             returned.append(out.pop(int(np.argmax(probabilities))))
             changes.append(Change(put_back=returned[-1]))
-        elif suspect is None or len(out) >= most:
-            return Rejection(last, (*changes, Change()), tuple(out), suspect)
-        else:
-            out.append(suspect)
-            changes.append(Change(left_out=suspect))
-        try:
             last = fit(out, last)
-        except impossible as error:
-            if back:
-                raise
-            return Rejection(last, (*changes[:-1], Change()), tuple(out[:-1]), out[-1], error)
+            continue
+        suspects, error = tuple(worst(last, out)), None
+        if not suspects or len(out) >= most:
+            return Rejection(last, (*changes, Change()), tuple(out), suspects[0] if suspects else None)
+        suspects = suspects[: most - len(out)]
+        for some in (suspects, suspects[:1])[: len(suspects)]:
+            try:
+                last = fit([*out, *some], last)
+            except impossible as why:
+                error = why
+            else:
+                out, error = [*out, *some], None
+                changes.append(Change(left_out=some))
+                break
+        if error is not None:
+            return Rejection(last, (*changes, Change()), tuple(out), suspects[0], error)
 
 
 # --- record of a search ---------------------------------------------------------------------------
@@ -162,7 +168,7 @@ class Round:
     n_tested : int
     n_suspicious : int
     left_out, put_back : str
-        Name of the observation changed after this adjustment; "" if none.
+        Names of the observations changed after this adjustment; "" if none.
     """
 
     number: int
@@ -224,6 +230,7 @@ class Search:
             names = [one.test.name for one in self.left_out]
             out.append(finding("search.left_out", n=len(names), rounds=len(self.rounds), names=names,
                                with_them=self.went_with))  # fmt: skip
+            out.append(finding("search.conditional"))
             if self.check_points:
                 out.append(finding("search.check_points", n=len(self.check_points), points=self.check_points))
         return (*out, self.given_up) if self.given_up else tuple(out)

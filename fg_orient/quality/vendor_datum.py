@@ -8,15 +8,20 @@ the elimination of all points (no priors),
 
 mu is the share of the movement v that the rays see. Translations of the block have mu = 0. Movements with a small mu
 are determined by the smallest errors of tie points and image models: a y-parallax of 0.3 px moves an image by
-0.3 / sqrt(mu) px. A loose prior does not prevent this, because tie points by the hundred outweigh it. Directions with
-``mu < SEEN`` are therefore held at the metadata, ``v^T N x = 0``: inner constraints on the image unknowns, in the
-metric of the image points. The other directions, which reduce the y-parallax, stay free. The correction is the
-smallest one of the image points with these y-parallaxes (minimum norm; Koch 1999, 1.5).
+0.3 / sqrt(mu) px. A loose prior does not prevent this, because tie points by the hundred outweigh it. With the RMS d of
+the residuals of the rays at the metadata, in sigmas, directions with ``mu max(1, d^2) < SEEN`` are therefore held at
+the metadata, ``v^T N x = 0``: inner constraints on the image unknowns, in the metric of the image points. A movement
+as large as the disagreement of the images would add less than 0.2 sigma to the residuals there. The other directions,
+which reduce the y-parallax, stay free. The correction is the smallest one of the image points with these y-parallaxes
+(minimum norm; Koch 1999, 1.5).
+
+The cofactors Q of the solution are then those of the shape. The held part of the error of the metadata, ``V V^T N x``
+with ``x ~ N(0, 1)`` in prior sigmas, is added where a position is compared with the Earth: at check points.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -25,17 +30,22 @@ from scipy.linalg import eigh
 
 from factors._contract import Argument, Equation
 from fg_orient.adjustment.border import Border, small_enough
-from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.cofactors import RayCofactors, blocks_of_images, cofactors_of_rays
+from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur_reduced import Singular
-from fg_orient.model.block import ExtraObservation
+from fg_orient.adjustment.unknown_cofactors import DenseUnknowns
+from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.names import Role
+from fg_orient.model.parameters import chosen_datum, with_options
+from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.free_network import without_priors
 
 Array = npt.NDArray[np.float64]
 
-#: Share of a movement that the rays must see; below, an error of the y-parallax moves an image by 5 times as much.
+#: Share of a movement that the rays must see (see above); below, a y-parallax moves an image by 5 times as much.
 SEEN: Final = 0.04
 #: RMS movement of the image points, in their sigmas, to which a direction is held.
 HELD: Final = 1e-3
@@ -49,16 +59,79 @@ class HeldDatum(ExtraObservation):
 
     Parameters
     ----------
+    image : (w, h) array
+        Movements of the unknowns of all images: an error of the metadata by the prior sigmas is their sum with
+        independent factors N(0, 1).
+    ground : (N, 3, h) array
+        The same of the ground points, m.
     sigma_enu_m : tuple of float
-        Standard deviation of the position of the whole block along these directions by the prior sigmas, m.
+        Standard deviation of the position of the whole block by them, m.
     """
 
+    image: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    ground: Array = field(default_factory=lambda: np.zeros((0, 3, 0)))
     sigma_enu_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def finding(self) -> Finding:
         """Note on the directions."""
         east, north, up = self.sigma_enu_m
         return finding("solution.vendor_datum", n=self.n_residuals, east=east, north=north, up=up)
+
+
+@dataclass(frozen=True)
+class WithDatum:
+    """Cofactors of a solution plus those of its held directions by the prior sigmas (``covariance.Cofactors``)."""
+
+    problem: Problem
+    shape: Cofactors
+    held: HeldDatum
+
+    def image(self, k: int) -> Array:
+        """See ``Cofactors``."""
+        return self.joint((k,), ())
+
+    def point(self, j: int) -> Array:
+        """See ``Cofactors``."""
+        return np.asarray(self.shape.point(j) + self.held.ground[j] @ self.held.ground[j].T)
+
+    def points(self, index: npt.NDArray[np.intp]) -> Array:
+        """See ``Cofactors``."""
+        moved = self.held.ground[index]
+        return np.asarray(self.shape.points(index) + moved @ np.swapaxes(moved, 1, 2))
+
+    def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
+        """See ``Cofactors``."""
+        parts = [self.held.image[self.problem.image_slice(k)] for k in images]
+        moved = np.vstack([*parts, *(self.held.ground[j] for j in points if self.problem.active[j])])
+        return np.asarray(self.shape.joint(images, points) + moved @ moved.T)
+
+    def blocks(self, pairs: npt.NDArray[np.intp]) -> Array:
+        """See ``Cofactors``."""
+        return blocks_of_images(self.problem, lambda images: self.joint(images, ()), pairs)
+
+    def unknowns(self, places: npt.NDArray[np.intp]) -> DenseUnknowns:
+        """See ``Cofactors``."""
+        moved = self.held.image[places]
+        return DenseUnknowns(self.shape.unknowns(places).matrix + moved @ moved.T)
+
+    def star(self) -> None:
+        """See ``Cofactors``."""
+
+    def rays(self, problem: Problem, state: State) -> RayCofactors:
+        """See ``Cofactors``."""
+        return cofactors_of_rays(problem, state, self.blocks)
+
+
+def with_datum(block: Block) -> Block:
+    """Block with the datum that "auto" stands for: "vendor" if only the metadata tell where it lies, else "control"."""
+    control = bool(block.points.where(Role.CONTROL).size or block.extra)
+    return with_options(block, "adjust", datum=chosen_datum(block.options, block.images, control=control))
+
+
+def absolute(problem: Problem, cofactors: Cofactors | None) -> Cofactors | None:
+    """Cofactors of positions on the Earth: with the held directions by the prior sigmas."""
+    held = of_problem(problem)
+    return cofactors if held is None or cofactors is None else WithDatum(problem, cofactors, held)
 
 
 def with_vendor_datum(problem: Problem) -> Problem:
@@ -78,17 +151,20 @@ def with_vendor_datum(problem: Problem) -> Problem:
         size, axes = eigh(n * np.outer(scale, scale))
         basis = scale[:, None] * axes[:, size > MOVES * size[-1]] / np.sqrt(size[size > MOVES * size[-1]])
         share, turn = eigh(basis.T @ s @ basis)
-        moves = basis @ turn[:, share < SEEN]
+        disagreement = border.squares() / (2.0 * len(problem.observations))
+        moves = basis @ turn[:, share * max(1.0, disagreement) < SEEN]
         rows = moves.T @ n
         ground = border.follow(np.vstack([moves, np.zeros((len(border) - z, moves.shape[1]))])).ground
     if not len(rows):
         return problem
-    mean = problem.axes(problem.origin_m[None])[0] @ ground[problem.active].mean(axis=0)
-    east, north, up = np.sqrt(np.sum((mean @ rows) ** 2, axis=1)).tolist()
+    size, axes = np.linalg.eigh(rows @ rows.T)
+    root = axes * np.sqrt(np.maximum(size, 0.0))
+    wide = moves if problem.ties is None else problem.ties.widened(moves)
+    mean = problem.axes(problem.origin_m[None])[0] @ ground[problem.active].mean(axis=0) @ root
+    east, north, up = np.linalg.norm(mean, axis=1).tolist()
     held = _observation(problem, rows / (HELD * np.sqrt(2.0 * len(problem.observations))))
-    return replace(problem, block=replace(problem.block, extra=(
-        *problem.block.extra, replace(held, sigma_enu_m=(east, north, up)),
-    )))  # fmt: skip
+    held = replace(held, image=wide @ root, ground=ground @ root, sigma_enu_m=(east, north, up))
+    return replace(problem, block=replace(problem.block, extra=(*problem.block.extra, held)))
 
 
 def of_problem(problem: Problem) -> HeldDatum | None:

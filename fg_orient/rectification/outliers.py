@@ -140,9 +140,9 @@ def prune(first: TransformationFit, target_rms: float, *, rule: Rule = "residual
     def left(out: Sequence[int]) -> npt.NDArray[np.intp]:
         return np.setdiff1d(np.arange(len(points)), np.array(out, np.intp))
 
-    def worst(fitted: TransformationFit, out: Sequence[int]) -> int | None:
+    def worst(fitted: TransformationFit, out: Sequence[int]) -> list[int]:
         history.append(fitted.rmse[2])
-        return None if history[-1] <= target_rms else int(left(out)[_worst(fitted, rule)])
+        return [] if history[-1] <= target_rms else [int(left(out)[_worst(fitted, rule)])]
 
     def again(out: Sequence[int], _: object) -> TransformationFit:
         some = points.take(left(out))

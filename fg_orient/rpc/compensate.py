@@ -189,15 +189,15 @@ def _least_squares(a: Array, l: Array, sigma: Array, kind: str) -> tuple[Array, 
     return inverse @ (left.T @ (l / sigma)), inverse @ inverse.T, 1.0 - np.sum(left**2, axis=1)
 
 
-def _worst(fit: Compensation, level: float) -> dict[str, Any] | None:
-    """Point with the largest F if it exceeds its limit.
+def _worst(fit: Compensation, level: float) -> list[dict[str, Any]]:
+    """Point with the largest F if it exceeds its limit, or nothing.
 
     T = (v_l/sigma_l)^2/r_l + (v_s/sigma_s)^2/r_s with redundancy numbers r, because line and sample have no unknown in
     common. F(2, f - 2) has the scale of the other points.
     """
     error, redundancy = -fit.left_out_px, fit.redundancy
     if redundancy <= 2 or not np.isfinite(error).all():
-        return None
+        return []
     t = np.sum((error / fit.points.sigma_px) ** 2 * fit.redundancy_numbers, axis=1)
     i = int(t.argmax())
     statistic = float(f_statistics(t[i], 2, fit.weighted_squares, redundancy))
@@ -205,7 +205,7 @@ def _worst(fit: Compensation, level: float) -> dict[str, Any] | None:
     line, sample = error[i].tolist()
     record = {"id": fit.points.ids[i], "statistic": statistic, "limit": limit, "error_line_px": line,
               "error_sample_px": sample}  # fmt: skip
-    return record if statistic > limit else None
+    return [record] if statistic > limit else []
 
 
 def refine(model: RpcModel, measured: MeasuredPoints, kind: str, *, extrapolate: bool = False) -> dict[str, Any]:

@@ -80,6 +80,8 @@ class Sensor(ABC):
         Name of the metadata file.
     georeferenced : bool
         Ground points are Earth-fixed; else metres of a local Cartesian system.
+    orients : bool
+        The metadata tell where the image lies: they define the datum of a block without control points.
     notes : tuple of Finding
         Remarks of the reader.
     frame_points : tuple of FramePoint
@@ -96,6 +98,7 @@ class Sensor(ABC):
     first_sample: float
     last_sample: float
     georeferenced: bool = True
+    orients: bool = True
     notes: tuple[Finding, ...] = ()
     frame_points: tuple[FramePoint, ...] = ()
     frame_note: Finding | None = None

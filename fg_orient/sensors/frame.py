@@ -261,6 +261,8 @@ class FrameSensor(Sensor):
     notes : tuple of Finding, optional
     """
 
+    orients = False  # start values of its orientation may be of any accuracy
+
     def __init__(
         self, camera: FrameCamera, n_lines: int, n_samples: int, *, first_line: float = 0.0, first_sample: float = 0.0,
         georeferenced: bool = True, file: str = "", notes: tuple[Finding, ...] = (),

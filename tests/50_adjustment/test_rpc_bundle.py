@@ -216,8 +216,9 @@ def _error(twin: RpcTwin, solution: fg.Solution) -> tuple[np.ndarray, np.ndarray
 def test_block_without_control_is_refused_unless_it_may_be_relative() -> None:
     free = without_control(rpc_twin("shift").block)
     with pytest.raises(InputError) as caught:
-        fg.adjust(free)
+        fg.adjust(free, datum="control")
     assert caught.value.problems[0].code == "block.no_control"
+    assert fg.adjust(free).problem.block.options.datum == "vendor"
     with pytest.raises(InputError) as caught:
         fg.adjust(free, datum="priors", priors=False)
     assert caught.value.problems[0].code == "adjust.relative_priors"

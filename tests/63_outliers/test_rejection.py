@@ -20,10 +20,15 @@ def mean(out: Sequence[int], _: float = np.nan) -> float:
     return float(np.delete(VALUES, out).mean())
 
 
-def worst(fit: float, out: Sequence[int]) -> int | None:
+def worst(fit: float, out: Sequence[int]) -> list[int]:
     distance = np.abs(VALUES - fit)
     distance[list(out)] = 0.0
-    return int(distance.argmax()) if distance.max() > FAR else None
+    return [int(distance.argmax())] if distance.max() > FAR else []
+
+
+def both(fit: float, out: Sequence[int]) -> list[int]:
+    """All that are far from the median: the mean hides one."""
+    return [k for k in (4, 6) if k not in out]
 
 
 def rejected(most: int = 5, fit: Callable[[Sequence[int], float], float] = mean, **more: object) -> Rejection:
@@ -33,7 +38,7 @@ def rejected(most: int = 5, fit: Callable[[Sequence[int], float], float] = mean,
 def test_the_worst_goes_first_and_each_fit_is_without_what_is_out() -> None:
     found = rejected()
     assert found.out == (4, 6)
-    assert found.changes == (Change(left_out=4), Change(left_out=6), Change())
+    assert found.changes == (Change(left_out=(4,)), Change(left_out=(6,)), Change())
     assert found.fit == mean([4, 6])
     assert found.worst is None and found.error is None
 
@@ -56,8 +61,8 @@ def test_what_fits_best_comes_back_before_anything_goes_and_once_only() -> None:
     found = rejected(returning=returning)
     assert asked == [(), (4,), (4, 6), (4,), (4, 6), (6,), (6, 4)]
     assert found.changes == (
-        Change(left_out=4), Change(left_out=6), Change(put_back=6), Change(left_out=6), Change(put_back=4),
-        Change(left_out=4), Change(),
+        Change(left_out=(4,)), Change(left_out=(6,)), Change(put_back=6), Change(left_out=(6,)), Change(put_back=4),
+        Change(left_out=(4,)), Change(),
     )  # fmt: skip
     assert found.out == (6, 4)
 
@@ -71,10 +76,28 @@ def test_the_last_one_is_taken_back_where_the_others_determine_no_fit() -> None:
     found = rejected(fit=fit, impossible=(ArithmeticError,))
     assert found.out == (4,) and found.worst == 6
     assert str(found.error) == "too few"
-    assert found.changes == (Change(left_out=4), Change())
+    assert found.changes == (Change(left_out=(4,)), Change())
     assert found.fit == mean([4])
     with pytest.raises(ArithmeticError):
         rejected(fit=fit)
+
+
+def test_several_go_in_one_round_and_one_of_them_where_the_others_determine_no_fit() -> None:
+    found = reject(mean([]), mean, both, 5)
+    assert found.changes == (Change(left_out=(4, 6)), Change())
+    assert found.out == (4, 6) and found.fit == mean([4, 6]) and found.worst is None
+    assert reject(mean([]), mean, both, 1).changes == (Change(left_out=(4,)), Change())
+
+    def fit(out: Sequence[int], _: float) -> float:
+        if len(out) == 2:
+            raise ArithmeticError("too few")
+        return mean(out)
+
+    found = reject(mean([]), fit, both, 5, impossible=(ArithmeticError,))
+    assert found.changes == (Change(left_out=(4,)), Change())
+    assert found.out == (4,) and found.worst == 6 and str(found.error) == "too few"
+    found = reject(mean([]), fit, lambda f, out: both(f, out) if out else [4], 5, impossible=(ArithmeticError,))
+    assert found.out == (4,) and found.worst == 6
 
 
 def test_a_fit_that_fails_with_more_observations_is_an_error() -> None:

@@ -319,10 +319,12 @@ def test_control_points_leave_no_motion_and_inner_is_the_plain_adjustment() -> N
 @pytest.mark.behaviour
 @pytest.mark.parametrize(("make", "changes"), [(rpc, {"rpc_compensation": "shift"}), (pushbroom, {"eop_set": 10})])
 def test_sensors_that_know_where_they_are_have_no_exact_defect(make, changes: dict[str, object]) -> None:
-    """RPC and orbits feel a motion a little: refused with the motions and the way out."""
+    """RPC and orbits feel a motion a little: inner constraints on the images, without priors a refusal."""
     block = with_control(make(), ())
+    inner, vendor = (fg.adjust(block, datum=name, **changes) for name in ("inner", "vendor"))
+    assert np.array_equal(inner.state.image, vendor.state.image)
     with pytest.raises(fg.RankDeficientError) as caught:
-        fg.adjust(block, datum="inner", **changes)
+        fg.adjust(block, datum="inner", priors=False, **changes)
     (near,) = [p for p in caught.value.problems if p.code == "statistics.datum_near"]
     assert "3 motions are free (shifted together East, shifted together North, shifted together Up)" in near.place
     assert 'datum = "vendor"' in near.remedy

@@ -52,6 +52,13 @@ def cut(name: str) -> Callable[[Path], None]:
     return fault
 
 
+def without_control(folder: Path) -> None:
+    """Leave out the image points of all control points."""
+    rows = [line.split(",") for line in (folder / "points.csv").read_text(encoding="utf-8").splitlines()]
+    ids = {cells[0] for cells in rows if cells[1:2] == ["control"]}
+    columns("observations.csv", lambda row: None if row["id"] in ids else row, first_only=False)(folder)
+
+
 def columns(name: str, change: Callable[[dict[str, str]], dict[str, str] | None], first_only: bool = True) -> Callable:
     """Change the rows of a CSV file; None drops a row."""
 
@@ -140,9 +147,7 @@ CASES = {
     "point seen once": Case(
         columns("observations.csv", lambda r: None if r["id"] == "05" else r), "observations.csv|points.csv", "05"
     ),
-    "no control": Case(
-        columns("points.csv", lambda r: r | {"role": "check"}, first_only=False), "points.csv|project.toml", "control"
-    ),
+    "no control": Case(without_control, "points.csv|project.toml", "control"),
 }
 
 

@@ -23,6 +23,7 @@ from fg_orient.adjustment.parts.tasks import At, Partial
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust
 from fg_orient.adjustment.schur_reduced import Pattern, Reduced, ReducedSystems
+from fg_orient.adjustment.schur_stages import half_extras
 
 Array = npt.NDArray[np.float64]
 
@@ -86,7 +87,7 @@ class PartedBackend:
     def error(self, state: State) -> float:
         """Half the weighted sum of squares."""
         here = self._parted(state)
-        error = float(self.total(tasks.error, here)) + self.prior_error(here.image)
+        error = float(self.total(tasks.error, here)) + self.image_error(here)
         self._last_error = here.name, error
         return error
 
@@ -117,17 +118,21 @@ class PartedBackend:
         """Half the squares of the priors."""
         return 0.5 * self.prior * float(np.sum(image**2))
 
+    def image_error(self, state: State) -> float:
+        """Half the squares of priors and extra observations of the images."""
+        return self.prior_error(state.image) + half_extras(self.problem, state)
+
     def new_name(self) -> str:
         """Name of a further state."""
         self._names += 1
         return f"{self._names:06d}"
 
-    def reduced(self, partial: Partial, damping: float) -> Reduced:
-        """The reduced system of a sum."""
+    def reduced(self, partial: Partial, damping: float, added: Array | None = None) -> Reduced:
+        """The reduced system of a sum, with a matrix (z, z) of observations of several images."""
         pattern = Pattern(np.diff(self.problem.first).astype(np.int64), partial.row, partial.column)
         if self._systems is None or not all(map(np.array_equal, self._systems.pattern, pattern)):
             self._systems = ReducedSystems(pattern, self.problem.first)
-        return self._systems(partial.blocks, self.prior + damping)
+        return self._systems(partial.blocks, self.prior + damping, added)
 
     def _parted(self, state: State) -> PartedState:
         """The state with its points in files; the points of another kind of state are written."""

@@ -19,6 +19,7 @@ from fg_orient.adjustment.parts import tasks
 from fg_orient.adjustment.parts.tasks import Partial, Sums
 from fg_orient.adjustment.problem import State
 from fg_orient.adjustment.schur_reduced import Reduced
+from fg_orient.adjustment.schur_stages import ImageExtras
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.parts.backend import PartedBackend
@@ -59,7 +60,8 @@ class PartedSystem:
 
     def __init__(self, backend: PartedBackend, state: PartedState) -> None:
         self._backend, self.state = backend, state
-        self._prior_gradient = backend.prior * backend.problem.image_vector(state)
+        self._extras = ImageExtras(backend.problem, state)
+        self._prior_gradient = backend.prior * backend.problem.image_vector(state) + self._extras.gradient
         self._newton: PartedStep | None = None
         self._known = backend.known_error(state)
         self._least = backend.problem.least_damping
@@ -78,7 +80,9 @@ class PartedSystem:
         if damping == self._least and self._partial is not None:
             return self._partial
         partial: Partial = self._backend.total(tasks.eliminate, self.state, damping)
-        self._known = partial.error + self._backend.prior_error(self.state.image)
+        own = np.flatnonzero(partial.row == partial.column)
+        self._extras.add_blocks(dict(zip(partial.row[own].tolist(), own.tolist(), strict=True)), partial.blocks)
+        self._known = partial.error + self._backend.image_error(self.state)
         if damping == self._least:
             self._partial = partial
         return partial
@@ -89,7 +93,8 @@ class PartedSystem:
         if damping == self._least and self._newton is not None:
             return self._newton
         partial, target = self._eliminated(damping), self._backend.new_name()
-        image = self._backend.reduced(partial, damping).solve(partial.gradient + self._prior_gradient)
+        reduced = self._backend.reduced(partial, damping, self._extras.matrix)
+        image = reduced.solve(partial.gradient + self._prior_gradient)
         step = self._step(image, target, self._backend.total(tasks.substitute, self.state, damping, image, target))
         if damping == self._least:
             self._newton = step
@@ -104,7 +109,8 @@ class PartedSystem:
         image = image + self._prior_gradient
         squares = float(np.sum(image**2)) + of_points
         curvature, product = backend.total(tasks.bend, self.state, self._least, image, newton.image)
-        factor = -squares / (curvature + backend.prior * float(np.sum(image**2)))
+        own = backend.prior * float(np.sum(image**2)) + self._extras.squares_along(image, 0.0)
+        factor = -squares / (curvature + own)
         length = abs(factor) * float(np.sqrt(squares))
         along_slope, along_newton = factor * min(1.0, radius / length), 0.0
         if length < radius:
@@ -120,7 +126,8 @@ class PartedSystem:
 
     def _step(self, image: Array, target: str, moved: Sums) -> PartedStep:
         backend, (largest, squares, predicted) = self._backend, moved
-        error = predicted + backend.prior_error(self.state.image + backend.problem.image_matrix(image))
+        moved_image = self.state.image + backend.problem.image_matrix(image)
+        error = predicted + backend.prior_error(moved_image) + 0.5 * self._extras.squares_along(image, 1.0)
         length, norm = max(float(np.abs(image).max()), float(largest)), float(np.sqrt(np.sum(image**2) + squares))
         return PartedStep(image, self.state.name, target, length, error, norm)
 
@@ -135,6 +142,6 @@ class PartedSystem:
         def reduced(damping: float) -> Reduced:
             if isinstance(partial, RuntimeError):
                 raise partial
-            return self._backend.reduced(partial, damping)
+            return self._backend.reduced(partial, damping, self._extras.matrix)
 
         return SummedSystem(State(self.state.image, self.state.ground), reduced)

@@ -91,7 +91,11 @@ class ConventionFile(Table):
 
 
 def read_convention(path: str | Path) -> ConventionFile | None:
-    """Read a camera file in the convention of another program; None for a file with a ``model``."""
+    """Read a camera file in a program's convention, or one exported by Metashape; None for a file with a ``model``."""
+    if Path(path).suffix.lower() == ".xml":
+        from fg_orient.formats.metadata.metashape_camera import read_metashape_camera  # it loads lxml
+
+        return validate(read_metashape_camera(path), str(path), ConventionFile)
     content = parse_toml(Path(path))
     return validate(content, str(path), ConventionFile) if "convention" in content else None
 

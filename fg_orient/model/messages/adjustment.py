@@ -310,6 +310,8 @@ unavailable.aspects (warning): no shift: the terrain has not enough slopes of di
 unavailable.steps (warning): no shift: it has not converged after {steps} steps
 search.left_out (warning): snooping left out {n} observation(s) in {rounds} rounds: {names:5}
     + ; with them, as single rays of their points: {with_them:5}
+search.conditional (note): standard deviations after the search are conditional: they hold if exactly the wrong
+    observations were left out
 search.check_points (warning): {n} check point(s) are not in the accuracy, as snooping left them no two rays:
     {points:5}
 search.not_converged (warning): the adjustment does not converge

@@ -47,6 +47,13 @@ earth.seconds: times must be seconds since 0 h UTC of the day of the image
     -> subtract the day
 frame.camera: this value of the camera is not possible
     -> give {expected}
+metashape.sensors: the file must have one sensor with an adjusted calibration
+    -> export the cameras of one sensor
+metashape.kind: only the calibration of a frame camera is read
+    -> give type = "frame"
+metashape.size: width and height must be whole numbers from 1 to 1000000
+metashape.params: these are not the names of calibration values, each once
+    -> give some of f cx cy b1 b2 k1 k2 k3 k4 p1 p2
 frame.unknown: the camera has no such unknown, or its prior sigma is not above zero
 rpc.unknown_order: no such order of coefficients
 rpc.unknown_format: this is no RPC file that can be read

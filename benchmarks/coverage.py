@@ -1,0 +1,155 @@
+"""Coverage of standard deviations after gross errors were rejected: search for gross errors, and GNC.
+
+    python -m benchmarks.coverage [--seeds N] [--json FILE]
+
+Blocks of four images with 200 points (a tenth of them control), gross errors of 5 to 50 px with any direction in a
+share of all rays. Judged by the true coordinates of the points that are not control:
+
+* points whose remaining rays are three or more: share inside the 95 % region of their three coordinates, and the mean
+  of ``e^T C^-1 e / 3`` (NEES); flagged: points with right rays only that lost a ray or their weight;
+* points with two remaining rays: share inside the 95 % interval across the plane of the rays. Along the plane an error
+  is seen by no other observation: number of points with such an error that passed the test, and its prediction from
+  the non-centrality of each error, with a 99 % interval.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2, norm
+
+import fg_orient as fg
+from factors._contract import Array
+from fg_orient.adjustment.rows import linearised
+from fg_orient.quality.residuals import ResidualCofactors
+from fg_orient.quality.verdict import DOWN
+from fg_orient.simulate.block import BlockOptions, grid_block
+
+SHARES: Final = (0.05, 0.1)
+METHODS: Final[dict[str, dict[str, Any]]] = {"snooping": {"snoop": True}, "gnc": {"loss": "tls", "gnc": True}}
+SIZE_PX: Final = (5.0, 50.0)
+
+
+def spoiled(seed: int, share: float) -> tuple[fg.Block, fg.Block, Array, Array]:
+    """Clean block, block with errors, true points (N, 3), errors (n, 2) of all rays in px."""
+    block, truth = grid_block(BlockOptions(points=200, control_share=0.1, check_share=0.0, seed=seed))
+    o, rng = block.observations, np.random.default_rng(seed)
+    bad = rng.random(len(o)) < share
+    size, angle = np.where(bad, rng.uniform(*SIZE_PX, len(o)), 0.0), rng.uniform(0.0, 2.0 * np.pi, len(o))
+    error = np.column_stack([size * np.cos(angle), size * np.sin(angle)])
+    moved = replace(o, line=o.line + error[:, 0], sample=o.sample + error[:, 1])
+    return block, replace(block, observations=moved), truth.ecef_m, error
+
+
+def kept_rays(block: fg.Block, solution: fg.Solution) -> npt.NDArray[np.bool_]:
+    """Whether each ray (n,) of the block is in the solution with full weight."""
+    if solution.weights is not None:
+        return np.asarray(solution.weights.image > DOWN)
+    own, o = solution.problem.observations, block.observations
+    have = set(zip(own.image.tolist(), own.point.tolist(), strict=True))
+    return np.array([(i, p) in have for i, p in zip(o.image.tolist(), o.point.tolist(), strict=True)])
+
+
+def counts(seed: int, share: float, method: str) -> dict[str, float]:
+    """Sums of one block."""
+    clean, block, true, error = spoiled(seed, share)
+    solution = fg.adjust(block, **METHODS[method])
+    o, n = block.observations, len(block.points.ids)
+    keep, bad = kept_rays(block, solution), error.any(axis=1)
+    rays = np.bincount(o.point[keep], minlength=n)
+    is_bad = np.bincount(o.point, bad, n) > 0
+    control = np.zeros(n, bool)
+    control[block.points.where(fg.Role.CONTROL)] = True
+    free = solution.problem.active & ~control & ~solution.problem.observed
+    away = solution.ground_m - true
+    assert solution.cofactors is not None
+    many = np.flatnonzero(free & (rays >= 3))
+    q = solution.cofactors.points(many)
+    squares = np.einsum("pi,pij,pj->p", away[many], np.linalg.inv(q), away[many])
+    lost = np.bincount(o.point, ~keep, n) > 0
+    seen = np.bincount(o.point, minlength=n)
+    right = ~control & ~is_bad & (seen >= 3)
+    two = np.flatnonzero(free & (rays == 2))
+    rows = np.array([np.flatnonzero(keep & (o.point == j)) for j in two])
+    normal, spread = np.zeros((len(two), 3)), solution.cofactors.points(two)
+    for k, (j, pair) in enumerate(zip(two.tolist(), rows, strict=True)):
+        own = [np.flatnonzero((solution.problem.observations.point == j)
+                              & (solution.problem.observations.image == o.image[r]))[0] for r in pair]  # fmt: skip
+        lines = [
+            np.linalg.svd(linearised(solution.problem, solution.state, np.array([r])).ground[0])[2][2] for r in own
+        ]
+        normal[k] = np.cross(*lines) / np.linalg.norm(np.cross(*lines))
+    across = np.einsum("pi,pi->p", normal, away[two]) / np.sqrt(np.einsum("pi,pij,pj->p", normal, spread, normal))
+    expected, variance, survived = _survivors(clean, block, solution, error, keep, control)
+    return {
+        "many": len(many), "inside": int(np.sum(squares <= chi2.ppf(0.95, 3))), "nees": float(squares.sum() / 3.0),
+        "right": int(right.sum()), "flagged": int((right & lost).sum()), "two": len(two),
+        "across": int(np.sum(np.abs(across) <= norm.ppf(0.975))), "survived": survived, "expected": expected,
+        "variance": variance,
+        "bad_pairs": int(np.sum((seen == 2) & ~control & is_bad)),
+    }  # fmt: skip
+
+
+def _survivors(
+    clean: fg.Block,
+    block: fg.Block,
+    solution: fg.Solution,
+    error: Array,
+    keep: npt.NDArray[np.bool_],
+    control: npt.NDArray[np.bool_],
+) -> tuple[float, float, int]:
+    """Wrong points with two rays that pass the test: predicted number and its variance; number."""
+    first = fg.adjust(clean)
+    assert first.cofactors is not None
+    r = ResidualCofactors(first.problem, first.state, first.cofactors)
+    o = block.observations
+    sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
+    limit = np.sqrt(2.0 * chi2.ppf(0.99, 2))
+    if solution.snooping is not None:
+        tests = solution.outlier_tests()
+        limit = float(norm.isf(0.5 * tests.level_each))
+    rows = linearised(first.problem, first.state)
+    expected = variance = 0.0
+    survived = 0
+    for j in np.flatnonzero((np.bincount(o.point, minlength=len(control)) == 2) & ~control).tolist():
+        pair = np.flatnonzero(o.point == j)
+        if not error[pair].any():
+            continue
+        left = np.linalg.svd(rows.ground[pair].reshape(4, 3))[0][:, 3]  # the one combination that two rays check
+        share = np.sqrt(max(float(left[:2] @ r.image[pair[0]] @ left[:2]) / float(left[:2] @ left[:2]) ** 2, 0.0))
+        trace = float(left @ (error[pair] / sigma[pair]).ravel()) * share
+        p = float(norm.cdf(limit - trace) - norm.cdf(-limit - trace))
+        expected, variance = expected + p, variance + p * (1.0 - p)
+        survived += int(keep[pair].all())
+    return expected, variance, survived
+
+
+def main() -> int:
+    """Print one line per method and share; always 0: a benchmark reports, it does not judge."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=100)
+    parser.add_argument("--json", type=Path)
+    given, out = parser.parse_args(), []
+    for method in METHODS:
+        for share in SHARES:
+            rows = [counts(seed, share, method) for seed in range(given.seeds)]
+            s = {key: sum(row[key] for row in rows) for key in rows[0]}
+            half = norm.ppf(0.995) * np.sqrt(s["variance"])
+            out.append({"method": method, "share": share, "seeds": given.seeds, **s})
+            print(f"{method} {share:.0%}: three rays and more: {s['inside'] / s['many']:.2%} of {s['many']} inside, "
+                  f"NEES {s['nees'] / s['many']:.2f}, flagged {s['flagged'] / s['right']:.2%}; two rays: across "
+                  f"{s['across'] / s['two']:.2%} of {s['two']}; unseen {s['survived']} of {s['bad_pairs']} wrong, "
+                  f"predicted {s['expected']:.1f} +- {half:.1f}", flush=True)  # fmt: skip
+    if given.json:
+        given.json.write_text(json.dumps(out, indent=1) + "\n", "utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,143 @@
+"""Ground points with contradictory rays: the position that most rays agree with.
+
+A redescending loss has several minima in a point with a wrong ray: one without the wrong ray, others without a right
+one. The stages before the loss end in any of them. With the images held, the position of least truncated cost is chosen
+among the measured coordinates and the intersections of all pairs of rays (exhaustive consensus, after Fischler & Bolles
+1981)::
+
+    c(x) = sum min(|v|^2, L^2),   L: limit of right observations
+
+Each is followed by steps with the observations within twice the limit, because two rays intersect less precisely than
+all right ones, and within the limit.
+"""
+
+from __future__ import annotations
+
+from itertools import chain, combinations
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.conditions.control import POINT
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.rows import linearised, residuals
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+#: Numbers of rays of a point: with two, nothing tells which one is wrong; with more than twelve, most agree.
+FEWEST: Final = 3
+MOST: Final = 12
+#: Steps of an intersection, and the largest one, m: rays that are nearly parallel do not meet.
+STEPS: Final = 5
+FARTHEST_M: Final = 1e5
+#: Widths of the limit in the steps after an intersection.
+WIDTHS: Final = (2.0, 1.0, 1.0)
+#: Decrease of the cost for which a point moves.
+BETTER: Final = 1e-6
+
+
+def with_best_rays(problem: Problem, state: State, limits: tuple[float, float]) -> State:
+    """State whose contradictory points lie where most of their rays agree.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State
+    limits : (float, float)
+        L of image points and of control points, sigmas.
+    """
+    o, far = problem.observations, np.sum(residuals(problem, state) ** 2, axis=1) > limits[0] ** 2
+    rays = np.bincount(o.point, minlength=len(problem.active))
+    doubtful = np.bincount(o.point, far, len(problem.active)) > 0
+    points = np.flatnonzero(problem.active & doubtful & (rays >= FEWEST) & (rays <= MOST))
+    if not len(points):
+        return state
+    search = _Search(problem, state, points, limits)
+    best, least = state.ground[points], search.cost(state.ground[points])
+    begin = best.copy()
+    pairs = combinations(range(int(rays[points].max())), 2)
+    starts = (search.moved(begin, np.isin(search.number, pair), STEPS) for pair in pairs)
+    for place in chain([search.measured(begin)], starts):
+        for width in WIDTHS:
+            place = search.moved(place, search.inside(place, width), 1, width)
+        cost = search.cost(place)
+        better = cost < least - BETTER
+        best[better], least[better] = place[better], cost[better]
+    ground = state.ground.copy()
+    ground[points] = best
+    return State(state.image, ground)
+
+
+class _Search:
+    """Costs and steps of some ground points (p,), the images held."""
+
+    def __init__(self, problem: Problem, state: State, points: Index, limits: tuple[float, float]) -> None:
+        self._problem, self._state, self._points, self._limits = problem, state, points, limits
+        o = problem.observations
+        rows = np.flatnonzero(np.isin(o.point, points))
+        self._rows = rows[np.argsort(o.point[rows], kind="stable")]
+        self._of = np.searchsorted(points, o.point[self._rows])
+        first = np.searchsorted(self._of, np.arange(len(points)))
+        #: Number of each ray among those of its point.
+        self.number = np.arange(len(self._rows)) - first[self._of]
+        self._observed = problem.observed[points]
+        self._place = problem.control_records[points[self._observed], POINT.place]
+        self._weight = problem.control_weights(points[self._observed])
+
+    def _at(self, place: Array) -> State:
+        ground = self._state.ground.copy()
+        ground[self._points] = place
+        return State(self._state.image, ground)
+
+    def _control(self, place: Array) -> Array:
+        return np.asarray(np.einsum("pij,pj->pi", self._weight, place[self._observed] - self._place))
+
+    def _squares(self, place: Array) -> Array:
+        return np.asarray(np.sum(linearised(self._problem, self._at(place), self._rows).residual ** 2, axis=1))
+
+    def cost(self, place: Array) -> Array:
+        """Truncated cost (p,) of positions (p, 3)."""
+        image, control = (limit**2 for limit in self._limits)
+        squares = self._squares(place)
+        out: Array = np.bincount(self._of, np.minimum(squares, image), len(self._points)).astype(np.float64)
+        out[self._observed] += np.minimum(np.sum(self._control(place) ** 2, axis=1), control)
+        return out
+
+    def measured(self, place: Array) -> Array:
+        """Positions with the measured coordinates of control points."""
+        out = place.copy()
+        out[self._observed] = self._place
+        return out
+
+    def inside(self, place: Array, width: float) -> npt.NDArray[np.bool_]:
+        """Whether each ray is within a multiple of its limit at positions (p, 3)."""
+        return np.asarray(self._squares(place) <= (width * self._limits[0]) ** 2)
+
+    def moved(
+        self, place: Array, used: npt.NDArray[np.bool_], steps: int, width: float = 0.0
+    ) -> Array:  # fmt: skip
+        """Positions after Gauss-Newton steps by some of the rays; the given position where these do not meet.
+
+        ``width``: by the coordinates of control points, too, that are within this multiple of their limit.
+        """
+        begin, place = place, place.copy()
+        for _ in range(steps):
+            part = linearised(self._problem, self._at(place), self._rows)
+            slope = used[:, None, None] * part.ground
+            normal, gradient = np.zeros((len(place), 3, 3)), np.zeros((len(place), 3))
+            np.add.at(normal, self._of, np.swapaxes(slope, 1, 2) @ part.ground)
+            np.add.at(gradient, self._of, np.einsum("nij,ni->nj", slope, part.residual))
+            if width:
+                v = self._control(place)
+                held = self._weight * (np.sum(v**2, axis=1) <= (width * self._limits[1]) ** 2)[:, None, None]
+                normal[self._observed] += np.swapaxes(held, 1, 2) @ self._weight
+                gradient[self._observed] += np.einsum("pij,pi->pj", held, v)
+            step = -np.einsum("pij,pj->pi", np.linalg.pinv(normal, hermitian=True), gradient)
+            bad = ~(np.linalg.norm(step, axis=1) < FARTHEST_M)
+            step[bad] = 0.0
+            place += step
+            away = np.linalg.norm(place - begin, axis=1) > FARTHEST_M
+            place[away] = begin[away]
+        return place

@@ -1,0 +1,74 @@
+"""Interior orientation with its covariance from the camera file of Metashape (*Export Cameras*, XML).
+
+``chunk/sensors/sensor`` has a ``calibration`` (class "adjusted") with the size of the image and those of f, cx, cy, b1,
+b2, k1 to k4, p1, p2 that are not 0, and perhaps a ``covariance``: ``params``, names, and ``coeffs``, the elements of
+the matrix row by row. Values that it does not name were not estimated: their variance is 0.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.formats.xml import XmlNode, read_xml
+
+Array = npt.NDArray[np.float64]
+
+#: Values of the convention "metashape".
+NAMES: Final = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2")
+LARGEST_SIDE: Final = 1_000_000
+
+
+def read_metashape_camera(path: str | Path) -> dict[str, object]:
+    """Entries of a camera file in the convention "metashape".
+
+    Raises
+    ------
+    InputError
+        No frame sensor with an adjusted calibration, or several; a value that is no number; a covariance that does not
+        fit to its names.
+    """
+    group = read_xml(path).one("chunk/sensors")
+    found = [(s, c) for s in group.every("sensor") if (c := _adjusted(s)) is not None]
+    if len(found) != 1:
+        raise group.fault("metashape.sensors", ", ".join(s.element.get("label", "?") for s, _ in found) or "none")
+    ((sensor, calibration),) = found
+    if (kind := calibration.element.get("type", "frame")) != "frame":
+        raise calibration.fault("metashape.kind", kind)
+    size = calibration.one("resolution")
+    values = {name: 0.0 if (node := calibration.maybe(name)) is None else node.number() for name in NAMES}
+    entries: dict[str, object] = {
+        "schema": 1, "name": sensor.element.get("label") or "camera", "convention": "metashape",
+        "lines": _side(size, "height"), "samples": _side(size, "width"), "values": values,
+    }  # fmt: skip
+    matrix = sensor.maybe("covariance")
+    return entries if matrix is None else entries | {"covariance": _covariance(matrix).tolist()}
+
+
+def _adjusted(sensor: XmlNode) -> XmlNode | None:
+    """Adjusted calibration of a sensor."""
+    return next((c for c in sensor.every("calibration", at_least=0) if c.element.get("class") == "adjusted"), None)
+
+
+def _side(size: XmlNode, name: str) -> int:
+    """Number of lines or samples."""
+    text = size.element.get(name, "")
+    if not (text.isascii() and text.isdigit() and 0 < int(text) <= LARGEST_SIDE):
+        raise size.fault("metashape.size", f"{name} = {text!r}")
+    return int(text)
+
+
+def _covariance(node: XmlNode) -> Array:
+    """Covariance (11, 11) of all values."""
+    names = node.one("params").text().split()
+    unknown = [name for name in names if name not in NAMES]
+    if unknown or len(set(names)) != len(names):
+        raise node.one("params").fault("metashape.params", " ".join(unknown or names))
+    given = node.one("coeffs").vector(len(names) ** 2).reshape(len(names), len(names))
+    place = [NAMES.index(name) for name in names]
+    out = np.zeros((len(NAMES),) * 2)
+    out[np.ix_(place, place)] = 0.5 * (given + given.T)
+    return out
