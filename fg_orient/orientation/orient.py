@@ -30,6 +30,7 @@ from fg_orient.model.names import Role, Status
 from fg_orient.model.options import Backend, Datum, Options
 from fg_orient.model.parameters import with_options
 from fg_orient.orientation.adjusted import AdjustmentResult
+from fg_orient.orientation.confirmation import confirmed
 from fg_orient.orientation.solution import Seconds, Solution
 from fg_orient.quality import camera, causes, doubts, vendor_datum, verdict
 from fg_orient.quality.accuracy import Accuracy, Joint, PointDifferences, differences
@@ -176,9 +177,9 @@ def adjust(
             return runner(block, begin)
         return run.again(block, like, begin)
 
-    runner = run_with_components if block.options.variance_components else run.once
+    runner, alone = run_with_components if block.options.variance_components else run.once, _Run(execution)
     if not block.options.snoop:
-        return runner(block, None)
+        return confirmed(runner(block, None), alone.once)
     from fg_orient.orientation.outlier_search import require_possible_search, search
 
     require_possible_search(block)
@@ -187,7 +188,7 @@ def adjust(
     whole = end.whole(solution.seconds.jit) if isinstance(end, Again) else end
     assert isinstance(whole, Solution)
     findings = doubts.with_accepted([*record.findings(), *whole.findings], block.options.accept)
-    return replace(whole, snooping=record, findings=tuple(findings), memory=solution.memory)
+    return confirmed(replace(whole, snooping=record, findings=tuple(findings), memory=solution.memory), alone.once)
 
 
 def _compiled(block: Block) -> tuple[Problem, tuple[ImageObservability, ...], BlockObservability | None, float]:
@@ -259,9 +260,9 @@ class _Run:
     """
 
     execution: Execution | None
-    callback: Callback | None
-    stage: Stage | None
-    checkpoint: Checkpoint | None
+    callback: Callback | None = None
+    stage: Stage | None = None
+    checkpoint: Checkpoint | None = None
     begin: Callable[[Problem], State] | None = None
 
     def once(self, block: Block, begin: State | None = None) -> Solution:
@@ -367,8 +368,7 @@ def conclude(
         findings.append(finding("solution.check_not_located", n=len(names), points=names))
     accept = compiled.block.options.accept
     status, reason, ordered = verdict.decided(assessment, estimate.end, findings, accept)
-    if status is not Status.CONVERGED:
-        ordered = causes.added(ordered, compiled, estimate, cofactors, examined.sigmas, accuracy.check)
+    ordered, supposed = causes.added(ordered, compiled, estimate, cofactors, examined, accuracy.check)
     return Solution(
         problem=compiled, status=status, verdict=reason, end=estimate.end, residuals=examined.residuals,
         backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,
@@ -376,7 +376,7 @@ def conclude(
         sigma0_interval=assessment.interval, log=estimate.log, iterations=estimate.iterations,
         residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, block_view=block_view,
         accuracy=accuracy, cofactors=cofactors, sigmas=examined.sigmas, unavailable=unavailable, findings=ordered,
-        weights=estimate.weights, resumed_at=estimate.resumed_at,
+        weights=estimate.weights, resumed_at=estimate.resumed_at, supposed=supposed,
         seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, working_clock() - start),
     )  # fmt: skip
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from fg_orient.adjustment.cofactors import AUTO_LIMIT, full_statistics
 from fg_orient.model.errors import Finding, finding
 from fg_orient.quality.reliability import CHECKABLE, noncentrality
+from fg_orient.quality.unseen import unseen_mistakes
 from fg_orient.result.plain import Column, Table, of_axes, table_of_rows
 
 if TYPE_CHECKING:
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
     from fg_orient.quality.joint import NamedMatrix
     from fg_orient.quality.outlier_records import GroupTest, OutlierTests
     from fg_orient.quality.rejection import Search
-    from fg_orient.quality.reliability import BlockReliability, Reliability
+    from fg_orient.quality.unseen import unseen_mistakes
+from fg_orient.quality.reliability import BlockReliability, Reliability
 
 Array = npt.NDArray[np.float64]
 
@@ -88,6 +90,7 @@ def reliability_record(solution: Solution) -> dict[str, Any] | None:
         "n_control_coordinates_not_checkable": int((control.redundancy < CHECKABLE).sum()),
         "not_checkable": [*_control_unchecked(solution, control), *_image_unchecked(solution, image, rays)],
         "unseen": _unseen_record(solution, found),
+        "unseen_mistakes": [one.as_dict() for one in unseen_mistakes(known, solution.accuracy.check)],
         "largest_mdb": _largest(solution, image),
     }  # fmt: skip
 

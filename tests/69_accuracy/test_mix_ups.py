@@ -10,7 +10,7 @@ import pytest
 import fg_orient as fg
 from fg_orient.model.block import Block
 from fg_orient.model.names import Status
-from fg_orient.quality.causes import mix_ups
+from fg_orient.quality.mix_ups import mix_ups
 from fg_orient.simulate.block import BlockOptions, grid_block
 
 
@@ -28,15 +28,20 @@ def misread(block: Block, kind: str) -> Block:
         line[first], sample[first] = o.sample[first], o.line[first]
     elif kind == "lines counted":
         line[first] = sensor.last_line - o.line[first]
+    elif kind == "half a turn":
+        line[first], sample[first] = sensor.last_line - o.line[first], sensor.last_sample - o.sample[first]
+    elif kind == "a quarter":
+        line[first], sample[first] = o.sample[first], sensor.last_line - o.line[first]
     else:
         sample[first] = sensor.last_sample - o.sample[first]
     return replace(block, observations=replace(o, line=line, sample=sample))
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("kind", ["exchanged", "lines counted", "samples counted"])
+@pytest.mark.parametrize("kind", ["exchanged", "lines counted", "samples counted", "half a turn", "a quarter"])
 def test_what_fits_is_named(block: Block, kind: str) -> None:
-    (sentence,) = map(str, mix_ups(misread(block, kind)))
+    wrong = misread(block, kind)
+    (sentence,) = (str(one.finding(wrong)) for one in mix_ups(wrong))
     assert kind in sentence
     assert f"image {block.images[0].id}:" in sentence
 
