@@ -79,7 +79,8 @@ def run_of(key: Key, run: int) -> tuple[int, str]:
     try:
         solution = fg.adjust(block)
     except FgOrientError as error:
-        return error.exit_code, f"refused: {error.problems[0].code}"
+        mixed = [p for p in error.problems if p.code in CAUSES]
+        return error.exit_code, mixed[0].message if mixed else f"refused: {error.problems[0].code}"
     code = {"converged": 0, "not_trustworthy": 4}.get(str(solution.status), 3)
     return code, named(solution.findings)
 

@@ -1,7 +1,8 @@
 """Confirming adjustment: the block without its most likely mistake is adjusted once.
 
 The named cause stays if the weighted sums of squares of observations and check points decrease by as much as the test
-of the cause demands; else it is withdrawn. The linearised test that found the cause has no say in this.
+of the cause demands, and by more than half of what exceeds their expectation: else something else explains more, and
+the cause is withdrawn. The linearised test that found the cause has no say in this.
 """
 
 from __future__ import annotations
@@ -62,17 +63,18 @@ def _is_better(before: Solution, after: Solution, least: float | None) -> bool:
     """Whether the decrease of the sums of squares confirms a mistake; ``least``: see ``Supposed``."""
     if least is None:
         return before.status is Status.NOT_CONVERGED or bool(after.sigma0 < before.sigma0)
-    return bool(_squares(before) - _squares(after) >= least)
+    (first, freedom), (second, _) = _squares(before), _squares(after)
+    return bool(first - second >= max(least, 0.5 * (first - freedom)))
 
 
-def _squares(solution: Solution) -> float:
-    """Weighted sum of squares of the observations and of the differences at check points."""
+def _squares(solution: Solution) -> tuple[float, float]:
+    """Weighted sum of squares of the observations and of the differences at check points, and its expectation."""
     check = solution.accuracy.check
     covariance = check.covariance_m2
     if covariance is None:
-        return solution.chi2
+        return solution.chi2, solution.redundancy
     e = check.enu_m[check.selected].ravel()
-    return solution.chi2 + float(e @ np.linalg.solve(covariance, e))
+    return solution.chi2 + float(e @ np.linalg.solve(covariance, e)), solution.redundancy + len(e)
 
 
 def _extended(found: Finding, words: dict[str, str]) -> Finding:

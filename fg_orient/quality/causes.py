@@ -45,6 +45,8 @@ APART: Final = 2.0 * np.log(100.0)
 #: Number of control points above which nothing is tested, causes named together.
 MOST: Final = 300
 NAMED: Final = 3
+#: Factor of sigmas above which residuals have other reasons.
+LARGEST: Final = 100.0
 
 
 def added(
@@ -131,7 +133,7 @@ def _factors(sigmas: Sequence[StatedSigma], singles: Sequence[Cause]) -> Iterato
     for one in sigmas:
         r, q = one.redundancy, max(one.factor, 1e-6) ** 2
         own = [chi_square_tail(c.free, c.gain / q) for c in singles if one.group.startswith(c.what)]
-        if own and min(own) <= sidak(ALPHA, len(own)):
+        if one.factor > LARGEST or (own and min(own) <= sidak(ALPHA, len(own))):
             continue
         gain, size = r * (q - 1.0 - np.log(q)), "small" if q > 1 else "large"
         text = f"sigmas of {one.group} too {size}: factor {one.factor:.2f} +- {one.sd:.2f}"

@@ -7,6 +7,7 @@ another control point, must fit ten times better (median distance).
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -14,7 +15,6 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.rows import local_origin
 from fg_orient.geodesy import ecef_to_geodetic, geodetic_to_ecef
 from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError, Finding, finding
@@ -32,6 +32,10 @@ MOST_IMAGES: Final = 30
 FAR_PX: Final = 30.0
 #: Standard deviations within which two control points have the same coordinates.
 SAME: Final = 3.0
+#: Distance in pixels of points that a sensor cannot project: on the other side of the Earth, for instance.
+NOWHERE_PX: Final = 1e6
+#: Distance in metres from the centre of an image beyond which no point is projected: one that is may fail for all.
+REACH_M: Final = 2e6
 #: Most control points whose places are compared.
 MOST_POINTS: Final = 300
 
@@ -84,38 +88,53 @@ GROUND_READINGS: Final[dict[str, GroundReading]] = {
         _unpacked(lon, seconds=True), _unpacked(lat, seconds=True)
     ),
 }  # fmt: skip
+#: Other readings of local coordinates.
+LOCAL_READINGS: Final[dict[str, Callable[[Array], Array]]] = {"X and Y exchanged": lambda xyz: xyz[:, [1, 0, 2]]}
 
 
 @dataclass(frozen=True)
 class MixUp:
-    """Another reading that fits the control points of an image far better.
+    """Another reading that fits control points of an image far better.
 
     Parameters
     ----------
     image : int
     reading : str
-        Key of :data:`READINGS` or :data:`GROUND_READINGS`, "" for the metadata of another image.
+        Key of :data:`READINGS`, :data:`GROUND_READINGS` or :data:`LOCAL_READINGS`; "" for the metadata of another
+        image.
     other : int
         That image; -1 for another reading.
+    points : tuple of int
+        Control points that it fits.
+    of : int
+        Number of control points of the image.
+    whole : bool
+        Whether hardly any point of the image lies where the tables say.
     best_px, given_px : float
-        Median distance between measured image points and projected ones, with this reading and as given.
+        Median distance of these between measured image points and projected ones, with this reading and as given.
     """
 
     image: int
     reading: str
     other: int
+    points: tuple[int, ...]
+    of: int
+    whole: bool
     best_px: float
     given_px: float
 
     def finding(self, block: Block) -> Finding:
         """Doubt on this image."""
         name = self.reading or f"the metadata of image {block.images[self.other].id}"
-        return finding("solution.mix_up", image=block.images[self.image].id, best_px=self.best_px,
-                       given_px=self.given_px, reading=name, before="", after="", left="")  # fmt: skip
+        return finding("solution.mix_up", image=block.images[self.image].id, n=len(self.points), of=self.of,
+                       best_px=self.best_px, given_px=self.given_px, reading=name, before="", after="",
+                       left="")  # fmt: skip
 
 
 def mix_ups(block: Block) -> tuple[MixUp, ...]:
     """Images whose control points fit far better with another reading of their coordinates, or other metadata.
+
+    Three control points at least, and more than half of those that lie far from their places.
 
     Parameters
     ----------
@@ -123,16 +142,33 @@ def mix_ups(block: Block) -> tuple[MixUp, ...]:
     """
     known = np.flatnonzero(np.isfinite(block.points.known.ecef_m).all(axis=1))
     projected = [_projected(image.sensor, block.points.known.ecef_m[known]) for image in block.images]
-    out = []
-    for k in range(len(block.images)):
-        distances = _distances(block, k, known, projected)
-        given = distances.pop(("", -1), np.nan)
-        if not distances or np.isnan(given):
+    found = (_of_image(block, k, known, projected) for k in range(len(block.images)))
+    return tuple(one for one in found if one is not None)
+
+
+def _of_image(block: Block, k: int, known: Index, projected: Sequence[Array]) -> MixUp | None:
+    """Mix-up of an image; ``projected`` (n, 2) of each image are the points ``known``."""
+    o = block.observations
+    row = np.flatnonzero((o.image == k) & np.isin(o.point, known))
+    place, pixels = np.searchsorted(known, o.point[row]), np.stack([o.line[row], o.sample[row]], axis=1)
+    given = _away(projected[k][place], pixels)
+    far = given > FAR_PX
+    if np.count_nonzero(far) < LEAST_POINTS:
+        return None
+    best: tuple[tuple[int, float], MixUp] | None = None
+    for (reading, other), away in _readings(block, k, row, [image[place] for image in projected]).items():
+        fits = far & (BETTER * away < given)
+        n = int(np.count_nonzero(fits))
+        if n < LEAST_POINTS or 2 * n <= np.count_nonzero(far):
             continue
-        (reading, other), best = min(distances.items(), key=lambda item: item[1])
-        if BETTER * best < given:
-            out.append(MixUp(k, reading, other, best, given))
-    return tuple(out)
+        middle = float(np.median(away[fits]))
+        if best is None or (n, -middle) > best[0]:
+            points, whole = tuple(o.point[row[fits]].tolist()), np.count_nonzero(~far) < LEAST_POINTS
+            best = (
+                (n, -middle),
+                MixUp(k, reading, other, points, len(row), bool(whole), middle, float(np.median(given[fits]))),
+            )
+    return None if best is None else best[1]
 
 
 @dataclass(frozen=True)
@@ -218,71 +254,98 @@ def with_right_ids(block: Block, found: Sequence[IdMixUp]) -> Block:
 def undone(block: Block, found: Sequence[MixUp]) -> Block:
     """The block with its tables and metadata read in the other way."""
     o, images = block.observations, list(block.images)
-    line, sample = o.line.copy(), o.sample.copy()
+    line, sample, of = o.line.copy(), o.sample.copy(), o.image.copy()
     for one in found:
-        rows = o.image == one.image
+        rows = (o.image == one.image) & (one.whole | np.isin(o.point, one.points))
         if one.reading in READINGS:
             sensor = block.images[one.image].sensor
             line[rows], sample[rows] = READINGS[one.reading](o.line[rows], o.sample[rows], sensor)
-        elif one.other >= 0:
+        elif one.other >= 0 and one.whole:
             images[one.image] = replace(images[one.image], sensor=block.images[one.other].sensor)
-    out = replace(block, images=tuple(images), observations=replace(o, line=line, sample=sample))
-    names = [one.reading for one in found if one.reading in GROUND_READINGS]
-    if not names:
+        elif one.other >= 0:
+            of[rows] = one.other
+    out = replace(block, images=tuple(images), observations=replace(o, image=of, line=line, sample=sample))
+    named = [one for one in found if one.reading in (*GROUND_READINGS, *LOCAL_READINGS)]
+    if not named:
         return out
-    reading, centre = GROUND_READINGS[max(names, key=names.count)], local_origin(block.images)
+    readings = [one.reading for one in named]
+    name = max(readings, key=readings.count)
+    ecef = block.points.known.ecef_m.copy()
+    whole = all(one.whole for one in named)
+    wrong = block.points.where(Role.CONTROL) if whole else np.unique([j for one in named for j in one.points])
+    moved = _read(name, ecef[wrong])
+    ecef[wrong] = np.where(np.isnan(moved), ecef[wrong], moved)
+    out = replace(out, points=replace(out.points, known=replace(out.points.known, ecef_m=ecef)))
+
+    place = {one: k for k, one in enumerate(block.points.ids)}
+    check = np.array([place[one] for one in block.withheld.ids], np.intp)
 
     def read(ecef_m: Array) -> Array:
-        """The other reading, where it brings the points nearer to the images: a second table may be right."""
-        lon, lat, height = ecef_to_geodetic(ecef_m)
-        other = reading(lon, lat)
-        if (np.abs(other[1]) > 90.0).any():
-            return ecef_m
-        moved = geodetic_to_ecef(*other, height)
-        away, now = (np.median(np.linalg.norm(xyz - centre, axis=1)) for xyz in (moved, ecef_m))
-        return moved if away < now else ecef_m
+        """The other reading of check points that it brings far nearer to their places in the images."""
+        moved = _read(name, ecef_m)
+        given, other = (_of_points(block, check, xyz) for xyz in (ecef_m, moved))
+        wrong = (given > FAR_PX) & (BETTER * other < given)
+        return np.asarray(np.where(wrong[:, None], moved, ecef_m))
 
-    return with_measured(out, (Role.CONTROL, Role.CHECK), read)
+    return with_measured(out, (Role.CHECK,), read)
 
 
-def _distances(block: Block, k: int, known: Index, projected: Sequence[Array]) -> dict[tuple[str, int], float]:
-    """Median distance in pixels for each reading and other image, ("", -1) as given; nothing more where this is small.
+def _readings(block: Block, k: int, row: Index, projected: Sequence[Array]) -> dict[tuple[str, int], Array]:
+    """Distances (n,) in pixels of image points for each reading and each other image.
 
-    ``projected`` (n, 2) of each image are the points ``known``.
+    ``projected`` (n, 2) of each image are their ground points.
     """
-    o, sensor = block.observations, block.images[k].sensor
-    row = np.flatnonzero((o.image == k) & np.isin(o.point, known))
-    place, pixels = np.searchsorted(known, o.point[row]), np.stack([o.line[row], o.sample[row]], axis=1)
-    out = {("", -1): _away(projected[k][place], pixels)}
-    if len(row) < LEAST_POINTS or not out["", -1] > FAR_PX:
-        return out
+    o, sensor, out = block.observations, block.images[k].sensor, dict[tuple[str, int], Array]()
+    pixels = np.stack([o.line[row], o.sample[row]], axis=1)
     for name, reading in READINGS.items():
         try:
-            out[name, -1] = _away(projected[k][place], np.stack(reading(o.line[row], o.sample[row], sensor), axis=1))
+            out[name, -1] = _away(projected[k], np.stack(reading(o.line[row], o.sample[row], sensor), axis=1))
         except AttributeError:  # no size of the image
             continue
-    if block.georeferenced:
-        lon, lat, height = ecef_to_geodetic(block.points.known.ecef_m[o.point[row]])
-        for name, turned in GROUND_READINGS.items():
-            other = turned(lon, lat)
-            if (np.abs(other[1]) <= 90.0).all():
-                out[name, -1] = _away(_projected(sensor, geodetic_to_ecef(*other, height)), pixels)
+    for name in GROUND_READINGS if block.georeferenced else LOCAL_READINGS:
+        other = _read(name, block.points.known.ecef_m[o.point[row]])
+        out[name, -1] = _away(_projected(sensor, other), pixels)
     if len(block.images) <= MOST_IMAGES:
-        for j in range(len(block.images)):
-            if j != k:
-                out["", j] = _away(projected[j][place], pixels)
-    return {name: d for name, d in out.items() if np.isfinite(d)}
+        out |= {("", j): _away(projected[j], pixels) for j in range(len(block.images)) if j != k}
+    return out
+
+
+def _of_points(block: Block, points: Index, ecef_m: Array) -> Array:
+    """Median distances (n,) in pixels of ground points with these coordinates from their image points."""
+    o = block.observations
+    place = np.full(len(block.points.ids), -1)
+    place[points] = np.arange(len(points))
+    row = np.flatnonzero(place[o.point] >= 0)
+    away = np.empty(len(row))
+    for k in np.unique(o.image[row]).tolist():
+        mine = row[o.image[row] == k]
+        projected = _projected(block.images[k].sensor, ecef_m[place[o.point[mine]]])
+        away[o.image[row] == k] = _away(projected, np.stack([o.line[mine], o.sample[mine]], axis=1))
+    of = place[o.point[row]]
+    return np.array([np.median(away[of == k]) if (of == k).any() else 0.0 for k in range(len(points))])
+
+
+def _read(name: str, ecef_m: Array) -> Array:
+    """Coordinates (n, 3) in another reading; nan where they are impossible."""
+    if name in LOCAL_READINGS:
+        return LOCAL_READINGS[name](ecef_m)
+    lon, lat, height = ecef_to_geodetic(ecef_m)
+    x, y = GROUND_READINGS[name](lon, lat)
+    possible = (np.abs(y) <= 90.0) & (np.abs(x) <= 360.0)
+    x, y = (np.where(possible, angle, 0.0) for angle in (x, y))
+    return np.where(possible[:, None], geodetic_to_ecef(x, y, height), np.nan)
 
 
 def _projected(sensor: Any, ground_m: Array) -> Array:
     """Line and sample (n, 2) of ground points with the metadata; nan if they cannot be projected."""
-    try:
-        return np.stack([np.asarray(x, np.float64) for x in sensor.project(ground_m)], axis=1)
-    except (FgOrientError, AttributeError):
-        return np.full((len(ground_m), 2), np.nan)
+    out = np.full((len(ground_m), 2), np.nan)
+    near = np.linalg.norm(ground_m - sensor.centre_m, axis=1) <= REACH_M
+    with contextlib.suppress(FgOrientError, AttributeError):
+        if near.any():
+            out[near] = np.stack([np.asarray(x, np.float64) for x in sensor.project(ground_m[near])], axis=1)
+    return out
 
 
-def _away(projected: Array, pixels: Array) -> float:
-    """Median distance in pixels of projected from measured image points; nan if too few can be projected."""
-    d = np.linalg.norm(pixels - projected, axis=1)
-    return float(np.median(d[np.isfinite(d)])) if np.isfinite(d).sum() >= LEAST_POINTS else float("nan")
+def _away(projected: Array, pixels: Array) -> Array:
+    """Distances (n,) in pixels of projected from measured image points; those that cannot be projected are far."""
+    return np.asarray(np.nan_to_num(np.linalg.norm(pixels - projected, axis=1), nan=NOWHERE_PX, posinf=NOWHERE_PX))

@@ -240,6 +240,7 @@ def packed(angle: Array, decimals: int) -> Array:
     [
         (lambda x, y, h: (y, x, h), "longitude and latitude exchanged"),
         (lambda x, y, h: (x / 0.9, y / 0.9, h), "longitude and latitude in gon"),
+        (lambda x, y, h: (np.radians(x), np.radians(y), h), "longitude and latitude in radians"),
         (lambda x, y, h: (packed(x, 2), packed(y, 2), h), "longitude and latitude in packed degrees and minutes"),
         (lambda x, y, h: (packed(x, 4), packed(y, 4), h), "in packed degrees, minutes and seconds"),
     ],
@@ -252,6 +253,30 @@ def test_misread_angles_are_named(block: Block, reading: Reading, named: str) ->
     assert not cause(solution)
 
 
+@pytest.mark.truth
+def test_a_part_of_a_table_that_is_misread_is_named(block: Block) -> None:
+    """Every second control point in gon, every second one in an image with line and sample exchanged."""
+    rows = block.points.where(Role.CONTROL)
+
+    def some(ecef: Array) -> Array:
+        out = ecef.copy()
+        out[::2] = written(lambda x, y, h: (x / 0.9, y / 0.9, h))(ecef[::2])
+        return out
+
+    solution = fg.adjust(with_control(block, some))
+    texts = [str(f) for f in solution.findings if f.code == "solution.mix_up"]
+    assert texts
+    assert all("longitude and latitude in gon" in text and "no doubt remains" in text for text in texts)
+    o = block.observations
+    wrong = (o.image == 0) & np.isin(o.point, rows[::2])
+    line, sample = np.where(wrong, o.sample, o.line), np.where(wrong, o.line, o.sample)
+    solution = fg.adjust(replace(block, observations=replace(o, line=line, sample=sample)))
+    (text,) = (str(f) for f in solution.findings if f.code == "solution.mix_up")
+    seen = int(np.isin(o.point[o.image == 0], rows).sum())
+    assert f"image {block.images[0].id}: {wrong.sum()} of its {seen} control points lie" in text
+    assert "line and sample exchanged" in text and "no doubt remains" in text
+
+
 @pytest.mark.behaviour
 def test_exchanged_metadata_are_named_first_in_the_report() -> None:
     block = zonguldak_block(ZonguldakOptions())[0]
@@ -259,6 +284,20 @@ def test_exchanged_metadata_are_named_first_in_the_report() -> None:
     turned = (replace(left, sensor=right.sensor), replace(right, sensor=left.sensor))
     page = render(fg.adjust(replace(block, images=turned)).result)
     assert f"with the metadata of image {right.id}" in page[page.index("Not trustworthy") : page.index("<nav")]
+
+
+@pytest.mark.behaviour
+def test_a_refusal_names_exchanged_metadata() -> None:
+    """Where rays no longer meet, the block is refused before any adjustment."""
+    block = grid_block(BlockOptions(points=60, control_share=0.25, check_share=0.2))[0]
+    one, two, *rest = block.images
+    turned = (replace(one, sensor=two.sensor), replace(two, sensor=one.sensor), *rest)
+    with pytest.raises(InputError) as caught:
+        fg.adjust(replace(block, images=turned))
+    assert caught.value.problems[0].code.startswith("initial.")
+    mixed = [p for p in caught.value.problems if not p.code.startswith("initial.")]
+    assert [f"image {a.id}:" in str(f) and f"the metadata of image {b.id}" in str(f)
+            for f, a, b in zip(mixed, (one, two), (two, one), strict=True)] == [True, True]  # fmt: skip
 
 
 @pytest.mark.behaviour

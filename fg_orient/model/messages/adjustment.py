@@ -290,8 +290,8 @@ solution.wide_factor (note): the images see points together in such a way that G
 solution.few_check (warning): {n} check point(s): ASPRS (2023) asks for at least {least}
 solution.check_not_located (warning): {n} excluded check point(s) whose rays hardly meet have no coordinates:
     {points:10}
-solution.mix_up (doubt): image {image}: its control points lie {best_px:.3g} px from their places in the image
-    with {reading}, and {given_px:.3g} px as they stand (medians)
+solution.mix_up (doubt): image {image}: {n} of its {of} control points lie {best_px:.3g} px from their places in the
+    image with {reading}, and {given_px:.3g} px as they stand (medians)
     + ; with this, sigma0 {before} -> {after}, and {left}
     -> look at the columns of the table and at the metadata file of the image
 solution.id_mix_up (doubt): {what}; they lie {best_px:.3g} px from there, and {given_px:.3g} px from the place of their
