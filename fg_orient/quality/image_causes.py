@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.adjustment.cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.rows import Rows, linearised
 from fg_orient.quality import hypotheses, mended
 from fg_orient.quality.cause import PAIRED, Cause, penalty_of, without_parameter
@@ -30,6 +31,8 @@ Index = npt.NDArray[np.intp]
 
 #: Most rays of a point whose partitions in two groups are tried.
 MOST_RAYS: Final = 8
+#: Most image points of a block whose image points are tried.
+MOST_OBSERVED: Final = 20_000
 #: Number of images up to which another origin of the pixels is tried for each image.
 MOST_IMAGES: Final = 30
 #: Differences of origins of pixels.
@@ -60,9 +63,10 @@ class ImageErrors:
 
     @classmethod
     def of(cls, known: ResidualCofactors) -> ImageErrors | None:
-        """Errors at a solution; None if extra observations name ground points, which are not eliminated then."""
+        """Errors at a solution; None of large blocks, and if extra observations name points: those are not eliminated."""
         problem = known.problem
-        if problem.named_points():
+        large = len(problem.observations) > MOST_OBSERVED or problem.n_image_unknowns > WHOLE_LIMIT
+        if large or problem.named_points():
             return None
         rows = linearised(problem, known.state)
         v = np.concatenate([known.v_image.ravel(), known.v_control.ravel()])

@@ -8,6 +8,7 @@ another control point, must fit ten times better (median distance).
 from __future__ import annotations
 
 import contextlib
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -140,23 +141,23 @@ def mix_ups(block: Block) -> tuple[MixUp, ...]:
     ----------
     block : Block
     """
-    known = np.flatnonzero(np.isfinite(block.points.known.ecef_m).all(axis=1))
-    projected = [_projected(image.sensor, block.points.known.ecef_m[known]) for image in block.images]
-    found = (_of_image(block, k, known, projected) for k in range(len(block.images)))
+    found = (_of_image(block, k) for k in range(len(block.images)))
     return tuple(one for one in found if one is not None)
 
 
-def _of_image(block: Block, k: int, known: Index, projected: Sequence[Array]) -> MixUp | None:
-    """Mix-up of an image; ``projected`` (n, 2) of each image are the points ``known``."""
-    o = block.observations
-    row = np.flatnonzero((o.image == k) & np.isin(o.point, known))
-    place, pixels = np.searchsorted(known, o.point[row]), np.stack([o.line[row], o.sample[row]], axis=1)
-    given = _away(projected[k][place], pixels)
+def _of_image(block: Block, k: int) -> MixUp | None:
+    """Mix-up of an image."""
+    o, known = block.observations, block.points.known.ecef_m
+    row = np.flatnonzero((o.image == k) & np.isfinite(known[o.point]).all(axis=1))
+    if len(row) < LEAST_POINTS:
+        return None
+    projected = _projected(block.images[k].sensor, known[o.point[row]])
+    given = _away(projected, np.stack([o.line[row], o.sample[row]], axis=1))
     far = given > FAR_PX
     if np.count_nonzero(far) < LEAST_POINTS:
         return None
     best: tuple[tuple[int, float], MixUp] | None = None
-    for (reading, other), away in _readings(block, k, row, [image[place] for image in projected]).items():
+    for (reading, other), away in _readings(block, k, row, projected).items():
         fits = far & (BETTER * away < given)
         n = int(np.count_nonzero(fits))
         if n < LEAST_POINTS or 2 * n <= np.count_nonzero(far):
@@ -210,26 +211,32 @@ def id_mix_ups(block: Block) -> tuple[IdMixUp, ...]:
     o, control = block.observations, block.points.where(Role.CONTROL)
     if not LEAST_POINTS <= len(control) <= MOST_POINTS:
         return ()
+    own = _of_points(block, control, block.points.known.ecef_m[control])
+    seen = np.isin(control, o.point)
+    usual = float(np.median(own[seen])) if seen.any() else np.inf
+    if not (own[seen] > BETTER * usual).any():
+        return ()
     place = np.full(len(block.points.ids), -1)
     place[control] = np.arange(len(control))
     row = np.flatnonzero(place[o.point] >= 0)
     away = np.full((len(row), len(control)), np.nan)
     for k in np.unique(o.image[row]).tolist():
         mine = row[o.image[row] == k]
-        pixels = np.stack([o.line[mine], o.sample[mine]], axis=1)
-        projected = _projected(block.images[k].sensor, block.points.known.ecef_m[control])
+        pixels, shown = np.stack([o.line[mine], o.sample[mine]], axis=1), np.unique(place[o.point[mine]])
+        projected = np.full((len(control), 2), np.nan)
+        projected[shown] = _projected(block.images[k].sensor, block.points.known.ecef_m[control[shown]])
         away[o.image[row] == k] = np.linalg.norm(pixels[:, None] - projected, axis=2)
-    away = np.where(np.isfinite(away), away, np.inf)
-    seen = np.unique(place[o.point[row]])
     distance = np.full((len(control),) * 2, np.inf)
-    for a in seen.tolist():
-        distance[a] = np.median(away[place[o.point[row]] == a], axis=0)
-    own, usual = np.diag(distance), float(np.median(np.diag(distance)[seen]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # two points that no image shows together
+        for a in np.flatnonzero(seen).tolist():
+            distance[a] = np.nanmedian(away[place[o.point[row]] == a], axis=0)
+    distance = np.where(np.isnan(distance), np.inf, distance)
     best, other = distance.min(axis=1), distance.argmin(axis=1)
     wrong = (best <= BETTER * usual) & (own > BETTER * best) & (own > BETTER * usual)
     ids, out = [block.points.ids[j] for j in control], []
     known = block.points.known
-    for a in np.flatnonzero(~wrong & np.isfinite(own) & (own > BETTER * usual)).tolist():
+    for a in np.flatnonzero(~wrong & seen & (own > BETTER * usual)).tolist():
         near = np.linalg.norm(known.ecef_m[control] - known.ecef_m[control[a]], axis=1)
         same = near <= SAME * np.nanmin(known.sigma_enu_m[control[a]])
         same[a] = False
@@ -290,23 +297,22 @@ def undone(block: Block, found: Sequence[MixUp]) -> Block:
     return with_measured(out, (Role.CHECK,), read)
 
 
-def _readings(block: Block, k: int, row: Index, projected: Sequence[Array]) -> dict[tuple[str, int], Array]:
-    """Distances (n,) in pixels of image points for each reading and each other image.
-
-    ``projected`` (n, 2) of each image are their ground points.
-    """
+def _readings(block: Block, k: int, row: Index, projected: Array) -> dict[tuple[str, int], Array]:
+    """Distances (n,) in pixels of image points, projected (n, 2) as given, for each reading and each other image."""
     o, sensor, out = block.observations, block.images[k].sensor, dict[tuple[str, int], Array]()
     pixels = np.stack([o.line[row], o.sample[row]], axis=1)
     for name, reading in READINGS.items():
         try:
-            out[name, -1] = _away(projected[k], np.stack(reading(o.line[row], o.sample[row], sensor), axis=1))
+            out[name, -1] = _away(projected, np.stack(reading(o.line[row], o.sample[row], sensor), axis=1))
         except AttributeError:  # no size of the image
             continue
     for name in GROUND_READINGS if block.georeferenced else LOCAL_READINGS:
         other = _read(name, block.points.known.ecef_m[o.point[row]])
         out[name, -1] = _away(_projected(sensor, other), pixels)
     if len(block.images) <= MOST_IMAGES:
-        out |= {("", j): _away(projected[j], pixels) for j in range(len(block.images)) if j != k}
+        ground = block.points.known.ecef_m[o.point[row]]
+        out |= {("", j): _away(_projected(image.sensor, ground), pixels)
+                for j, image in enumerate(block.images) if j != k}  # fmt: skip
     return out
 
 
