@@ -16,7 +16,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
@@ -40,6 +40,8 @@ Array = npt.NDArray[np.float64]
 RESULTS: Final = Path(__file__).parent / "results" / "detection.json"
 RUNS: Final = 200
 DRAWS: Final = 2000
+#: Cells between two writings of the file.
+PART: Final = 27
 Key = tuple[str, int, int]
 
 
@@ -160,25 +162,27 @@ def main() -> None:
     parser.add_argument("--blocks", nargs="+", default=list(BLOCKS), choices=list(BLOCKS))
     parser.add_argument("--minutes", type=float, default=float("inf"), help="stop after this time, between two runs")
     given = parser.parse_args()
+    if given.workers == 1:
+        every(given, map)
+        return
+    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
+        every(given, pool.map)
+
+
+def every(given: argparse.Namespace, mapped: Callable[..., Iterable[dict[str, Any]]]) -> None:
+    """Run all cells, first few runs of each, then more."""
     records, start = loaded(), time.perf_counter()
-    for runs in sorted({min(2, given.runs), *range(4, given.runs, 4), given.runs}):  # all cells have as many runs
+    for runs in sorted({min(2, given.runs), *range(4, given.runs, 4), given.runs}):
         todo = [k for k in cells(given.blocks) if len(records.get(k, {}).get("codes", ())) < runs]
-        arguments = ([(k, records.get(k), runs) for k in todo[n : n + 27]] for n in range(0, len(todo), 27))
-        for part in arguments:
+        for part in (todo[n : n + PART] for n in range(0, len(todo), PART)):
             if time.perf_counter() - start > 60.0 * given.minutes:
                 return
-            for key, record in zip([k for k, _, _ in part], _all(part, given.workers), strict=True):
+            known = [records.get(k) for k in part]
+            for key, record in zip(part, mapped(cell, part, known, [runs] * len(part)), strict=True):
                 records[key] = record
             store(records)
-            sys.stdout.write(f"{runs} runs: {part[-1][0]}, {time.perf_counter() - start:.0f} s\n")
+            sys.stdout.write(f"{runs} runs: {MISTAKES[part[-1][1]].what}, {time.perf_counter() - start:.0f} s\n")
             sys.stdout.flush()
-
-
-def _all(part: list[tuple[Key, dict[str, Any] | None, int]], workers: int) -> list[dict[str, Any]]:
-    if workers == 1:
-        return [cell(*one) for one in part]
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(cell, *zip(*part, strict=True)))
 
 
 if __name__ == "__main__":

@@ -63,7 +63,7 @@ class ImageErrors:
 
     @classmethod
     def of(cls, known: ResidualCofactors) -> ImageErrors | None:
-        """Errors at a solution; None of large blocks, and if extra observations name points: those are not eliminated."""
+        """Errors at a solution; None of large blocks, and if extra observations name points, which stay unknowns."""
         problem = known.problem
         large = len(problem.observations) > MOST_OBSERVED or problem.n_image_unknowns > WHOLE_LIMIT
         if large or problem.named_points():
