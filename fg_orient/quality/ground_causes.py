@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
+from math import lgamma
 from typing import Final
 
 import numpy as np
@@ -13,7 +14,8 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.geodesy import ecef_to_geodetic, undulation_m
-from fg_orient.geodesy.datums import known_shifts
+from fg_orient.geodesy.datums import DatumShift, known_shifts
+from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError
 from fg_orient.model.names import Role
 from fg_orient.quality import hypotheses, mended
@@ -24,6 +26,7 @@ from fg_orient.quality.image_causes import ImageErrors
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
 
 #: Number of check points used.
 MOST: Final = 300
@@ -33,11 +36,16 @@ UNDULATION_M, DATUM_M = 110.0, 1000.0
 AGREES: Final = 3.0
 #: Factors from units in which heights may be given to metres.
 UNITS: Final = {"feet": 0.3048, "US survey feet": 1200.0 / 3937.0, "kilometres": 1000.0}
+#: Points with a mistake of a part of a table at least, and most points of a group in which such parts are looked for.
+SOME: Final = 3
+MOST_SOME: Final = 100
+#: Name of the group of all measured points.
+ALL: Final = "control and check points"
 _EGM96: Final = "EPSG:4326+5773"
 #: Roles of the groups of points that may have a mistake in common.
 _ROLES: Final = {
     "control points": (Role.CONTROL,), "check points": (Role.CHECK,),
-    "control and check points": (Role.CONTROL, Role.CHECK),
+    ALL: (Role.CONTROL, Role.CHECK),
 }  # fmt: skip
 
 
@@ -122,12 +130,13 @@ class GroundErrors:
         axes = np.swapaxes(self.problem.axes(self.given_m), 1, 2)  # columns are East, North, Up
         groups = {"control points": np.arange(n) < c, "check points": np.arange(n) >= c}
         if 0 < c < n:
-            groups["control and check points"] = np.ones(n, bool)
+            groups[ALL] = np.ones(n, bool)
         for name, members in groups.items():
             if members.sum() >= 2:
                 part = axes * members[:, None, None]
                 yield from self._offsets(name, members, part, penalty)
                 yield from self._units(name, members)
+                yield from self._datums(name, members, part)
         single, parts = [], []
         for a in range(n):
             g, normal = self.normal(axes * (np.arange(n) == a)[:, None, None])
@@ -162,7 +171,7 @@ class GroundErrors:
                     "second id", partial(mended.with_coordinates_of, points={name: self.ids[b]}), name,
                 )  # fmt: skip
 
-    def _offsets(self, name: str, members: npt.NDArray[np.bool_], axes: Array, penalty: float) -> Iterator[Cause]:
+    def _offsets(self, name: str, members: Mask, axes: Array, penalty: float) -> Iterator[Cause]:
         """Constant offsets of a group: of the heights, and of all coordinates."""
         t, p, theta, sigma = self._fitted(axes[:, :, 2:])
         roles, flat = _ROLES[name], np.array([0.0, 0.0, 1.0])
@@ -190,26 +199,61 @@ class GroundErrors:
 
     def _datum(self, error_m: Array, sigma_m: Array) -> str:
         """The known datum whose coordinates differ by a constant vector, in words; "" if there is none."""
-        if not self.problem.block.georeferenced:
-            return ""
-        lon, lat, _ = self._geodetic()
         nearest = (AGREES, "")
-        for one in known_shifts(round(float(np.mean(lon)), 2), round(float(np.mean(lat)), 2)):
+        for one in self._known_shifts():
             away = error_m[:2] - (one.east_m, one.north_m)
             distance = float(np.max(np.abs(away) / np.hypot(sigma_m[:2], one.accuracy_m)))
             text = f"; {one.name} gives {one.east_m:+.2f}, {one.north_m:+.2f} m East, North"
             nearest = min(nearest, (distance, text))
         return nearest[1]
 
-    def _units(self, name: str, members: npt.NDArray[np.bool_]) -> Iterator[Cause]:
-        """Heights of a group in another unit, read as metres."""
+    def _known_shifts(self) -> tuple[DatumShift, ...]:
+        """Shifts of datums in use here."""
+        if not self.problem.block.georeferenced:
+            return ()
+        lon, lat, _ = ecef_to_geodetic(self.problem.origin_m)
+        return known_shifts(round(float(lon[0]), 1), round(float(lat[0]), 1))
+
+    def _units(self, name: str, members: Mask) -> Iterator[Cause]:
+        """Heights of a group, or of some of its points, in another unit, read as metres."""
         height = self._geodetic()[2]
         up = np.swapaxes(self.problem.axes(self.given_m), 1, 2)[:, :, 2] * members[:, None]
         for unit, factor in UNITS.items():
             error = up * (height * (1.0 - factor))[:, None]
-            yield self._fixed(f"heights of the {name} in {unit}", error[:, :, None],
-                              f"multiply the heights of the table by {factor:.8g}", f"{name} in {unit}",
-                              partial(mended.heights_times, roles=_ROLES[name], factor=factor))  # fmt: skip
+            cure = f"multiply the heights of the table by {factor:.8g}"
+            mend = partial(mended.heights_times, roles=_ROLES[name], factor=factor)
+            yield self._fixed(f"heights of the {name} in {unit}", error[:, :, None], cure, f"{name} in {unit}", mend)
+            yield from self._of_some(
+                f"heights of {{}} {name} in {unit}", members, error, cure, f"{name} in {unit}", mend
+            )
+
+    def _datums(self, name: str, members: Mask, axes: Array) -> Iterator[Cause]:
+        """Coordinates of some points of a group in another datum; for those of all see :meth:`_offsets`."""
+        for one in self._known_shifts():
+            shift = np.array([one.east_m, one.north_m, 0.0])
+            yield from self._of_some(
+                f"coordinates of {{}} {name} in {one.name}", members, axes @ shift,
+                "look at the coordinate reference system of these points", f"{name} in {one.name}",
+                partial(mended.shifted, roles=_ROLES[name], error_m=shift),
+            )  # fmt: skip
+
+    def _of_some(
+        self, what: str, members: Mask, error_m: Array, cure: str, kind: str, mend: Callable[..., Block]
+    ) -> Iterator[Cause]:
+        """Known errors (n, 3) of some points of a group, found step by step; each choice of points is a mistake."""
+        rows = np.flatnonzero(members)
+        m = len(rows)
+        if not 2 * SOME <= m <= MOST_SOME:
+            return
+        each = np.zeros((len(self.ids), 3, m))
+        each[rows, :, np.arange(m)] = error_m[rows]
+        g, normal = self.normal(each)
+        chosen, gain = _best_part(g, normal)
+        s = int(chosen.sum())
+        if SOME <= s < m:
+            penalty = 2.0 * (lgamma(m + 1) - lgamma(s + 1) - lgamma(m - s + 1))
+            only = tuple(self.ids[k] for k in rows[chosen])
+            yield without_parameter(what.format(f"{s} of {m}"), gain - penalty, cure, kind, partial(mend, only=only))
 
     def image_normal(self, errors: ImageErrors, error: Array) -> tuple[Array, Array]:
         """G (p,) and M (p, p) of whitened errors (q, p) of image points."""
@@ -230,10 +274,32 @@ class GroundErrors:
             return self.given_m[:, 0], self.given_m[:, 1], self.given_m[:, 2]
         return ecef_to_geodetic(self.given_m)
 
-    def _geoid(self, members: npt.NDArray[np.bool_]) -> str:
+    def _geoid(self, members: Mask) -> str:
         """Mean undulation of EGM96 at the points of a group in words, "" if its grid is not installed."""
         lon, lat, _ = self._geodetic()
         try:
             return f", EGM96 gives {np.mean(undulation_m(_EGM96, lon[members], lat[members])):+.1f} m"
         except FgOrientError:
             return ""
+
+
+def _best_part(g: Array, normal: Array) -> tuple[Mask, float]:
+    """Members (m,) whose errors of size 1 together have the largest gain ``2 sum(g) - sum(M)``, and this gain.
+
+    Members are added to none, and taken from all, one by one; the better of both ends counts.
+    """
+    best = np.zeros(len(g), bool), 0.0
+    for begin in (False, True):
+        chosen = np.full(len(g), begin)
+        gain = float(2.0 * g[chosen].sum() - normal[np.ix_(chosen, chosen)].sum())
+        while True:
+            sign = np.where(chosen, -1.0, 1.0)
+            change = sign * 2.0 * (g - normal @ chosen) - np.diag(normal)
+            k = int(np.argmax(change))
+            if not change[k] > 0.0:
+                break
+            chosen[k] = not chosen[k]
+            gain += float(change[k])
+        if gain > best[1]:
+            best = chosen, gain
+    return best

@@ -16,7 +16,9 @@ from fg_orient.quality.stated_sigmas import WORDS
 Array = npt.NDArray[np.float64]
 
 
-def with_measured(block: Block, roles: Collection[Role], change: Callable[[Array], Array]) -> Block:
+def with_measured(
+    block: Block, roles: Collection[Role], change: Callable[[Array], Array], only: Collection[str] = ()
+) -> Block:
     """Block in which the measured coordinates (n, 3) m of control or check points are changed.
 
     Parameters
@@ -25,22 +27,33 @@ def with_measured(block: Block, roles: Collection[Role], change: Callable[[Array
     roles : collection of Role
         Control, check, or both. Coordinates of check points are changed when they are opened.
     change : callable
+    only : collection of str
+        Ids of the points; default: all of these roles.
     """
     known, withheld = block.points.known, block.withheld
-    ecef, rows = known.ecef_m.copy(), block.points.where(Role.CONTROL)
-    if Role.CONTROL in roles and len(rows):
-        ecef[rows] = change(ecef[rows])
+    rows = block.points.where(Role.CONTROL)
+
+    def changed(ecef_m: Array, ids: Collection[str]) -> Array:
+        mine = np.isin(list(ids), list(only)) if only else np.ones(len(ecef_m), bool)
+        out = ecef_m.copy()
+        if mine.any():
+            out[mine] = change(ecef_m[mine])
+        return out
+
+    ecef = known.ecef_m.copy()
+    if Role.CONTROL in roles:
+        ecef[rows] = changed(ecef[rows], [block.points.ids[j] for j in rows])
 
     def opened() -> Coordinates:
         given = withheld.open()
-        return replace(given, ecef_m=change(given.ecef_m))
+        return replace(given, ecef_m=changed(given.ecef_m, withheld.ids))
 
     points = replace(block.points, known=replace(known, ecef_m=ecef))
     check = Role.CHECK in roles and bool(withheld.ids)
     return replace(block, points=points, withheld=replace(withheld, reader=opened) if check else withheld)
 
 
-def shifted(block: Block, roles: Collection[Role], error_m: Array) -> Block:
+def shifted(block: Block, roles: Collection[Role], error_m: Array, only: Collection[str] = ()) -> Block:
     """Block without a constant error (3,) m East, North, Up (or along the local axes) of these measured coordinates."""
 
     def change(ecef_m: Array) -> Array:
@@ -49,10 +62,10 @@ def shifted(block: Block, roles: Collection[Role], error_m: Array) -> Block:
         lon, lat, _ = ecef_to_geodetic(ecef_m)
         return np.asarray(ecef_m - np.einsum("nji,j->ni", enu_from_ecef(lon, lat), error_m))
 
-    return with_measured(block, roles, change)
+    return with_measured(block, roles, change, only)
 
 
-def heights_times(block: Block, roles: Collection[Role], factor: float) -> Block:
+def heights_times(block: Block, roles: Collection[Role], factor: float, only: Collection[str] = ()) -> Block:
     """Block with the measured heights of these points multiplied by a factor."""
 
     def change(ecef_m: Array) -> Array:
@@ -62,7 +75,7 @@ def heights_times(block: Block, roles: Collection[Role], factor: float) -> Block
         up = enu_from_ecef(lon, lat)[:, 2]
         return np.asarray(ecef_m + up * ((factor - 1.0) * height)[:, None])
 
-    return with_measured(block, roles, change)
+    return with_measured(block, roles, change, only)
 
 
 def with_sigmas(block: Block, group: str, factor: float) -> Block:
