@@ -60,8 +60,7 @@ def conclude(
         findings.append(finding("solution.check_not_located", n=len(names), points=names))
     accept = compiled.block.options.accept
     status, reason, ordered = verdict.decided(assessment, estimate.end, findings, accept)
-    if status is not Status.CONVERGED:
-        ordered = causes.added(ordered, compiled, estimate, on_earth, examined.sigmas, accuracy.check)
+    ordered, supposed = causes.added(ordered, compiled, estimate, on_earth, examined, accuracy.check)
     return Solution(
         problem=compiled, status=status, verdict=reason, end=estimate.end, residuals=examined.residuals,
         backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,
@@ -69,7 +68,7 @@ def conclude(
         sigma0_interval=assessment.interval, log=estimate.log, iterations=estimate.iterations,
         residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, block_view=block_view,
         accuracy=accuracy, cofactors=cofactors, sigmas=examined.sigmas, unavailable=unavailable, findings=ordered,
-        weights=estimate.weights, resumed_at=estimate.resumed_at,
+        weights=estimate.weights, resumed_at=estimate.resumed_at, supposed=supposed,
         seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, working_clock() - start),
     )  # fmt: skip
 

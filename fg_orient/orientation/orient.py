@@ -29,6 +29,7 @@ from fg_orient.model.parameters import with_options
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.orientation.camera_direction import with_direction
 from fg_orient.orientation.conclusion import cofactors_at, conclude
+from fg_orient.orientation.confirmation import confirmed
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality import doubts, vendor_datum, verdict
 from fg_orient.quality.deficiency import compiled_problem, judge_observability, refuse_deficient, require_determined
@@ -175,8 +176,12 @@ def adjust(
 
     runner = run_with_components if block.options.variance_components else run.once
     alone = replace(run, callback=None, stage=None, checkpoint=None, begin=None)
+
+    def completed(solution: Solution) -> Solution:
+        return with_direction(confirmed(solution, alone.once), block, alone.once)
+
     if not block.options.snoop:
-        return with_direction(runner(block, None), block, alone.once)
+        return completed(runner(block, None))
     from fg_orient.orientation.outlier_search import require_possible_search, search
 
     require_possible_search(block)
@@ -185,8 +190,7 @@ def adjust(
     whole = end.whole(solution.seconds.jit) if isinstance(end, Again) else end
     assert isinstance(whole, Solution)
     findings = doubts.with_accepted([*record.findings(), *whole.findings], block.options.accept)
-    whole = replace(whole, snooping=record, findings=tuple(findings), memory=solution.memory)
-    return with_direction(whole, block, alone.once)
+    return completed(replace(whole, snooping=record, findings=tuple(findings), memory=solution.memory))
 
 
 def _compiled(block: Block) -> tuple[Problem, tuple[ImageObservability, ...], BlockObservability | None, float]:
@@ -258,9 +262,9 @@ class _Run:
     """
 
     execution: Execution | None
-    callback: Callback | None
-    stage: Stage | None
-    checkpoint: Checkpoint | None
+    callback: Callback | None = None
+    stage: Stage | None = None
+    checkpoint: Checkpoint | None = None
     begin: Callable[[Problem], State] | None = None
 
     def once(self, block: Block, begin: State | None = None) -> Solution:

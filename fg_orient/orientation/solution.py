@@ -20,6 +20,7 @@ from fg_orient.model.errors import Finding, InputError, NoSolutionError
 from fg_orient.model.options import USUAL_GROUPS
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.quality.accuracy import Accuracy
+from fg_orient.quality.cause import Supposed
 from fg_orient.quality.component_round import Method
 from fg_orient.quality.figures import AdjustedFigure, adjusted_figures
 from fg_orient.quality.freedom import UnknownFreedom
@@ -98,6 +99,8 @@ class Solution(AdjustmentResult):
         Search for gross errors, if the options request one.
     sigmas : tuple of StatedSigma
         Stated sigmas of groups of observations beside the estimated ones, where the observations are tested.
+    supposed : Supposed or None
+        Most likely mistake, until an adjustment without it has confirmed it or not.
     """
 
     verdict: Finding
@@ -119,6 +122,7 @@ class Solution(AdjustmentResult):
     resumed_at: int = 0
     snooping: Search | None = None
     sigmas: tuple[StatedSigma, ...] = ()
+    supposed: Supposed | None = None
 
     @property
     def scale(self) -> float:

@@ -18,6 +18,7 @@ from fg_orient.adjustment.rows import linearised, rows_by_image
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError, Finding, InputError, RankDeficientError, finding
+from fg_orient.quality.mix_ups import mix_ups
 from fg_orient.quality.observability import (
     BlockObservability,
     ImageObservability,
@@ -58,11 +59,14 @@ class Evidence:
 def compiled_problem(block: Block, like: Problem | None = None) -> Problem:
     """Compile a block; the error for a block without control points lists the free motions of each part.
 
-    Parameters and errors as of ``compile_problem``.
+    If rays do not meet, mix-ups of tables and metadata that explain it are added. Parameters and errors as of
+    ``compile_problem``.
     """
     try:
         return prepared(compile_problem(block, like))
     except InputError as error:
+        if any(p.code.startswith("initial.") for p in error.problems):
+            raise InputError(*error.problems, *(one.finding(block) for one in mix_ups(block))) from None
         if [p.code for p in error.problems] != ["block.no_control"]:
             raise
         raise InputError(*error.problems, *_motions_without_control(block)) from None

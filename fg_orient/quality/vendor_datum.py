@@ -30,12 +30,11 @@ from scipy.linalg import eigh
 
 from factors._contract import Argument, Equation
 from fg_orient.adjustment.border import Border, small_enough
-from fg_orient.adjustment.cofactors import RayCofactors, blocks_of_images, cofactors_of_rays
-from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.cofactors import blocks_of_images
+from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur_reduced import Singular
-from fg_orient.adjustment.unknown_cofactors import DenseUnknowns
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
@@ -108,18 +107,6 @@ class WithDatum:
     def blocks(self, pairs: npt.NDArray[np.intp]) -> Array:
         """See ``PointCofactors``."""
         return blocks_of_images(self.problem, lambda images: self.joint(images, ()), pairs)
-
-    def unknowns(self, places: npt.NDArray[np.intp]) -> DenseUnknowns:
-        """See ``Cofactors``."""
-        moved = self.held.image[places]
-        return DenseUnknowns(self.shape.unknowns(places).matrix + moved @ moved.T)
-
-    def star(self) -> None:
-        """See ``Cofactors``."""
-
-    def rays(self, problem: Problem, state: State) -> RayCofactors:
-        """See ``Cofactors``."""
-        return cofactors_of_rays(problem, state, self.blocks)
 
 
 def with_datum(block: Block) -> Block:

@@ -13,6 +13,7 @@ from fg_orient.adjustment.constraints import has_constraints
 from fg_orient.model.errors import Finding, finding
 from fg_orient.quality.covariance import gives_statistics
 from fg_orient.quality.reliability import CHECKABLE, noncentrality
+from fg_orient.quality.unseen import unseen_mistakes
 from fg_orient.result.plain import Column, Table, of_axes, table_of_rows
 
 if TYPE_CHECKING:
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
     from fg_orient.quality.joint import NamedMatrix
     from fg_orient.quality.outlier_records import GroupTest, OutlierTests
     from fg_orient.quality.rejection import Search
-    from fg_orient.quality.reliability import BlockReliability, Reliability
+    from fg_orient.quality.unseen import unseen_mistakes
+from fg_orient.quality.reliability import BlockReliability, Reliability
 
 Array = npt.NDArray[np.float64]
 
@@ -91,6 +93,7 @@ def reliability_record(solution: Solution) -> dict[str, Any] | None:
         "n_control_coordinates_not_checkable": int((control.redundancy < CHECKABLE).sum()),
         "not_checkable": [*_control_unchecked(solution, control), *_image_unchecked(solution, image, rays)],
         "unseen": _unseen_record(solution, found),
+        "unseen_mistakes": [one.as_dict() for one in unseen_mistakes(known, solution.accuracy.check)],
         "largest_mdb": _largest(solution, image),
     }  # fmt: skip
 

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fg_orient import geodesy
+from fg_orient.geodesy.datums import known_shifts
 from fg_orient.model.errors import InputError
 
 A, F = 6378137.0, 1.0 / 298.257223563
@@ -231,3 +232,27 @@ def test_real_survey_points_agree_in_both_representations(real_data):
     assert np.abs(lat - llh["lat_deg"]).max() < 0.7e-8 and np.abs(lon - llh["lon_deg"]).max() < 0.7e-8
     assert np.abs(height - llh["h_ell_m"]).max() < 2e-4
     assert np.abs(geodesy.to_ecef("EPSG:4979", lon, lat, height)[:, 0] - xyz["X_ecef_m"]).max() < ROUNDING_M
+
+
+@pytest.mark.truth
+@pytest.mark.parametrize(("lon", "lat"), [(10.0, 50.0), (-5.0, 40.0), (25.0, 62.0)])
+def test_shifts_of_a_plate_fixed_system_follow_the_plate(lon: float, lat: float) -> None:
+    """Rotation of Eurasia in ITRF2014: -0.085, -0.531, 0.770 mas a year (Altamimi et al. 2017, table 1).
+
+    ETRF2000 keeps the rotation of ITRF2000 (-0.081, -0.490, 0.792), which differs by up to 1.4 mm a year (0.046 mas).
+    """
+    turn = np.radians(np.array([-0.085, -0.531, 0.770]) / 3.6e6)
+    velocity = geodesy.enu_from_ecef(lon, lat)[0] @ np.cross(turn, geodesy.geodetic_to_ecef(lon, lat, 0.0)[0])
+    found = {one.name: np.array([one.east_m, one.north_m]) for one in known_shifts(lon, lat)}
+    moved = found["ETRS89 for ITRF at epoch 2020"] - found["ETRS89 for ITRF at epoch 2000"]
+    assert moved == pytest.approx(-20.0 * velocity[:2], abs=0.028)
+
+
+@pytest.mark.truth
+def test_shifts_of_known_datums() -> None:
+    """ED50 in Germany within 15 m of Molodensky's formula with the mean of Europe, EPSG:1133; none in the open sea."""
+    east, north, _ = geodesy.enu_from_ecef(10.0, 50.0)[0] @ np.array([-87.0, -98.0, -121.0])
+    north += (6378388.0 * (F - 1.0 / 297.0) + F * (A - 6378388.0)) * np.sin(np.radians(100.0))
+    found = {one.name: one for one in known_shifts(10.0, 50.0)}
+    assert [found["ED50"].east_m, found["ED50"].north_m] == pytest.approx([-east, -north], abs=15.0)
+    assert known_shifts(-150.0, -40.0) == ()

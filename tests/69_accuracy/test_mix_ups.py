@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from fg_orient.model.block import Block
-from fg_orient.model.names import Status
-from fg_orient.quality.causes import mix_ups
+from fg_orient.model.block import Block, Coordinates, GroundPoints
+from fg_orient.model.names import Role, Status
+from fg_orient.quality.mix_ups import mix_ups, undone
 from fg_orient.simulate.block import BlockOptions, grid_block
+from tests.support.pinhole import pinhole_block
 
 
 @pytest.fixture(scope="module")
@@ -28,17 +29,38 @@ def misread(block: Block, kind: str) -> Block:
         line[first], sample[first] = o.sample[first], o.line[first]
     elif kind == "lines counted":
         line[first] = sensor.last_line - o.line[first]
+    elif kind == "half a turn":
+        line[first], sample[first] = sensor.last_line - o.line[first], sensor.last_sample - o.sample[first]
+    elif kind == "a quarter":
+        line[first], sample[first] = o.sample[first], sensor.last_line - o.line[first]
     else:
         sample[first] = sensor.last_sample - o.sample[first]
     return replace(block, observations=replace(o, line=line, sample=sample))
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("kind", ["exchanged", "lines counted", "samples counted"])
+@pytest.mark.parametrize("kind", ["exchanged", "lines counted", "samples counted", "half a turn", "a quarter"])
 def test_what_fits_is_named(block: Block, kind: str) -> None:
-    (sentence,) = map(str, mix_ups(misread(block, kind)))
+    wrong = misread(block, kind)
+    (sentence,) = (str(one.finding(wrong)) for one in mix_ups(wrong))
     assert kind in sentence
     assert f"image {block.images[0].id}:" in sentence
+
+
+@pytest.mark.oracle
+def test_exchanged_coordinates_of_a_local_system_are_named_and_put_right() -> None:
+    block, truth = pinhole_block(4, 25, views=3, seed=2)
+    control = np.arange(0, 25, 2)
+    xyz, sigma = block.points.known.ecef_m.copy(), np.full((25, 3), np.nan)
+    xyz[control], sigma[control] = truth.ground_m[control][:, [1, 0, 2]], 0.01
+    roles = tuple(Role.CONTROL if j in control else Role.TIE for j in range(25))
+    points = GroundPoints(block.points.ids, roles, Coordinates(xyz, sigma, np.zeros(25, bool)))
+    wrong = replace(block, points=points, options=replace(block.options, datum="control"))
+    found = mix_ups(wrong)
+    assert {one.reading for one in found} == {"X and Y exchanged"}
+    assert "X and Y exchanged" in str(found[0].finding(wrong))
+    right = undone(wrong, found).points.known.ecef_m[control]
+    assert right == pytest.approx(truth.ground_m[control], abs=1e-12)
 
 
 @pytest.mark.behaviour

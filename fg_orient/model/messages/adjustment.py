@@ -232,6 +232,7 @@ verdict.check_beyond (doubt): check points contradict the adjusted points: {size
     of blocks without mistakes have as many: {points:10}
     -> compare datum, heights and sigmas of control and check points, or <accept> "check_beyond<={size}"
 verdict.cause (note): likely cause: {what}; twofold logarithm of the likelihood ratio to no mistake: {gain:.1f}
+    + ; without it sigma0 {before} -> {after}, and {left}
     + ; cannot be told apart from: {also}
     -> {cure}
 verdict.accepted (note): accepted by <accept>: {names:10}
@@ -289,9 +290,18 @@ solution.wide_factor (note): the images see points together in such a way that G
 solution.few_check (warning): {n} check point(s): ASPRS (2023) asks for at least {least}
 solution.check_not_located (warning): {n} excluded check point(s) whose rays hardly meet have no coordinates:
     {points:10}
-solution.mix_up (doubt): image {image}: its control points lie {best_px:.3g} px from their places in the image
-    with {reading}, and {given_px:.3g} px as they stand (medians)
+solution.mix_up (doubt): image {image}: {n} of its {of} control points lie {best_px:.3g} px from their places in the
+    image with {reading}, and {given_px:.3g} px as they stand (medians)
+    + ; with this, sigma0 {before} -> {after}, and {left}
     -> look at the columns of the table and at the metadata file of the image
+solution.id_mix_up (doubt): {what}; they lie {best_px:.3g} px from there, and {given_px:.3g} px from the place of their
+    own id (medians)
+    + ; with this, sigma0 {before} -> {after}, and {left}
+    -> give the right ids in the tables of points and image points
+solution.id_copied (doubt): its coordinates are those of control point {other}, and its image points lie {given_px:.3g}
+    px from there (median): one control point stands in the table under two ids
+    + ; without its coordinates, sigma0 {before} -> {after}, and {left}
+    -> give the coordinates of this point
 solution.no_inner_datum (warning): the control points hold the datum, so inner constraints have nothing to do
     -> leave datum = "inner" out
 solution.no_inner_datum_nor_priors (warning): the control points hold the datum, so inner constraints have nothing

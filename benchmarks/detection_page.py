@@ -1,0 +1,227 @@
+"""The page docs/detection.md, from results/detection.json and results/false_alarms.json and nothing else.
+
+python -m benchmarks.detection_page
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from scipy import stats
+
+from benchmarks.detection import DRAWS, RESULTS
+from benchmarks.detection import RUNS as ALL_RUNS
+from benchmarks.false_alarms import KINDS
+from benchmarks.false_alarms import RESULTS as ALARMS
+from benchmarks.false_alarms import RUNS as ALL_ALARMS
+from benchmarks.mistakes import BLOCKS, MISTAKES
+from benchmarks.page import markdown
+from fg_orient.orientation.confirmation import CAUSES
+from fg_orient.quality.doubts import BUDGET
+
+PAGE: Final = Path(__file__).parents[1] / "docs" / "detection.md"
+#: Powers that are certain, and too small to see the mistake; share of runs wanted; share of right names wanted.
+CERTAIN, UNSEEN, WANTED, NAMED = 0.99, 0.2, 0.95, 0.8
+#: Probability that a cell, or a kind, deviates by chance: over the whole table 1 %.
+TABLE: Final = 0.01
+Record = dict[str, Any]
+
+
+def seen(record: Record) -> int:
+    """Runs that end with a doubt or worse."""
+    return sum(code != 0 for code in record["codes"])
+
+
+def deviates(record: Record, level: float) -> bool:
+    """Whether the number of runs with a doubt contradicts the prediction, itself from a number of draws."""
+    n, k, p = len(record["codes"]), seen(record), record["predicted"]
+    spread = 3.0 * (max(p * (1.0 - p), 1.0 / DRAWS) / DRAWS) ** 0.5
+    low, high = max(p - spread, 0.0), min(p + spread, 1.0)
+    return bool(stats.binom.cdf(k, n, low) < 0.5 * level or stats.binom.sf(k - 1, n, high) < 0.5 * level)
+
+
+def right_names(record: Record) -> tuple[int, int]:
+    """Runs with a doubt that name the mistake or its class first, and runs with a doubt."""
+    doubted = [named for code, named in zip(record["codes"], record["named"], strict=True) if code != 0]
+    return sum(doubted), len(doubted)
+
+
+def shown(record: Record | None) -> str:
+    """One cell of the table: predicted, measured, named."""
+    if record is None or not record["codes"]:
+        return "-"
+    n, k, p = len(record["codes"]), seen(record), record["predicted"]
+    right, doubted = right_names(record)
+    name = f", named {right}" if doubted and MISTAKES[record["mistake"]].named else ""
+    unseen = " (not seen)" if p < UNSEEN else ""
+    return f"{p:.2f}: {k}/{n}{name}{unseen}"
+
+
+def rows_of(records: dict[tuple[str, int, int], Record]) -> Iterator[list[str]]:
+    """Rows of the table: one per mistake and size."""
+    for m, mistake in enumerate(MISTAKES):
+        for size, value in enumerate(mistake.sizes):
+            words = f"{value:g}" if isinstance(value, float) else str(value)
+            if mistake.unit.startswith("of "):
+                words = f"{100 * float(value):.0f} %"
+            unit = mistake.unit
+            yield [mistake.what if size == 0 else "", f"{words} {unit}".strip(),
+                   *(shown(records.get((block, m, size))) for block in BLOCKS)]  # fmt: skip
+
+
+def misses(records: list[Record]) -> list[str]:
+    """Cells that do not do what is wanted, in words."""
+    out = []
+    for r in records:
+        n, k, mistake = len(r["codes"]), seen(r), MISTAKES[r["mistake"]]
+        if n and deviates(r, TABLE / len(records)):
+            value = mistake.sizes[r["size"]]
+            out.append(f"- {mistake.what}, {value} {mistake.unit}, {r['block']}: {k} of {n}, predicted "
+                       f"{r['predicted']:.3f}")  # fmt: skip
+    return out
+
+
+def badly_named(records: list[Record]) -> list[str]:
+    """Cells with a doubt in most runs, of which fewer than 80 % name the mistake or its class first."""
+    out = []
+    for r in records:
+        right, doubted = right_names(r)
+        mistake = MISTAKES[r["mistake"]]
+        if mistake.named and r["predicted"] >= CERTAIN and doubted and right < NAMED * doubted:
+            first = Counter(t for t, code in zip(r["texts"], r["codes"], strict=True) if code).most_common(1)[0][0]
+            value = mistake.sizes[r["size"]]
+            out.append([mistake.what, f"{value} {mistake.unit}".strip(), r["block"], f"{right}/{doubted}", first[:90]])
+    return [] if not out else [markdown([["mistake", "size", "block", "named", "named first instead"], *out])]
+
+
+def summary(records: list[Record]) -> list[str]:
+    """Counts over the table."""
+    done = [r for r in records if r["codes"]]
+    certain = [r for r in done if r["predicted"] >= CERTAIN]
+    unseen = [r for r in done if r["predicted"] < UNSEEN]
+    between = [r for r in done if UNSEEN <= r["predicted"] < CERTAIN]
+    often = sum(seen(r) >= WANTED * len(r["codes"]) for r in certain)
+    wanted = [r for r in certain if MISTAKES[r["mistake"]].named and right_names(r)[1]]
+    good = sum(right_names(r)[0] >= NAMED * right_names(r)[1] for r in wanted)
+    strange = misses(done)
+
+    def runs(some: list[Record]) -> int:
+        return sum(len(r["codes"]) for r in some)
+
+    def expected(some: list[Record]) -> float:
+        return sum(r["predicted"] * len(r["codes"]) for r in some)
+
+    return [
+        f"- Power of at least {CERTAIN} predicted: {len(certain)} cells; {sum(map(seen, certain))} of {runs(certain)} "
+        f"runs end with a doubt or worse, in {often} cells at least {100 * WANTED:.0f} %.",
+        f"- Power between {UNSEEN} and {CERTAIN}: {len(between)} cells; predicted {expected(between):.0f} runs with a "
+        f"doubt, found {sum(map(seen, between))} of {runs(between)}.",
+        f"- Power below {UNSEEN}: {len(unseen)} cells. Such a mistake cannot be seen here; predicted "
+        f"{expected(unseen):.0f} runs with a doubt, found {sum(map(seen, unseen))} of {runs(unseen)}. "
+        "[Likely causes](causes.md#what-cannot-be-seen-here) states what is assumed.",
+        f"- Of {len(wanted)} cells with a power of at least {CERTAIN} and a cause in the list, {good} name the "
+        f"mistake or its class first in at least {100 * NAMED:.0f} % of the doubts.",
+        f"- Cells that contradict their prediction (level {100 * TABLE:g} % over the table): {len(strange)}.",
+        *strange,
+    ]
+
+
+def alarm_rows(kinds: dict[str, Any]) -> Iterator[list[str]]:
+    """Rows of false alarms: one per kind."""
+    for name, kind in KINDS.items():
+        record = kinds.get(name, {"runs": 0, "alarms": {}})
+        codes = [code.partition(".")[2] for found in record["alarms"].values() for code in sorted(set(found))]
+        n, k = record["runs"], len(record["alarms"])
+        upper = stats.beta.ppf(0.95, k + 1, n - k) if n else float("nan")
+        counts = Counter(c for c in codes if f"verdict.{c}" not in CAUSES)
+        words = ", ".join(
+            f"`{c}` {number}" for c, number in sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+        )
+        yield [kind.what, str(n), str(k), f"{100.0 * k / max(n, 1):.2f} %", f"{100.0 * upper:.2f} %", words or "-"]
+
+
+def budget_rows(kinds: dict[str, Any]) -> Iterator[list[str]]:
+    """Rows of the doubts over all kinds: share, runs expected at most, runs found, probability of so many."""
+    n = sum(r["runs"] for r in kinds.values())
+    found = Counter(c.partition(".")[2] for r in kinds.values() for codes in r["alarms"].values() for c in set(codes))
+    for code, share in BUDGET.items():
+        k = found[code]
+        yield [
+            f"`{code}`",
+            f"{100.0 * share:g} %",
+            f"{share * n:.1f}",
+            str(k),
+            f"{stats.binom.sf(k - 1, n, share):.2g}",
+        ]
+
+
+def page(detection: Record, alarms: Record) -> str:
+    """Text of the page."""
+    records = detection["cells"]
+    by_key = {(r["block"], r["mistake"], r["size"]): r for r in records}
+    runs = [len(r["codes"]) for r in records]
+    seconds, kinds = sum(r["seconds"] for r in records), alarms["kinds"]
+    cells, done = 3 * len(BLOCKS) * len(MISTAKES), sum(runs)
+    least, most = (min(runs), max(runs)) if runs else (0, 0)
+    hours = seconds / max(done, 1) * cells * ALL_RUNS / 3600.0
+    total, clean = sum(r["runs"] for r in kinds.values()), sum(r["seconds"] for r in kinds.values())
+    found = [codes for r in kinds.values() for codes in r["alarms"].values()]
+    caused = sum(any(c in CAUSES for c in codes) for codes in found)
+    found = [codes for r in kinds.values() for codes in r["alarms"].values()]
+    caused = sum(any(c in CAUSES for c in codes) for codes in found)
+    parts = [
+        "# Detection and false alarms",
+        "<!-- Made by `python -m benchmarks.detection_page`. Do not edit. -->",
+        "Do mistakes in data end with exit code 4, and are they named? Do perfect data end with exit code 0?",
+        "## Detection of mistakes",
+        f"{len(MISTAKES)} kinds of mistakes, each of three sizes in three blocks: {cells} cells. Blocks, mistakes and "
+        "sizes (`benchmarks/mistakes.py`) were written down before the first run. A run draws orientation, image "
+        "points and ground coordinates of a perfect block from the sigmas of the adjustment, plants the mistake, and "
+        f"adjusts with default options. **{least} to {most} runs of each cell** were made, {done} adjustments. "
+        f"{ALL_RUNS} per cell are intended; `python -m benchmarks.detection --workers N` adds what is missing, in "
+        f"about {hours:.1f} hours of one process at the pace of these runs (on a busy machine).",
+        markdown([["block", "contents"], *([name, words] for name, words in BLOCKS.items())]),
+        "Predicted power: the doubts of the [verdict](verdict.md), computed by separate code "
+        f"(`benchmarks/linear_doubts.py`) in the linear model at the truth, in {DRAWS} draws. Residuals are $-R (e + "
+        "\\delta)$ with the error $\\delta$ that the mistake makes in the observations; power depends on the "
+        "non-centrality $\\delta^T R\\, \\delta$ and its shares in the single tests. A cell shows the predicted "
+        "power, the runs that end with exit code 4 or worse, and in how many of these the mistake, or a cause that "
+        "no data can tell from it, is named first. Such classes are: heights of control points too low and of check "
+        "points too high; a shift of the control points and the opposite one of the check points; feet and US survey "
+        "feet.",
+        "### Summary",
+        "\n".join(summary(records)),
+        "### Table",
+        markdown([["mistake", "size", *BLOCKS], *rows_of(by_key)]),
+        "### Not named first",
+        f"Cells with a power of at least {CERTAIN} in which another cause or doubt comes first in more than a fifth "
+        "of the doubts. Where only a share of a table is wrong, no single cause of the list holds for it.",
+        *badly_named(records),
+        "## False alarms",
+        f"Perfect blocks of ten kinds; {ALL_ALARMS} runs of each are intended, {total} were made in all, in "
+        f"{clean / 60.0:.0f} minutes of one process (`python -m benchmarks.false_alarms` adds what is missing). Exit "
+        'code 4 is allowed in 2 % of each kind; the shares of all doubts sum to 0.65 %. "At most": upper limit of '
+        "the share, which a larger one would undercut in 5 % of such studies.",
+        markdown([["kind", "runs", "exit 4", "share", "at most", "doubts"], *alarm_rows(kinds)]),
+        "Each doubt against its share, over all kinds. The last column is the probability of so many or more if the "
+        "share holds (`check_far` and `check_beyond` need check points, `beyond_prior` needs priors).",
+        markdown([["doubt", "share", "expected at most", "found", "probability"], *budget_rows(kinds)]),
+        f"A cause was named in {caused} of these {len(found)} false alarms.",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def main() -> None:
+    """Make the page."""
+    texts = (json.loads(path.read_text("utf-8")) for path in (RESULTS, ALARMS))
+    PAGE.write_text(page(*texts), encoding="utf-8")
+    sys.stdout.write(f"{PAGE}\n")
+
+
+if __name__ == "__main__":
+    main()
