@@ -308,7 +308,7 @@ def test_without_priors_weak_directions_are_pointed_out() -> None:
 @pytest.mark.behaviour
 def test_sensor_without_model_is_refused() -> None:
     block = rpc_twin("shift").block
-    stranger = SimpleNamespace(georeferenced=True, n_lines=100, n_samples=100, notes=(), file="a")
+    stranger = SimpleNamespace(georeferenced=True, orients=True, n_lines=100, n_samples=100, notes=(), file="a")
     other = replace(block, images=(block.images[0], Image("right", stranger)))  # type: ignore[arg-type]
     with pytest.raises(InputError) as caught:
         fg.adjust(other)

@@ -168,14 +168,14 @@ def test_directions_without_control_points_are_one_line(run: Any, twin: Path) ->
     """Not one line per direction that control points which do not exist fail to fix; the way out is the datum."""
     points = twin.parent / "points.csv"
     points.write_text(points.read_text("utf-8").replace(",control,", ",check,"), "utf-8")
-    ended = run("adjust", twin, "--datum", "inner")
+    ended = run("adjust", twin, "--datum", "inner", "--no-priors")
     assert (ended.code, ended.stdout.count("\n")) == (3, 1)
     (line,) = ended.stderr.splitlines()
     assert line.startswith("error: block: no control point fixes this combination (in prior sigmas): ")
     assert line.count(" | ") == 3 and line.count("this combination") == 1 and "the control points" not in line
     assert " more (--json has all): not observable without priors, and the block has no control point; " in line
     assert line.endswith('keep the priors: datum = "priors"; or choose a smaller EOP set')
-    record = run("adjust", twin, "--datum", "inner", "--overwrite", "--json").json
+    record = run("adjust", twin, "--datum", "inner", "--no-priors", "--overwrite", "--json").json
     assert len(record["unobservable"]) == len(record["errors"]) > 5
     # each image alone is determined at fixed ground points: only the spectrum of the whole block shows what is missing
     assert {o["rank_defect"] for o in record["observability"]} == {0}
