@@ -27,6 +27,8 @@ from fg_orient.quality.doubts import BUDGET
 PAGE: Final = Path(__file__).parents[1] / "docs" / "detection.md"
 #: Powers that are certain, and too small to see the mistake; share of runs wanted; share of right names wanted.
 CERTAIN, UNSEEN, WANTED, NAMED = 0.99, 0.2, 0.95, 0.8
+#: Seconds of processor time of a run, measured.
+RUN_S: Final = 0.14
 #: Probability that a cell, or a kind, deviates by chance: over the whole table 1 %.
 TABLE: Final = 0.01
 Record = dict[str, Any]
@@ -165,10 +167,10 @@ def page(detection: Record, alarms: Record) -> str:
     records = detection["cells"]
     by_key = {(r["block"], r["mistake"], r["size"]): r for r in records}
     runs = [len(r["codes"]) for r in records]
-    seconds, kinds = sum(r["seconds"] for r in records), alarms["kinds"]
+    kinds = alarms["kinds"]
     cells, done = 3 * len(BLOCKS) * len(MISTAKES), sum(runs)
     least, most = (min(runs), max(runs)) if runs else (0, 0)
-    hours = seconds / max(done, 1) * cells * ALL_RUNS / 3600.0
+    hours = RUN_S * cells * ALL_RUNS / 3600.0
     total, clean = sum(r["runs"] for r in kinds.values()), sum(r["seconds"] for r in kinds.values())
     found = [codes for r in kinds.values() for codes in r["alarms"].values()]
     caused = sum(any(c in CAUSES for c in codes) for codes in found)
@@ -184,7 +186,7 @@ def page(detection: Record, alarms: Record) -> str:
         "points and ground coordinates of a perfect block from the sigmas of the adjustment, plants the mistake, and "
         f"adjusts with default options. **{least} to {most} runs of each cell** were made, {done} adjustments. "
         f"{ALL_RUNS} per cell are intended; `python -m benchmarks.detection --workers N` adds what is missing, in "
-        f"about {hours:.1f} hours of one process at the pace of these runs (on a busy machine).",
+        f"about {hours:.1f} hours of processor time ({RUN_S:g} s a run, the mean of 30 cells drawn at random).",
         markdown([["block", "contents"], *([name, words] for name, words in BLOCKS.items())]),
         "Predicted power: the doubts of the [verdict](verdict.md), computed by separate code "
         f"(`benchmarks/linear_doubts.py`) in the linear model at the truth, in {DRAWS} draws. Residuals are $-R (e + "
@@ -194,6 +196,9 @@ def page(detection: Record, alarms: Record) -> str:
         "no data can tell from it, is named first. Such classes are: heights of control points too low and of check "
         "points too high; a shift of the control points and the opposite one of the check points; feet and US survey "
         "feet.",
+        "Whether a mistake is doubted does not depend on the search for causes. That search was extended after first "
+        "runs had shown what it did not name (a part of a table, radians); these runs were repeated with the same "
+        "random numbers. The counts of right names are therefore those of data that the search was extended for.",
         "### Summary",
         "\n".join(summary(records)),
         "### Table",
@@ -204,7 +209,8 @@ def page(detection: Record, alarms: Record) -> str:
         *badly_named(records),
         "## False alarms",
         f"Perfect blocks of ten kinds; {ALL_ALARMS} runs of each are intended, {total} were made in all, in "
-        f"{clean / 60.0:.0f} minutes of one process (`python -m benchmarks.false_alarms` adds what is missing). Exit "
+        f"{clean / 60.0:.0f} minutes of a busy machine "
+        "(`python -m benchmarks.false_alarms` adds what is missing). Exit "
         'code 4 is allowed in 2 % of each kind; the shares of all doubts sum to 0.65 %. "At most": upper limit of '
         "the share, which a larger one would undercut in 5 % of such studies.",
         markdown([["kind", "runs", "exit 4", "share", "at most", "doubts"], *alarm_rows(kinds)]),
