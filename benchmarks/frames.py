@@ -84,7 +84,7 @@ def network(size: Size, seed: int = 0) -> tuple[fg.Block, Array]:
     if size.views == 0:
         seen = np.tile(np.arange(n), (size.points, 1))
     elif size.neighbours:
-        seen = (rng.integers(0, n, size.points)[:, None] + 3 * np.arange(size.views)) % n
+        seen = (rng.integers(0, n, size.points)[:, None] + np.cumsum(np.arange(size.views))) % n
     else:
         seen = rng.random((size.points, n)).argpartition(size.views, axis=1)[:, : size.views]
     image, point = np.sort(seen, axis=1).ravel(), np.repeat(np.arange(size.points), seen.shape[1])
@@ -136,7 +136,7 @@ def measured(name: str) -> dict[str, Any]:
     """Second run of a size."""
     size = SIZES[name]
     block, _ = network(size)
-    statistics(fg.adjust(network(replace(size, points=min(size.points, 300)), 1)[0]))  # compiles
+    statistics(fg.adjust(network(replace(size, points=min(size.points, max(300, 20 * size.photos))), 1)[0]))  # compiles
     statistics(fg.adjust(block))
     begin = time.process_time()
     solution = fg.adjust(block)

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.border_matrix import BorderMatrix, Followed, triangle
-from fg_orient.adjustment.cofactors import Part, parts_of
+from fg_orient.adjustment.cofactors import Part, order_by_point, parts_of, summed
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
@@ -84,8 +84,9 @@ class Border(BorderMatrix):
             plain = replace(problem.block.options, priors=False, datum="control")  # the border adds priors itself
             own, _ = divided(replace(problem, block=replace(problem.block, options=plain)))
             self._backend = SchurBackend(replace(own, block=replace(own.block, extra=())))
+            self._order = order_by_point(self._backend.problem)
         else:
-            self._backend = near._backend
+            self._backend, self._order = near._backend, near._order
         #: Problem of the eliminated points.
         self.eliminated = self._backend.problem
         self._kept: list[Part] = []
@@ -170,8 +171,10 @@ class Border(BorderMatrix):
         """Eliminated points with all their rays, and the rows (2n, b) of these to the border."""
         kept = len(self.eliminated.observations) <= KEPT
         if kept and not self._kept:
-            self._kept = list(parts_of(self.eliminated, self.state))
-        return self._with_rows(iter(self._kept) if kept else parts_of(self.eliminated, self.state))
+            self._kept = list(parts_of(self.eliminated, self.state, order=self._order))
+        return self._with_rows(
+            iter(self._kept) if kept else parts_of(self.eliminated, self.state, order=self._order)
+        )  # fmt: skip
 
     def _with_rows(self, parts: Iterator[Part]) -> Iterator[tuple[Part, sparse.csr_array]]:
         """Parts with their rows to the border."""
@@ -182,8 +185,9 @@ class Border(BorderMatrix):
             n, _, k = part.d_image.shape
             at = np.repeat(columns[part.image], 2, axis=0).ravel()
             begin = np.arange(0, 2 * n * k + 1, k)
-            wide = sparse.csr_array((part.d_image.reshape(-1), at, begin), shape=(2 * n, len(self) + 1))
-            yield part, wide[:, : len(self)]
+            full = bool((at < len(self)).all())  # taking columns costs as much as the product with a few movements
+            wide = sparse.csr_array((part.d_image.reshape(-1), at, begin), shape=(2 * n, len(self) + (not full)))
+            yield part, wide if full else wide[:, : len(self)]
 
     def follow(self, moves: Array) -> Followed:
         """See :class:`BorderMatrix`."""
@@ -191,7 +195,7 @@ class Border(BorderMatrix):
         ground, gradient, rows = np.zeros((len(self.problem.active), 3, d)), np.zeros(moves.shape), [np.zeros((0, d))]
         for part, design in self.parts():
             seen = np.asarray(design @ moves).reshape(len(part.rows), 2, d)
-            slope = np.add.reduceat(np.einsum("nri,nrd->nid", part.d_ground, seen), part.first[:-1])
+            slope = summed(np.swapaxes(part.d_ground, 1, 2) @ seen, part.first)
             step = -(part.inverse @ slope)
             ground[part.points] = step
             left = seen + part.d_ground @ np.repeat(step, np.diff(part.first), axis=0)

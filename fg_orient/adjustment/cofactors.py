@@ -64,7 +64,7 @@ def cofactors_of_points(problem: Problem, state: State, index: Index, blocks: Ca
     wanted = np.flatnonzero(problem.active[index])
     if not len(wanted):
         return out
-    order = _order(problem)
+    order = order_by_point(problem)
     pairs, block = _pairs(problem, order)
     q, size = blocks(pairs), np.diff(problem.first)
     for part in parts_of(problem, state, index[wanted], order):
@@ -143,7 +143,7 @@ def cofactors_of_rays(
     Not valid for ground points with extra observations, because these also depend on the extra observations.
     ``datum``: all are transformed to it.
     """
-    n, order = len(problem.observations), _order(problem)
+    n, order = len(problem.observations), order_by_point(problem)
     pairs, block = _pairs(problem, order)
     q, size = blocks(pairs), np.diff(problem.first)
     images, place = q[np.diagonal(block)], places_of_images(problem)
@@ -233,7 +233,7 @@ class Part(NamedTuple):
     inverse: Array  # (P, 3, 3) H^-1; zero for points that are not unknowns
 
 
-def _order(problem: Problem) -> Index:
+def order_by_point(problem: Problem) -> Index:
     """Image points by ground point, then by image."""
     return np.lexsort((problem.observations.image, problem.observations.point)).astype(np.intp)
 
@@ -242,7 +242,7 @@ def parts_of(
     problem: Problem, state: State, points: Index | None = None, order: Index | None = None
 ) -> Iterator[Part]:  # fmt: skip
     """Ground points, by default all that are measured, with their rays, linearised at a state; part by part."""
-    order = _order(problem) if order is None else order
+    order = order_by_point(problem) if order is None else order
     points = np.unique(problem.observations.point) if points is None else points
     if not len(points):
         return
@@ -257,10 +257,19 @@ def parts_of(
             yield _part(problem, state, slice(lo, hi), points[lo:hi], first, rows)
 
 
+def summed(values: Array, first: Index) -> Array:
+    """Sums (P, ...) of the values (n, ...) of the rays of each point; a tenth of the time of ``np.add.reduceat``."""
+    from scipy import sparse
+
+    n, points = len(values), len(first) - 1
+    of_point = sparse.csr_array((np.ones(n), np.arange(n), first), shape=(points, n))
+    return np.asarray(of_point @ values.reshape(n, -1)).reshape(points, *values.shape[1:])
+
+
 def _part(problem: Problem, state: State, places: slice, points: Index, first: Index, rows: Index) -> Part:
     """Jacobians and H^-1 of some points."""
     image, (_, d_image, d_ground) = problem.observations.image[rows], linearised(problem, state, rows)
-    normal = np.add.reduceat(np.einsum("nri,nrj->nij", d_ground, d_ground), first[:-1])
+    normal = summed(np.swapaxes(d_ground, 1, 2) @ d_ground, first)
     known = np.flatnonzero(problem.observed[points])
     w = problem.control_weights(points[known])
     normal[known] += np.swapaxes(w, 1, 2) @ w
@@ -355,7 +364,7 @@ class ReducedCofactors:
         self._problem, self._state, self._reduced = problem, system.state, system.reduced(0.0)
         self._known: dict[tuple[int, ...], Array] = {}
         self._whole: Array | None = None
-        self._order = _order(problem)
+        self._order = order_by_point(problem)
         self._first = np.searchsorted(problem.observations.point[self._order], np.arange(len(problem.active) + 1))
         self._of((0,))  # raises the error of an ill-conditioned system
 

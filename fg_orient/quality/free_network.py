@@ -115,9 +115,9 @@ def motions_of(problem: Problem, state: State, near: BorderMatrix | None = None)
             border = border_of(problem, state) if near is None else near.at(state)
             if border is not None:
                 start = None if near is None else near.moves
-                moves = weakest(border, UNOBSERVABLE, analyse_structure(problem).n_parts, start).directions
-                border.moves = moves
-                return Motions(_of_border(border, moves), border)
+                found = weakest(border, UNOBSERVABLE, analyse_structure(problem).n_parts, start)
+                border.moves = found.directions
+                return Motions(_widened(problem, border.images_of(found.directions), found.ground), border)
         rows = linearised(problem, state)
         s, vt = spectrum(reduced_rows(problem, rows, state))
         moves = np.asarray(vt[s <= UNOBSERVABLE].T)

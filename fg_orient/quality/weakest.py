@@ -25,6 +25,10 @@ SHIFT: Final = 1e-11
 BESIDE: Final = 9
 STEPS: Final = 3
 CORRECTIONS: Final = 2
+#: Singular value of a motion from which rounding alone is left: corrections no longer change it.
+EXACT: Final = 1e-11
+#: Directions up to this multiple of the limit are corrected.
+BESIDES: Final = 10.0
 
 
 @dataclass(frozen=True)
@@ -38,11 +42,14 @@ class Weakest:
         Singular values, ascending: length of the whitened residuals per unit of the image unknowns in prior sigmas.
     directions : (b, d) array
         Of the border; orthonormal in the image unknowns.
+    ground : (N, 3, d) array
+        Movements of the ground points with them, m.
     """
 
     border: BorderMatrix
     values: Array
     directions: Array
+    ground: Array
 
 
 def weakest(border: BorderMatrix, limit: float, parts: int = 1, start: Array | None = None) -> Weakest:
@@ -74,32 +81,36 @@ def weakest(border: BorderMatrix, limit: float, parts: int = 1, start: Array | N
         return np.asarray(lapack.dpotrs(factor, right, lower=1)[0])
 
     def corrected(found: _ByRows) -> _ByRows:
-        change = solved(found.gradient * border.scale[:, None])
-        return _by_rows(border, found.directions - change * border.scale[:, None])
+        for _ in range(CORRECTIONS):
+            wanted = found.values < BESIDES * limit
+            if (start is None and (found.values[wanted] <= EXACT).all()) or (found.values <= EXACT).all():
+                break
+            change = solved(found.gradient * border.scale[:, None])
+            found = _by_rows(border, found.directions - change * border.scale[:, None])
+        return found
 
     if start is not None:
-        found = corrected(corrected(_by_rows(border, start)))
-        return Weakest(border, found.values, found.directions)
+        found = corrected(_by_rows(border, start))
+        return Weakest(border, found.values, found.directions, found.ground)
     while True:
         count = min(count, most)
         space = np.random.default_rng(0).standard_normal((n, count))
         for _ in range(STEPS):
             space = np.asarray(qr(solved(space), mode="economic")[0], float)
-        found = _by_rows(border, space * border.scale[:, None])
-        for _ in range(CORRECTIONS):
-            found = corrected(found)
+        found = corrected(_by_rows(border, space * border.scale[:, None]))
         below = found.values < limit
         if not below.all() or count == most:
-            return Weakest(border, found.values[below], found.directions[:, below])
+            return Weakest(border, found.values[below], found.directions[:, below], found.ground[:, :, below])
         count *= 2
 
 
 class _ByRows(NamedTuple):
-    """Singular values (d,), ascending, directions (b, d) and their gradient (b, d), from all rows."""
+    """Singular values (d,), ascending, directions (b, d), their gradient (b, d) and ground (N, 3, d), from all rows."""
 
     values: Array
     directions: Array
     gradient: Array
+    ground: Array
 
 
 def _by_rows(border: BorderMatrix, space: Array) -> _ByRows:
@@ -111,4 +122,4 @@ def _by_rows(border: BorderMatrix, space: Array) -> _ByRows:
     _, s, vt = np.linalg.svd(effect, full_matrices=len(effect) < effect.shape[1])
     s = np.append(s, np.zeros(effect.shape[1] - len(s)))
     turn = vt.T[:, np.argsort(s)]
-    return _ByRows(np.sort(s), own @ turn, followed.gradient @ turn)
+    return _ByRows(np.sort(s), own @ turn, followed.gradient @ turn, followed.ground @ turn)
