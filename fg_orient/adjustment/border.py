@@ -19,10 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.border_matrix import BorderMatrix, Followed, triangle
-from fg_orient.adjustment.cofactors import Part, order_by_point, parts_of, summed
+from fg_orient.adjustment.cofactors import Part, order_by_point, parts_of
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.rows import linearised
+from fg_orient.adjustment.rows import linearised, summed
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.schur_reduced import FULL_LIMIT, full_matrix
 from fg_orient.model.block import ExtraObservation

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.rows import linearised, rows_by_image
+from fg_orient.adjustment.rows import linearised, rows_by_image, summed
 from fg_orient.adjustment.unknown_cofactors import DenseUnknowns
 from fg_orient.kernels.batch_cofactors import image_effects, ray_cofactors
 from fg_orient.model.options import Options
@@ -255,15 +255,6 @@ def parts_of(
         rows = order[np.repeat(begin[points[lo:hi]] - first[:-1], rays[lo:hi]) + np.arange(first[-1])]
         if len(rows):
             yield _part(problem, state, slice(lo, hi), points[lo:hi], first, rows)
-
-
-def summed(values: Array, first: Index) -> Array:
-    """Sums (P, ...) of the values (n, ...) of the rays of each point; a tenth of the time of ``np.add.reduceat``."""
-    from scipy import sparse
-
-    n, points = len(values), len(first) - 1
-    of_point = sparse.csr_array((np.ones(n), np.arange(n), first), shape=(points, n))
-    return np.asarray(of_point @ values.reshape(n, -1)).reshape(points, *values.shape[1:])
 
 
 def _part(problem: Problem, state: State, places: slice, points: Index, first: Index, rows: Index) -> Part:
