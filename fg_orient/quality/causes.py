@@ -70,7 +70,7 @@ def added(
     if not estimate.converged:
         return ordered, None
     named, first = of_solution(problem, estimate, cofactors, examined.sigmas, check, examined.residuals)
-    return ordered + named, first
+    return (*ordered[:1], *named, *ordered[1:]), first
 
 
 def of_solution(
