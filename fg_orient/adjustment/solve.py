@@ -250,8 +250,11 @@ class _Job:
         return robust_scale(self.problem, state) if self.options.robust_scale == "mad" else A_PRIORI
 
     def _best(self, state: State, scale: tuple[float, float]) -> State:
-        """Start of the last stage: under a redescending loss points lie where most of their rays agree."""
-        if not (self.options.gnc or find_loss(self.options.loss).redescending):
+        """Start of the last stage: after graduated stages, whose images are right, points lie where most rays agree.
+
+        After Huber's loss the images are still biased by gross errors: most rays may then agree on a wrong place.
+        """
+        if not self.options.gnc:
             return state
         image, control = (s * inlier_limit(self.options.inlier_probability, d)
                           for s, d in zip(scale, (IMAGE, CONTROL), strict=True))  # fmt: skip
