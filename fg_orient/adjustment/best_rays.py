@@ -1,9 +1,9 @@
 """Ground points with contradictory rays: the position that most rays agree with.
 
 A redescending loss has several minima in a point with a wrong ray: one without the wrong ray, others without a right
-one. The stages before the loss end in any of them. With the images held, the position of least truncated cost is chosen
-among the measured coordinates and the intersections of all pairs of rays (exhaustive consensus, after Fischler & Bolles
-1981)::
+one. The graduated stages before it end in any of them. With the images held, the position of least truncated cost is
+chosen among the measured coordinates and the intersections of all pairs of rays (exhaustive consensus, after Fischler
+& Bolles 1981)::
 
     c(x) = sum min(|v|^2, L^2),   L: limit of right observations
 
@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from factors.conditions.control import POINT
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.rows import linearised, residuals
+from fg_orient.adjustment.rows import linearised, residuals, summed
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -79,9 +79,9 @@ class _Search:
         rows = np.flatnonzero(np.isin(o.point, points))
         self._rows = rows[np.argsort(o.point[rows], kind="stable")]
         self._of = np.searchsorted(points, o.point[self._rows])
-        first = np.searchsorted(self._of, np.arange(len(points)))
+        self._first = np.searchsorted(self._of, np.arange(len(points) + 1))
         #: Number of each ray among those of its point.
-        self.number = np.arange(len(self._rows)) - first[self._of]
+        self.number = np.arange(len(self._rows)) - self._first[self._of]
         self._observed = problem.observed[points]
         self._place = problem.control_records[points[self._observed], POINT.place]
         self._weight = problem.control_weights(points[self._observed])
@@ -126,9 +126,8 @@ class _Search:
         for _ in range(steps):
             part = linearised(self._problem, self._at(place), self._rows)
             slope = used[:, None, None] * part.ground
-            normal, gradient = np.zeros((len(place), 3, 3)), np.zeros((len(place), 3))
-            np.add.at(normal, self._of, np.swapaxes(slope, 1, 2) @ part.ground)
-            np.add.at(gradient, self._of, np.einsum("nij,ni->nj", slope, part.residual))
+            normal = summed(np.swapaxes(slope, 1, 2) @ part.ground, self._first)
+            gradient = summed(np.einsum("nij,ni->nj", slope, part.residual), self._first)
             if width:
                 v = self._control(place)
                 held = self._weight * (np.sum(v**2, axis=1) <= (width * self._limits[1]) ** 2)[:, None, None]

@@ -155,7 +155,7 @@ class Border(BorderMatrix):
         eliminated = np.setdiff1d(points, self.named)
         for part, design in self._with_rows(parts_of(self.eliminated, self.state, eliminated)):
             slope = np.einsum("nri,nrb->nib", part.d_ground, design.toarray().reshape(-1, 2, len(self)))
-            mine = -(part.inverse @ np.add.reduceat(slope, part.first[:-1]))
+            mine = -(part.inverse @ summed(slope, part.first))
             at = np.searchsorted(part.points, points)
             for place in np.flatnonzero(np.isin(points, part.points)).tolist():
                 gain[place], inverse[place] = mine[at[place]], part.inverse[at[place]]

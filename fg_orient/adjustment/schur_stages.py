@@ -223,7 +223,7 @@ class ImageExtras:
                 (k,), (j,) = images, jacobians
                 blocks[own_block[k], : j.shape[1], : j.shape[1]] += j.T @ j
 
-    @property
+    @cached_property
     def matrix(self) -> Array | None:
         """``J^T J`` (z, z) of the free unknowns by observations of several images; None without such."""
         wide = [self._free(images, jacobians) for images, _, jacobians in self._rows if len(images) > 1]
