@@ -23,9 +23,10 @@ from fg_orient.adjustment.cofactors import Part, order_by_point, parts_of
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised, summed
-from fg_orient.adjustment.schur import SchurBackend
+from fg_orient.adjustment.schur import SchurBackend, SchurSystem
 from fg_orient.adjustment.schur_reduced import FULL_LIMIT, full_matrix
 from fg_orient.model.block import ExtraObservation
+from fg_orient.model.options import Datum
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -60,6 +61,75 @@ def _part(problem: Problem, rays: Mask, points: Mask, extra: tuple[ExtraObservat
     )  # fmt: skip
 
 
+def eliminated_part(problem: Problem, datum: Datum) -> Problem:
+    """Problem of the points to eliminate, without priors and extra observations."""
+    own, _ = divided(problem)
+    options = replace(problem.block.options, priors=False, datum=datum)
+    return replace(own, block=replace(own.block, options=options, extra=()))
+
+
+def explicit_rows(problem: Problem, state: State) -> tuple[Array, sparse.csr_array]:
+    """Rows of named points, extra observations and priors: residuals (r,), Jacobian (r, b) to the border, whitened."""
+    from scipy import sparse
+
+    values, rows, columns, entries, count = [np.zeros(0)], [], [], [], 0
+    for at, value, design in _pieces(problem, state):
+        own = np.repeat(np.arange(count, count + len(value)), len(at)).reshape(design.shape)
+        rows.append(own.ravel())
+        columns.append(np.broadcast_to(at, design.shape).ravel())
+        entries.append(design.ravel())
+        values.append(value)
+        count += len(value)
+    if problem.block.options.priors:
+        z = problem.n_free_unknowns
+        rows.append(np.arange(count, count + z))
+        columns.append(np.arange(z))
+        entries.append(np.ones(z))
+        values.append(problem.image_vector(state))
+    value, none = np.concatenate(values), np.zeros(0, np.intp)
+    places = np.concatenate([none, *rows]), np.concatenate([none, *columns])
+    size = problem.n_free_unknowns + 3 * len(problem.named_points())
+    data = np.concatenate([np.zeros(0), *entries])
+    return value, sparse.coo_array((data, places), shape=(len(value), size)).tocsr()
+
+
+def _pieces(problem: Problem, state: State) -> Iterator[tuple[Index, Array, Array]]:
+    """Rows of named points and of extra observations: columns (c,), residuals (r,), Jacobian (r, c).
+
+    Columns may occur twice.
+    """
+    named, free, z = problem.named_points(), free_columns(problem), problem.n_free_unknowns
+    place = {j: z + 3 * k for k, j in enumerate(named)}
+    if named:
+        o = problem.observations
+        rays = np.flatnonzero(np.isin(o.point, named))
+        for row, value, by_image, by_point in zip(rays.tolist(), *linearised(problem, state, rays), strict=True):
+            k, j = int(o.image[row]), int(o.point[row])
+            size = len(problem.parameters[k])
+            own = free[problem.first[k] : problem.first[k] + size]
+            yield np.append(own, place[j] + np.arange(3)), value, np.hstack([by_image[:, :size], by_point])
+        for j in (j for j in named if problem.observed[j]):
+            yield place[j] + np.arange(3), problem.control_residuals(state, j), problem.control_weights(j)
+    for extra in problem.block.extra:
+        value, blocks = extra_blocks(problem, extra, state, jacobian=True)
+        at = [free[problem.image_slice(a.index)] if a.is_image else place[a.index] + np.arange(3) for a, _ in blocks]
+        yield np.concatenate(at).astype(np.intp), value, np.hstack([block for _, block in blocks])
+
+
+def free_columns(problem: Problem) -> Index:
+    """Column (w,) of each unknown of all images."""
+    return np.arange(problem.n_image_unknowns) if problem.ties is None else problem.ties.of
+
+
+def bordered(
+    system: SchurSystem, problem: Problem, blocks: Array, rows: tuple[Array, sparse.csr_array]
+) -> Array:  # fmt: skip
+    """Normal matrix (b, b) from blocks of eliminated points and the rows of :func:`explicit_rows`."""
+    out, z = (rows[1].T @ rows[1]).toarray(), problem.n_free_unknowns
+    out[:z, :z] += full_matrix(system.structure.pattern, problem.first, blocks, problem.ties)
+    return np.asarray(out)
+
+
 class Border(BorderMatrix):
     """The border of a problem, linearised at a state.
 
@@ -81,9 +151,7 @@ class Border(BorderMatrix):
     def __init__(self, problem: Problem, state: State, near: Border | None = None) -> None:
         self.problem, self.state, self.named = problem, state, problem.named_points()
         if near is None:
-            plain = replace(problem.block.options, priors=False, datum="control")  # the border adds priors itself
-            own, _ = divided(replace(problem, block=replace(problem.block, options=plain)))
-            self._backend = SchurBackend(replace(own, block=replace(own.block, extra=())))
+            self._backend = SchurBackend(eliminated_part(problem, "control"))
             self._order = order_by_point(self._backend.problem)
         else:
             self._backend, self._order = near._backend, near._order
@@ -91,6 +159,7 @@ class Border(BorderMatrix):
         self.eliminated = self._backend.problem
         self._kept: list[Part] = []
         self._system = self._backend.linearise(state)
+        self._rows = explicit_rows(problem, state)
         super().__init__(problem, state, *self._normal())
 
     @property
@@ -100,44 +169,13 @@ class Border(BorderMatrix):
 
     def _normal(self) -> tuple[Array, Array]:
         """S (b, b), and the gradient (b,) with the points at the intersection of their rays."""
-        z, blocks_gradient = self.n_images, self._system.partial(0.0)
-        size = z + 3 * len(self.named)
-        out, gradient = np.zeros((size, size)), np.zeros(size)
-        pattern = self._system.structure.pattern
-        out[:z, :z] = full_matrix(pattern, self.problem.first, blocks_gradient[0], self.problem.ties)
-        gradient[:z] = blocks_gradient[1]
+        blocks, gradient = self._system.partial(0.0)
+        matrix = bordered(self._system, self.problem, blocks, self._rows)
         self._backend.buffers.release()
-        for columns, value, design in self._explicit_rows():
-            np.add.at(out, (columns[:, None], columns[None]), design.T @ design)
-            np.add.at(gradient, columns, design.T @ value)
-        if self.problem.block.options.priors:
-            out[np.arange(z), np.arange(z)] += 1.0
-            gradient[:z] += self.problem.image_vector(self.state)
-        return out, gradient
-
-    def _explicit_rows(self) -> Iterator[tuple[Index, Array, Array]]:
-        """Rows of named points and of extra observations: columns (c,), residuals (r,), Jacobian (r, c), whitened.
-
-        Columns may occur twice.
-        """
-        problem, state, z = self.problem, self.state, self.n_images
-        free, place = self.free_columns, {j: z + 3 * k for k, j in enumerate(self.named)}
-        if self.named:
-            o = problem.observations
-            rays = np.flatnonzero(np.isin(o.point, self.named))
-            for row, value, by_image, by_point in zip(rays.tolist(), *linearised(problem, state, rays), strict=True):
-                k, j = int(o.image[row]), int(o.point[row])
-                size = len(problem.parameters[k])
-                own = free[problem.first[k] : problem.first[k] + size]
-                yield np.append(own, place[j] + np.arange(3)), value, np.hstack([by_image[:, :size], by_point])
-            for j in (j for j in self.named if problem.observed[j]):
-                yield place[j] + np.arange(3), problem.control_residuals(state, j), problem.control_weights(j)
-        for extra in problem.block.extra:
-            value, blocks = extra_blocks(problem, extra, state, jacobian=True)
-            at = [
-                free[problem.image_slice(a.index)] if a.is_image else place[a.index] + np.arange(3) for a, _ in blocks
-            ]
-            yield np.concatenate(at).astype(np.intp), value, np.hstack([block for _, block in blocks])
+        value, design = self._rows
+        full = np.asarray(design.T @ value)
+        full[: self.n_images] += gradient
+        return matrix, full
 
     def squares(self) -> float:
         """Squares of the whitened residuals of the eliminated points, moved along their rays; the images stay."""
@@ -164,8 +202,7 @@ class Border(BorderMatrix):
     @cached_property
     def free_columns(self) -> Index:
         """Column (w,) of each unknown of all images."""
-        ties = self.problem.ties
-        return np.arange(self.problem.n_image_unknowns) if ties is None else ties.of
+        return free_columns(self.problem)
 
     def parts(self) -> Iterator[tuple[Part, sparse.csr_array]]:
         """Eliminated points with all their rays, and the rows (2n, b) of these to the border."""
@@ -204,15 +241,11 @@ class Border(BorderMatrix):
             control = np.flatnonzero(self.eliminated.observed[part.points])
             held = self.eliminated.control_weights(part.points[control]) @ step[control]
             rows.append(triangle(np.vstack([flat, held.reshape(3 * len(held), d)])))
-        for columns, _, jacobian in self._explicit_rows():
-            own = jacobian @ moves[columns]
-            np.add.at(gradient, columns, jacobian.T @ own)
-            rows.append(own)
+        _, jacobian = self._rows
+        rows.append(np.asarray(jacobian @ moves))
+        gradient += np.asarray(jacobian.T @ rows[-1])
         if self.named:
             ground[self.named] = moves[self.n_images :].reshape(len(self.named), 3, d)
-        if self.problem.block.options.priors:
-            gradient[: self.n_images] += moves[: self.n_images]
-            rows.append(moves[: self.n_images])
         return Followed(ground, triangle(np.vstack(rows)), gradient)
 
     def images_of(self, moves: Array) -> Array:

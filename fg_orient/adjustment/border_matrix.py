@@ -116,11 +116,7 @@ class BorderMatrix(ABC):
         s = self.matrix * np.outer(self.scale, self.scale)
         if self.null is not None:
             s += self.null @ self.null.T
-        norm = float(np.abs(s).sum(axis=0).max())
-        factor, info = lapack.dpotrf(s.T, lower=1, clean=0, overwrite_a=1)
-        if info != 0:
-            raise Singular("the reduced normal equations are not positive definite")
-        return factor, norm
+        return cholesky(s)
 
     def condition(self) -> float:
         """Condition number of the scaled matrix in the 1-norm, without the null space of a free network."""
@@ -140,6 +136,15 @@ class BorderMatrix(ABC):
         if self.null is not None:
             out -= self.null @ self.null.T
         return np.asarray(out * np.outer(self.scale, self.scale))
+
+
+def cholesky(matrix: Array) -> tuple[Any, float]:
+    """LAPACK's lower Cholesky factor of a symmetric matrix, which is overwritten, and its 1-norm; else Singular."""
+    norm = float(np.abs(matrix).sum(axis=0).max())
+    factor, info = lapack.dpotrf(matrix.T, lower=1, clean=0, overwrite_a=1)
+    if info != 0:
+        raise Singular("the reduced normal equations are not positive definite")
+    return factor, norm
 
 
 def triangle(rows: Array) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -52,7 +53,49 @@ class SchurStep:
         return float(np.sqrt(np.sum(self.image**2) + np.sum(self.ground**2)))
 
 
-class SchurSystem:
+class Blended(ABC):
+    """A linearisation with steps of a trust region: unknowns (u,) that stay, and eliminated points (P, 3)."""
+
+    @abstractmethod
+    def solve(self, damping: float) -> SchurStep:
+        """Step with ``damping`` times the identity added."""
+
+    @abstractmethod
+    def gradient(self) -> tuple[Array, Array]:
+        """Gradient (u,), (P, 3)."""
+
+    @abstractmethod
+    def curvature(self, image: Array, ground: Array) -> float:
+        """Squares of the whitened Jacobian times a direction (u,), (P, 3)."""
+
+    @abstractmethod
+    def given(self, image: Array, ground: Array) -> SchurStep:
+        """A given step (u,), (P, 3), with the error that the linear model predicts after it."""
+
+    def dogleg(self, radius: float) -> SchurStep:
+        """Blend of the steepest-descent and the Gauss-Newton step."""
+        newton = self.solve(0.0)
+        if newton.norm <= radius:
+            return newton
+        image, ground = self.steepest()
+        squares = np.sum(image**2) + np.sum(ground**2)
+        length = float(np.sqrt(squares))
+        if length >= radius:
+            return self.given(image * (radius / length), ground * (radius / length))
+        d_image, d_ground = newton.image - image, newton.ground - ground
+        across = float(np.sum(d_image**2) + np.sum(d_ground**2))
+        dot = float(np.sum(image * d_image) + np.sum(ground * d_ground))
+        share = share_at_radius(across, dot, length, radius)
+        return self.given(image + share * d_image, ground + share * d_ground)
+
+    def steepest(self) -> tuple[Array, Array]:
+        """Step (u,), (P, 3) to the minimum of the linear model along the negative gradient."""
+        image, ground = self.gradient()
+        factor = -float((np.sum(image**2) + np.sum(ground**2)) / self.curvature(image, ground))
+        return image * factor, ground * factor
+
+
+class SchurSystem(Blended):
     """One linearisation; see ``loop.System``.
 
     Its rows are in the buffers of the backend. If another linearisation has replaced them they are computed again.
@@ -210,28 +253,6 @@ class SchurSystem:
             n_chunks = tile.chunks[1] - tile.chunks[0]
             self._share_out(tile, backend.stages.substituted, n_chunks, own, wide, b, ground)
         return self._step(image, ground, float(b.squares.sum()))
-
-    def dogleg(self, radius: float) -> SchurStep:
-        """Blend of the steepest-descent and the Gauss-Newton step."""
-        newton = self.solve(0.0)
-        if newton.norm <= radius:
-            return newton
-        image, ground = self.steepest()
-        squares = np.sum(image**2) + np.sum(ground**2)
-        length = float(np.sqrt(squares))
-        if length >= radius:
-            return self.given(image * (radius / length), ground * (radius / length))
-        d_image, d_ground = newton.image - image, newton.ground - ground
-        across = float(np.sum(d_image**2) + np.sum(d_ground**2))
-        dot = float(np.sum(image * d_image) + np.sum(ground * d_ground))
-        share = share_at_radius(across, dot, length, radius)
-        return self.given(image + share * d_image, ground + share * d_ground)
-
-    def steepest(self) -> tuple[Array, Array]:
-        """Step (u,), (P, 3) to the minimum of the linear model along the negative gradient."""
-        image, ground = self.gradient()
-        factor = -float((np.sum(image**2) + np.sum(ground**2)) / self.curvature(image, ground))
-        return image * factor, ground * factor
 
     def gradient(self) -> tuple[Array, Array]:
         """Gradient of the images (u,) and of the points (P, 3)."""

@@ -430,14 +430,16 @@ def _run_dense(job: _Job) -> Estimate:
 
 def _run_schur(job: _Job, make: Callable[[Problem], Any] | None = None) -> Estimate:
     """Compile to arrays, optimise, linearise at the end."""
+    from fg_orient.adjustment.named_points import NamedBackend
     from fg_orient.adjustment.schur import SchurBackend
 
-    backend = (make or SchurBackend)(job.problem)
+    named = make is None and bool(job.problem.named_points())
+    backend: Any = (make or (NamedBackend if named else SchurBackend))(job.problem)
     job.mark()
     with one_blas_thread():
         result = job.optimise(backend, _same, _same)
         job.mark()
-        linear = backend.linearise(result.state)
+        linear = (backend.border if named else backend.linearise)(result.state)
     return job.estimate(backend, result, result.state, linear)
 
 

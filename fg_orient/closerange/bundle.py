@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -30,8 +30,6 @@ from fg_orient.orientation.solution import Solution
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Residual = Literal["image", "condition"]
-
-BACKENDS: Final = ("auto", "dense", "graph")
 
 
 @dataclass(frozen=True)
@@ -140,8 +138,8 @@ def adjust_bundle(
     residual : "image" or "condition"
         Least squares of the image residuals, or of the conditions F = e R3 (Ayhan 1996, eq. 77), with weights that do
         not depend on the depth.
-    backend : "auto", "dense" or "graph"
-        Full matrices, or GTSAM; auto: full matrices up to 2000 unknowns.
+    backend : "auto", "dense", "graph" or "schur"
+        Full matrices, GTSAM, or our own loop on arrays; auto: full matrices up to 2000 unknowns, else GTSAM.
     optimizer : str
         "levenberg-marquardt", "gauss-newton" or "dogleg".
     callback : callable, optional
@@ -166,8 +164,6 @@ def adjust_bundle(
     TypeError
         Another option.
     """
-    if backend not in BACKENDS:
-        raise InputError.of("closerange.backend", place="backend", value=backend, known=", ".join(BACKENDS))
     measured = as_points(image, 2, "image")
     given = np.broadcast_to(np.asarray(sigma, float), measured.shape)
     require_sigmas(given)

@@ -8,6 +8,7 @@ from typing import Any, Final, Literal
 
 from fg_orient.model.declaration import Checked, Group, Names, documented, option
 from fg_orient.model.names import LARGEST, SMALLEST
+from fg_orient.model.options import Backend
 
 MODEL: Final = Group("Model")
 WEIGHTS: Final = Group("Weights")
@@ -57,8 +58,9 @@ class BundleOptions(ImageOptions):
         0.0, WEIGHTS, "Default standard deviation of control points, 0 for exact ones.", unit="m", within=SIZES,
         zero="exact control points",
     )
-    backend: Literal["auto", "dense", "graph"] = option(
-        "auto", MODEL, "Full matrices, or a GTSAM graph; auto: full matrices up to 2000 unknowns.",
+    backend: Backend = option(
+        "auto", MODEL, "Full matrices, a GTSAM graph, or our own loop on arrays (schur); auto: full matrices up to "
+        "2000 unknowns, else the graph.",
     )
 
 

@@ -154,7 +154,7 @@ def shape(p: Array) -> Array:
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("backend", ["graph", "dense"])
+@pytest.mark.parametrize("backend", ["graph", "dense", "schur"])
 @pytest.mark.parametrize("kind", ["distance", "plane", "line", "circle", "sphere"])
 def test_hard_in_a_free_network_from_wrong_starts(kind: str, backend: str) -> None:
     """From two wrong starts: squares, redundancy and shape of Lagrange's equations."""
@@ -357,7 +357,7 @@ def test_figures_are_those_of_lagrange(sigma: float | None) -> None:
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("backend", ["graph", "dense"])
+@pytest.mark.parametrize("backend", ["graph", "dense", "schur"])
 def test_a_base_between_images_with_priors(backend: str) -> None:
     """No point is named: the points stay eliminated, and the constraint is a factor of its own."""
     block, _ = pinhole_block(4, 30, views=3, seed=2)

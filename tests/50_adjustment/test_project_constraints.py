@@ -92,7 +92,7 @@ def with_text(project: Path, text: str, name: str = "stated.toml") -> Path:
 
 
 @pytest.mark.consistency
-@pytest.mark.parametrize("backend", ["graph", "dense"])
+@pytest.mark.parametrize("backend", ["graph", "dense", "schur"])
 def test_a_project_is_adjusted_as_in_python(project: Path, backend: str, tmp_path: Path) -> None:
     own = fg.adjust(replace(fg.read_project(project), extra=STATED), backend=backend)
     ended = in_process("adjust", with_text(project, TEXT), "--backend", backend, "--out", tmp_path / "out", "--json")

@@ -517,9 +517,9 @@ def with_own_observation(block: Block) -> Block:
 
 
 @pytest.mark.behaviour
-def test_own_observations_are_refused_by_name() -> None:
+def test_blocks_for_other_backends_are_refused() -> None:
     with pytest.raises(fg.InputError) as caught:
-        fg.adjust(with_own_observation(grid(2, 2, 60)), backend="schur")
+        SchurBackend(compile_problem(with_own_observation(grid(2, 2, 60))))
     assert caught.value.problems[0].code == "adjust.schur"
     with pytest.raises(ValueError, match="reduced"):
         SchurBackend(compile_problem(grid(2, 2, 60)), reduced="sparse")

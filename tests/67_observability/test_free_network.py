@@ -62,7 +62,7 @@ def with_datum(design: np.ndarray, held: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("backend", ["dense", "graph"])
+@pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
 def test_cofactors_are_the_pseudo_inverse(backend: str) -> None:
     """All unknowns in the datum: (J^T J)^+ by numpy; seven motions, redundancy n - rank."""
     solution = solved(backend)
@@ -81,7 +81,7 @@ def test_cofactors_are_the_pseudo_inverse(backend: str) -> None:
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("backend", ["dense", "graph"])
+@pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
 def test_state_fulfils_the_inner_constraints_and_is_a_minimum(backend: str) -> None:
     """E^T (x - x_0) = 0 at the points, J^T r = 0: of all solutions the one whose points moved least."""
     solution = solved(backend)

@@ -149,7 +149,7 @@ def test_absolute_orientation() -> None:
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("backend", ["dense", "graph"])
+@pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
 def test_bundle(backend: str) -> None:
     """Three photos, six new points; from its own solution the same points have the same cofactors."""
     rotations, points, rng = scene(6)

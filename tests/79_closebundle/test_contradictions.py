@@ -69,7 +69,7 @@ def test_points_that_constraints_make_one_are_named() -> None:
 
 
 @pytest.mark.behaviour
-@pytest.mark.parametrize("backend", ["dense", "graph"])
+@pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
 def test_a_plumb_line_and_a_horizontal_circle_with_one_common_point(backend: str) -> None:
     angle, height = np.arange(6.0), np.array([[-0.5], [0.2], [0.6]])
     circle = MIDDLE + np.column_stack([0.6 * np.cos(angle), 0.6 * np.sin(angle), np.zeros(6)])
@@ -126,7 +126,7 @@ def test_a_constraint_that_follows_where_the_others_hold_is_dependent() -> None:
 
 
 @pytest.mark.behaviour
-@pytest.mark.parametrize("backend", ["dense", "graph"])
+@pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
 def test_dependence_is_named_where_steps_do_not_end(backend: str) -> None:
     """The fourth point of a circle lies on a sphere of the other three: as a graph it read as not converging."""
     angle = np.arange(4.0) + 0.3

@@ -18,7 +18,7 @@ from .conftest import SIGMA, Array, Scene, make
 WRONG = {5: [0.05, 0.04], 27: [0.0, -0.05], 58: [-0.03, 0.06]}
 HEIGHT, HEIGHT_ERROR_M = 2, 0.05
 N_CONTROL, SIGMA_CONTROL = 8, 0.001
-BACKENDS = ("dense", "graph")
+BACKENDS = ("dense", "graph", "schur")
 
 
 def planted(*, height: bool = True, noise: float = SIGMA) -> tuple[Scene, dict[str, tuple[Array, float]]]:

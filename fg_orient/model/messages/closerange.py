@@ -29,7 +29,6 @@ closerange.method: no such method
 closerange.prior: no such observed parameter, or a value or sigma that is not possible (lengths are above 0); the
     algebraic method and quadrics take none
 closerange.member: the constraint names a point or photo that is not measured, or not there
-closerange.backend: not a backend of close range; other backends do not support hard constraints
 closerange.parameter: this is no name of a camera parameter, nor of a set of them
     -> choose one of {known}
 closerange.axis: no such axis of revolution
