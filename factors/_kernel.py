@@ -17,6 +17,7 @@ from numba.core import compiler, sigutils, typing
 from numba.core.caching import FunctionCache
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined]
+from numba.core.environment import Environment
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.runtime.nrt import rtsys
 
@@ -61,6 +62,8 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
                 _flags(*(options["fastmath"] or ("",)), options["forceinline"]), {}, library,
                 pipeline_class=self.pipeline_class,
             )  # fmt: skip
+            # numba would give the constants of the part, which has none, to the same function when it is loaded from disk
+            Environment._memo.pop(result.fndesc.env_name, None)
             part = _Part(object(), result)
             context.insert_user_function(part.key, result.fndesc, [library])
             self.parts[args] = part

@@ -298,8 +298,14 @@ json.dump([value, []], sys.stdout)
 """
     script = chain.folder / "script.py"
     script.write_text(code, encoding="utf-8")
-    for _ in range(2):  # compiled, and from disk
+    for run in range(
+        3
+    ):  # compiled, from disk, and the kernel compiled while another process has written that of the part
         assert chain.run("import runpy, sys; runpy.run_path(r'" + str(script) + "')") == (8.0, [])
+        files = list(chain.cache.rglob("script.whole*"))
+        assert files
+        for path in files if run == 1 else ():
+            path.unlink()
 
 
 def test_a_function_does_not_take_the_rounding_of_its_first_caller() -> None:
