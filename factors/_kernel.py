@@ -62,7 +62,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
                 _flags(*(options["fastmath"] or ("",)), options["forceinline"]), {}, library,
                 pipeline_class=self.pipeline_class,
             )  # fmt: skip
-            # numba would give the constants of the part, which has none, to the same function when it is loaded from disk
+            # by this name numba would give the same function, loaded from disk, the constants of the part: none
             Environment._memo.pop(result.fndesc.env_name, None)
             part = _Part(object(), result)
             context.insert_user_function(part.key, result.fndesc, [library])
