@@ -39,8 +39,8 @@ MOST_CHUNK: Final = 16384
 RAY_COST: Final = 2
 #: Limits for the sums of the chunks: bytes per image point, bytes that are always allowed, least number of chunks.
 SUMS: Final = 48
-LEAST_SUMS: Final = 32_000_000
-LEAST_CHUNKS: Final = 4
+LEAST_SUMS: Final = 16_000_000
+LEAST_CHUNKS: Final = 2
 #: Image points whose rows are computed together: 25 MB.
 TILE: Final = 131_072
 #: Number of image points up to which all rows are kept, 200 bytes each. Larger blocks keep this share: the working set

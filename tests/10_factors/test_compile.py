@@ -298,9 +298,7 @@ json.dump([value, []], sys.stdout)
 """
     script = chain.folder / "script.py"
     script.write_text(code, encoding="utf-8")
-    for run in range(
-        3
-    ):  # compiled, from disk, and the kernel compiled while another process has written that of the part
+    for run in range(3):  # compiled, from disk, and compiled where another process has written the part as a kernel
         assert chain.run("import runpy, sys; runpy.run_path(r'" + str(script) + "')") == (8.0, [])
         files = list(chain.cache.rglob("script.whole*"))
         assert files
