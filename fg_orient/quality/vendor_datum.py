@@ -31,11 +31,13 @@ from scipy.linalg import eigh
 from factors._contract import Argument, Equation
 from fg_orient.adjustment.border import Border, small_enough
 from fg_orient.adjustment.cofactors import blocks_of_images
+from fg_orient.adjustment.constraint_rows import ConstraintObservation
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.model.block import Block, ExtraObservation
+from fg_orient.model.constraint import Constraint
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 from fg_orient.model.parameters import chosen_datum, with_options
@@ -110,8 +112,13 @@ class WithDatum:
 
 
 def with_datum(block: Block) -> Block:
-    """Block with the datum that "auto" stands for: "vendor" if only the metadata tell where it lies, else "control"."""
-    control = bool(block.points.where(Role.CONTROL).size or block.extra)
+    """Block with the datum that "auto" stands for: "vendor" if only the metadata tell where it lies, else "control".
+
+    Constraints between points do not tell it; other extra observations may.
+    """
+    control = bool(block.points.where(Role.CONTROL).size) or not all(
+        isinstance(extra, ConstraintObservation | Constraint) for extra in block.extra
+    )
     return with_options(block, "adjust", datum=chosen_datum(block.options, block.images, control=control))
 
 
@@ -133,7 +140,8 @@ def with_vendor_datum(problem: Problem) -> Problem:
             border = Border(replace(problem, block=without_priors(problem.block)), problem.start)
         except Singular as error:
             raise InputError.of("adjust.vendor_datum_points", place=problem.block.name, why=error) from None
-        n, s, z = _movement(problem), _without_named(border), problem.n_free_unknowns
+        n, z, named = _movement(problem), border.n_images, _named_that_follow(border)
+        s = border.matrix[:z, :z] + border.matrix[:z, z:] @ named
         scale = 1.0 / np.sqrt(np.maximum(np.diag(n), np.finfo(float).tiny))
         size, axes = eigh(n * np.outer(scale, scale))
         basis = scale[:, None] * axes[:, size > MOVES * size[-1]] / np.sqrt(size[size > MOVES * size[-1]])
@@ -141,7 +149,7 @@ def with_vendor_datum(problem: Problem) -> Problem:
         disagreement = border.squares() / (2.0 * len(problem.observations))
         moves = basis @ turn[:, share * max(1.0, disagreement) < SEEN]
         rows = moves.T @ n
-        ground = border.follow(np.vstack([moves, np.zeros((len(border) - z, moves.shape[1]))])).ground
+        ground = border.follow(np.vstack([moves, named @ moves])).ground
     if not len(rows):
         return problem
     size, axes = np.linalg.eigh(rows @ rows.T)
@@ -171,11 +179,11 @@ def _movement(problem: Problem) -> Array:
     return out if ties is None else np.asarray(ties.matrix.T @ (ties.matrix.T @ out).T)
 
 
-def _without_named(border: Border) -> Array:
-    """S (z, z) of the images, the named points eliminated, too."""
-    z = border.n_images
-    by_points = border.matrix[:z, z:]
-    return np.asarray(border.matrix[:z, :z] - by_points @ np.linalg.pinv(border.matrix[z:, z:]) @ by_points.T)
+def _named_that_follow(border: Border) -> Array:
+    """Movements (3n, z) of the named points that follow those of the images best."""
+    z, scale = border.n_images, border.scale[border.n_images :]
+    inverse = np.linalg.pinv(border.matrix[z:, z:] * np.outer(scale, scale), hermitian=True)
+    return np.asarray(-(scale[:, None] * inverse * scale) @ border.matrix[z:, :z])
 
 
 def _observation(problem: Problem, rows: Array) -> HeldDatum:

@@ -86,6 +86,22 @@ def test_backends_agree_under_a_loss(loss: str) -> None:
         assert other.chi2 == pytest.approx(dense.chi2, rel=1e-7)
 
 
+@pytest.mark.oracle
+def test_constraints_tell_no_place() -> None:
+    """A block with a hard distance takes the vendor's datum by itself, too, on all backends."""
+    block, truth = without_control()
+    distance = fg.Constraint("distance", block.points.ids[:2], float(np.linalg.norm(truth[0] - truth[1])))
+    block = replace(block, extra=(distance,), options=replace(block.options, datum="auto"))
+    dense, graph, schur = (fg.adjust(block, backend=name) for name in ("dense", "graph", "schur"))
+    assert dense.problem.block.options.datum == "vendor" and of_problem(dense.problem) is not None
+    for other in (graph, schur):
+        assert np.abs(other.ground_m - dense.ground_m).max() < 1e-5
+        assert other.chi2 == pytest.approx(dense.chi2, rel=1e-8)
+    assert np.linalg.norm(dense.ground_m[0] - dense.ground_m[1]) == pytest.approx(distance.value_m, abs=1e-6)
+    free = fg.adjust(replace(block, extra=()))
+    assert np.linalg.norm((dense.ground_m - free.ground_m).mean(axis=0)) < 1.0
+
+
 @pytest.mark.truth
 def test_parallax_falls_and_the_block_stays() -> None:
     """The parallax of erroneous vendor models falls; the block moves by no more than its rays miss each other."""
