@@ -46,10 +46,15 @@ def require_determined(built: Built, state: State) -> None:
 
     Hard constraints allow a space of motions Z. The singular values of J Z, with unknowns in units of the accuracy of
     their observations, measure how well the observations determine the unknowns. The error names undetermined motions
-    of the coordinate system; otherwise the unknowns and the direction.
+    of the coordinate system; otherwise the unknowns and the direction. Inner constraints determine these motions.
     """
     unit = built.units(state)
     design, _, border = built.rows(state)
+    if built.block.options.datum == "inner":
+        moved = motions(built, state)
+        size = np.linalg.norm(moved / unit[:, None], axis=0)
+        inner = (moved[:, size > 0.0] / (size[size > 0.0] * unit[:, None] ** 2)).T
+        design = np.vstack([design, inner])
     border = border * unit
     basis = np.eye(len(unit))
     if len(border):

@@ -16,8 +16,9 @@ WEIGHTS: Final = Group("Weights")
 SIZES: Final = (SMALLEST, LARGEST)
 #: Options of the common adjustment that a bundle has, and defaults that differ from it.
 COMMON: Final = (
-    "optimizer", "solver", "max_iterations", "memory_limit_gb", "loss", "gnc", "inlier_probability", "robust_start",
-    "robust_scale", "snoop", "snoop_kind", "outlier_test", "outlier_level", "multiple_testing", "variance_components",
+    "optimizer", "solver", "datum", "max_iterations", "memory_limit_gb", "loss", "gnc", "inlier_probability",
+    "robust_start", "robust_scale", "snoop", "snoop_kind", "outlier_test", "outlier_level", "multiple_testing",
+    "variance_components",
 )  # fmt: skip
 DEFAULTS: Final[dict[str, Any]] = {"optimizer": "levenberg-marquardt", "max_iterations": 100}
 RELATIVE: Final = "without it weights are relative, and m0 is that standard deviation"

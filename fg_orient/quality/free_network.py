@@ -76,16 +76,17 @@ _LABEL: Final = "minimal datum"
 
 
 def _residual(record: Any, setup: Any, x: Any) -> Any:
-    """``x - x_0`` of the unknowns with the numbers of the record."""
-    return x[record.astype(np.intp)] - setup[0]
+    """``(x - x_0) w`` of the unknowns with the numbers of the record."""
+    return (x[record.astype(np.intp)] - setup[0]) * setup[1]
 
 
 def _kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
-    jacobian = np.eye(len(x))[record.astype(np.intp)] if want else np.empty((0, 0))
+    jacobian = np.eye(len(x))[record.astype(np.intp)] * setup[1][:, None] if want else np.empty((0, 0))
     return _residual(record, setup, x), jacobian
 
 
-#: Some unknowns of an image, each observed with sigma 1 prior sigma.
+#: Some unknowns of an image, each observed with the weight that its own image points give it: a small one would be no
+#: more than a damping of Levenberg-Marquardt.
 HELD_UNKNOWNS: Final = Equation(
     "held_unknowns", _kernel, _residual, (Argument("x", "prior sigma"),), "minimal datum of a free network",
 )  # fmt: skip
@@ -156,9 +157,11 @@ def _holding(problem: Problem, chosen: Index) -> Problem:
     for k, image in enumerate(problem.block.images):
         own = chosen[(chosen >= problem.first[k]) & (chosen < problem.first[k + 1])] - problem.first[k]
         if len(own):
-            value = problem.unknowns(problem.start, k)[own][None]
+            rays = np.flatnonzero(problem.observations.image == k)
+            weight = np.linalg.norm(linearised(problem, problem.start, rays).image[:, :, own], axis=(0, 1))
+            setup = np.stack([problem.unknowns(problem.start, k)[own], np.maximum(weight, 1.0)])
             held.append(ExtraObservation(
-                HELD_UNKNOWNS, (f"image:{image.id}",), own.astype(float), value, len(own),
+                HELD_UNKNOWNS, (f"image:{image.id}",), own.astype(float), setup, len(own),
                 f"{_LABEL} of image {image.id}",
             ))  # fmt: skip
     others = tuple(e for e in problem.block.extra if e.equation is not HELD_UNKNOWNS)

@@ -318,6 +318,30 @@ def test_points_without_two_rays_are_named() -> None:
     assert found.points_m[7, 1] == pytest.approx(start[7, 1], abs=1e-9)
 
 
+@pytest.mark.oracle
+@pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
+def test_a_free_network_has_the_shape_of_any_minimal_datum(backend: str) -> None:
+    """Inner constraints: squares and distances of a datum by seven coordinates, and the smallest trace of cofactors."""
+    scene = make(9, 15, 4)
+    photos, p = scene.photos(), scene.points
+    free = adjusted(scene, photos, control={}, datum="inner", backend=backend)
+    weak = np.array([1e4, 1e4, 1e-4])  # one coordinate keeps the block from turning about the first two points
+    seven = {"p0": (free.points_m[0], 0.0), "p1": (free.points_m[1], 0.0), "p2": (free.points_m[2], weak)}
+    held = adjusted(scene, photos, control=seven)
+    assert held.redundancy == free.redundancy + 2 and free.solution.in_datum().datum_defect == 7
+    assert free.m0**2 * free.redundancy == pytest.approx(held.m0**2 * held.redundancy, rel=1e-8)
+    distances = [np.linalg.norm(found.points_m[:, None] - found.points_m[None], axis=2) for found in (free, held)]
+    assert np.abs(distances[0] - distances[1]).max() < 1e-7
+    traces = [np.einsum("nii->", found.point_cofactors) for found in (free, held)]
+    assert traces[0] < traces[1]
+    away = free.points_m - scene.points
+    start = np.random.default_rng(1).normal(scale=0.01, size=p.shape)
+    assert np.abs((away - start).mean(axis=0)).max() < 1e-6  # the centre of the start values stays
+    with pytest.raises(InputError) as caught:
+        adjusted(scene, photos, control={}, backend=backend)
+    assert caught.value.problems[0].code == "closerange.datum"
+
+
 @pytest.mark.behaviour
 def test_refusals() -> None:
     scene = make(4, 8, 2)

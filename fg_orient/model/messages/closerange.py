@@ -77,7 +77,7 @@ closerange.no_ray: the point is seen in no photo
     -> measure it in two photos, or leave it out
 closerange.datum: nothing ties the block to its coordinate system: {count} of its 7 motions are open{words}
     -> give three control points or more that do not lie on a line, or observed projection centres; a distance fixes
-       the scale
+       the scale; <datum> inner adjusts a free network
 closerange.parallel_rays: the rays to the point are close to parallel: its distance is open
     -> measure it in a photo from another place
 closerange.parallax: the parallax is not above 0
