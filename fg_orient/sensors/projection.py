@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 MAX_STEPS = 30
 STEP_PX = 1e-9
 ROUNDING_PX = 1e-6
+#: Step below which the derivative of the last step is used.
+SAME_SLOPE_PX = 0.5
 #: Number of points whose four neighbours are evaluated together; more points need more memory, not less time.
 AT_ONCE = 4096
 
@@ -76,14 +78,24 @@ def pixel_derivative(
     sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction
 ) -> Array:
     """Local derivative J = dF/d(line, sample) of the conditions: (N, 2, 2), rad per pixel."""
+    return _linearised(sensor, line, sample, ground_m, correction)[1]
+
+
+def _linearised(
+    sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction
+) -> tuple[Array, Array]:
+    """Conditions (N, 2) and their derivative (N, 2, 2) at pixels inside the image, from one evaluation."""
     if len(line) > AT_ONCE:
         parts = [slice(lo, lo + AT_ONCE) for lo in range(0, len(line), AT_ONCE)]
-        return np.concatenate([pixel_derivative(sensor, line[k], sample[k], ground_m[k], correction) for k in parts])
+        found = [_linearised(sensor, line[k], sample[k], ground_m[k], correction) for k in parts]
+        return np.concatenate([f for f, _ in found]), np.concatenate([j for _, j in found])
     line_low, line_high = (np.clip(line + s, sensor.first_line - 0.5, sensor.last_line + 0.5) for s in (-0.5, 0.5))
     low, high = (np.clip(sample + s, sensor.first_sample - 0.5, sensor.last_sample + 0.5) for s in (-0.5, 0.5))
-    lines, samples = np.concatenate([line_low, line_high, line, line]), np.concatenate([sample, sample, low, high])
-    f = conditions(sensor, lines, samples, np.tile(ground_m, (4, 1)), correction).reshape(4, -1, 2)
-    return np.stack([(f[1] - f[0]) / (line_high - line_low)[:, None], (f[3] - f[2]) / (high - low)[:, None]], axis=2)
+    lines, samples = (np.concatenate(x) for x in ([line_low, line_high, line, line, line],
+                                                  [sample, sample, low, high, sample]))  # fmt: skip
+    f = conditions(sensor, lines, samples, np.tile(ground_m, (5, 1)), correction).reshape(5, -1, 2)
+    slopes = (f[1] - f[0]) / (line_high - line_low)[:, None], (f[3] - f[2]) / (high - low)[:, None]
+    return f[4], np.stack(slopes, axis=2)
 
 
 def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) -> tuple[Array, Array]:
@@ -95,11 +107,19 @@ def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) ->
     visible &= np.einsum("ij,ij->i", np.nan_to_num(ground_m) - centre, np.nan_to_num(ground_m)) < 0.0
     line[~visible], sample[~visible] = np.nan, np.nan
     todo = np.flatnonzero(visible)
-    previous = np.full(len(todo), np.inf)
+    previous, slope = np.full(len(todo), np.inf), np.zeros((len(line), 2, 2))
     for _ in range(MAX_STEPS):
         if not len(todo):
             break
-        step = _newton_step(sensor, line[todo], sample[todo], ground_m[todo], correction)
+        at = line[todo], sample[todo]
+        inside = (np.clip(at[0], sensor.first_line - 0.5, sensor.last_line + 0.5),
+                  np.clip(at[1], sensor.first_sample - 0.5, sensor.last_sample + 0.5))  # fmt: skip
+        # less than a pixel away the derivative is nearly the same: each step is still a thousandth of the last
+        if (previous > SAME_SLOPE_PX).any():
+            f, slope[todo] = _linearised(sensor, *inside, ground_m[todo], correction)
+        else:
+            f = conditions(sensor, *inside, ground_m[todo], correction)
+        step = np.stack(inside, axis=1) - np.stack(at, axis=1) - np.linalg.solve(slope[todo], f[:, :, None])[:, :, 0]
         line[todo] += step[:, 0]
         sample[todo] += step[:, 1]
         length = np.abs(step).max(axis=1)
@@ -107,13 +127,3 @@ def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) ->
         todo, previous = todo[going], length[going]
     line[todo], sample[todo] = np.nan, np.nan
     return line, sample
-
-
-def _newton_step(sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
-    """Step (N, 2) from the nearest pixel of the image, relative to the present estimate."""
-    l_in = np.clip(line, sensor.first_line - 0.5, sensor.last_line + 0.5)
-    s_in = np.clip(sample, sensor.first_sample - 0.5, sensor.last_sample + 0.5)
-    f = conditions(sensor, l_in, s_in, ground_m, correction)
-    j = pixel_derivative(sensor, l_in, s_in, ground_m, correction)
-    full = -np.linalg.solve(j, f[:, :, None])[:, :, 0]
-    return np.asarray(full + np.stack([l_in - line, s_in - sample], axis=1), dtype=float)
