@@ -92,12 +92,10 @@ def adjust_with_dem(
     Raises
     ------
     InputError
-        Invalid sigma, the Schur backend, no point on the model, or a block that cannot be adjusted.
+        Invalid sigma, no point on the model, or a block that cannot be adjusted.
     """
     if not (np.isfinite(sigma_m) and sigma_m > 0.0):
         raise InputError.of("dem_control.sigma", place="sigma_m", value=sigma_m)
-    if options.get("backend", block.options.backend) == "schur":
-        raise InputError.of("dem_control.backend", option="backend", value="schur")
     wanted = np.flatnonzero([role in roles for role in block.points.roles])
     solution = adjust(block, **options)
     moved, rounds = np.inf, 1

@@ -120,9 +120,6 @@ dem_control.sigma: the sigma of heights from a DEM is no positive number
     -> give metres, such as 3
 dem_control.both: a DEM as control needs its sigma, and a sigma a DEM
     -> give <dem_control> and <dem_sigma>
-dem_control.backend: the Schur backend has no form for heights of single points: its points are free or have all
-    three coordinates
-    -> choose <backend> graph, dense or auto
 dem_control.no_point: no point to be observed lies over the DEM
     -> use a DEM that covers the block, and a block with tie points
 dem.vertical_unit: the DEM's heights are not in metres
