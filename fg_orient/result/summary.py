@@ -35,6 +35,7 @@ from fg_orient.result.statistics import (
     outlier_records,
     reliability_record,
     unavailable,
+    unseen_record,
 )
 from fg_orient.result.tables import arrays_of, start_points, tables_of
 
@@ -190,6 +191,7 @@ def summary(solution: Solution) -> dict[str, Any]:
         "figures": None if solution.cofactors is None else [figure.as_dict() for figure in solution.figures()],
         **outlier_records(solution),
         "reliability": reliability_record(solution),
+        "unseen": unseen_record(solution),
         "correlations": correlation_record(solution),
         **_parallax(solution),
     }
