@@ -79,16 +79,16 @@ def with_best_rays(problem: Problem, state: State, limits: tuple[float, float]) 
 def sharing(problem: Problem, state: State, weights: Weights) -> Weights | None:
     """Weights in which rivals have one weight, that of the ray turned down; None without rivals.
 
-    A loss keeps the rays that fit best, and turns down others (beyond the 99 % limit). A kept ray is a rival of one
-    turned down if the point fits nearly as well when both are exchanged: nothing tells which one is wrong (of two
-    nearly parallel rays with an error along their plane, for example). The point loses both, as a point with two rays
-    does.
+    A loss keeps the rays that fit best, and turns down others. A kept ray is a rival of one turned down if the point
+    fits nearly as well when both are exchanged, and far worse with both: one of them is wrong, but nothing tells which
+    one (of two nearly parallel rays with an error along their plane, for example). The point loses both, as a point
+    with two rays does.
 
     Parameters
     ----------
     problem : Problem
     state : State
-        Solution under a redescending loss.
+        Solution after graduated non-convexity.
     weights : Weights
         Its weights.
     """
@@ -97,17 +97,22 @@ def sharing(problem: Problem, state: State, weights: Weights) -> Weights | None:
     kept = np.bincount(point, ~down, n)
     doubtful = (kept >= 2) & (kept < np.bincount(point, minlength=n)) & (np.bincount(point, minlength=n) <= MOST)
     points = np.flatnonzero(problem.active & ~problem.observed & doubtful)
+    if not len(points):
+        return None
     search = _Search(problem, state, points, (np.inf, np.inf))
     rows, image, begin = search.rows, weights.image.copy(), state.ground[points]
     low, number = down[rows], search.number
-    now = search.sum_of_squares(begin, ~low)
-    for a, b in permutations(range(int(number.max(initial=-1)) + 1), 2):
-        used = ~low & (number != b) | (number == a)
+
+    def cost(used: npt.NDArray[np.bool_]) -> Array:
+        return search.sum_of_squares(search.moved(begin, used, STEPS), used)
+
+    now = cost(~low)
+    for a, b in permutations(range(int(number.max()) + 1), 2):
         exchanged = search.count(low & (number == a)) * search.count(~low & (number == b)) > 0
         if not exchanged.any():
             continue
-        cost = search.sum_of_squares(search.moved(begin, used, STEPS), used)
-        rival = (exchanged & (cost < now + limit))[search.of]
+        both = ~low | (number == a)
+        rival = (exchanged & (cost(both & (number != b)) < now + limit) & (cost(both) > now + 2.0 * limit))[search.of]
         mine = rows[rival & (number == b)]
         image[mine] = np.minimum(image[mine], weights.image[rows[rival & (number == a)]])
     return None if np.array_equal(image, weights.image) else replace(weights, image=image)

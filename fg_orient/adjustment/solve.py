@@ -22,7 +22,6 @@ from fg_orient.adjustment.irls import (
     RULES,
     CycleResult,
     cycles_on_arrays,
-    find_loss,
     norms_at,
     reweight,
     weights_of,
@@ -354,9 +353,9 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
 
 
 def _with_shared_weights(problem: Problem, end: Estimate, schur: Callable[[Problem], Any] | None) -> Estimate:
-    """Least squares with one weight for rivals (``best_rays.sharing``) after a redescending loss."""
+    """Least squares with one weight for rivals (``best_rays.sharing``) after graduated non-convexity."""
     options = problem.block.options
-    if end.weights is None or not end.converged or not find_loss(options.loss).redescending:
+    if end.weights is None or not end.converged or not options.gnc:
         return end
     weights = sharing(problem, end.state, end.weights)
     if weights is None:
