@@ -96,6 +96,7 @@ def sharing(problem: Problem, state: State, weights: Weights) -> Weights | None:
     down = (weights.image < DOWN) & (np.sum(residuals(problem, state) ** 2, axis=1) > limit)
     kept = np.bincount(point, ~down, n)
     doubtful = (kept >= 2) & (kept < np.bincount(point, minlength=n)) & (np.bincount(point, minlength=n) <= MOST)
+    doubtful[problem.named_points()] = False
     points = np.flatnonzero(problem.active & ~problem.observed & doubtful)
     if not len(points):
         return None
