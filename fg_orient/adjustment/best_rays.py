@@ -8,19 +8,22 @@ chosen among the measured coordinates and the intersections of all pairs of rays
     c(x) = sum min(|v|^2, L^2),   L: limit of right observations
 
 Each is followed by steps with the observations within twice the limit, because two rays intersect less precisely than
-all right ones, and within the limit.
+all right ones, and within the limit. At the solution, rays of which nothing tells which one is wrong have one weight
+(:func:`sharing`).
 """
 
 from __future__ import annotations
 
-from itertools import chain, combinations
-from typing import Final
+from dataclasses import replace
+from itertools import chain, combinations, permutations
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from factors.conditions.control import POINT
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.robust import DOWN, Weights
 from fg_orient.adjustment.rows import linearised, residuals, summed
 
 Array = npt.NDArray[np.float64]
@@ -36,6 +39,9 @@ FARTHEST_M: Final = 1e5
 WIDTHS: Final = (2.0, 1.0, 1.0)
 #: Decrease of the cost for which a point moves.
 BETTER: Final = 1e-6
+#: Difference of sums of squares, in units of the variance factor, below which rays of a point are rivals: likelihoods
+#: of 1 to 100.
+RIVAL: Final = 9.21
 
 
 def with_best_rays(problem: Problem, state: State, limits: tuple[float, float]) -> State:
@@ -70,6 +76,49 @@ def with_best_rays(problem: Problem, state: State, limits: tuple[float, float]) 
     return State(state.image, ground)
 
 
+def sharing(problem: Problem, state: State, weights: Weights) -> Weights | None:
+    """Weights in which rivals have one weight, that of the ray turned down; None without rivals.
+
+    A loss keeps the rays that fit best, and turns down others. A kept ray is a rival of one turned down if the point
+    fits nearly as well when both are exchanged, and far worse with both: one of them is wrong, but nothing tells which
+    one (of two nearly parallel rays with an error along their plane, for example). The point loses both, as a point
+    with two rays does.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State
+        Solution after graduated non-convexity.
+    weights : Weights
+        Its weights.
+    """
+    point, n, limit = problem.observations.point, len(problem.active), RIVAL * weights.scale[0] ** 2
+    down = (weights.image < DOWN) & (np.sum(residuals(problem, state) ** 2, axis=1) > limit)
+    kept = np.bincount(point, ~down, n)
+    doubtful = (kept >= 2) & (kept < np.bincount(point, minlength=n)) & (np.bincount(point, minlength=n) <= MOST)
+    doubtful[problem.named_points()] = False
+    points = np.flatnonzero(problem.active & ~problem.observed & doubtful)
+    if not len(points):
+        return None
+    search = _Search(problem, state, points, (np.inf, np.inf))
+    rows, image, begin = search.rows, weights.image.copy(), state.ground[points]
+    low, number = down[rows], search.number
+
+    def cost(used: npt.NDArray[np.bool_]) -> Array:
+        return search.sum_of_squares(search.moved(begin, used, STEPS), used)
+
+    now = cost(~low)
+    for a, b in permutations(range(int(number.max()) + 1), 2):
+        exchanged = search.count(low & (number == a)) * search.count(~low & (number == b)) > 0
+        if not exchanged.any():
+            continue
+        both = ~low | (number == a)
+        rival = (exchanged & (cost(both & (number != b)) < now + limit) & (cost(both) > now + 2.0 * limit))[search.of]
+        mine = rows[rival & (number == b)]
+        image[mine] = np.minimum(image[mine], weights.image[rows[rival & (number == a)]])
+    return None if np.array_equal(image, weights.image) else replace(weights, image=image)
+
+
 class _Search:
     """Costs and steps of some ground points (p,), the images held."""
 
@@ -77,11 +126,11 @@ class _Search:
         self._problem, self._state, self._points, self._limits = problem, state, points, limits
         o = problem.observations
         rows = np.flatnonzero(np.isin(o.point, points))
-        self._rows = rows[np.argsort(o.point[rows], kind="stable")]
-        self._of = np.searchsorted(points, o.point[self._rows])
-        self._first = np.searchsorted(self._of, np.arange(len(points) + 1))
-        #: Number of each ray among those of its point.
-        self.number = np.arange(len(self._rows)) - self._first[self._of]
+        #: Rays of the points, point of each ray among the given ones, number of each ray among those of its point.
+        self.rows = rows[np.argsort(o.point[rows], kind="stable")]
+        self.of = np.searchsorted(points, o.point[self.rows])
+        self._first = np.searchsorted(self.of, np.arange(len(points) + 1))
+        self.number = np.arange(len(self.rows)) - self._first[self.of]
         self._observed = problem.observed[points]
         self._place = problem.control_records[points[self._observed], POINT.place]
         self._weight = problem.control_weights(points[self._observed])
@@ -95,13 +144,21 @@ class _Search:
         return np.asarray(np.einsum("pij,pj->pi", self._weight, place[self._observed] - self._place))
 
     def _squares(self, place: Array) -> Array:
-        return np.asarray(np.sum(linearised(self._problem, self._at(place), self._rows).residual ** 2, axis=1))
+        return np.asarray(np.sum(linearised(self._problem, self._at(place), self.rows).residual ** 2, axis=1))
+
+    def count(self, values: npt.NDArray[Any]) -> Array:
+        """Sums (p,) of a value per ray."""
+        return np.asarray(np.bincount(self.of, values, len(self._points)), np.float64)
+
+    def sum_of_squares(self, place: Array, used: npt.NDArray[np.bool_]) -> Array:
+        """Sum of squares (p,) of some of the rays at positions (p, 3)."""
+        return self.count(self._squares(place) * used)
 
     def cost(self, place: Array) -> Array:
         """Truncated cost (p,) of positions (p, 3)."""
         image, control = (limit**2 for limit in self._limits)
         squares = self._squares(place)
-        out: Array = np.bincount(self._of, np.minimum(squares, image), len(self._points)).astype(np.float64)
+        out = self.count(np.minimum(squares, image))
         out[self._observed] += np.minimum(np.sum(self._control(place) ** 2, axis=1), control)
         return out
 
@@ -124,7 +181,7 @@ class _Search:
         """
         begin, place = place, place.copy()
         for _ in range(steps):
-            part = linearised(self._problem, self._at(place), self._rows)
+            part = linearised(self._problem, self._at(place), self.rows)
             slope = used[:, None, None] * part.ground
             normal = summed(np.swapaxes(slope, 1, 2) @ part.ground, self._first)
             gradient = summed(np.einsum("nij,ni->nj", slope, part.residual), self._first)

@@ -6,7 +6,8 @@ of iteratively reweighted least squares (Holland & Welsch 1977). Their gradient 
 
 The two rays of a tie point without further observations contradict each other in one residual, the y-parallax, and
 nothing says which of them is wrong. Each of them has the mean of their squared norms (:func:`together`): a gross error
-in one of them costs the point, not the ray that happens to have the larger residual.
+in one of them costs the point, not the ray that happens to have the larger residual. Graduated non-convexity gives
+rivals among three and more rays one weight, too (``fg_orient.adjustment.best_rays.sharing``).
 
 Each loss contains the share :data:`FLOOR` of the square. Therefore the intersection of its rays still determines a
 ground point whose image points have no other weight. With fixed weights the problem is an ordinary least-squares
@@ -33,6 +34,8 @@ Index = npt.NDArray[np.intp]
 #: Share of the square in every loss: a residual of 1000 sigmas has the effect of 0.001 sigma. With a smaller share,
 #: rounding dominates the cofactors of a point with one good ray (its pivots differ by this factor).
 FLOOR: Final = 1e-6
+#: Weight below which an observation is down-weighted.
+DOWN: Final = 0.5
 IMAGE, CONTROL = 2, 3
 NONE: Final = "none"
 #: Rules with weights 1/t, which may exceed 1 and are not shares of the information of an observation.

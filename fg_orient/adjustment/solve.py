@@ -14,7 +14,7 @@ import numpy.typing as npt
 from factors._contract import NotFiniteError
 from factors._preparation import working_clock
 from factors.losses import losses
-from fg_orient.adjustment.best_rays import with_best_rays
+from fg_orient.adjustment.best_rays import sharing, with_best_rays
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.images_first import images_first
 from fg_orient.adjustment.irls import (
@@ -22,7 +22,6 @@ from fg_orient.adjustment.irls import (
     RULES,
     CycleResult,
     cycles_on_arrays,
-    find_loss,
     norms_at,
     reweight,
     weights_of,
@@ -52,8 +51,8 @@ from fg_orient.adjustment.robust import (
 )
 from fg_orient.adjustment.robust_scale import robust_scale
 from fg_orient.adjustment.runtime import calm_memory, one_blas_thread
-from fg_orient.adjustment.stages import FROM_RESECTIONS, PLAIN, SCHEDULES, plan_of, run_stages
-from fg_orient.model.block import Block, Options
+from fg_orient.adjustment.stages import FROM_RESECTIONS, PLAIN, plan_of, require_possible, run_stages
+from fg_orient.model.block import Block
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.model.options import Backend
 
@@ -152,7 +151,7 @@ def solve(
         with calm_memory():
             if problem.block.options.loss in RULES:
                 return _in_cycles(problem, callback, schur is not None)
-            return _run(_Job(problem, callback, checkpoint, start), schur)
+            return _with_shared_weights(problem, _run(_Job(problem, callback, checkpoint, start), schur), schur)
     except KeyboardInterrupt:
         done = None if checkpoint is None else checkpoint.write()
         if checkpoint is None or done is None:
@@ -183,31 +182,6 @@ def eliminates_points(problem: Problem) -> bool:
     if schur_possible(block):
         return True
     return options.loss == NONE and len(problem.named_points()) < len(np.unique(problem.observations.point))
-
-
-def require_possible(options: Options) -> None:
-    """Raise InputError for unknown losses and options that exclude each other."""
-    _require_robust(options)
-    if options.gnc and options.loss not in SCHEDULES:
-        raise InputError.of("adjust.gnc", option="gnc", value=options.loss, known=", ".join(SCHEDULES))
-    if options.solver is not None and options.backend != "dense":
-        raise InputError.of("adjust.solver_dense", option="solver", value=options.solver, backend=options.backend)
-
-
-def _require_robust(options: Options) -> None:
-    """Raise InputError for options of a robust adjustment that exclude each other."""
-    mad, resections = options.robust_scale == "mad", options.robust_start in METHODS
-    wish = "robust_scale" if mad else "robust_start"
-    if options.loss == NONE:
-        if mad or resections:
-            raise InputError.of("adjust.needs_loss", option=wish, value=getattr(options, wish))
-        return
-    if options.loss not in RULES:
-        find_loss(options.loss)
-        if options.gnc and (mad or resections):
-            raise InputError.of("adjust.gnc_start", option=wish, value=getattr(options, wish))
-    elif options.gnc or mad or resections:
-        raise InputError.of("adjust.cycles", option="loss", value=options.loss, known=", ".join(losses()))
 
 
 def first_sentence(error: Exception) -> str:
@@ -375,6 +349,23 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
     return replace(
         end, converged=end.converged and cycles.settled, end=reason, log=tuple(log), iterations=len(log),
         weights=weights_of(problem, cycles.weights), solve_s=working_clock() - begin - end.structure_s,
+    )  # fmt: skip
+
+
+def _with_shared_weights(problem: Problem, end: Estimate, schur: Callable[[Problem], Any] | None) -> Estimate:
+    """Least squares with one weight for rivals (``best_rays.sharing``) after graduated non-convexity."""
+    options = problem.block.options
+    if end.weights is None or not end.converged or not options.gnc:
+        return end
+    weights = sharing(problem, end.state, end.weights)
+    if weights is None:
+        return end
+    plain = replace(options, loss=NONE, gnc=False, robust_scale="prior", robust_start="huber")
+    weighted = weighted_problem(replace(problem, block=replace(problem.block, options=plain)), weights)
+    again = _run(_Job(weighted, None, None, State(end.state.image, end.state.ground)), schur)
+    return replace(
+        again, log=end.log, iterations=end.iterations, structure_s=end.structure_s + again.structure_s,
+        solve_s=end.solve_s + again.solve_s, weights=weights, resumed_at=end.resumed_at,
     )  # fmt: skip
 
 

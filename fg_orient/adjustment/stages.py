@@ -31,9 +31,11 @@ import numpy.typing as npt
 
 from factors.losses import Curve, Loss, losses
 from factors.losses.standard import GEMAN_MCCLURE, HUBER
-from fg_orient.adjustment.irls import find_loss
+from fg_orient.adjustment.irls import RULES, find_loss
 from fg_orient.adjustment.loop import STEP_TOLERANCE, Backend, Carried, LoopResult
+from fg_orient.adjustment.resection import METHODS
 from fg_orient.adjustment.robust import A_PRIORI, CONTROL, IMAGE, NONE, Robust, ScaledLoss, inlier_limit, scaled
+from fg_orient.model.errors import InputError
 from fg_orient.model.options import Options
 
 Array = npt.NDArray[np.float64]
@@ -233,6 +235,31 @@ def plan_of(options: Options) -> Plan | None:
         return Graduated.of(options)
     loss = find_loss(options.loss)
     return Direct(loss, options.robust_scale == "mad" or (loss.redescending and options.robust_start == "huber"))
+
+
+def require_possible(options: Options) -> None:
+    """Raise InputError for unknown losses and options that exclude each other."""
+    _require_robust(options)
+    if options.gnc and options.loss not in SCHEDULES:
+        raise InputError.of("adjust.gnc", option="gnc", value=options.loss, known=", ".join(SCHEDULES))
+    if options.solver is not None and options.backend != "dense":
+        raise InputError.of("adjust.solver_dense", option="solver", value=options.solver, backend=options.backend)
+
+
+def _require_robust(options: Options) -> None:
+    """Raise InputError for options of a robust adjustment that exclude each other."""
+    mad, resections = options.robust_scale == "mad", options.robust_start in METHODS
+    wish = "robust_scale" if mad else "robust_start"
+    if options.loss == NONE:
+        if mad or resections:
+            raise InputError.of("adjust.needs_loss", option=wish, value=getattr(options, wish))
+        return
+    if options.loss not in RULES:
+        find_loss(options.loss)
+        if options.gnc and (mad or resections):
+            raise InputError.of("adjust.gnc_start", option=wish, value=getattr(options, wish))
+    elif options.gnc or mad or resections:
+        raise InputError.of("adjust.cycles", option="loss", value=options.loss, known=", ".join(losses()))
 
 
 class RobustBackend(Backend[S], Protocol[S]):

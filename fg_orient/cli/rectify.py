@@ -180,6 +180,7 @@ def ortho(
 
 
 def _show_ortho(record: dict[str, Any]) -> None:
+    tell_findings(record)
     say(f"{record['rows']} x {record['columns']} pixels of {record['resolution']:g}, "
         f"{100 * record['filled']:.1f} % filled, {record['resampling']}")  # fmt: skip
     say(f"model evaluated every {record['knots']} pixels, interpolation error at most {record['error_px']:.1g} px")

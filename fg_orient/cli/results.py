@@ -116,7 +116,7 @@ def replay(
 
 def show_replay(repeated: Replay) -> None:
     """Print changed inputs, differing values and the folder of the repeated result."""
-    for problem in repeated.inputs:
+    for problem in (*repeated.inputs, *repeated.notes):
         tell("warning", f"{problem.file}: {problem.message}")
     for entry in repeated.versions:
         say(f"{entry['name']}: {entry['then'] or 'missing'} then, {entry['now'] or 'missing'} now")

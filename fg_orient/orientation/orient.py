@@ -21,7 +21,8 @@ from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.memory import require_memory
 from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.solve import Estimate, require_possible, solve
+from fg_orient.adjustment.solve import Estimate, solve
+from fg_orient.adjustment.stages import require_possible
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError, finding
 from fg_orient.model.options import Backend, Datum, Options

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.loop import Callback
     from fg_orient.model.block import Block
     from fg_orient.orientation.orient import Stage
-    from fg_orient.sensors.correction import HeightSurface
+    from fg_orient.sensors.surface import RasterDem
 
 Record = dict[str, Any]
 #: Entries of ``result.json`` that differ between runs: times, memory, folders, continuation of an interrupted run.
@@ -43,7 +43,7 @@ class Replay:
     new; ``n_inputs`` counts the inputs of the first run. ``differences`` have ``key``, ``then`` and ``now`` of each of
     the ``n_compared`` values of ``result.json`` that differs, None for a missing value. ``tables`` contains for each
     table whether its bytes are equal. ``versions`` have ``name``, ``then`` and ``now`` of software and platform that
-    differ.
+    differ. ``notes`` are warnings of the DEM.
     """
 
     out: str | None
@@ -54,6 +54,7 @@ class Replay:
     differences: tuple[Record, ...]
     tables: dict[str, bool]
     versions: tuple[Record, ...]
+    notes: tuple[Finding, ...] = ()
 
     @property
     def equal(self) -> bool:
@@ -66,6 +67,7 @@ class Replay:
             "equal": self.equal, "status": self.status, "out": self.out, "n_inputs": self.n_inputs,
             "inputs": [p.as_dict() for p in self.inputs], "versions": list(self.versions),
             "n_compared": self.n_compared, "differences": list(self.differences), "tables": self.tables,
+            "notes": [p.as_dict() for p in self.notes],
         }  # fmt: skip
 
 
@@ -120,10 +122,11 @@ def replay(
         changes.update(changed_sources(block, path.parent, recorded))
         _refuse(changes, allow_changed)
 
+    surface = None if dem is None else _open(path.parent, dem)
     new = run_project(
         path, out, overwrite=overwrite, options=repeat["options"], execution=_execution(repeat), check=check,
         command=old["provenance"]["command"], callback=callback, stage=stage,
-        dem_control=None if dem is None else _open(path.parent, dem),
+        dem_control=None if surface is None else (surface, dem["sigma_m"]),
         start=None if start is None else path.parent / start["folder"],
         start_prior=start is not None and start["prior"],
     )  # fmt: skip
@@ -131,6 +134,7 @@ def replay(
     return Replay(
         new["out"], new["status"], tuple(changes.values()), len(known), n, differences,
         compare_tables(folder, out) if new["out"] else {}, _versions(old["provenance"]),
+        () if surface is None else surface.notes,
     )  # fmt: skip
 
 
@@ -197,13 +201,13 @@ def _execution(repeat: Mapping[str, Any]) -> dict[str, Any]:
     return {"parts": repeat["parts"], "workers": 1} if repeat["in_parts"] else {}
 
 
-def _open(folder: Path, dem: Mapping[str, Any]) -> tuple[HeightSurface, float]:
+def _open(folder: Path, dem: Mapping[str, Any]) -> RasterDem:
     path = folder / dem["file"]
     if not path.is_file():
         raise InputError.of("replay.dem", file=path)
     from fg_orient.sensors.surface import RasterDem
 
-    return RasterDem(path, vertical_crs=dem["vertical_crs"]), dem["sigma_m"]
+    return RasterDem(path, vertical_crs=dem["vertical_crs"])
 
 
 def _versions(kept: Mapping[str, Any]) -> tuple[Record, ...]:

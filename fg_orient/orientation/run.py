@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from factors._preparation import preparing_seconds, working_clock
 from fg_orient.adjustment.checkpoint import EVERY_S, Checkpoint
-from fg_orient.adjustment.solve import require_possible
+from fg_orient.adjustment.stages import require_possible
 from fg_orient.formats.atomic import require_free, staged_folder, writing
 from fg_orient.formats.project import read_project
 from fg_orient.model.errors import InputError, NoSolutionError, RankDeficientError

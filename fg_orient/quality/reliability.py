@@ -36,6 +36,9 @@ ALPHA, POWER = 0.001, 0.80
 CHECKABLE: Final = 0.01
 #: Smaller redundancy numbers are rounding errors of zero: quantities derived from them are not given.
 ROUNDING: Final = 1e-6
+#: Delta-bar above which an error counts as unseen: seven times the radius of the point's 95 % region. Three rays in a
+#: plane count as two where two of them enclose less than 0.38 of the angle to the third one.
+UNSEEN: Final = 20.0
 
 
 @cache
@@ -144,6 +147,29 @@ def reliability(cofactors: ResidualCofactors, *, alpha: float = ALPHA, power: fl
         np.full(sigma_m.shape, np.nan), alpha, power,
     )  # fmt: skip
     return BlockReliability(alpha, power, image, control, cofactors)  # fmt: skip
+
+
+def unseen_shifts(known: ResidualCofactors) -> Array:
+    """Shift (N, 3) of each unknown point to East, North, Up by an unseen error of one pixel; nan without such an error.
+
+    An error of a ray along its least checked direction is unseen if the minimal detectable bias, both coordinates
+    tested together, shifts the point by more than :data:`UNSEEN` of its own sigmas: of a tie point with two rays along
+    the epipolar lines. The ray with the largest shift counts. Under a loss the rays have their final weights.
+    """
+    problem, o, rays = known.problem, known.problem.observations, known.rays
+    size, axes = np.linalg.eigh(known.image)
+    axis = axes[:, :, :1]
+    effect = _in_own_sigmas(rays.points[o.point], rays.response @ axis)[:, 0]  # of a whitened error of length 1
+    least = np.sqrt(np.maximum(size[:, 0], ROUNDING))
+    rows = np.flatnonzero(effect * np.sqrt(noncentrality(dimension=2)) > UNSEEN * least)
+    sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)[rows]
+    shift = (rays.response[rows] @ axis[rows])[:, :, 0] / np.linalg.norm(axis[rows, :, 0] * sigma, axis=1)[:, None]
+    out = np.full((len(problem.active), 3), np.nan)
+    order = np.argsort(np.linalg.norm(shift, axis=1), kind="stable")  # the largest last
+    out[o.point[rows[order]]] = shift[order]
+    at = np.unique(o.point[rows])
+    out[at] = np.einsum("nij,nj->ni", problem.axes(known.state.ground[at] + problem.origin_m), out[at])
+    return out
 
 
 def _reliability(

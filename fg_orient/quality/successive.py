@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.adjustment.best_rays import RIVAL
 from fg_orient.adjustment.cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.rows import linearised
 from fg_orient.quality import hypotheses
@@ -34,8 +35,6 @@ Index = npt.NDArray[np.intp]
 
 #: Suspects with the smallest probabilities that take part: matrices of twice this size.
 CANDIDATES: Final = 256
-#: Difference of T, in units of the variance factor, below which rays of a point are rivals: likelihoods of 1 to 100.
-RIVAL: Final = 9.21
 #: Controls of multiple tests whose level of a single test does not depend on the other tests.
 FIXED_LEVEL: Final = ("none", "bonferroni", "sidak")
 

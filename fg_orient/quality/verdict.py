@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fg_orient.adjustment.problem import Problem
-from fg_orient.adjustment.robust import UNWEIGHED, Weights, are_information
+from fg_orient.adjustment.robust import DOWN, UNWEIGHED, Weights, are_information
 from fg_orient.adjustment.rows import linearised, rows_by_image
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.distributions import chi_square_interval
@@ -37,8 +37,7 @@ from fg_orient.quality.observability import BlockObservability, ImageObservabili
 
 #: Probability of the two-sided interval of sigma0.
 SIGMA0_LEVEL = 0.999
-#: Weight below which an image point is down-weighted; maximum share of them in a trustworthy solution.
-DOWN = 0.5
+#: Maximum share of down-weighted image points in a trustworthy solution.
 MOST_DOWN = 0.5
 #: Maximum number of images that are named.
 NAMED = 10

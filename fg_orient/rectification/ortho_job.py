@@ -8,7 +8,7 @@ from typing import Any, Final
 from fg_orient.formats.gdal import rasterio_of
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import same_crs
-from fg_orient.model.errors import InputError
+from fg_orient.model.errors import InputError, as_record
 from fg_orient.model.names import Progress
 from fg_orient.rectification.adjusted import read_correction
 from fg_orient.rectification.grid import Bounds, LevelSurface, Surface
@@ -53,8 +53,8 @@ def rectify_image(
     Returns
     -------
     dict
-        See :func:`fg_orient.rectification.ortho.orthorectify`; for a sensor also its ``notes``, for example on
-        extrapolation.
+        See :func:`fg_orient.rectification.ortho.orthorectify`; ``findings`` of the DEM; for a sensor also its
+        ``notes``, for example on extrapolation.
 
     Raises
     ------
@@ -86,6 +86,7 @@ def rectify_image(
         geometry = SensorModel(sensor, correction, chosen, surface.range_m[1])
     record = orthorectify(image, geometry, surface, out, crs=chosen, resolution=resolution, bounds=bounds,
                           options=options, overwrite=overwrite, progress=progress)  # fmt: skip
+    record |= as_record(surface.notes if isinstance(surface, RasterDem) else ())
     return record if sensor is None else record | {"notes": list(map(str, sensor.notes))}
 
 

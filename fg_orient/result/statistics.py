@@ -12,7 +12,7 @@ from fg_orient.adjustment.cofactors import AUTO_LIMIT
 from fg_orient.adjustment.constraints import has_constraints
 from fg_orient.model.errors import Finding, finding
 from fg_orient.quality.covariance import gives_statistics
-from fg_orient.quality.reliability import CHECKABLE, noncentrality
+from fg_orient.quality.reliability import CHECKABLE, UNSEEN, noncentrality, unseen_shifts
 from fg_orient.quality.unseen import unseen_mistakes
 from fg_orient.result.plain import Column, Table, of_axes, table_of_rows
 
@@ -92,21 +92,22 @@ def reliability_record(solution: Solution) -> dict[str, Any] | None:
         "n_of_these_with_two_rays": int((unchecked & (rays == 2)).sum()),
         "n_control_coordinates_not_checkable": int((control.redundancy < CHECKABLE).sum()),
         "not_checkable": [*_control_unchecked(solution, control), *_image_unchecked(solution, image, rays)],
-        "unseen": _unseen_record(solution, found),
         "unseen_mistakes": [one.as_dict() for one in unseen_mistakes(known, solution.accuracy.check)],
         "largest_mdb": _largest(solution, image),
     }  # fmt: skip
 
 
-def _unseen_record(solution: Solution, found: BlockReliability) -> dict[str, Any] | None:
+def unseen_record(solution: Solution) -> dict[str, Any] | None:
     """Number of points with unseen errors, median and largest shift by one pixel, m; None without such points."""
-    length = np.linalg.norm(unseen_shifts(solution, found), axis=1)
+    if unavailable(solution):
+        return None
+    length = np.linalg.norm(unseen_shifts(solution.residual_cofactors), axis=1)
     seen = np.flatnonzero(np.isfinite(length))
     if not len(seen):
         return None
     worst = int(seen[np.argmax(length[seen])])
-    return {"n": len(seen), "median_m": float(np.median(length[seen])), "largest_m": float(length[worst]),
-            "id": solution.block.points.ids[worst]}  # fmt: skip
+    return {"limit": UNSEEN, "n": len(seen), "median_m": float(np.median(length[seen])),
+            "largest_m": float(length[worst]), "id": solution.block.points.ids[worst]}  # fmt: skip
 
 
 def _least(solution: Solution, found: BlockReliability) -> dict[str, Any]:
@@ -227,11 +228,14 @@ def point_columns(solution: Solution) -> dict[str, Column]:
     """Columns of ``points.csv``: reliability of control points, and what undetected errors do to each point.
 
     ``external_m`` is empty where an observation of the point has no minimal detectable bias: nothing bounds the effect.
-    ``unseen_east_m`` ...: shift of the point by an error of one pixel that no other observation checks.
+    ``unseen_east_m`` ...: see :func:`unseen_shifts`; under a loss, too, which leaves out the other columns.
     """
+    if unavailable(solution):
+        return {}
+    unseen = of_axes("unseen_{}_m", ("east", "north", "up"), unseen_shifts(solution.residual_cofactors))
     found = reliability_of(solution)
     if found is None:
-        return {}
+        return dict(unseen)
     n, rows = len(solution.problem.active), np.flatnonzero(solution.problem.observed)
     out: dict[str, Column] = {}
     parts = {"redundancy_{}": found.control.redundancy, "w_{}": found.control.normalised,
@@ -244,27 +248,7 @@ def point_columns(solution: Solution) -> dict[str, Column]:
     np.maximum.at(external, solution.problem.observations.point, _unbounded(found.image.ground_m))
     np.maximum.at(external, rows, _unbounded(found.control.ground_m))
     external[~solution.problem.active] = np.nan  # fixed points do not move
-    out |= {"external_m": np.where(np.isfinite(external), external, np.nan)}
-    return out | of_axes("unseen_{}_m", ("east", "north", "up"), unseen_shifts(solution, found))
-
-
-def unseen_shifts(solution: Solution, found: BlockReliability) -> Array:
-    """Shift (N, 3) of each unknown point to East, North, Up by an unseen error of one pixel; nan without such an error.
-
-    An error of a ray along the direction that no other observation checks stays unseen: of a tie point with two rays
-    along the epipolar lines. The ray with the largest shift counts.
-    """
-    problem, rows = solution.problem, np.flatnonzero(found.image.not_checkable)
-    o, out = problem.observations, np.full((len(problem.active), 3), np.nan)
-    rows = rows[problem.active[o.point[rows]]]
-    sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)[rows]
-    shift = np.einsum("nij,nj->ni", found.cofactors.rays.response[rows], found.image.direction[rows] / sigma)
-    points = o.point[rows]
-    for k in np.argsort(np.linalg.norm(shift, axis=1), kind="stable").tolist():  # the largest last
-        out[points[k]] = shift[k]
-    seen = np.flatnonzero(np.isfinite(out[:, 0]))
-    out[seen] = np.einsum("nij,nj->ni", problem.axes(solution.ground_m[seen]), out[seen])
-    return out
+    return {**out, "external_m": np.where(np.isfinite(external), external, np.nan), **unseen}
 
 
 def _unbounded(values: Array) -> Array:

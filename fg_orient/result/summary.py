@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from fg_orient.adjustment.robust import DOWN
 from fg_orient.formats.rpc.text import format_rpc_text
 from fg_orient.model.declaration import declared
 from fg_orient.model.errors import Finding, NoSolutionError, as_record, finding
@@ -23,7 +24,7 @@ from fg_orient.quality.accuracy import rms_px, y_parallaxes
 from fg_orient.quality.deficiency import DEFICIENT, Evidence, judge_observability
 from fg_orient.quality.elimination import UNOBSERVABLE
 from fg_orient.quality.figures import constraint_records
-from fg_orient.quality.verdict import DOWN, points_with_rays, turned_down_images
+from fg_orient.quality.verdict import points_with_rays, turned_down_images
 from fg_orient.result.joint import LIMIT, joint_cofactors_of, points_within
 from fg_orient.result.plain import plain
 from fg_orient.result.provenance import provenance
@@ -35,6 +36,7 @@ from fg_orient.result.statistics import (
     outlier_records,
     reliability_record,
     unavailable,
+    unseen_record,
 )
 from fg_orient.result.tables import arrays_of, start_points, tables_of
 
@@ -190,6 +192,7 @@ def summary(solution: Solution) -> dict[str, Any]:
         "figures": None if solution.cofactors is None else [figure.as_dict() for figure in solution.figures()],
         **outlier_records(solution),
         "reliability": reliability_record(solution),
+        "unseen": unseen_record(solution),
         "correlations": correlation_record(solution),
         **_parallax(solution),
     }

@@ -13,13 +13,12 @@ import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.irls import find_loss
 from fg_orient.adjustment.problem import compile_problem
-from fg_orient.adjustment.robust import FLOOR, scaled, weighted_problem
+from fg_orient.adjustment.robust import DOWN, FLOOR, scaled, weighted_problem
 from fg_orient.adjustment.rows import residuals
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.adjustment.stages import EXACT, PLAIN, SCHEDULES, Graduated, stages_left
 from fg_orient.model.errors import InputError
 from fg_orient.orientation.run import run_project
-from fg_orient.quality.verdict import DOWN
 from fg_orient.simulate.block import BlockOptions, simulate_block
 from tests.support.full_statistics import Dense, step_of_numpy
 

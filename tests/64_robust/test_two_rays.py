@@ -1,4 +1,4 @@
-"""Tie points with two rays under a loss: the pair is judged together, and what remains of the point is honest."""
+"""Rays of which nothing tells which one is wrong, under a loss: they have one weight, and what remains is honest."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from scipy.stats import binom, chi2, norm
 
 import fg_orient as fg
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.robust import together, two_ray_rows
+from fg_orient.adjustment.robust import DOWN, FLOOR, squares, together, two_ray_rows
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.schur import SchurBackend
+from fg_orient.adjustment.stages import Graduated
 from fg_orient.model.block import Block
 from fg_orient.simulate.block import BlockOptions, grid_block
 
@@ -79,3 +80,40 @@ def test_pairs_are_those_of_a_count() -> None:
     in_arrays = backend.structure.row[backend.pairs]
     assert {tuple(sorted(pair)) for pair in in_arrays.tolist()} == expected
     assert together(np.array([1.0, 5.0, 3.0]), np.array([[0, 2]])).tolist() == [2.0, 5.0, 2.0]
+
+
+@pytest.mark.truth
+def test_an_error_along_the_plane_of_parallel_rays_costs_both() -> None:
+    """Rays of two parallel pairs: an error across their plane costs one ray; along the plane it costs the pair."""
+    block, _ = grid_block(BlockOptions(points=80, control_share=0.1, seed=4))
+    clean, o = fg.adjust(block), block.observations
+    lines = np.linalg.svd(linearised(clean.problem, clean.state).ground)[2][:, 2]
+    point = int(np.flatnonzero(clean.problem.active & ~clean.problem.observed & (np.bincount(o.point) == 4))[0])
+    rows = np.flatnonzero(o.point == point)
+    parallel = np.abs(lines[rows] @ lines[rows[0]])
+    pair, others = rows[parallel > 0.99], rows[parallel <= 0.99]
+    assert len(pair) == 2
+    along = linearised(clean.problem, clean.state, rows[:1]).ground[0] @ lines[others[0]]
+    along /= np.linalg.norm(along)
+    for direction, lost in ((along, pair), (np.array([-along[1], along[0]]), rows[:1])):
+        line, sample = o.line.copy(), o.sample.copy()
+        line[rows[0]], sample[rows[0]] = np.array([line[rows[0]], sample[rows[0]]]) + 6.0 * direction
+        moved = fg.adjust(replace(block, observations=replace(o, line=line, sample=sample)), loss="tls", gnc=True)
+        assert moved.weights is not None
+        assert set(rows[moved.weights.image[rows] < DOWN].tolist()) == set(lost.tolist())
+        assert moved.weights.image[lost] == pytest.approx(FLOOR, rel=1e-6)
+
+
+@pytest.mark.consistency
+def test_rivals_are_the_same_on_all_backends() -> None:
+    block, _, _ = spoiled(1, 0.1)
+    options: dict[str, Any] = {"loss": "tls", "gnc": True}
+    first = fg.adjust(block, backend="schur", **options)
+    assert first.weights is not None
+    image, control = squares(first.problem, first.state)
+    assert np.any(first.weights.image < Graduated.of(first.block.options).robust(np.inf).weigh(image, control)[0] - 0.5)
+    for more in ({"backend": "graph"}, {"backend": "dense"}, {"parts": 3, "workers": 1}):
+        other = fg.adjust(block, **options, **more)
+        assert other.weights is not None and np.array_equal(other.weights.image, first.weights.image)
+        assert other.chi2 == pytest.approx(first.chi2, rel=1e-8)
+        assert other.ground_m == pytest.approx(first.ground_m, abs=1e-3)

@@ -132,3 +132,29 @@ def test_the_command_compares_the_image(twin: Twin, tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.code == 2 and "was computed from another metadata file" in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.behaviour
+def test_commands_warn_of_heights_that_no_land_has(twin: Twin, tmp_path: Path) -> None:
+    """A cell of an undeclared nodata value in the DEM of ``rectify ortho``, and of a repeated run."""
+    rasterio = pytest.importorskip("rasterio")
+    project, dem = tmp_path / "twin", tmp_path / "twin/spoiled.tif"
+    shutil.copytree(twin.folder, project)
+    shutil.copyfile(project / "dem.tif", dem)
+    with rasterio.open(dem, "r+") as raster:
+        heights = raster.read(1)
+        heights[0, 0] = -32767.0
+        raster.write(heights, 1)
+    points = (project / "points.csv").read_text("utf-8").splitlines()
+    kept = [f"{line.split(',')[0]},tie,,,,,," if line.split(",")[1:2] == ["check"] else line for line in points]
+    (project / "points.csv").write_text("\n".join(kept) + "\n", "utf-8")
+    result, told = tmp_path / "result", "1 cells have heights below"
+    done = [
+        run(
+            "rectify", "ortho", project / "left.tif", project / "left.DIM", "--dem", dem, "--out", tmp_path / "map.tif"
+        ),
+        run("adjust", project / "project.toml", "--dem-control", dem, "--dem-sigma", 300, "--out", result),
+        run("replay", result, "--project", project / "project.toml", "--out", tmp_path / "again"),
+    ]
+    for one in done:
+        assert one.code == 0 and told in one.stderr + one.stdout, one.stderr

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
+from tempfile import mkdtemp
 from typing import Final, cast
 
 import numpy as np
@@ -70,6 +72,8 @@ def solve_in_parts(
         parts = execution.parts or default_parts(problem)
         if checkpoint is not None:
             checkpoint.scope = f"{parts} parts"
-        estimate = solve(own, callback, lambda p: PartedBackend(p, pool, folder, parts), checkpoint, start)
+        estimate = solve(
+            own, callback, lambda p: PartedBackend(p, pool, Path(mkdtemp(dir=folder)), parts), checkpoint, start
+        )
         summed = cast(PartedSystem, estimate.linear).summed()
     return replace(estimate, state=summed.state, linear=summed)

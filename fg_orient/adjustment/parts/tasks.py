@@ -132,8 +132,8 @@ def _task(function: Callable[Concatenate[_Part, At, P], T]) -> Callable[Concaten
 
 
 def forget(folder: str) -> None:
-    """Close the parts of a work folder in this process."""
-    for key in [key for key in _PARTS if key[0] == folder]:
+    """Close the parts of a work folder, and of folders in it, in this process."""
+    for key in [key for key in _PARTS if key[0].startswith(folder)]:
         del _PARTS[key]
 
 
