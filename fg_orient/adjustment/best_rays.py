@@ -37,8 +37,8 @@ STEPS: Final = 5
 FARTHEST_M: Final = 1e5
 #: Widths of the limit in the steps after an intersection.
 WIDTHS: Final = (2.0, 1.0, 1.0)
-#: Decrease of the cost for which a point moves.
-BETTER: Final = 1e-6
+#: Decrease of the cost for which a point moves: the place of the stages before is as likely up to a ratio of 100.
+BETTER: Final = 9.21
 #: Difference of sums of squares, in units of the variance factor, below which rays of a point are rivals: likelihoods
 #: of 1 to 100.
 RIVAL: Final = 9.21

@@ -239,7 +239,7 @@ def test_what_does_not_fit_is_refused_in_one_line() -> None:
         (replace(second, images=ids), one, {}, "no image of this block"),
         (second, one, {"look_polynomial": 1}, "unknowns of only one"),
         (second, one, {"variance_components": ("image", "priors"), "start_prior": True}, "may not be estimated"),
-        (second, one, {"backend": "schur", "start_prior": True}, "Schur backend cannot take"),
+        (second, one, {"parts": 2, "start_prior": True}, "Schur backend cannot take"),
         (second, one, {"datum": "inner", "start_prior": True}, "free network"),
         (second, replace(one.result, joint=None), {"start_prior": True}, "covariance.npz"),
         (second, fg.adjust(first, max_iterations=1), {"start_prior": True}, "did not converge"),
