@@ -61,18 +61,18 @@ def with_best_rays(problem: Problem, state: State, limits: tuple[float, float]) 
     if not len(points):
         return state
     search = _Search(problem, state, points, limits)
-    best, least = state.ground[points], search.cost(state.ground[points])
-    begin = best.copy()
+    begin = state.ground[points]
+    before, best, least = search.cost(begin), begin.copy(), np.full(len(points), np.inf)
     pairs = combinations(range(int(rays[points].max())), 2)
     starts = (search.moved(begin, np.isin(search.number, pair), STEPS) for pair in pairs)
     for place in chain([search.measured(begin)], starts):
         for width in WIDTHS:
             place = search.moved(place, search.inside(place, width), 1, width)
         cost = search.cost(place)
-        better = cost < least - BETTER
+        better = cost < least
         best[better], least[better] = place[better], cost[better]
     ground = state.ground.copy()
-    ground[points] = best
+    ground[points] = np.where((least < before - BETTER)[:, None], best, begin)
     return State(state.image, ground)
 
 

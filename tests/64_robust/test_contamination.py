@@ -117,6 +117,6 @@ def test_at_20_percent_the_winners_keep_the_check_points(case: str) -> None:
 @pytest.mark.truth
 @pytest.mark.parametrize(("seed", "share"), [(14, 0.05), (15, 0.3)])
 def test_no_right_point_moves_for_a_little_better_fit(seed: int, share: float) -> None:
-    """Points with few rays, which had moved by 100 m for less than one unit of the cost: 18 and 15 m at check points."""
+    """Points with few rays, which moved by 100 m for less than a unit of the cost: 18 and 15 m at check points."""
     record = study.measure(study.spoil("block", seed, share), "GNC, tls")
     assert record["rmse_m"] < 6.5
