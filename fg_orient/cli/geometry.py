@@ -22,13 +22,9 @@ from fg_orient.cli.output import answer, number, say, table, tell, write_records
 from fg_orient.model.errors import Finding, InputError, finding
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
+    from fg_orient.model.arrays import Array
     from fg_orient.model.block import Image, ImagePoints
     from fg_orient.sensors.surface import RasterDem
-
-    Array = npt.NDArray[np.float64]
 
 #: Range of ground heights; others have a wrong unit or column.
 HEIGHT_RANGE_M = (-12e3, 100e3)

@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.quality.grouped_residuals import GroupedResiduals
 from fg_orient.quality.hypotheses import CHECKED
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 Method = Literal["helmert", "median"]
 
 
@@ -39,7 +37,7 @@ class Round:
     """
 
     variance: Array
-    negative: npt.NDArray[np.bool_]
+    negative: Mask
     held: tuple[str, ...]
     covariance: Array
     count: Index
@@ -81,9 +79,7 @@ def one_round(
     return Round(variance, negative & (method == "helmert"), tuple(held), covariance, count, r, shared is not None)
 
 
-def _hold(
-    s: Array, r: Array, held: list[str], keep: Sequence[bool], judge: bool
-) -> tuple[npt.NDArray[np.bool_], Array]:
+def _hold(s: Array, r: Array, held: list[str], keep: Sequence[bool], judge: bool) -> tuple[Mask, Array]:
     """Hold components, the worst first, until each estimate is larger than its standard deviation.
 
     Adds the reasons to ``held``; returns the free components and the inverse of their S.

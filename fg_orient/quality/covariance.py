@@ -15,7 +15,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.border import Border, small_enough
 from fg_orient.adjustment.border_matrix import BorderMatrix
@@ -38,13 +37,11 @@ from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.adjustment.unknown_cofactors import DenseUnknowns, UnknownCofactors
+from fg_orient.model.arrays import Array, Index
 from fg_orient.quality.star_cofactors import StarCofactors
 
 if TYPE_CHECKING:
     import gtsam
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Condition of the column-scaled Jacobian beyond which the dense backend withholds the covariance: there the
 #: relative rounding error of a cofactor, about eps cond, exceeds 1e-3. GTSAM's Cholesky fails much earlier on some

@@ -28,7 +28,6 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import qr
 
 from factors._contract import Argument, Equation
@@ -52,6 +51,7 @@ from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.adjustment.unknown_cofactors import DenseUnknowns, SpreadUnknowns, UnknownCofactors
+from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import InputError, finding
 from fg_orient.quality.covariance import BorderCofactors, Cofactors, Indeterminate, MatrixCofactors
@@ -60,10 +60,6 @@ from fg_orient.quality.joint import NamedMatrix
 from fg_orient.quality.star_cofactors import StarCofactors
 from fg_orient.quality.structure import analyse_structure
 from fg_orient.quality.weakest import weakest
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
 
 #: Number of unknowns up to which all cofactors of a free network are formed from those of GTSAM.
 MAX_UNKNOWNS: Final = 3000

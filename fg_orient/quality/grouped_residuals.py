@@ -6,16 +6,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.problem import participates
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.distributions import chi_square_median
 from fg_orient.quality.hypotheses import CHECKED
 from fg_orient.quality.observation_groups import Groups
 from fg_orient.quality.residuals import LARGEST, GroupCofactors, ResidualCofactors, cost
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

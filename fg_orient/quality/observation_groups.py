@@ -9,18 +9,15 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import Block, Coordinates
 from fg_orient.model.declaration import declared
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 from fg_orient.model.options import USUAL_GROUPS, Options
 from fg_orient.model.parameters import N_EOP, parameter_name
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Groupings of image points (one of them) and of control points: all axes, or position and height.
 IMAGE_GROUPINGS: Final = ("image", "image_by_role", "image_by_image", "image_by_sensor")

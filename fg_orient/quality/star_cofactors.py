@@ -10,15 +10,12 @@ so that the cofactors of an image and of its points need no matrix of all images
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.cofactors import RayCofactors, Star, rays_of_star
 from fg_orient.adjustment.images_border import ImagesBorder
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.unknown_cofactors import SpreadUnknowns
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
+from fg_orient.model.arrays import Array, Index
 
 
 class StarCofactors:

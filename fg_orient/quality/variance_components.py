@@ -23,16 +23,14 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from fg_orient.model.arrays import Array
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.options import USUAL_GROUPS
 from fg_orient.quality.component_round import Method, Round, one_round
 from fg_orient.quality.grouped_residuals import GroupedResiduals
 from fg_orient.quality.observation_groups import Groups, groups_of
 from fg_orient.quality.residuals import ResidualCofactors
-
-Array = npt.NDArray[np.float64]
 
 METHODS: Final = ("helmert", "median")
 

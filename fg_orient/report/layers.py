@@ -13,13 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
+from fg_orient.model.arrays import Array
 from fg_orient.report.chart import round_down
 from fg_orient.report.maps import KM_PER_DEGREE, shrink_at
 from fg_orient.result.plain import WORDS, Table
 from fg_orient.result.record import Result
 from fg_orient.sensors.footprints import polygon_geometry
-
-Array = npt.NDArray[np.float64]
 
 ENU: Final = ("east_m", "north_m", "up_m")
 #: Attributes of the points, if the table has them.

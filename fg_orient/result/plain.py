@@ -20,7 +20,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from fg_orient.model.arrays import Array, Index
+
 #: Values of a column: an array of numbers, or a sequence of text.
 Column = npt.NDArray[Any] | Sequence[Any]
 
@@ -96,7 +97,7 @@ class Table:
         """Some columns of numbers, (n, k); nan where the table does not have them."""
         return np.stack([self.figures.get(name, np.full(len(self), np.nan)) for name in names], axis=1)
 
-    def codes(self, name: str, words: Sequence[str]) -> npt.NDArray[np.intp]:
+    def codes(self, name: str, words: Sequence[str]) -> Index:
         """Index of each cell of a column of text in a list of its values."""
         place = {word: k for k, word in enumerate(words)}
         return np.fromiter(map(place.__getitem__, self.words[name]), np.intp, len(self))

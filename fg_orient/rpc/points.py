@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import Array
 from fg_orient.formats.table_files import require_table
 from fg_orient.formats.tables import Table
+from fg_orient.model.arrays import Array, Mask
 from fg_orient.model.names import Role
 from fg_orient.rpc.rfm_points import ControlPoints
 
@@ -43,7 +42,7 @@ class MeasuredPoints:
     """
 
     ids: tuple[str, ...]
-    check: npt.NDArray[np.bool_]
+    check: Mask
     image: Array
     ground: Array
     sigma_px: Array
@@ -51,7 +50,7 @@ class MeasuredPoints:
     def __len__(self) -> int:
         return len(self.ids)
 
-    def take(self, index: npt.NDArray[np.bool_]) -> MeasuredPoints:
+    def take(self, index: Mask) -> MeasuredPoints:
         """Some of the points."""
         ids = tuple(name for name, wanted in zip(self.ids, index, strict=True) if wanted)
         return MeasuredPoints(ids, self.check[index], self.image[index], self.ground[index], self.sigma_px[index])
@@ -89,7 +88,7 @@ def read_measured(path: Path) -> MeasuredPoints:
     return MeasuredPoints(ids, check, values[:, :2], values[:, 2:], sigma)
 
 
-def ids_and_checks(table: Table) -> tuple[tuple[str, ...], npt.NDArray[np.bool_]]:
+def ids_and_checks(table: Table) -> tuple[tuple[str, ...], Mask]:
     """Ids of the points, and whether their role is "check" (n,), by default "control".
 
     Empty and repeated ids and other roles are refused.
@@ -100,7 +99,7 @@ def ids_and_checks(table: Table) -> tuple[tuple[str, ...], npt.NDArray[np.bool_]
     return ids, checks(table)
 
 
-def checks(table: Table) -> npt.NDArray[np.bool_]:
+def checks(table: Table) -> Mask:
     """Whether the role of a point is "check" (n,), by default "control"; other roles are refused."""
     if "role" not in table.columns:
         return np.zeros(len(table), bool)

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import Array
 from factors.cameras.rfm_project import RANGE
+from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import COORDINATES
 
@@ -53,7 +52,7 @@ class ControlPoints:
         """Line, sample, longitude, latitude, height: (n, 5)."""
         return np.column_stack([self.line, self.sample, self.ground])
 
-    def take(self, index: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> ControlPoints:
+    def take(self, index: Index | Mask) -> ControlPoints:
         """Some of the points, or all of them in another order."""
         return ControlPoints(self.line[index], self.sample[index], self.ground[index])
 
