@@ -44,7 +44,7 @@ from fg_orient.quality.check_tests import (
     probability_of_number,
     trend_squares,
 )
-from fg_orient.quality.covariance import PointCofactors
+from fg_orient.quality.cofactors import PointCofactors
 
 AXES = ("east", "north", "up", "ecef_x", "ecef_y", "ecef_z")
 #: Probability that a normal difference is beyond this limit, on both sides.

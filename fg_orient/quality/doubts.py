@@ -20,7 +20,8 @@ from fg_orient.model.distributions import chi_square_tail, sidak
 from fg_orient.model.errors import DECISIVE, Finding, InputError, finding
 from fg_orient.model.messages import CATALOGUE
 from fg_orient.quality.accuracy import CHANCE, PointDifferences
-from fg_orient.quality.covariance import Cofactors, gives_statistics
+from fg_orient.quality.cofactors import Cofactors
+from fg_orient.quality.covariance import gives_statistics
 from fg_orient.quality.hypotheses import CHECKED
 from fg_orient.quality.outlier_records import OutlierTests
 from fg_orient.quality.outliers import outlier_tests

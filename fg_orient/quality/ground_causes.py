@@ -21,7 +21,7 @@ from fg_orient.model.names import Role
 from fg_orient.quality import hypotheses, mended
 from fg_orient.quality.accuracy import PointDifferences
 from fg_orient.quality.cause import PAIRED, Cause, Mend, penalty_of, without_parameter
-from fg_orient.quality.covariance import PointCofactors
+from fg_orient.quality.cofactors import PointCofactors
 from fg_orient.quality.image_causes import ImageErrors
 
 #: Number of check points used.

@@ -20,7 +20,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows
 from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.model.errors import InputError
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.cofactors import Cofactors
 
 if TYPE_CHECKING:
     import pandas

@@ -29,7 +29,7 @@ from fg_orient.model.arrays import Array
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.distributions import chi_square_limit, normal_quantile, normal_within
 from fg_orient.model.errors import InputError, NoSolutionError
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.cofactors import Cofactors
 from fg_orient.sensors import initial
 from fg_orient.sensors.correction import HeightSurface
 

@@ -25,7 +25,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised, side_by_side
 from fg_orient.model.arrays import Array
 from fg_orient.quality import hypotheses
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.cofactors import Cofactors
 
 #: Maximum number of Gauss-Newton steps of an intersection, and the step in m at convergence.
 MAX_STEPS: Final = 20

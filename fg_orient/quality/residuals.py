@@ -39,7 +39,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows, linearised, residuals
 from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import ExtraObservation
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.cofactors import Cofactors
 from fg_orient.quality.elimination import (
     PointRows,
     control_residuals,

@@ -24,7 +24,7 @@ from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
 from fg_orient.model.arrays import Array, Index
 from fg_orient.quality import hypotheses
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.cofactors import Cofactors
 from fg_orient.quality.elimination import PointRows, eliminated_points, free_cofactors
 from fg_orient.quality.residuals import ResidualCofactors
 

@@ -29,7 +29,6 @@ from scipy.linalg import eigh
 
 from factors._contract import Argument, Equation
 from fg_orient.adjustment.border import Border, small_enough
-from fg_orient.adjustment.cofactors import blocks_of_images
 from fg_orient.adjustment.constraint_rows import ConstraintObservation
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
@@ -41,7 +40,7 @@ from fg_orient.model.constraint import Constraint
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 from fg_orient.model.parameters import chosen_datum, with_options
-from fg_orient.quality.covariance import PointCofactors
+from fg_orient.quality.cofactors import CommonCofactors, PointCofactors
 from fg_orient.quality.free_network import without_priors
 
 #: Share of a movement that the rays must see (see above); below, a y-parallax moves an image by 5 times as much.
@@ -78,16 +77,12 @@ class HeldDatum(ExtraObservation):
 
 
 @dataclass(frozen=True)
-class WithDatum:
+class WithDatum(CommonCofactors):
     """Cofactors of a solution plus those of its held directions by the prior sigmas (``covariance.PointCofactors``)."""
 
     problem: Problem
     shape: PointCofactors
     held: HeldDatum
-
-    def image(self, k: int) -> Array:
-        """See ``PointCofactors``."""
-        return self.joint((k,), ())
 
     def point(self, j: int) -> Array:
         """See ``PointCofactors``."""
@@ -103,10 +98,6 @@ class WithDatum:
         parts = [self.held.image[self.problem.image_slice(k)] for k in images]
         moved = np.vstack([*parts, *(self.held.ground[j] for j in points if self.problem.active[j])])
         return np.asarray(self.shape.joint(images, points) + moved @ moved.T)
-
-    def blocks(self, pairs: Index) -> Array:
-        """See ``PointCofactors``."""
-        return blocks_of_images(self.problem, lambda images: self.joint(images, ()), pairs)
 
 
 def with_datum(block: Block) -> Block:
