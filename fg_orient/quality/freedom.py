@@ -20,8 +20,7 @@ import numpy as np
 
 from fg_orient.model.arrays import Array, Index
 from fg_orient.model.errors import NoSolutionError
-from fg_orient.quality.grouped_residuals import GroupedResiduals
-from fg_orient.quality.observation_groups import groups_of
+from fg_orient.quality.observation_groups import GroupedResiduals, groups_of
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.variance_components import VarianceComponents
 

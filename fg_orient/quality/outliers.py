@@ -17,8 +17,7 @@ from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.model.errors import InputError
 from fg_orient.quality import hypotheses
 from fg_orient.quality.freedom import freedoms
-from fg_orient.quality.grouped_residuals import GroupedResiduals
-from fg_orient.quality.observation_groups import groups_of
+from fg_orient.quality.observation_groups import GroupedResiduals, groups_of
 from fg_orient.quality.outlier_records import OutlierTests
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.suspects import KINDS, Kind, Suspects, suspects
