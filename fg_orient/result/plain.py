@@ -11,7 +11,7 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -102,14 +102,18 @@ class Table:
         place = {word: k for k, word in enumerate(words)}
         return np.fromiter(map(place.__getitem__, self.words[name]), np.intp, len(self))
 
+    def text(self) -> Iterator[str]:
+        """Parts of the text of a CSV file; its bytes are those of ``csv.writer`` row by row."""
+        yield ",".join(map(_quoted, self.columns)) + "\n"
+        for start in range(0, len(self), CHUNK):
+            part = slice(start, start + CHUNK)
+            cells = [_texts(values[part], name in WHOLE) for name, values in self.columns.items()]
+            yield "\n".join(map(",".join, zip(*cells, strict=True))) + "\n"
+
     def write(self, path: Path) -> None:
-        """Write a CSV file; its bytes are those of ``csv.writer`` row by row."""
+        """Write a CSV file."""
         with path.open("w", encoding="utf-8", newline="") as stream:
-            stream.write(",".join(map(_quoted, self.columns)) + "\n")
-            for start in range(0, len(self), CHUNK):
-                part = slice(start, start + CHUNK)
-                cells = [_texts(values[part], name in WHOLE) for name, values in self.columns.items()]
-                stream.write("\n".join(map(",".join, zip(*cells, strict=True))) + "\n")
+            stream.writelines(self.text())
 
 
 def table_of_rows(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
@@ -142,9 +146,9 @@ def _texts(values: Column, whole: bool = False) -> Sequence[str]:
 
 
 def _cell(value: Any, whole: bool = False) -> str:
-    """Text of one value."""
+    """Text of one value; empty for none, words of JSON for truth values."""
     if not isinstance(value, float):
-        return str(value)
+        return "" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
     return "" if not math.isfinite(value) else str(int(value)) if whole else repr(float(value))
 
 

@@ -344,5 +344,5 @@ def outlier_table(search: Search) -> Table:
             test.probability, test.level, *error.tolist(), "; ".join(test.inseparable), "; ".join(one.with_it),
             one.readmitted, *((None, None) if one.fit is None else (one.fit.statistic, one.fit.probability)),
         )  # fmt: skip
-        rows.append([np.nan if cell is None else cell for cell in cells])
+        rows.append(cells)
     return table_of_rows(OUTLIER_COLUMNS, rows)
