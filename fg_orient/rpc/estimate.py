@@ -18,7 +18,7 @@ from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rpc.fit import RfmFit
 from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.options import Penalty
-from fg_orient.rpc.rfm_points import ControlPoints, Scaling
+from fg_orient.rpc.points import ControlPoints, Scaling
 
 #: QR of A: its condition number is the root of that of N.
 SOLVER: Final = "qr_scaled"

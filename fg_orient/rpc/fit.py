@@ -19,7 +19,7 @@ from fg_orient.model.arrays import Array, Index
 from fg_orient.model.errors import InputError, NoSolutionError, finding
 from fg_orient.model.names import Progress
 from fg_orient.rpc.form import RfmForm
-from fg_orient.rpc.rfm_points import ControlPoints, Scaling
+from fg_orient.rpc.points import ControlPoints, Scaling
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 
 #: Largest number of segments between points on which denominators are computed; of more, a seeded choice.

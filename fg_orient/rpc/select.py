@@ -27,7 +27,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.rpc.estimate import fit_true, linear_system
 from fg_orient.rpc.fit import RfmFit, leverages
 from fg_orient.rpc.form import RfmForm
-from fg_orient.rpc.rfm_points import ControlPoints, Scaling
+from fg_orient.rpc.points import ControlPoints, Scaling
 
 
 @dataclass(frozen=True)

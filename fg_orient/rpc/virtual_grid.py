@@ -21,7 +21,7 @@ from fg_orient.rpc.estimate import fit_true
 from fg_orient.rpc.fit import RfmFit
 from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.options import Denominators
-from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.rpc.points import ControlPoints
 from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 

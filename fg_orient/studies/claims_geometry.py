@@ -17,7 +17,7 @@ from fg_orient.adjustment.linear.system import diagnose
 from fg_orient.model.arrays import Array
 from fg_orient.rpc.estimate import fit_linear
 from fg_orient.rpc.form import DEGREES, RfmForm
-from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.rpc.points import ControlPoints
 from fg_orient.sensors import initial
 from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.pushbroom import PushbroomSensor, require_pushbroom

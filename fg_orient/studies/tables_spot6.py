@@ -27,7 +27,7 @@ from fg_orient.model.names import CellKey
 from fg_orient.rpc.estimate import linear_system
 from fg_orient.rpc.fit import RfmFit
 from fg_orient.rpc.form import DEGREES, RfmForm
-from fg_orient.rpc.rfm_points import ControlPoints, Scaling
+from fg_orient.rpc.points import ControlPoints, Scaling
 from fg_orient.studies.tables_twin import AXES, Cells, Progress, collect, conditioning_cells
 
 #: Printed kappas by method and degree, for Table 4.45.
