@@ -73,7 +73,7 @@ _IMPORTED = """
     fg_orient/studies/comparison/compare.py fg_orient/studies/comparison/model.py fg_orient/studies/claims.py
     fg_orient/adjustment/parts/study.py
     fg_orient/report/chart.py fg_orient/report/figures.py fg_orient/report/geofiles.py fg_orient/report/html.py
-    fg_orient/report/layers.py fg_orient/report/maps.py fg_orient/report/paper.py fg_orient/report/plots.py
+    fg_orient/report/maps.py fg_orient/report/paper.py fg_orient/report/plots.py
     fg_orient/simulate/block.py fg_orient/simulate/options.py fg_orient/simulate/simulation.py
     fg_orient/simulate/zonguldak.py
 """.split()

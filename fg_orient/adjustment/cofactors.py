@@ -337,7 +337,7 @@ class SummedSystem:
 
 
 class ReducedCofactors:
-    """Joint cofactors from a reduced system; see ``fg_orient.quality.covariance.Cofactors``.
+    """Joint cofactors from a reduced system; see ``fg_orient.quality.cofactors.Cofactors``.
 
     Parameters
     ----------

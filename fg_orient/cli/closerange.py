@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import functools
-import inspect
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
-from fg_orient.cli.command import argument, command, option
+from fg_orient.cli.command import Several, argument, command, option
 from fg_orient.cli.common import ImageSize, Overwrite, command_line, image_sizes
 from fg_orient.cli.output import answer, number, say, show_components, table, tell, tell_findings
 from fg_orient.cli.progress import progress
@@ -28,31 +26,21 @@ Measured = Annotated[Path, argument("POINTS", "CSV: id,photo,x,y; sigma_x and si
 Photos = Annotated[Path, argument("PHOTOS", 'TOML: a table "photos" for each.')]
 Out = Annotated[Path | None, option("Folder of the results, report.html among them.", "DIR")]
 Report = Annotated[Path | None, option("The report alone, as one self-contained page.", "FILE.html")]
-#: Options of the outputs of a command.
-OUTPUTS = {"out": (Out, None), "report": (Report, None), "overwrite": (Overwrite, False)}
 
 
-def outputs(function: Callable[..., None]) -> Callable[..., None]:
-    """Decorator: replace the parameter ``output`` of a command by the options of its outputs."""
-    signature = inspect.signature(function, eval_str=True)
+def _output(**given: Any) -> Any:
+    """Outputs of a command."""
+    from fg_orient.closerange.job import Output
 
-    @functools.wraps(function)
-    def run(**values: Any) -> None:
-        from fg_orient.closerange.job import Output
+    return Output(**given, command=command_line())
 
-        given = {name: values.pop(name) for name in OUTPUTS}
-        function(**values, output=Output(**given, command=command_line()))
 
-    kept = [one for name, one in signature.parameters.items() if name != "output"]
-    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
-    added = [inspect.Parameter(name, kind, default=value, annotation=of) for name, (of, value) in OUTPUTS.items()]
-    run.__signature__ = signature.replace(parameters=[*kept, *added])  # type: ignore[attr-defined]
-    return run
+#: Options of the outputs of a command, in place of its parameter ``output``.
+OUTPUT = {"output": Several({"out": (Out, None), "report": (Report, None), "overwrite": (Overwrite, False)}, _output)}
 
 
 @app.command("dlt")
-@command(DltOptions)
-@outputs
+@command(DltOptions, several=OUTPUT)
 def dlt(points: Control, options: Mapping[str, Any], output: Any) -> None:
     """Orient photos of unknown cameras by a direct linear transformation."""
     from fg_orient.closerange.job import run_dlt
@@ -62,8 +50,7 @@ def dlt(points: Control, options: Mapping[str, Any], output: Any) -> None:
 
 
 @app.command("resect")
-@command(ImageOptions)
-@outputs
+@command(ImageOptions, several=OUTPUT)
 def resect(points: Control, camera: Photos, options: Mapping[str, Any], output: Any) -> None:
     """Orient photos of known cameras by control points."""
     from fg_orient.closerange.job import run_resect
@@ -73,8 +60,7 @@ def resect(points: Control, camera: Photos, options: Mapping[str, Any], output: 
 
 
 @app.command("intersect")
-@command(ImageOptions)
-@outputs
+@command(ImageOptions, several=OUTPUT)
 def intersect(points: Measured, photos: Photos, options: Mapping[str, Any], output: Any) -> None:
     """Intersect points of oriented photos."""
     from fg_orient.closerange.job import run_intersect
@@ -84,8 +70,7 @@ def intersect(points: Measured, photos: Photos, options: Mapping[str, Any], outp
 
 
 @app.command("bundle")
-@command(Options, BundleOptions, only=(*declared(BundleOptions), *COMMON), defaults=DEFAULTS)
-@outputs
+@command(Options, BundleOptions, only=(*declared(BundleOptions), *COMMON), defaults=DEFAULTS, several=OUTPUT)
 def bundle(
     points: Measured,
     photos: Photos,
@@ -184,8 +169,7 @@ def _show_comparison(record: dict[str, Any]) -> None:
 
 
 @app.command("surface")
-@command(SurfaceOptions)
-@outputs
+@command(SurfaceOptions, several=OUTPUT)
 def surface(
     points: Annotated[Path, argument("POINTS", "CSV: id,x_m,y_m,z_m; sigma_x_m,sigma_y_m,sigma_z_m if wanted.")],
     kind: Annotated[Literal["sphere", "spheroid", "ellipsoid", "quadric"], option("Kind of surface.")],

@@ -11,7 +11,7 @@ import traceback
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, NamedTuple
 
 import typer
 
@@ -50,11 +50,19 @@ Debug = Annotated[bool, option("Show the traceback of an error of the program it
 SHARED: Final = {"quiet": (Quiet, False), "log": (Log, None), "as_json": (Json, False), "debug": (Debug, False)}
 
 
+class Several(NamedTuple):
+    """Options of a command, with their defaults, and a function that makes one argument of them."""
+
+    options: Mapping[str, tuple[Any, Any]]
+    make: Callable[..., Any]
+
+
 def command(
     *records: type,
     only: Collection[str] = (),
     named: Mapping[str, str] | None = None,
     defaults: Mapping[str, Any] | None = None,
+    several: Mapping[str, Several] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Decorator: give a command its shared options and exit codes, and the options that dataclasses declare.
 
@@ -68,8 +76,10 @@ def command(
         Flags of the command for names of the library's arguments that differ from them.
     defaults : mapping, optional
         Defaults of the command that differ from the declared ones, for its help.
+    several : mapping, optional
+        Parameters of the function that are made of several options, which come last.
     """
-    own = defaults or {}
+    own, joined = defaults or {}, several or {}
     options = [replace(one, default=own.get(name, one.default))
                for name, one in declared(*records).items() if not only or name in only]  # fmt: skip
     flags = {one.name: one.flag for one in options} | dict(named or {})
@@ -84,12 +94,15 @@ def command(
                 given = {one.name: _value(one, values) for one in options}
                 values[GIVEN] = {name: value for name, value in given.items() if value is not None}
             with outcome(as_json, debug, quiet, log, flags):
+                for name, one in joined.items():
+                    values[name] = one.make(**{part: values.pop(part) for part in one.options})
                 function(**values)
 
         made: list[inspect.Parameter] = []
         for name, own in signature.parameters.items():
-            made += [p for one in options for p in _parameters(one)] if name == GIVEN else [own]
-        made += [_keyword(name, kind, default) for name, (kind, default) in SHARED.items()]
+            made += [p for one in options for p in _parameters(one)] if name == GIVEN else [own] * (name not in joined)
+        for shared in (*(one.options for one in joined.values()), SHARED):
+            made += [_keyword(name, kind, default) for name, (kind, default) in shared.items()]
         run.__signature__ = signature.replace(parameters=made)  # type: ignore[attr-defined]
         return run
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-from fg_orient.cli.command import argument, option
+from fg_orient.cli.command import Several, argument, option
 from fg_orient.cli.output import tell
 from fg_orient.model.declaration import declared
 from fg_orient.model.errors import InputError
 from fg_orient.model.options import MAX_EXTRAPOLATION_S, Reading
 
 if TYPE_CHECKING:
-    from fg_orient.model.block import Image
+    from fg_orient.model.block import Block
     from fg_orient.sensors.surface import RasterDem
 
 EXTRAPOLATE = declared(Reading)["extrapolate_attitude_s"]
@@ -58,26 +59,40 @@ def require_project(path: Path) -> None:
         raise no_project_file(path)
 
 
-def read_image(path: Path, model: str, extrapolate_s: float, result: Path | None = None) -> Any:
-    """Read a sensor with the options ``--model``, ``--extrapolate-attitude`` and ``--result``."""
-    from fg_orient.formats.sensor import read_sensor
+class Sensors(NamedTuple):
+    """Reading of sensors with the options ``--model``, ``--extrapolate-attitude`` and ``--result``."""
 
-    sensor = read_sensor(path, model=model, extrapolate_attitude_s=extrapolate_s)
-    return sensor if result is None else _with_result(sensor, result)
+    model: str
+    extrapolate_attitude: float
+    result: Path | None
+
+    def read(self, path: Path) -> Any:
+        """Read a sensor."""
+        from fg_orient.formats.sensor import read_sensor
+
+        return self._oriented(read_sensor(path, model=self.model, extrapolate_attitude_s=self.extrapolate_attitude))
+
+    def project(self, path: Path) -> Block:
+        """Read a project."""
+        from fg_orient.formats.project import read_project
+
+        block = read_project(path, extrapolate_attitude_s=self.extrapolate_attitude or None)
+        return replace(block, images=tuple(replace(i, sensor=self._oriented(i.sensor, i.id)) for i in block.images))
+
+    def _oriented(self, sensor: Any, image_id: str = "") -> Any:
+        """Sensor with the orientation of the result folder, if one is given."""
+        if self.result is None:
+            return sensor
+        from fg_orient.rectification.adjusted import read_correction
+        from fg_orient.sensors.base import OrientedSensor
+
+        return OrientedSensor(sensor, read_correction(self.result, sensor, image_id))
 
 
-def oriented(images: tuple[Image, ...], result: Path | None) -> tuple[Image, ...]:
-    """Images of a project with the orientation of a result folder, if one is given."""
-    from fg_orient.model.block import Image
-
-    return images if result is None else tuple(Image(i.id, _with_result(i.sensor, result, i.id)) for i in images)
-
-
-def _with_result(sensor: Any, result: Path, image_id: str = "") -> Any:
-    from fg_orient.rectification.adjusted import read_correction
-    from fg_orient.sensors.base import OrientedSensor
-
-    return OrientedSensor(sensor, read_correction(result, sensor, image_id))
+#: Options of sensors, in place of the parameter ``sensors`` of a command.
+SENSORS = {"sensors": Several(
+    {"model": (ModelOf, "auto"), "extrapolate_attitude": (Extrapolate, 0.0), "result": (Result, None)}, Sensors
+)}  # fmt: skip
 
 
 def read_dem(path: Path | None, vertical_crs: str) -> RasterDem | None:

@@ -7,28 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from fg_orient.cli.command import argument, command, option
-from fg_orient.cli.common import (
-    Dem,
-    Extrapolate,
-    ModelOf,
-    Overwrite,
-    Result,
-    VerticalCrs,
-    oriented,
-    read_dem,
-    read_image,
-)
+from fg_orient.cli.common import SENSORS, Dem, Overwrite, Sensors, VerticalCrs, read_dem
 from fg_orient.cli.output import answer, number, say, table, tell, write_records
 from fg_orient.model.errors import Finding, InputError, finding
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
+    from fg_orient.model.arrays import Array
     from fg_orient.model.block import Image, ImagePoints
     from fg_orient.sensors.surface import RasterDem
-
-    Array = npt.NDArray[np.float64]
 
 #: Range of ground heights; others have a wrong unit or column.
 HEIGHT_RANGE_M = (-12e3, 100e3)
@@ -48,9 +34,10 @@ Sources = Annotated[list[Path], argument("IMAGE ... | PROJECT.toml", "Metadata f
 Points = Annotated[Path | None, option("CSV file of points; columns see below.")]
 
 
-@command()
+@command(several=SENSORS)
 def locate(
     image: ImageFile,
+    sensors: Sensors,
     line: Annotated[float | None, option("Line, pixels; 0 = centre of the first.")] = None,
     sample: Annotated[float | None, option("Sample, pixels; 0 = centre of the first.")] = None,
     height: Height = None,
@@ -58,9 +45,6 @@ def locate(
     dem_vertical_crs: VerticalCrs = "",
     frame: Annotated[bool, option("Locate the file's own frame points and compare.", flag="--frame")] = False,
     points: Points = None,
-    model: ModelOf = "auto",
-    extrapolate_attitude: Extrapolate = 0.0,
-    result: Result = None,
     out: Out = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -73,7 +57,7 @@ def locate(
         raise InputError.of("cli.two_heights", file=image, option="height, dem")
     from fg_orient.sensors.ground import frame_records
 
-    sensor = read_image(image, model, extrapolate_attitude, result)
+    sensor = sensors.read(image)
     surface = read_dem(dem, dem_vertical_crs)
     if frame:
         records = frame_records(sensor, height, surface)
@@ -122,16 +106,14 @@ def _located(
     return ground_records(ids, lines, samples, sensor.locate(lines, samples, height_m=height_m))
 
 
-@command()
+@command(several=SENSORS)
 def project(
     image: ImageFile,
+    sensors: Sensors,
     lon: Annotated[float | None, option("Longitude, degrees East (WGS84).")] = None,
     lat: Annotated[float | None, option("Latitude, degrees North (WGS84).")] = None,
     height: Height = None,
     points: Points = None,
-    model: ModelOf = "auto",
-    extrapolate_attitude: Extrapolate = 0.0,
-    result: Result = None,
     out: Out = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -151,17 +133,15 @@ def project(
         raise InputError.of("cli.no_ground", file=image, option="lon, lat, height")
     else:
         ids, columns = ["1"], [np.array([value]) for value in (lon, lat, height)]
-    sensor = read_image(image, model, extrapolate_attitude, result)
+    sensor = sensors.read(image)
     _publish(sensor, pixel_records(sensor, ids, geodetic_to_ecef(*columns)), PIXEL, out, overwrite)
 
 
-@command()
+@command(several=SENSORS)
 def intersect(
     sources: Sources,
+    sensors: Sensors,
     pixel: Annotated[list[str] | None, option("Pixel, one per image, in their order.", "LINE,SAMPLE")] = None,
-    model: ModelOf = "auto",
-    extrapolate_attitude: Extrapolate = 0.0,
-    result: Result = None,
     out: Out = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -174,13 +154,11 @@ def intersect(
     from fg_orient.sensors.ground import intersection_records
 
     if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
-        from fg_orient.formats.project import read_project
-
         _exclude({"PROJECT.toml": sources[0]}, {"--pixel": pixel or None})
-        block = read_project(sources[0], extrapolate_attitude_s=extrapolate_attitude or None)
-        images, observations, ids = oriented(block.images, result), block.observations, block.points.ids
+        block = sensors.project(sources[0])
+        images, observations, ids = block.images, block.observations, block.points.ids
     else:
-        images, observations = _pixels_of(sources, pixel or [], model, extrapolate_attitude, result)
+        images, observations = _pixels_of(sources, pixel or [], sensors)
         ids = ("1",)
     records = intersection_records(images, observations, ids)
     doubts = list(filter(None, map(_doubt, records)))
@@ -204,9 +182,7 @@ def _doubt(record: dict[str, Any]) -> Finding | None:
     )  # fmt: skip
 
 
-def _pixels_of(
-    sources: list[Path], pixels: list[str], model: str, extrapolate_s: float, result: Path | None
-) -> tuple[tuple[Image, ...], ImagePoints]:
+def _pixels_of(sources: list[Path], pixels: list[str], sensors: Sensors) -> tuple[tuple[Image, ...], ImagePoints]:
     """Images and image points of one ground point, given on the command line."""
     import numpy as np
 
@@ -217,7 +193,7 @@ def _pixels_of(
     if len(pixels) != len(sources):
         raise InputError.of("cli.pixel_count", option="pixel", pixels=len(pixels), images=len(sources))
     values = np.array([_pixel(text) for text in pixels])
-    images = _images(sources, model, extrapolate_s, result)
+    images = _images(sources, sensors)
     for k, image in enumerate(images):
         image.sensor.require_inside(values[k : k + 1, 0], values[k : k + 1, 1])
     n = len(images)
@@ -275,15 +251,13 @@ def _cell(name: str, value: Any) -> str:
     return number(value, digits) if isinstance(value, float) else str(value)
 
 
-@command()
+@command(several=SENSORS)
 def footprint(
     sources: Sources,
+    sensors: Sensors,
     height: Height = None,
     dem: Dem = None,
     dem_vertical_crs: VerticalCrs = "",
-    result: Result = None,
-    model: ModelOf = "auto",
-    extrapolate_attitude: Extrapolate = 0.0,
     out: Annotated[Path | None, option("Write the footprints into this GeoJSON file.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -300,7 +274,7 @@ def footprint(
         raise InputError.of(code, file=sources[0], option="height, dem")
     require_free_files(out, overwrite=overwrite)
     surface = read_dem(dem, dem_vertical_crs)
-    images = _images(sources, model, extrapolate_attitude, result)
+    images = _images(sources, sensors)
     views = [View(image, height or 0.0, surface) for image in images]
     records = viewing_records(views)
     if out is not None:
@@ -312,16 +286,13 @@ def footprint(
     answer(record, _show_footprints, records, notes, out)
 
 
-def _images(sources: list[Path], model: str, extrapolate_s: float, result: Path | None) -> tuple[Image, ...]:
+def _images(sources: list[Path], sensors: Sensors) -> tuple[Image, ...]:
     """Images of a project, or of metadata files, numbered."""
     if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
-        from fg_orient.formats.project import read_project
-
-        return oriented(read_project(sources[0], extrapolate_attitude_s=extrapolate_s or None).images, result)
+        return sensors.project(sources[0]).images
     from fg_orient.model.block import Image
 
-    sensors = [read_image(path, model, extrapolate_s, result) for path in sources]
-    return tuple(Image(str(k), sensor) for k, sensor in enumerate(sensors, start=1))
+    return tuple(Image(str(k), sensors.read(path)) for k, path in enumerate(sources, start=1))
 
 
 def _show_footprints(records: dict[str, list[dict[str, Any]]], notes: list[Finding], out: Path | None) -> None:

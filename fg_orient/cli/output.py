@@ -6,8 +6,6 @@ numbers of a row, each row becomes a few lines, one for each column.
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import sys
 import textwrap
@@ -139,15 +137,11 @@ def number(value: object, digits: int = 3) -> str:
 def write_records(path: Path, columns: Sequence[str], records: Sequence[dict[str, Any]], overwrite: bool) -> None:
     """Write records as CSV with all digits, completely or not at all; InputError if the file may not be written."""
     from fg_orient.formats.atomic import require_free_files, write_text
+    from fg_orient.result.plain import table_of_rows
 
     require_free_files(path, overwrite=overwrite)
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(columns)
-    for record in records:
-        values = [record[name] for name in columns]
-        writer.writerow(["" if v is None or v != v else str(v).lower() if isinstance(v, bool) else v for v in values])
-    write_text(path, stream.getvalue())
+    rows = ([record[name] for name in columns] for record in records)
+    write_text(path, "".join(table_of_rows(columns, rows).text()))
 
 
 # --- tables ----------------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fg_orient.cli.command import argument, command, option
-from fg_orient.cli.common import Extrapolate, Overwrite, Result, open_dem, read_image
+from fg_orient.cli.common import Extrapolate, Overwrite, Result, Sensors, open_dem
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.declaration import declared
@@ -176,7 +176,7 @@ def fit(
         names = {"normalise": "no_normalise"}
         foreign = {names.get(name, name): value for name, value in options.items() if name not in of_form}
         _refuse(source, foreign, "a sensor")
-        sensor = read_image(source, "auto", extrapolate_attitude, result)
+        sensor = Sensors("auto", extrapolate_attitude, result).read(source)
         if heights is None:
             raise InputError.of("rpc.no_heights", file=source, option="heights")
         from fg_orient.rpc.fitting import fit_image

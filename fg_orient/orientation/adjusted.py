@@ -12,7 +12,7 @@ from fg_orient.adjustment.robust import Weights, weighted_problem
 from fg_orient.model.block import Block
 from fg_orient.model.errors import Finding, NoSolutionError
 from fg_orient.model.names import Status
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.cofactors import Cofactors
 from fg_orient.quality.outlier_records import OutlierTests
 from fg_orient.quality.outliers import outlier_tests
 from fg_orient.quality.residuals import ResidualCofactors

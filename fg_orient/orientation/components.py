@@ -19,11 +19,16 @@ from fg_orient.model.errors import InputError, NoSolutionError, finding
 from fg_orient.model.names import Status
 from fg_orient.model.options import USUAL_GROUPS
 from fg_orient.orientation.solution import Solution
-from fg_orient.quality.component_round import Method, Round, one_round
 from fg_orient.quality.doubts import gross_errors
-from fg_orient.quality.grouped_residuals import GroupedResiduals
-from fg_orient.quality.observation_groups import Groups, groups_of, require_groups, scaled
-from fg_orient.quality.variance_components import VarianceComponents, components_of, require_method
+from fg_orient.quality.observation_groups import GroupedResiduals, Groups, groups_of, require_groups, scaled
+from fg_orient.quality.variance_components import (
+    Method,
+    Round,
+    VarianceComponents,
+    components_of,
+    one_round,
+    require_method,
+)
 from fg_orient.quality.verdict import NO_INTERVAL, SolutionAssessment, decided
 
 #: Relative change of a variance at convergence: far below its standard deviation.

@@ -21,7 +21,8 @@ from fg_orient.model.names import Role, Status
 from fg_orient.orientation.solution import Seconds, Solution
 from fg_orient.quality import camera, causes, doubts, vendor_datum, verdict
 from fg_orient.quality.accuracy import Accuracy, Joint, PointDifferences, differences
-from fg_orient.quality.covariance import Cofactors, Indeterminate, PointCofactors, cofactors_of
+from fg_orient.quality.cofactors import Cofactors, PointCofactors
+from fg_orient.quality.covariance import Indeterminate, cofactors_of
 from fg_orient.quality.free_network import FreeNetwork
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.sensors import initial

@@ -21,7 +21,6 @@ from fg_orient.model.options import USUAL_GROUPS
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.quality.accuracy import Accuracy
 from fg_orient.quality.cause import Supposed
-from fg_orient.quality.component_round import Method
 from fg_orient.quality.figures import AdjustedFigure, adjusted_figures
 from fg_orient.quality.freedom import UnknownFreedom
 from fg_orient.quality.hypotheses import GlobalTest, global_test
@@ -34,7 +33,7 @@ from fg_orient.quality.significance import LEVEL as SIGNIFICANCE_LEVEL
 from fg_orient.quality.significance import Significance, significance
 from fg_orient.quality.stated_sigmas import StatedSigma
 from fg_orient.quality.suspects import Kind
-from fg_orient.quality.variance_components import VarianceComponents, variance_components
+from fg_orient.quality.variance_components import Method, VarianceComponents, variance_components
 from fg_orient.result.record import Result, html_table, one_line, overview
 
 if TYPE_CHECKING:

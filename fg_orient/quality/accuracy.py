@@ -24,10 +24,10 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.resection import locate_points
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.distributions import (
     chi_square_interval,
     chi_square_limit,
@@ -44,9 +44,7 @@ from fg_orient.quality.check_tests import (
     probability_of_number,
     trend_squares,
 )
-from fg_orient.quality.covariance import PointCofactors
-
-Array = npt.NDArray[np.float64]
+from fg_orient.quality.cofactors import PointCofactors
 
 AXES = ("east", "north", "up", "ecef_x", "ecef_y", "ecef_z")
 #: Probability that a normal difference is beyond this limit, on both sides.
@@ -145,11 +143,11 @@ class Joint:
     """
 
     cofactors: PointCofactors
-    index: npt.NDArray[np.intp]
+    index: Index
     axes: Array
     place_km: Array
 
-    def of(self, rows: npt.NDArray[np.intp]) -> Array:
+    def of(self, rows: Index) -> Array:
         """Cofactors East, North, Up (3k, 3k) of these points, m^2, prior scale."""
         k, turn = len(rows), self.axes[rows]
         q = self.cofactors.joint((), tuple(self.index[rows].tolist())).reshape(k, 3, k, 3)
@@ -177,7 +175,7 @@ class PointDifferences:
     """
 
     ids: tuple[str, ...]
-    index: npt.NDArray[np.intp]
+    index: Index
     enu_m: Array
     ecef_m: Array
     predicted_sigma_enu_m: Array
@@ -235,7 +233,7 @@ class PointDifferences:
         return sorted(rows, key=lambda row: -row[3])
 
     @property
-    def selected(self) -> npt.NDArray[np.intp]:
+    def selected(self) -> Index:
         """Rows of at most ``MAX_JOINT`` points for tests with the joint covariance, evenly selected."""
         return np.unique(np.linspace(0, len(self) - 1, min(len(self), MAX_JOINT)).astype(np.intp))
 
@@ -277,7 +275,7 @@ class Accuracy:
 
 def differences(
     ids: tuple[str, ...],
-    index: npt.NDArray[np.intp],
+    index: Index,
     adjusted_m: Array,
     measured_m: Array,
     own_sigma_enu_m: Array,
@@ -318,7 +316,7 @@ class PredictionTest:
 
     n: int
     n_joint: int
-    within: npt.NDArray[np.intp]
+    within: Index
     statistic: float
     interval: tuple[float, float]
 
@@ -399,7 +397,7 @@ def trend_tests(check: PointDifferences) -> dict[str, dict[str, Any]] | None:
 # --- y-parallax of a relative adjustment ----------------------------------------------------------
 
 
-def y_parallaxes(problem: Problem, state: State) -> tuple[npt.NDArray[np.intp], Array]:
+def y_parallaxes(problem: Problem, state: State) -> tuple[Index, Array]:
     """Parallaxes of tie and check points with exactly two image points, for the orientation of a state.
 
     Each point is located again from its two rays; measured coordinates are not used.

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem
 from fg_orient.model.block import Block
 
-Array = npt.NDArray[np.float64]
 #: Undoes a mistake in a block.
 Mend = Callable[[Block], Block]
 

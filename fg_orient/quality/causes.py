@@ -30,7 +30,7 @@ from fg_orient.model.errors import DECISIVE, Finding, finding
 from fg_orient.quality import mended
 from fg_orient.quality.accuracy import PointDifferences
 from fg_orient.quality.cause import Cause, Supposed
-from fg_orient.quality.covariance import PointCofactors
+from fg_orient.quality.cofactors import PointCofactors
 from fg_orient.quality.doubts import Examined
 from fg_orient.quality.ground_causes import GroundErrors
 from fg_orient.quality.image_causes import ImageErrors, image_causes, single_rays

@@ -14,17 +14,15 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.geometry import ellipsoid
 from fg_orient.geodesy import enu_from_ecef
+from fg_orient.model.arrays import Array, Mask
 from fg_orient.model.block import Block
 from fg_orient.model.distributions import t_quantile
 from fg_orient.model.errors import Finding, InputError, as_record, finding
 from fg_orient.sensors.correction import HeightSurface
 from fg_orient.sensors.surface import RasterDem
-
-Array = npt.NDArray[np.float64]
 
 NMAD: Final = 1.4826
 #: Half the distance over which slopes are computed.
@@ -64,7 +62,7 @@ class Shift:
     rmse_after_m: float
 
     @property
-    def significant(self) -> npt.NDArray[np.bool_]:
+    def significant(self) -> Mask:
         """Components (3,) that differ significantly from zero."""
         return np.asarray(np.abs(self.enu_m) > self.limit * self.sigma_m)
 
@@ -187,7 +185,7 @@ def _design(ground: Array, axes: Array, dem: HeightSurface) -> Array:
     return np.stack([*slopes, np.ones(len(ground))], axis=1)
 
 
-def _near(d: Array, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _near(d: Array, known: Mask) -> Mask:
     """Known differences within :data:`REACH` NMAD of their median."""
     if not known.any():
         return known

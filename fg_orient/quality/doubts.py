@@ -12,22 +12,21 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.solve import Estimate
+from fg_orient.model.arrays import Array
 from fg_orient.model.distributions import chi_square_tail, sidak
 from fg_orient.model.errors import DECISIVE, Finding, InputError, finding
 from fg_orient.model.messages import CATALOGUE
 from fg_orient.quality.accuracy import CHANCE, PointDifferences
-from fg_orient.quality.covariance import Cofactors, gives_statistics
+from fg_orient.quality.cofactors import Cofactors
+from fg_orient.quality.covariance import gives_statistics
 from fg_orient.quality.hypotheses import CHECKED
 from fg_orient.quality.outlier_records import OutlierTests
 from fg_orient.quality.outliers import outlier_tests
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.stated_sigmas import StatedSigma, stated_sigmas
-
-Array = npt.NDArray[np.float64]
 
 #: Largest probability of each doubt in a block without mistakes, all its tests together; docs/verdict.md prints it.
 BUDGET: Final = {

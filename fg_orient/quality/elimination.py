@@ -20,7 +20,6 @@ from itertools import chain
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.conditions.control import POINT
 from fg_orient.adjustment.border_matrix import triangle
@@ -28,9 +27,7 @@ from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import Rows
 from fg_orient.adjustment.runtime import one_blas_thread
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
+from fg_orient.model.arrays import Array, Index
 
 #: Singular values of whitened Jacobians in prior sigmas up to this limit: the direction is unobservable.
 UNOBSERVABLE: Final = 1e-5

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.constraint_rows import fitted_figures
 from fg_orient.adjustment.constraints import misclosures
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.quality.covariance import Cofactors
-
-Array = npt.NDArray[np.float64]
+from fg_orient.model.arrays import Array
+from fg_orient.quality.cofactors import Cofactors
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,6 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import qr
 
 from factors._contract import Argument, Equation
@@ -52,18 +51,15 @@ from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.adjustment.unknown_cofactors import DenseUnknowns, SpreadUnknowns, UnknownCofactors
+from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import InputError, finding
-from fg_orient.quality.covariance import BorderCofactors, Cofactors, Indeterminate, MatrixCofactors
+from fg_orient.quality.cofactors import BorderCofactors, Cofactors, MatrixCofactors, StarCofactors, places_of
+from fg_orient.quality.covariance import Indeterminate
 from fg_orient.quality.elimination import UNOBSERVABLE, followed_by_ground, reduced_rows, spectrum
 from fg_orient.quality.joint import NamedMatrix
-from fg_orient.quality.star_cofactors import StarCofactors
 from fg_orient.quality.structure import analyse_structure
 from fg_orient.quality.weakest import weakest
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
 
 #: Number of unknowns up to which all cofactors of a free network are formed from those of GTSAM.
 MAX_UNKNOWNS: Final = 3000
@@ -251,7 +247,7 @@ def datum_points(problem: Problem, names: tuple[str, ...] = ()) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class FreeNetwork:
-    """A free network in one datum, with its cofactors (``fg_orient.quality.covariance.Cofactors``).
+    """A free network in one datum, with its cofactors (``fg_orient.quality.cofactors.Cofactors``).
 
     With the size ``A = (E^T D E)^-1 E^T D`` of each motion and the cofactors Q of any datum
 
@@ -326,9 +322,7 @@ class FreeNetwork:
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """See :class:`Cofactors`."""
-        parts = [self.problem.image_slice(k) for k in images]
-        parts += [self.problem.point_slice(j) for j in points if self.problem.active[j]]
-        index = np.concatenate([np.arange(part.start, part.stop) for part in parts])
+        index = places_of(self.problem, images, points)
         return self._in_datum(self.given.joint(images, points), index, index)
 
     def blocks(self, pairs: Index) -> Array:

@@ -17,19 +17,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.errors import NoSolutionError
-from fg_orient.quality.grouped_residuals import GroupedResiduals
-from fg_orient.quality.observation_groups import groups_of
+from fg_orient.quality.observation_groups import GroupedResiduals, groups_of
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.variance_components import VarianceComponents
 
 if TYPE_CHECKING:
     from fg_orient.quality.suspects import Suspects
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Degrees of freedom of a known variance: the F distribution is that of chi-square to 1e-8.
 KNOWN: Final = 1e8

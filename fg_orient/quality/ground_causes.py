@@ -10,23 +10,19 @@ from math import lgamma
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.geodesy import ecef_to_geodetic, undulation_m
 from fg_orient.geodesy.datums import DatumShift, known_shifts
+from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError
 from fg_orient.model.names import Role
 from fg_orient.quality import hypotheses, mended
 from fg_orient.quality.accuracy import PointDifferences
 from fg_orient.quality.cause import PAIRED, Cause, Mend, penalty_of, without_parameter
-from fg_orient.quality.covariance import PointCofactors
+from fg_orient.quality.cofactors import PointCofactors
 from fg_orient.quality.image_causes import ImageErrors
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
 
 #: Number of check points used.
 MOST: Final = 300

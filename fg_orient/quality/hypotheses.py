@@ -20,6 +20,7 @@ from typing import Final, get_args
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.model.distributions import (
     beta_limit,
     beta_probability,
@@ -33,9 +34,6 @@ from fg_orient.model.distributions import (
 )
 from fg_orient.model.errors import InputError
 from fg_orient.model.options import MultipleTesting, OutlierTest
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Name of the statistic for one degree of freedom, and for more.
 SYMBOLS: Final[dict[str, tuple[str, str]]] = {"baarda": ("w", "T"), "pope": ("tau", "T/m0^2"), "t": ("t", "F")}
@@ -58,7 +56,7 @@ def require_names(test: str, control: str, level: float) -> None:
         raise InputError.of("options.value", option="level", value=level, expected="a number above 0 and below 1")
 
 
-def can_be_tested(d: npt.ArrayLike, redundancy: float | Array, test: str) -> npt.NDArray[np.bool_]:
+def can_be_tested(d: npt.ArrayLike, redundancy: float | Array, test: str) -> Mask:
     """Whether d parameters (n,) of an error can be tested; an estimated scale needs remaining redundancy."""
     d = np.asarray(d)
     return np.asarray((d > 0) & ((d <= redundancy) if test == "baarda" else (d < redundancy)))

@@ -16,18 +16,15 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.rows import Rows, linearised
+from fg_orient.model.arrays import Array, Index
 from fg_orient.quality import hypotheses, mended
 from fg_orient.quality.cause import PAIRED, Cause, penalty_of, without_parameter
 from fg_orient.quality.elimination import PointRows, eliminated_points, free_cofactors, image_columns
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.suspects import suspects
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Most rays of a point whose partitions in two groups are tried.
 MOST_RAYS: Final = 8

@@ -15,18 +15,15 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows
+from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.model.errors import InputError
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.cofactors import Cofactors
 
 if TYPE_CHECKING:
     import pandas
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, repr=False)
@@ -102,7 +99,7 @@ def joint_cofactors(problem: Problem, state: State, cofactors: Cofactors, names:
     return NamedMatrix(labels, units, _with_residuals(problem, 0.5 * (q + q.T), is_residual, coordinate))
 
 
-def _with_residuals(problem: Problem, q: Array, is_residual: npt.NDArray[np.bool_], coordinate: Index) -> Array:
+def _with_residuals(problem: Problem, q: Array, is_residual: Mask, coordinate: Index) -> Array:
     """Convert the rows of residuals, formed as adjusted observations, to residuals of these image coordinates."""
     o = problem.observations
     sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1).ravel()

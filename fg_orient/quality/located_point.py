@@ -21,19 +21,18 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.geometry import ellipsoid
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised, side_by_side, whitened_records
+from fg_orient.model.arrays import Array
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.distributions import chi_square_limit, normal_quantile, normal_within
 from fg_orient.model.errors import InputError, NoSolutionError
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.cofactors import Cofactors
 from fg_orient.sensors import initial
 from fg_orient.sensors.correction import HeightSurface
 
-Array = npt.NDArray[np.float64]
 Pixel = tuple[float, float]
 
 #: Half the distance over which the slope of a DEM is computed.

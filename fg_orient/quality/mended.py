@@ -6,14 +6,12 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
+from fg_orient.model.arrays import Array
 from fg_orient.model.block import Block, Coordinates
 from fg_orient.model.names import Role
 from fg_orient.quality.stated_sigmas import WORDS
-
-Array = npt.NDArray[np.float64]
 
 
 def with_measured(

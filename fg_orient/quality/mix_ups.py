@@ -14,16 +14,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.geodesy import ecef_to_geodetic, geodetic_to_ecef
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError, Finding, finding
 from fg_orient.model.names import Role
 from fg_orient.quality.mended import with_coordinates_of, with_measured
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Minimum number of points, factor by which another reading must fit better, most images compared.
 LEAST_POINTS: Final = 3

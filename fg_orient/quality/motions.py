@@ -17,16 +17,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import Rows
+from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.quality.elimination import UNOBSERVABLE
 from fg_orient.quality.structure import named, of_ids
 from fg_orient.sensors.frame_unknowns import NAVIGATION
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 Effect = Callable[[Array, Array], Array]
 
@@ -72,7 +69,7 @@ class FreeMotions:
         return len(self.words)
 
     @property
-    def unobservable(self) -> npt.NDArray[np.bool_]:
+    def unobservable(self) -> Mask:
         """Motions (d,) without effect on the observations."""
         return np.asarray(self.strength <= UNOBSERVABLE)
 

@@ -21,13 +21,13 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.images_border import border_of
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.schur_reduced import Singular
+from fg_orient.model.arrays import Array
 from fg_orient.model.errors import Finding, finding
 from fg_orient.model.parameters import ImageParameters
 from fg_orient.quality.elimination import UNOBSERVABLE, reduced_rows, spectrum
@@ -35,8 +35,6 @@ from fg_orient.quality.motions import SHIFT_M, Effect, FreeMotions, free_motions
 from fg_orient.quality.structure import Structure, analyse_structure, named
 from fg_orient.quality.weakest import Weakest, weakest
 from fg_orient.sensors.base import ImageModel
-
-Array = npt.NDArray[np.float64]
 
 #: Least singular value of directions that the observations determine better than the prior.
 DETERMINED: Final = 1.0

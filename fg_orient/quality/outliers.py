@@ -11,21 +11,17 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem
+from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.model.errors import InputError
 from fg_orient.quality import hypotheses
 from fg_orient.quality.freedom import freedoms
-from fg_orient.quality.grouped_residuals import GroupedResiduals
-from fg_orient.quality.observation_groups import groups_of
+from fg_orient.quality.observation_groups import GroupedResiduals, groups_of
 from fg_orient.quality.outlier_records import OutlierTests
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.suspects import KINDS, Kind, Suspects, suspects
 from fg_orient.quality.variance_components import VarianceComponents
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Two suspects are inseparable if their T agree to this relative difference.
 SAME: Final = 1e-6
@@ -99,7 +95,7 @@ def _column(families: Sequence[Suspects], name: str) -> Index:
     return np.concatenate([getattr(s, name) for s in families])
 
 
-def _classes(point: Index, d: Index, t: Array, tested: npt.NDArray[np.bool_]) -> tuple[Index, Index]:
+def _classes(point: Index, d: Index, t: Array, tested: Mask) -> tuple[Index, Index]:
     """First member of each class of inseparable suspects, and class (n,) of each suspect; -1: not tested.
 
     Suspects of one point with the same d and, apart from rounding, the same T are inseparable.

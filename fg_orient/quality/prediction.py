@@ -19,16 +19,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.conditions.control import POINT
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised, side_by_side
+from fg_orient.model.arrays import Array
 from fg_orient.quality import hypotheses
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.cofactors import Cofactors
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 #: Maximum number of Gauss-Newton steps of an intersection, and the step in m at convergence.
 MAX_STEPS: Final = 20
 STEP_M: Final = 1e-6

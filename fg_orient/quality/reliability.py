@@ -21,13 +21,11 @@ from functools import cache
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from fg_orient.model.arrays import Array, Mask
 from fg_orient.model.distributions import chi_square_limit, chi_square_noncentrality
 from fg_orient.model.errors import InputError
 from fg_orient.quality.residuals import ResidualCofactors
-
-Array = npt.NDArray[np.float64]
 
 #: Baarda's usual choice: probabilities of a false alarm, and of detecting the minimal detectable bias.
 ALPHA, POWER = 0.001, 0.80
@@ -89,7 +87,7 @@ class Reliability:
     eop: Array
 
     @property
-    def not_checkable(self) -> npt.NDArray[np.bool_]:
+    def not_checkable(self) -> Mask:
         """Observations (n,) with a direction that the other observations do not check."""
         return np.asarray(self.least < CHECKABLE)
 

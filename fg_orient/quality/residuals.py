@@ -32,14 +32,14 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.cofactors import RayCofactors, inverse_roots
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows, linearised, residuals
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import ExtraObservation
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.cofactors import Cofactors
 from fg_orient.quality.elimination import (
     PointRows,
     control_residuals,
@@ -50,9 +50,6 @@ from fg_orient.quality.elimination import (
     single_rows,
 )
 from fg_orient.quality.hypotheses import CHECKED
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Elements of the matrices W_j of all groups up to which they are formed: 0.5 GB each kind; 4 groups, 4000 unknowns.
 LARGEST: Final = 2**26

@@ -22,12 +22,10 @@ from fg_orient.adjustment.memory import EXACT_RAYS
 from fg_orient.adjustment.problem import Problem
 from fg_orient.model.distributions import chi_square_probability, chi_square_tail
 from fg_orient.model.options import USUAL_GROUPS
-from fg_orient.quality.component_round import one_round
-from fg_orient.quality.grouped_residuals import GroupedResiduals
-from fg_orient.quality.observation_groups import groups_of
+from fg_orient.quality.observation_groups import GroupedResiduals, groups_of
 from fg_orient.quality.outlier_records import OutlierTests
 from fg_orient.quality.residuals import ResidualCofactors
-from fg_orient.quality.variance_components import components_of
+from fg_orient.quality.variance_components import components_of, one_round
 
 #: Elements of the matrices of all groups up to which S is computed in every adjustment: a small part of its time.
 QUICK: Final = 2**18

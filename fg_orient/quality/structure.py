@@ -18,12 +18,9 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
+from fg_orient.model.arrays import Index, Mask
 
 #: Maximum number of names in one sentence.
 NAMED: Final = 10
@@ -205,9 +202,7 @@ def _flow(row: Index, column: Index, supply: Index, need: Index) -> tuple[Index,
     return along.astype(np.intp), got.astype(np.intp)
 
 
-def _under_determined(
-    row: Index, column: Index, flow: Index, missing: Index, n_rows: int
-) -> tuple[Index, npt.NDArray[np.bool_]]:
+def _under_determined(row: Index, column: Index, flow: Index, missing: Index, n_rows: int) -> tuple[Index, Mask]:
     """Connected part of each unknown, and whether the unknown is under-determined.
 
     Under-determined unknowns are reached from unknowns with unmet needs, through any observation that contains them, to

@@ -18,18 +18,16 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
+from fg_orient.model.arrays import Array, Index
 from fg_orient.quality import hypotheses
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.cofactors import Cofactors
 from fg_orient.quality.elimination import PointRows, eliminated_points, free_cofactors
 from fg_orient.quality.residuals import ResidualCofactors
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 #: Image points, positions and heights; single coordinates; ground points with all their observations.
 Kind = Literal["groups", "coordinates", "points"]
 

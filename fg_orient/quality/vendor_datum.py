@@ -25,26 +25,23 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import eigh
 
 from factors._contract import Argument, Equation
 from fg_orient.adjustment.border import Border, small_enough
-from fg_orient.adjustment.cofactors import blocks_of_images
 from fg_orient.adjustment.constraint_rows import ConstraintObservation
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur_reduced import Singular
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.constraint import Constraint
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 from fg_orient.model.parameters import chosen_datum, with_options
-from fg_orient.quality.covariance import PointCofactors
+from fg_orient.quality.cofactors import CommonCofactors, PointCofactors
 from fg_orient.quality.free_network import without_priors
-
-Array = npt.NDArray[np.float64]
 
 #: Share of a movement that the rays must see (see above); below, a y-parallax moves an image by 5 times as much.
 SEEN: Final = 0.04
@@ -80,22 +77,18 @@ class HeldDatum(ExtraObservation):
 
 
 @dataclass(frozen=True)
-class WithDatum:
+class WithDatum(CommonCofactors):
     """Cofactors of a solution plus those of its held directions by the prior sigmas (``covariance.PointCofactors``)."""
 
     problem: Problem
     shape: PointCofactors
     held: HeldDatum
 
-    def image(self, k: int) -> Array:
-        """See ``PointCofactors``."""
-        return self.joint((k,), ())
-
     def point(self, j: int) -> Array:
         """See ``PointCofactors``."""
         return np.asarray(self.shape.point(j) + self.held.ground[j] @ self.held.ground[j].T)
 
-    def points(self, index: npt.NDArray[np.intp]) -> Array:
+    def points(self, index: Index) -> Array:
         """See ``PointCofactors``."""
         moved = self.held.ground[index]
         return np.asarray(self.shape.points(index) + moved @ np.swapaxes(moved, 1, 2))
@@ -105,10 +98,6 @@ class WithDatum:
         parts = [self.held.image[self.problem.image_slice(k)] for k in images]
         moved = np.vstack([*parts, *(self.held.ground[j] for j in points if self.problem.active[j])])
         return np.asarray(self.shape.joint(images, points) + moved @ moved.T)
-
-    def blocks(self, pairs: npt.NDArray[np.intp]) -> Array:
-        """See ``PointCofactors``."""
-        return blocks_of_images(self.problem, lambda images: self.joint(images, ()), pairs)
 
 
 def with_datum(block: Block) -> Block:

@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack, qr, solve_triangular
 
 from fg_orient.adjustment.border_matrix import BorderMatrix
 from fg_orient.adjustment.schur_reduced import Singular
-
-Array = npt.NDArray[np.float64]
+from fg_orient.model.arrays import Array
 
 #: Added to the diagonal of the scaled matrix: above its rounding, far below the eigenvalues of weak directions.
 SHIFT: Final = 1e-11

@@ -1,26 +1,34 @@
-"""Files of a result for a geographic information system.
+"""Layers of a result for a geographic information system, and their files.
 
-Files: GeoPackage with default styles for QGIS, or GeoJSON (RFC 7946). Layers: ``fg_orient.report.layers``.
+Layers: points, error vectors and footprints. Geometries are GeoJSON objects in longitude, latitude (degrees, WGS 84,
+EPSG:4326), without heights: these are attributes. Attributes are the columns of the result's tables, so that every name
+contains a unit. Files: GeoPackage with default styles for QGIS, or GeoJSON (RFC 7946).
 """
 
 from __future__ import annotations
 
 import json
 import math
+from dataclasses import dataclass
 from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from fg_orient.formats.atomic import require_free_files, staged_file, write_text
 from fg_orient.formats.exchange.gis import GPKG_OPTIONS
 from fg_orient.formats.gdal import plain_case
+from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
+from fg_orient.model.arrays import Array
 from fg_orient.model.errors import InputError
-from fg_orient.report.layers import Layer, error_vectors, footprints, points
-from fg_orient.result.plain import plain
-from fg_orient.result.record import read_result
+from fg_orient.report.chart import round_down
+from fg_orient.report.maps import KM_PER_DEGREE, shrink_at
+from fg_orient.result.plain import WORDS, Table, plain
+from fg_orient.result.record import Result, read_result
+from fg_orient.sensors.footprints import polygon_geometry
 
 __all__ = ["export"]
 CRS: Final = "EPSG:4326"
@@ -148,3 +156,113 @@ def _write_styles(path: Path, layers: tuple[Layer, ...], made: str) -> None:
     data.append(np.array([made[:19]] * n, "datetime64[ms]"))
     write(path, None, data, [*fields, "update_time"], layer="layer_styles", driver="GPKG", geometry_type=None,
           layer_options={"FID": "id"}, gdal_tz_offsets={"update_time": np.full(n, UTC_OF_GDAL)})  # fmt: skip
+
+
+# --- layers ---------------------------------------------------------------------------------------------
+ENU: Final = ("east_m", "north_m", "up_m")
+#: Attributes of the points, if the table has them.
+POINT_FIELDS: Final = (
+    "id", "role", "n_rays", "height_m", "sigma_scale", *(f"sigma_{a}" for a in ENU),
+    *(f"difference_{a}" for a in ENU), *(f"own_sigma_{a}" for a in ENU), *(f"mdb_{a}" for a in ENU), "external_m",
+    *(f"unseen_{a}" for a in ENU), "weight",
+)  # fmt: skip
+#: Texts and whole numbers among the attributes.
+TEXT: Final = WORDS | {"file", "sensor"}
+WHOLE: Final = frozenset(("n_rays", "n_lines", "n_samples", "n_image_points"))
+#: Length of a large error (90 % quantile) as a share of the extent of all points.
+SHARE: Final = 0.07
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One layer: n features of one kind.
+
+    Parameters
+    ----------
+    name : str
+    kind : str
+        Kind of geometry: Point, LineString, MultiPolygon.
+    geometries : list of dict
+        GeoJSON objects; those of a MultiPolygon layer may be Polygons.
+    columns : dict
+        Attribute to an array of its n values: text, whole numbers, or numbers with nan for none.
+    """
+
+    name: str
+    kind: str
+    geometries: list[dict[str, Any]]
+    columns: dict[str, npt.NDArray[Any]]
+
+    @classmethod
+    def typed(cls, name: str, kind: str, geometries: list[dict[str, Any]], columns: dict[str, Any]) -> Layer:
+        """Layer with the values of its columns as arrays of their types; None is nan in a column of numbers."""
+        typed: dict[str, npt.NDArray[Any]] = {}
+        for column, values in columns.items():
+            if column in TEXT:
+                typed[column] = np.array(values, object)
+                continue
+            numbers = np.array(values, float)
+            typed[column] = numbers.astype(np.int64) if column in WHOLE and np.isfinite(numbers).all() else numbers
+        return cls(name, kind, geometries, typed)
+
+
+def points(table: Table) -> Layer:
+    """Points with geographic coordinates, and their fields in the table."""
+    place = table.numbers("lon_deg", "lat_deg")
+    rows = np.flatnonzero(np.isfinite(place).all(axis=1)).tolist()
+    geometries = [{"type": "Point", "coordinates": lon_lat} for lon_lat in place[rows].tolist()]
+    given = {name: [table.values[name][k] for k in rows] for name in POINT_FIELDS if name in table.values}
+    return Layer.typed("points", "Point", geometries, given)
+
+
+def error_vectors(table: Table, scale: float | None) -> Layer:
+    """Horizontal differences adjusted minus measured, enlarged, from the adjusted point on.
+
+    The end of a vector is in the tangent plane of the point, projected onto the ellipsoid: the azimuth is that of the
+    difference, and the relative error of the length is 1e-5 up to 30 km. Default scale: a large error is well visible.
+    """
+    place, enu = table.numbers("lon_deg", "lat_deg"), table.numbers(*(f"difference_{a}" for a in ENU))
+    rows = np.flatnonzero(np.isfinite(np.hstack([place, enu[:, :2]])).all(axis=1))
+    scale = scale or _default_scale(place[np.isfinite(place).all(axis=1)], enu[rows])
+    place, enu, flat = place[rows], enu[rows], np.zeros((len(rows), 3))
+    flat[:, :2] = enu[:, :2] * scale
+    start = geodetic_to_ecef(place[:, 0], place[:, 1], np.zeros(len(rows)))
+    ends = start + np.einsum("nij,ni->nj", enu_from_ecef(place[:, 0], place[:, 1]), flat)
+    lon, lat, _ = ecef_to_geodetic(ends)
+    lon = place[:, 0] + (lon - place[:, 0] + 180.0) % 360.0 - 180.0  # near its point, over the 180th meridian too
+    lines = np.stack([place, np.stack([lon, lat], axis=1)], axis=1).tolist()
+    return Layer.typed("error_vectors", "LineString", [{"type": "LineString", "coordinates": line} for line in lines], {
+        **{name: [table.words[name][k] for k in rows.tolist()] for name in ("id", "role")},
+        **{f"difference_{a}": enu[:, k] for k, a in enumerate(ENU)},
+        "length_m": np.hypot(enu[:, 0], enu[:, 1]),
+        "azimuth_deg": np.degrees(np.arctan2(enu[:, 0], enu[:, 1])) % 360.0,
+        "enlarged": np.full(len(rows), scale),
+    })  # fmt: skip
+
+
+def _default_scale(place: Array, enu: Array) -> float:
+    """Round enlargement of differences (k, 3) on a map of points (n, 2); 1 without errors."""
+    lengths = np.hypot(enu[:, 0], enu[:, 1])
+    lengths, lon = lengths[lengths > 0.0], np.unwrap(place[:, 0], period=360.0)
+    width = float(np.ptp(lon)) * shrink_at(float(place[:, 1].mean()))
+    extent_m = 1000.0 * KM_PER_DEGREE * max(width, float(np.ptp(place[:, 1])))
+    if not len(lengths) or extent_m <= 0.0:
+        return 1.0
+    return max(round_down(SHARE * extent_m / float(np.quantile(lengths, 0.9))), 1.0)
+
+
+def footprints(result: Result) -> Layer:
+    """Footprints of the images by their metadata, at height 0 or the mean height of an RPC; corners joined."""
+    images = [i for i in result.record["images"] if len(i["footprint_lon_lat_deg"])]
+    summaries = {row["image"]: row for row in result.residual_summary()}
+    rings = [np.array(i["footprint_lon_lat_deg"], float) for i in images]
+    geometries = [polygon_geometry(np.column_stack([np.unwrap(r[:, 0], period=360.0), r[:, 1]])) for r in rings]
+    rows = [summaries.get(i["id"], {}) for i in images]
+    return Layer.typed("footprints", "MultiPolygon", geometries, {
+        "image": [str(i["id"]) for i in images],
+        "file": [str(i["file"]) for i in images],
+        "sensor": [f"{i.get('mission', '')} {i.get('instrument', '')}".strip() for i in images],
+        **{name: [i.get(name) for i in images] for name in ("n_lines", "n_samples")},
+        "n_image_points": [row.get("n", 0) for row in rows],
+        **{name: [row.get(name) for row in rows] for name in ("rms_line_px", "rms_sample_px", "max_px")},
+    })  # fmt: skip

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.graph_structure import (
     ORDERINGS,
@@ -23,6 +22,7 @@ from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.solve import EXPLICIT_LIMIT, eliminates_points
 from fg_orient.formats.atomic import Contents, require_free
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import Block
 from fg_orient.model.names import Progress
 from fg_orient.quality.deficiency import compiled_problem
@@ -30,9 +30,6 @@ from fg_orient.quality.free_network import without_priors
 from fg_orient.report.chart import Axis, Chart, cut
 from fg_orient.report.figures import CAPTIONS_FILE, draw_figures, require_matplotlib
 from fg_orient.report.words import printable
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 RECORD_FILE: Final = "graph.json"
 #: Content of a folder of drawings.

@@ -11,14 +11,11 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.report.chart import Chart, large, mapped, round_down, thousands
 from fg_orient.report.words import signed
 from fg_orient.result.record import Result
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Maximum number of points of a map on a page; a paper shows more.
 MAX_POINTS: Final = 1500
@@ -136,7 +133,7 @@ def _tip(role: str, name: str, enu_m: Array) -> str:
     return f"{role} {name}" + (": " + ", ".join(given) if given else "")
 
 
-def _thinned(rows: Index, tie: npt.NDArray[np.bool_], most: int) -> Index:
+def _thinned(rows: Index, tie: Mask, most: int) -> Index:
     """Rows, at most ``most``: control and check points before tie points."""
     if len(rows) <= most:
         return rows

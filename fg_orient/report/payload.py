@@ -15,11 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
+from fg_orient.model.arrays import Array, Index
 from fg_orient.report.maps import KM_PER_DEGREE, footprints, shrink_at, view_of
 from fg_orient.result.record import Result
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Maximum number of image points in the page; of more the page contains a sample.
 LIMIT: Final = 200_000

@@ -8,15 +8,12 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.distributions import beta_quantile, normal_probability, normal_quantile
 from fg_orient.report.chart import SERIES, Axis, Chart, broad, cut, decades, large, limits_of, round_down
 from fg_orient.report.words import number
 from fg_orient.result.record import Result
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Maximum number of vectors of an image and of quantiles on a page; a paper shows more.
 MAX_VECTORS: Final = 400

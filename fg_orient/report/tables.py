@@ -7,16 +7,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
+from fg_orient.model.arrays import Array
 from fg_orient.model.distributions import normal_probability
 from fg_orient.model.errors import InputError
 from fg_orient.model.parameters import N_EOP, parameter_name
 from fg_orient.result.plain import Table, read_table
 from fg_orient.result.record import Result
-
-Array = npt.NDArray[np.float64]
 
 #: Images, and rows of a table of directions or of coefficients, that the page shows.
 MAX_IMAGES: Final = 40

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.model.arrays import Array, Index
+
 if TYPE_CHECKING:
     from fg_orient.orientation.solution import Solution
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Unknowns up to which the file is written: 18 MB. Beyond it the tie points are left out, then the whole file.
 LIMIT: Final = 1500

@@ -11,7 +11,7 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,7 +20,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from fg_orient.model.arrays import Array, Index
+
 #: Values of a column: an array of numbers, or a sequence of text.
 Column = npt.NDArray[Any] | Sequence[Any]
 
@@ -96,19 +97,23 @@ class Table:
         """Some columns of numbers, (n, k); nan where the table does not have them."""
         return np.stack([self.figures.get(name, np.full(len(self), np.nan)) for name in names], axis=1)
 
-    def codes(self, name: str, words: Sequence[str]) -> npt.NDArray[np.intp]:
+    def codes(self, name: str, words: Sequence[str]) -> Index:
         """Index of each cell of a column of text in a list of its values."""
         place = {word: k for k, word in enumerate(words)}
         return np.fromiter(map(place.__getitem__, self.words[name]), np.intp, len(self))
 
+    def text(self) -> Iterator[str]:
+        """Parts of the text of a CSV file; its bytes are those of ``csv.writer`` row by row."""
+        yield ",".join(map(_quoted, self.columns)) + "\n"
+        for start in range(0, len(self), CHUNK):
+            part = slice(start, start + CHUNK)
+            cells = [_texts(values[part], name in WHOLE) for name, values in self.columns.items()]
+            yield "\n".join(map(",".join, zip(*cells, strict=True))) + "\n"
+
     def write(self, path: Path) -> None:
-        """Write a CSV file; its bytes are those of ``csv.writer`` row by row."""
+        """Write a CSV file."""
         with path.open("w", encoding="utf-8", newline="") as stream:
-            stream.write(",".join(map(_quoted, self.columns)) + "\n")
-            for start in range(0, len(self), CHUNK):
-                part = slice(start, start + CHUNK)
-                cells = [_texts(values[part], name in WHOLE) for name, values in self.columns.items()]
-                stream.write("\n".join(map(",".join, zip(*cells, strict=True))) + "\n")
+            stream.writelines(self.text())
 
 
 def table_of_rows(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
@@ -141,9 +146,9 @@ def _texts(values: Column, whole: bool = False) -> Sequence[str]:
 
 
 def _cell(value: Any, whole: bool = False) -> str:
-    """Text of one value."""
+    """Text of one value; empty for none, words of JSON for truth values."""
     if not isinstance(value, float):
-        return str(value)
+        return "" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
     return "" if not math.isfinite(value) else str(int(value)) if whole else repr(float(value))
 
 

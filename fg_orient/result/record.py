@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.atomic import RESULT
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Status
 from fg_orient.result.joint import JointCofactors
@@ -27,8 +28,6 @@ from fg_orient.result.plain import WHOLE, Table, dumps, plain, read_table, table
 
 if TYPE_CHECKING:
     import pandas
-
-Array = npt.NDArray[np.float64]
 
 #: File that marks a result folder.
 RESULT_FILE: Final = RESULT.mark
@@ -112,7 +111,7 @@ class Result:
         return [str(image["id"]) for image in self.record["images"]]
 
     @cached_property
-    def rows(self) -> dict[str, npt.NDArray[np.intp]]:
+    def rows(self) -> dict[str, Index]:
         """Rows of ``residuals`` by image, in the order of the record."""
         image = self.residuals.codes("image", self.images)
         return {name: np.flatnonzero(image == k) for k, name in enumerate(self.images)}

@@ -6,10 +6,10 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.cofactors import AUTO_LIMIT
 from fg_orient.adjustment.constraints import has_constraints
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.errors import Finding, finding
 from fg_orient.quality.covariance import gives_statistics
 from fg_orient.quality.reliability import CHECKABLE, UNSEEN, noncentrality, unseen_shifts
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from fg_orient.quality.rejection import Search
     from fg_orient.quality.unseen import unseen_mistakes
 from fg_orient.quality.reliability import BlockReliability, Reliability
-
-Array = npt.NDArray[np.float64]
 
 #: Observations and correlations that are named.
 MAX_NAMED: Final = 20
@@ -145,7 +143,7 @@ def _control_unchecked(solution: Solution, control: Reliability) -> list[dict[st
     return out
 
 
-def _image_unchecked(solution: Solution, image: Reliability, rays: npt.NDArray[np.intp]) -> list[dict[str, Any]]:
+def _image_unchecked(solution: Solution, image: Reliability, rays: Index) -> list[dict[str, Any]]:
     """Image points with an unchecked direction: points with other than two rays first, smallest redundancy first."""
     rows = np.flatnonzero(image.not_checkable)
     order = np.lexsort((np.round(image.least[rows], 9), rays[rows] == 2))[:MAX_NAMED]
@@ -330,5 +328,5 @@ def outlier_table(search: Search) -> Table:
             test.probability, test.level, *error.tolist(), "; ".join(test.inseparable), "; ".join(one.with_it),
             one.readmitted, *((None, None) if one.fit is None else (one.fit.statistic, one.fit.probability)),
         )  # fmt: skip
-        rows.append([np.nan if cell is None else cell for cell in cells])
+        rows.append(cells)
     return table_of_rows(OUTLIER_COLUMNS, rows)

@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.geometry import ellipsoid
+from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.quality.accuracy import PointDifferences
 from fg_orient.result import statistics
 from fg_orient.result.plain import Column, Table, of_axes, table_of_rows
@@ -34,8 +35,6 @@ from fg_orient.result.record import START_POINTS, TABLES
 if TYPE_CHECKING:
     from fg_orient.adjustment.problem import Problem
     from fg_orient.orientation.solution import Solution
-
-Array = npt.NDArray[np.float64]
 
 EOP_COLUMNS: Final = (
     "image", "parameter", "component", "degree", "unit", "value_per_tau", "sigma", "prior_sigma", "sigma_scale",
@@ -66,7 +65,7 @@ def start_points(problem: Problem) -> dict[str, Table]:
     return {START_POINTS: Table(dict(zip(TABLES[START_POINTS], columns, strict=True)))}
 
 
-def _ray_counts(problem: Problem) -> npt.NDArray[np.intp]:
+def _ray_counts(problem: Problem) -> Index:
     """Number of image points of each ground point."""
     return np.bincount(problem.block.observations.point, minlength=len(problem.block.points.ids))
 
@@ -149,7 +148,7 @@ def point_columns(solution: Solution) -> dict[str, Column]:
     }  # fmt: skip
 
 
-def point_sigmas(solution: Solution, known: npt.NDArray[np.bool_]) -> Array:
+def point_sigmas(solution: Solution, known: Mask) -> Array:
     """Standard deviations (N, 3) East, North, Up in prior scale; nan where unavailable or not determined."""
     out = np.full((len(known), 3), np.nan)
     if solution.cofactors is None:

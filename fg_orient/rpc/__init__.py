@@ -10,8 +10,7 @@ _HOME = names_of(__name__, {
     "estimate": "fit_linear fit_true fit_weighted",
     "fit": "CrossValidation RfmFit cross_validate",
     "form": "RfmForm",
-    "points": "MeasuredPoints read_measured",
-    "rfm_points": "ControlPoints read_gcp",
+    "points": "ControlPoints MeasuredPoints read_gcp read_measured",
     "select": "fit_selected",
     "virtual_grid": "SensorRfm fit_sensor",
 })  # fmt: skip

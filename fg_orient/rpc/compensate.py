@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import Array
 from factors.cameras import rfm
 from factors.cameras.rfm_equation import COMPENSATION, COMPENSATIONS
 from factors.cameras.rfm_project import RANGE
+from fg_orient.model.arrays import Array, Mask
 from fg_orient.model.distributions import f_quantile
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding, judged
 from fg_orient.model.names import Role
@@ -244,7 +243,7 @@ def refine(model: RpcModel, measured: MeasuredPoints, kind: str, *, extrapolate:
     suspicious = _suspicious(model, measured.take(check), after[check], fit)
     height, used = height_dependence(model, fit.points), np.isin(measured.ids, fit.points.ids)
 
-    def both(rows: npt.NDArray[np.bool_]) -> dict[str, Any]:
+    def both(rows: Mask) -> dict[str, Any]:
         return {"before": statistics(before[rows]), "after": statistics(after[rows])}
 
     return {

@@ -10,15 +10,15 @@ from typing import Final
 
 import numpy as np
 
-from factors._contract import Array
 from fg_orient.adjustment.linear.modern import regularised
 from fg_orient.adjustment.linear.registry import solve
 from fg_orient.adjustment.linear.system import LinearSystem
+from fg_orient.model.arrays import Array
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rpc.fit import RfmFit
 from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.options import Penalty
-from fg_orient.rpc.rfm_points import ControlPoints, Scaling
+from fg_orient.rpc.points import ControlPoints, Scaling
 
 #: QR of A: its condition number is the root of that of N.
 SOLVER: Final = "qr_scaled"

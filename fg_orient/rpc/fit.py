@@ -12,15 +12,14 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import Array
 from factors.cameras.rfm_project import RANGE
 from fg_orient.adjustment.linear.system import Conditioning, LinearSystem, diagnose
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.errors import InputError, NoSolutionError, finding
 from fg_orient.model.names import Progress
 from fg_orient.rpc.form import RfmForm
-from fg_orient.rpc.rfm_points import ControlPoints, Scaling
+from fg_orient.rpc.points import ControlPoints, Scaling
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 
 #: Largest number of segments between points on which denominators are computed; of more, a seeded choice.
@@ -263,7 +262,7 @@ def least_denominators(form: RfmForm, x: Array, ground: Array) -> Array:
     return np.asarray(np.min(lowest, axis=0))
 
 
-def _pairs(n: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+def _pairs(n: int) -> tuple[Index, Index]:
     """All pairs of n points, or a seeded choice of the pairs."""
     if n * (n - 1) // 2 <= MAX_SEGMENTS:
         first, second = np.triu_indices(n, 1)

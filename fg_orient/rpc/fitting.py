@@ -13,15 +13,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Array
+from fg_orient.model.arrays import Array
 from fg_orient.model.errors import Finding, InputError, finding, judged
 from fg_orient.model.names import Progress
 from fg_orient.rpc.estimate import SOLVER, fit_linear, fit_true, fit_weighted, require_points
 from fg_orient.rpc.fit import CrossValidation, RfmFit, cross_validate, rms
 from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.options import FitOptions
-from fg_orient.rpc.points import MeasuredPoints, statistics
-from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.rpc.points import ControlPoints, MeasuredPoints, statistics
 from fg_orient.rpc.select import fit_selected
 from fg_orient.rpc.virtual_grid import SHAPE, fit_sensor
 from fg_orient.sensors.base import Sensor

@@ -14,10 +14,9 @@ from itertools import pairwise
 from typing import Final, get_args
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import Array
 from factors.cameras.rfm import EXPONENTS, permutation, terms
+from fg_orient.model.arrays import Array, Mask
 from fg_orient.model.errors import InputError
 from fg_orient.rpc.options import Denominators
 
@@ -95,7 +94,7 @@ class RfmForm:
         return tuple(complete[int(np.flatnonzero(column)[0])] for column in self.expansion.T)
 
     @cached_property
-    def beyond_affine(self) -> npt.NDArray[np.bool_]:
+    def beyond_affine(self) -> Mask:
         """Unknowns (u,) that are neither constant nor linear terms of a numerator."""
         return np.array([name[0] in "bd" or sum(map(int, name[1:])) > 1 for name in self.names])
 

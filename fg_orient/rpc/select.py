@@ -17,19 +17,17 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import Array, compiled
+from factors._contract import compiled
 from fg_orient.adjustment.linear.kappa import choose_kappa
 from fg_orient.adjustment.linear.system import LinearSystem
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.distributions import f_quantile, t_quantile
 from fg_orient.model.errors import InputError
 from fg_orient.rpc.estimate import fit_true, linear_system
 from fg_orient.rpc.fit import RfmFit, leverages
 from fg_orient.rpc.form import RfmForm
-from fg_orient.rpc.rfm_points import ControlPoints, Scaling
-
-Indices = npt.NDArray[np.intp]
+from fg_orient.rpc.points import ControlPoints, Scaling
 
 
 @dataclass(frozen=True)
@@ -52,8 +50,8 @@ class Reduced:
 
     design: Array
     observed: Array
-    unknowns: Indices
-    always: Indices
+    unknowns: Index
+    always: Index
     affine: Array
 
     @classmethod
@@ -85,7 +83,7 @@ class Reduced:
         """Rows minus affine unknowns: the redundancy of the affine model."""
         return len(self.design) - len(self.always)
 
-    def fit(self, chosen: Indices) -> tuple[Array, float, Array]:
+    def fit(self, chosen: Index) -> tuple[Array, float, Array]:
         """Least squares with some columns: x (k,), sum of squared residuals, diagonal of (A^T A)^-1 (k,)."""
         if not len(chosen):
             return np.zeros(0), float(self.observed @ self.observed), np.zeros(0)
@@ -98,7 +96,7 @@ class Reduced:
         v = self.observed - columns @ (x / length)
         return x / length, float(v @ v), np.sum(inverse**2, axis=1) / length**2
 
-    def kept(self, chosen: Indices, form: RfmForm) -> tuple[int, ...]:
+    def kept(self, chosen: Index, form: RfmForm) -> tuple[int, ...]:
         """Numbers of unknowns of the complete form: the affine ones and the chosen."""
         numbers = np.sort(np.concatenate([self.always, self.unknowns[chosen]]))
         return tuple(int(k) if form.kept is None else form.kept[int(k)] for k in numbers)
@@ -133,7 +131,7 @@ class Selection:
         Penalty of the final fit on all unknowns beyond the affine ones.
     """
 
-    chosen: Indices
+    chosen: Index
     kappa: float = 0.0
 
 
@@ -212,7 +210,7 @@ def fit_selected(points: ControlPoints, form: RfmForm, name: str, *, allow_pole:
     return replace(fit, method=_REGISTRY[name].label, choice=choice)
 
 
-def _everything(reduced: Reduced) -> Indices:
+def _everything(reduced: Reduced) -> Index:
     return np.arange(reduced.design.shape[1])
 
 
@@ -308,13 +306,13 @@ def _descend(gram: Array, gradient: Array, x: Array, penalty: float) -> None:
             break
 
 
-def _bic(reduced: Reduced, chosen: Indices) -> float:
+def _bic(reduced: Reduced, chosen: Index) -> float:
     """Bayes information criterion of least squares with some columns (Schwarz 1978)."""
     rows = len(reduced.design)
     return float(rows * np.log(reduced.fit(chosen)[1] / rows) + (len(chosen) + len(reduced.always)) * np.log(rows))
 
 
-def _explained(reduced: Reduced, chosen: Indices, least: float) -> Array:
+def _explained(reduced: Reduced, chosen: Index, least: float) -> Array:
     """Square that each column (q,) explains in addition to the chosen columns; -1 for columns that depend on these.
 
     ``least`` is the length of the part orthogonal to the chosen columns, of a column of length 1, from which on a
@@ -331,7 +329,7 @@ def _explained(reduced: Reduced, chosen: Indices, least: float) -> Array:
     return np.where(free, gain**2, -1.0)
 
 
-def _without_insignificant(reduced: Reduced, chosen: Indices, last: int = -1) -> Indices:
+def _without_insignificant(reduced: Reduced, chosen: Index, last: int = -1) -> Index:
     """Drop the least significant column (t test, 5 %) until all are significant or the column ``last`` is dropped."""
     while len(chosen) and last in (-1, *chosen):
         x, square, cofactors = reduced.fit(chosen)

@@ -13,15 +13,15 @@ from typing import Final
 
 import numpy as np
 
-from factors._contract import Array
 from factors.geometry import ellipsoid
 from fg_orient.adjustment.runtime import one_blas_thread
+from fg_orient.model.arrays import Array
 from fg_orient.model.errors import InputError, finding
 from fg_orient.rpc.estimate import fit_true
 from fg_orient.rpc.fit import RfmFit
 from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.options import Denominators
-from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.rpc.points import ControlPoints
 from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 

@@ -13,10 +13,9 @@ import math
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import Array
 from fg_orient.geodesy import ecef_to_geodetic, geodetic_to_ecef
+from fg_orient.model.arrays import Array, Mask
 from fg_orient.model.block import Block
 from fg_orient.model.names import Progress
 from fg_orient.sensors.correction import Correction
@@ -141,7 +140,7 @@ def _scenes(options: BlockOptions, centres: Array, report_progress: Progress) ->
 
 def _points(
     options: BlockOptions, scenes: tuple[Scene, ...], rng: np.random.Generator, report_progress: Progress
-) -> tuple[Array, npt.NDArray[np.bool_]]:
+) -> tuple[Array, Mask]:
     """Points in two images or more: longitude, latitude (degrees), height (m), (n, 3); whether in image (m, n)."""
     sensors = [as_read(scene.metadata()) for scene in scenes]
     cameras = [QuickProjection(sensor, Correction(), options.max_height_m) for sensor in sensors]
@@ -158,7 +157,7 @@ def _points(
     return points[: options.points], visible[:, : options.points]
 
 
-def _visible(cameras: list[QuickProjection], ecef_m: Array, height_m: Array) -> npt.NDArray[np.bool_]:
+def _visible(cameras: list[QuickProjection], ecef_m: Array, height_m: Array) -> Mask:
     """Points (N) well inside each image: (m, N). Near the limit the exact projection decides."""
     last = np.array([N_LINES, N_SAMPLES]) - 1.0
     out = np.zeros((len(cameras), len(ecef_m)), bool)

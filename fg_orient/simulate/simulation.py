@@ -21,15 +21,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
+from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.model.block import (
     Block,
     Coordinates,
     GroundPoints,
     Image,
     ImagePoints,
-    Index,
     Options,
     WithheldCoordinates,
 )
@@ -103,7 +102,7 @@ class QuickProjection:
         low = [powers[0][:, a] * powers[1][:, b] for a in range(3) for b in range(3 - a)]
         return np.column_stack([*plane, *(h * p for p in low), *(h * h * p for p in low[:1])])
 
-    def near(self, ground_m: Array) -> npt.NDArray[np.intp]:
+    def near(self, ground_m: Array) -> Index:
         """Indices (n,) of those ECEF points (N, 3), all on this side of the Earth, that may lie in the image."""
         e = self._east_north(ground_m)
         return np.flatnonzero(((e > self._low - BORDER_M) & (e < self._high + BORDER_M)).all(axis=1))
@@ -235,7 +234,7 @@ class Ground:
         return geodetic_to_ecef(*self.lon_lat_height.T)
 
     @cached_property
-    def known(self) -> npt.NDArray[np.bool_]:
+    def known(self) -> Mask:
         """Whether a point has measured coordinates (n,): all except the tie points."""
         return np.array([role is not Role.TIE for role in self.roles])
 
@@ -312,7 +311,7 @@ def points_of(ground: Ground) -> tuple[GroundPoints, WithheldCoordinates]:
 
 
 def observe(
-    name: str, scenes: Sequence[Scene], ground: Ground, visible: npt.NDArray[np.bool_], errors: Array, look: Array,
+    name: str, scenes: Sequence[Scene], ground: Ground, visible: Mask, errors: Array, look: Array,
     noise_px: float, rng: np.random.Generator, max_height_m: float | None = None, progress: Progress | None = None,
 ) -> Simulation:  # fmt: skip
     """Simulate pushbroom images: metadata with errors, true pixels of this metadata with its corrections, noise.
@@ -373,6 +372,6 @@ def numbered(count: int) -> tuple[str, ...]:
     return tuple(f"{k + 1:0{len(str(count))}d}" for k in range(count))
 
 
-def roles_in_order(order: npt.NDArray[np.intp], control: int, check: int) -> tuple[Role, ...]:
+def roles_in_order(order: Index, control: int, check: int) -> tuple[Role, ...]:
     """Roles of points of these ranks (n,): the first ranks are control points, then come check and tie points."""
     return tuple(Role.CONTROL if k < control else Role.CHECK if k < control + check else Role.TIE for k in order)

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import Array
 from factors.cameras.frame_camera import rotated
 from factors.conditions.navigation import UNKNOWN
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
+from fg_orient.model.arrays import Array, Mask
 from fg_orient.model.block import Block, Image, Options
 from fg_orient.sensors.frame import FrameCamera, FrameSensor
 from fg_orient.sensors.frame_unknowns import NAVIGATION, UNKNOWNS
@@ -181,9 +180,7 @@ def _block(
     return simulation.block(), ground.ecef_m
 
 
-def _points(
-    options: StripOptions, sensors: list[FrameSensor], rng: np.random.Generator
-) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+def _points(options: StripOptions, sensors: list[FrameSensor], rng: np.random.Generator) -> tuple[Array, Array, Mask]:
     """Points in two images or more: longitude, latitude, height (n, 3); pixels (M, n, 2); whether in image (M, n)."""
     half = 0.5 * np.array([BASE_M * options.images, SPACING_M * options.strips]) + 300.0
     unit = rng.random((20 * options.points + 100, 3))

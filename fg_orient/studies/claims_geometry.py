@@ -11,13 +11,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from factors._contract import Array
 from factors.cameras import look
 from factors.geometry import ellipsoid, rotations
 from fg_orient.adjustment.linear.system import diagnose
+from fg_orient.model.arrays import Array
 from fg_orient.rpc.estimate import fit_linear
 from fg_orient.rpc.form import DEGREES, RfmForm
-from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.rpc.points import ControlPoints
 from fg_orient.sensors import initial
 from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.pushbroom import PushbroomSensor, require_pushbroom

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import Array
 from factors.cameras.pushbroom import RECORD
 from fg_orient.adjustment.linear.registry import attempt, solvers
 from fg_orient.adjustment.linear.system import singular_values, unit_columns
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.names import VELOCITY
 from fg_orient.model.parameters import eop_codes
 from fg_orient.studies import claims
@@ -56,7 +55,7 @@ def _solutions(study: Study, eop_set: int) -> dict[str, Array]:
     return {name: x for name, x in solutions.items() if np.isfinite(x).all()}
 
 
-def _spread(values: dict[str, Array], columns: npt.NDArray[np.intp]) -> float:
+def _spread(values: dict[str, Array], columns: Index) -> float:
     """Largest deviation from partial pivoting relative to it, unknown by unknown."""
     reference = values[PIVOT][columns]
     return max(float(np.abs(x[columns] / reference - 1.0).max()) for x in values.values())

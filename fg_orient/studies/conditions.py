@@ -18,18 +18,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import Array
 from factors.cameras import look, pushbroom
 from factors.cameras.pushbroom_record import CORRECTION, N_EOP, RECORD, corrections
 from factors.geometry import polynomials, rotations
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import Image, ImagePoints
 from fg_orient.sensors.correction import metadata_eop
 from fg_orient.sensors.pushbroom import require_pushbroom
 from fg_orient.studies.switches import TEXT, States, Switches, derivatives, mounting
-
-Index = npt.NDArray[np.intp]
 
 #: Codes of the constant terms of psi_x and psi_y in ``factors.cameras.pushbroom``: their Jacobian is B.
 LOOK_CODES = (N_EOP, N_EOP + 1)

@@ -18,10 +18,9 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import Array
 from factors.geometry import rotations
+from fg_orient.model.arrays import Array, Mask
 
 
 def _switch(label: str) -> bool:
@@ -151,7 +150,7 @@ class States:
     angles_rad: Array
     mounting: Array
     small: bool
-    follows: npt.NDArray[np.bool_]
+    follows: Mask
 
 
 def mounting(p: Array, v: Array, angles: Array, base: Array, small: bool) -> Array:

@@ -18,16 +18,16 @@ from typing import Final
 import numpy as np
 from scipy.linalg import eigh
 
-from factors._contract import Array
 from fg_orient.adjustment.linear.kappa import KappaChoice, clamped
 from fg_orient.adjustment.linear.modern import regularised_system
 from fg_orient.adjustment.linear.registry import attempt
 from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem, diagnose
+from fg_orient.model.arrays import Array
 from fg_orient.model.names import CellKey
 from fg_orient.rpc.estimate import linear_system
 from fg_orient.rpc.fit import RfmFit
 from fg_orient.rpc.form import DEGREES, RfmForm
-from fg_orient.rpc.rfm_points import ControlPoints, Scaling
+from fg_orient.rpc.points import ControlPoints, Scaling
 from fg_orient.studies.tables_twin import AXES, Cells, Progress, collect, conditioning_cells
 
 #: Printed kappas by method and degree, for Table 4.45.

@@ -21,11 +21,10 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import Array
 from fg_orient.adjustment.linear.registry import attempt
 from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
+from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
@@ -37,7 +36,6 @@ from fg_orient.studies.conditions import Conditions, Linearised
 from fg_orient.studies.switches import Switches, switches_of
 from fg_orient.studies.two_stage_results import AxisErrors, PreAdjustment, TwoStageResult
 
-Index = npt.NDArray[np.intp]
 LookModel = Literal["angles", "corrections"]
 Kind = Literal[1, 2]
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import Array
 from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
+from fg_orient.model.arrays import Array, Index
 
 
 @dataclass(frozen=True)
@@ -86,9 +85,6 @@ class TwoStageResult:
     n_observations: int
     n_unknowns: int
     failure: str = ""
-
-
-Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)

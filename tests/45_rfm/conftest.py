@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.rpc.points import ControlPoints
 
 CENTRE, SPREAD = np.array([31.8, 41.4, 450.0]), np.array([0.3, 0.2, 430.0])
 Make = Callable[..., ControlPoints]

@@ -12,7 +12,7 @@ from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rpc.estimate import fit_linear, fit_true, fit_weighted, linear_system
 from fg_orient.rpc.fit import RfmFit, least_denominators, leverages
 from fg_orient.rpc.form import RfmForm
-from fg_orient.rpc.rfm_points import ControlPoints, Scaling
+from fg_orient.rpc.points import ControlPoints, Scaling
 from tests.support.repetitions import some_slow
 from tests.support.rpc_model import reference_project
 

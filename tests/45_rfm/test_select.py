@@ -12,7 +12,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.rpc import select
 from fg_orient.rpc.estimate import fit_linear, linear_system
 from fg_orient.rpc.form import RfmForm
-from fg_orient.rpc.rfm_points import ControlPoints, Scaling
+from fg_orient.rpc.points import ControlPoints, Scaling
 from fg_orient.rpc.select import _REGISTRY, Reduced, Selection, fit_selected, lasso_solution, press_of
 
 Make = Callable[..., ControlPoints]

@@ -11,7 +11,7 @@ from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rpc.estimate import fit_linear
 from fg_orient.rpc.fit import RfmFit, cross_validate
 from fg_orient.rpc.form import RfmForm
-from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.rpc.points import ControlPoints
 from fg_orient.rpc.select import fit_selected
 
 Make = Callable[..., ControlPoints]

@@ -28,9 +28,9 @@ from fg_orient.adjustment.solve import solve
 from fg_orient.model.block import Coordinates, ExtraObservation
 from fg_orient.model.names import Role
 from fg_orient.orientation.solution import Solution
+from fg_orient.quality.cofactors import StarCofactors
 from fg_orient.quality.deficiency import compiled_problem
 from fg_orient.quality.free_network import FreeNetwork
-from fg_orient.quality.star_cofactors import StarCofactors
 from fg_orient.sensors.frame import FrameSensor
 
 PHOTOS, POINTS = 14, 9

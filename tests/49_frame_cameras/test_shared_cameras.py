@@ -19,7 +19,8 @@ from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 from fg_orient.quality.camera import frame_cofactors, inseparable
-from fg_orient.quality.covariance import Cofactors, cofactors_of
+from fg_orient.quality.cofactors import Cofactors
+from fg_orient.quality.covariance import cofactors_of
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameSensor
 from tests.support import dbat

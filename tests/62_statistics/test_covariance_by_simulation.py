@@ -18,7 +18,8 @@ from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.solve import solve
 from fg_orient.model.block import Block
 from fg_orient.orientation.solution import Solution
-from fg_orient.quality.covariance import Cofactors, cofactors_of
+from fg_orient.quality.cofactors import Cofactors
+from fg_orient.quality.covariance import cofactors_of
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.full_statistics import Full, options
 

@@ -11,8 +11,7 @@ import fg_orient as fg
 from fg_orient.model.block import Block
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality import elimination
-from fg_orient.quality.grouped_residuals import GroupedResiduals
-from fg_orient.quality.observation_groups import groups_of
+from fg_orient.quality.observation_groups import GroupedResiduals, groups_of
 from fg_orient.quality.suspects import KINDS, suspects
 from tests.support.frame_above import with_frame_above
 from tests.support.full_statistics import fixed, measured_twice, options, own_observations, turned_design

@@ -14,8 +14,7 @@ from fg_orient.adjustment.robust import weighted_problem
 from fg_orient.model.block import Block
 from fg_orient.model.names import Role
 from fg_orient.orientation.solution import Solution
-from fg_orient.quality.grouped_residuals import GroupedResiduals
-from fg_orient.quality.observation_groups import groups_of
+from fg_orient.quality.observation_groups import GroupedResiduals, groups_of
 from fg_orient.quality.residuals import ResidualCofactors
 from tests.support.frame_above import with_frame_above
 from tests.support.full_statistics import Full, fixed, measured_twice, options, own_observations

@@ -15,7 +15,7 @@ from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.model.names import Role
 from fg_orient.orientation.solution import Solution
-from fg_orient.quality.covariance import MatrixCofactors
+from fg_orient.quality.cofactors import MatrixCofactors
 from fg_orient.quality.free_network import FreeNetwork, datum_step
 from fg_orient.quality.residuals import ResidualCofactors
 from tests.support.degenerate_blocks import options, pinhole, pushbroom, rpc, two_pinhole_blocks, with_control

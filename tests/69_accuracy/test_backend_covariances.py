@@ -22,7 +22,8 @@ from fg_orient.adjustment.parts.execution import Execution
 from fg_orient.adjustment.parts.solve import solve_in_parts
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.schur import SchurBackend
-from fg_orient.quality.covariance import Cofactors, GraphCofactors, cofactors_of, dense_cofactors
+from fg_orient.quality.cofactors import Cofactors
+from fg_orient.quality.covariance import GraphCofactors, cofactors_of, dense_cofactors
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.full_statistics import Full
 from tests.support.rpc_block import rpc_twin

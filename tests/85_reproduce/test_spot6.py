@@ -17,7 +17,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.names import CellKey
 from fg_orient.rpc.fit import cross_validate
 from fg_orient.rpc.form import RfmForm
-from fg_orient.rpc.rfm_points import ControlPoints, find_spot6, read_gcp
+from fg_orient.rpc.points import ControlPoints, find_spot6, read_gcp
 from fg_orient.rpc.select import fit_selected
 from fg_orient.simulate.zonguldak import zonguldak_block
 from fg_orient.studies import tables_spot6

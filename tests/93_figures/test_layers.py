@@ -18,7 +18,7 @@ from lxml import etree
 from pyproj import Geod
 
 from fg_orient.model.errors import InputError
-from fg_orient.report import geofiles, layers
+from fg_orient.report import geofiles
 from fg_orient.result.plain import Table
 from fg_orient.result.record import Result
 from tests.support.pleiades_project import pleiades_project
@@ -148,13 +148,13 @@ def test_across_the_180th_meridian() -> None:
     numbers = {"lon_deg": 179.9999, "lat_deg": 10.0, "difference_east_m": 1.0, "difference_north_m": 0.0,
                "difference_up_m": 0.0}  # fmt: skip
     points = Table({"id": ["a"], "role": ["check"], **{k: np.array([v]) for k, v in numbers.items()}})
-    (line,) = layers.error_vectors(points, 1000.0).geometries
+    (line,) = geofiles.error_vectors(points, 1000.0).geometries
     (start, end) = line["coordinates"]
     assert 0.009 < end[0] - start[0] < 0.0095
     image = {"id": "a", "file": "", "footprint_lon_lat_deg": [[179.5, 1.0], [-179.5, 1.0], [-179.5, 0.0], [179.5, 0.0]]}
     empty = Table({"image": [], "id": [], **{k: np.zeros(0) for k in RESIDUALS}})
     result = Result({"images": [image]}, {"points": points, "residuals": empty, "eop": empty})
-    (foot,) = layers.footprints(result).geometries
+    (foot,) = geofiles.footprints(result).geometries
     assert foot["type"] == "MultiPolygon" and shapely.geometry.shape(foot).area == pytest.approx(1.0)
 
 

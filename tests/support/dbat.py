@@ -21,7 +21,7 @@ from fg_orient.closerange.resection import resect
 from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
 from fg_orient.model.digits import last_digit
 from fg_orient.model.names import Role
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.cofactors import Cofactors
 from fg_orient.sensors.frame import (
     INTERIOR,
     MEASURED_TO_IDEAL,

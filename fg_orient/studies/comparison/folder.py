@@ -111,9 +111,7 @@ def write_folder(folder: Path, comparison: Comparison, record: Mapping[str, Any]
     figures : mapping
         File name to SVG text.
     """
-    records = (row.as_dict() for row in comparison.rows)
-    rows = [[_cell(record[name]) for name in COLUMNS] for record in records]
-    write_rows(folder / "compare.csv", COLUMNS, rows)
+    write_rows(folder / "compare.csv", COLUMNS, (list(row.as_dict().values()) for row in comparison.rows))
     write_rows(folder / "spectra.csv", SPECTRUM_COLUMNS, (
         (s.eop_set, s.system, s.scaling, index, float(value))
         for s in comparison.spectra for index, value in enumerate(s.values)
@@ -137,13 +135,6 @@ def _curve_rows(comparison: Comparison) -> Iterator[tuple[object, ...]]:
             yield (*key, "", *point)
         for choice in curve.choices:
             yield (*key, choice.rule, choice.kappa, choice.residual_norm, choice.solution_norm)
-
-
-def _cell(value: object) -> object:
-    """Empty text for None, words of JSON for truth values."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return "" if value is None else value
 
 
 def _record(comparison: Comparison, project: Path, out: Path, command: Sequence[str]) -> dict[str, Any]:

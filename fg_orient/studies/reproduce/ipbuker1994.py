@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from factors._contract import Array
+from fg_orient.model.arrays import Array
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import CellKey
 from fg_orient.rectification import study

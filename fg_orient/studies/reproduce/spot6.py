@@ -22,10 +22,10 @@ from typing import Final
 
 import numpy as np
 
-from factors._contract import Array
+from fg_orient.model.arrays import Array
 from fg_orient.model.digits import last_digit
 from fg_orient.model.names import CellKey
-from fg_orient.rpc.rfm_points import SPOT6_FILE, SPOT6_FOLDER, ControlPoints, find_spot6, read_gcp
+from fg_orient.rpc.points import SPOT6_FILE, SPOT6_FOLDER, ControlPoints, find_spot6, read_gcp
 from fg_orient.studies import tables_spot6
 from fg_orient.studies.published.tables import PublishedCell, PublishedTables
 from fg_orient.studies.reproduce.verdict import CellComparison, Judges, Kind, declared, known_reason
