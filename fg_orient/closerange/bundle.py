@@ -9,6 +9,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.runtime import one_blas_thread
@@ -27,8 +28,6 @@ from fg_orient.model.names import Status
 from fg_orient.orientation.orient import adjust
 from fg_orient.orientation.solution import Solution
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 Residual = Literal["image", "condition"]
 
 BACKENDS: Final = ("auto", "dense", "graph")

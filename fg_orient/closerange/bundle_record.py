@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.robust import NONE
 from fg_orient.closerange import files, job
 from fg_orient.closerange.accuracy import compare_points
@@ -23,8 +23,6 @@ from fg_orient.report.tables import correlations
 from fg_orient.result.statistics import search_record
 from fg_orient.result.summary import robust_record
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 Known = Mapping[str, tuple[Array, Array]]
 
 #: Limit of listed correlations; number of listed correlations and of weak directions.

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Mask
 from fg_orient.adjustment.constraint_rows import ConstraintObservation, FittedFigure
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.loop import IterationRecord
@@ -20,9 +20,6 @@ from fg_orient.model.errors import InputError
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality.elimination import control_residuals
 from fg_orient.sensors.frame import opk_of_rotation
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -127,7 +124,7 @@ class BundleResult:
     solution: Solution
 
     @property
-    def rejected(self) -> npt.NDArray[np.bool_]:
+    def rejected(self) -> Mask:
         """Image points (m,) that the search for gross errors left out."""
         return np.asarray(self.weights == 0.0)
 

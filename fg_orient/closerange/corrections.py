@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from factors.cameras import additional_parameters as brown
 from factors.cameras import image_corrections as lens
 from factors.cameras import image_variants as variants
 from factors.records import Record
 from fg_orient.closerange.photo import PhotoInterior
 from fg_orient.model.errors import InputError
-
-Array = npt.NDArray[np.float64]
 
 #: Camera parameters: principal distance, principal point, coefficients of the three modules.
 CAMERA: Final = Record(c=1, principal="x0 y0", lens=lens.AT.size, brown=brown.AT.size, variants=variants.AT.size)

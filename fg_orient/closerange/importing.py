@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.closerange.files import photo_text
 from fg_orient.closerange.job import rows
 from fg_orient.closerange.photo import Photo, PhotoInterior
@@ -29,7 +29,6 @@ from fg_orient.result.plain import plain
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL
 from fg_orient.sensors.interior import Interior as FrameInterior
 
-Array = npt.NDArray[np.float64]
 Record = dict[str, Any]
 
 CONTENTS: Final = Contents("photos.toml", ("photos.toml", "image.csv", "control.csv", "start.csv", "stations.csv"))

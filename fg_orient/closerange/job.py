@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import files
 from fg_orient.closerange.dlt import RECOVERED, fit_dlt
@@ -32,7 +32,6 @@ from fg_orient.rectification.folder import write_rows
 from fg_orient.result.plain import dumps, of_axes, plain
 from fg_orient.result.provenance import sha256_of
 
-Array = npt.NDArray[np.float64]
 Record = dict[str, Any]
 T = TypeVar("T")
 

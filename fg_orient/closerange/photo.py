@@ -16,12 +16,12 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from factors.cameras.image_corrections import AT, NAMES, ideal_points, slopes
 from fg_orient.closerange.fitting import as_points
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.sensors.frame import FrameCamera, opk_of_rotation
 
-Array = npt.NDArray[np.float64]
 YAxis = Literal["up", "down"]
 
 Y_AXES: Final[tuple[YAxis, ...]] = ("up", "down")

@@ -8,15 +8,14 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.closerange.report_maps import columns, deviation_views, scene_of, views_of
 from fg_orient.closerange.report_words import photo_rows
 from fg_orient.report.chart import Axis, Chart, broad, cut, round_down
 from fg_orient.report.plots import ENDS, histogram, quantiles, thinned, vectors
 from fg_orient.report.words import printable
 
-Array = npt.NDArray[np.float64]
 Charts = Sequence[Chart | None]
 
 #: Number of photos and cameras on a page; number of photos on paper, those with the most image points.

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Mask
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.table_files import read_table
@@ -23,9 +23,6 @@ from fg_orient.geodesy import COORDINATE_COLUMNS, Kind, Operation, crs_kind, to_
 from fg_orient.model.block import Coordinates
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 SIGMA_COLUMNS: Final = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
 _SIGMA_XYZ: Final = ("sigma_x_m", "sigma_y_m", "sigma_z_m")

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Mask
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.faults import Faults, sigma_remarks
 from fg_orient.formats.point_table import located, parse_points
@@ -23,8 +24,6 @@ from fg_orient.geodesy import Operation
 from fg_orient.model.block import Coordinates, GroundPoints, WithheldCoordinates
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
-
-Mask = npt.NDArray[np.bool_]
 
 #: Faults after which the list of ids differs from the one that the user meant.
 LOSES_IDS: Final = {"table.cell_count", "table.quotes", "table.long_line", "points.id_twice", "points.id_missing"}

@@ -11,8 +11,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Mask
 from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.observations import COLUMNS
 from fg_orient.formats.point_table import FIXED, SIGMA_COLUMNS
@@ -24,8 +24,6 @@ from fg_orient.model.names import Role
 
 __all__ = ["write_observations", "write_points", "write_project"]
 
-Array = npt.NDArray[np.float64]
-
 
 def write_points(
     path: str | Path,
@@ -35,7 +33,7 @@ def write_points(
     sigma_enu_m: Array,
     *,
     kind: Kind = "geographic",
-    fixed: npt.NDArray[np.bool_] | None = None,
+    fixed: Mask | None = None,
     comments: Sequence[str] = (),
 ) -> None:
     """Write a table of ground points.

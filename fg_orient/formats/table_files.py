@@ -12,13 +12,11 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.formats.faults import Faults, did_you_mean
 from fg_orient.formats.tables import Table
 from fg_orient.formats.text_files import delimited, read_text
-
-Array = npt.NDArray[np.float64]
 
 #: A longer line than this is not a record of ours.
 MAX_LINE: Final = 100_000

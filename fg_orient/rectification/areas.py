@@ -11,10 +11,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import finite, number, positive
-
-Array = npt.NDArray[np.float64]
 
 #: Variance of a pixel-count area, divided by the perimeter and the cube of the pixel size.
 PIXEL_VARIANCE = 0.0728

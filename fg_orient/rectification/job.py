@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from factors._contract import Array
+from factors.arrays import Array
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.formats.atomic import require_free, staged_folder, writing
 from fg_orient.formats.table_files import require_table

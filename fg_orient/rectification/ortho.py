@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from factors._contract import Array
+from factors.arrays import Array
 from fg_orient.formats.atomic import require_free_files, staged_file
 from fg_orient.formats.gdal import rasterio_of
 from fg_orient.geodesy import from_geographic

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array
 from fg_orient.kernels.resampling import BILINEAR, CUBIC, NEAREST, REACH, pixel_positions, resample
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Progress

@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.areas import outline
 from fg_orient.rectification.arguments import finite, number, positive, whole
 
 if TYPE_CHECKING:
     from pyproj import Proj
-
-Array = npt.NDArray[np.float64]
 
 #: International ellipsoid (Hayford 1909) of the maps of İpbüker 1994.
 HAYFORD: Final = "intl"

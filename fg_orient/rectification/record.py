@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Array
+from factors.arrays import Array
 from fg_orient.geodesy import area_of_use, to_geographic
 from fg_orient.model.distributions import f_tail
 from fg_orient.model.errors import Finding, as_record, finding

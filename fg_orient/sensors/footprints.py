@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from factors._contract import Array
+from factors.arrays import Array
 from fg_orient.sensors.viewing import View, footprint
 
 

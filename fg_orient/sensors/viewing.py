@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Array
+from factors.arrays import Array
 from factors.geometry import ellipsoid
 from fg_orient.geodesy import enu_from_ecef
 from fg_orient.model.block import Image

@@ -16,10 +16,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Array
+from factors.arrays import Array, Index
 from factors.cameras import frame_camera
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.model.block import Block, Image, Index, Options
+from fg_orient.model.block import Block, Image, Options
 from fg_orient.rpc.virtual_grid import fit_sensor
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.frame import HALF_TURN, FrameCamera, FrameSensor

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array, Index
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import (
     Block,
@@ -29,7 +29,6 @@ from fg_orient.model.block import (
     GroundPoints,
     Image,
     ImagePoints,
-    Index,
     Options,
     WithheldCoordinates,
 )
@@ -103,7 +102,7 @@ class QuickProjection:
         low = [powers[0][:, a] * powers[1][:, b] for a in range(3) for b in range(3 - a)]
         return np.column_stack([*plane, *(h * p for p in low), *(h * h * p for p in low[:1])])
 
-    def near(self, ground_m: Array) -> npt.NDArray[np.intp]:
+    def near(self, ground_m: Array) -> Index:
         """Indices (n,) of those ECEF points (N, 3), all on this side of the Earth, that may lie in the image."""
         e = self._east_north(ground_m)
         return np.flatnonzero(((e > self._low - BORDER_M) & (e < self._high + BORDER_M)).all(axis=1))
@@ -373,6 +372,6 @@ def numbered(count: int) -> tuple[str, ...]:
     return tuple(f"{k + 1:0{len(str(count))}d}" for k in range(count))
 
 
-def roles_in_order(order: npt.NDArray[np.intp], control: int, check: int) -> tuple[Role, ...]:
+def roles_in_order(order: Index, control: int, check: int) -> tuple[Role, ...]:
     """Roles of points of these ranks (n,): the first ranks are control points, then come check and tie points."""
     return tuple(Role.CONTROL if k < control else Role.CHECK if k < control + check else Role.TIE for k in order)

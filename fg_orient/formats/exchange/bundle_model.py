@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from factors.arrays import Array, Index
 from factors.cameras import frame_camera
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.ties import model_survey
@@ -27,8 +27,6 @@ from fg_orient.formats.registry import TIES_ONLY, Format, Settings
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.frame import HALF_TURN, IDEAL_TO_MEASURED
 from fg_orient.sensors.interior import Interior, converted
-
-Array = npt.NDArray[np.float64]
 
 #: Coefficients that the camera model of these files lacks, by the position in ``Interior.distortion``.
 _BEYOND: Final = {2: "k3", 3: "p1", 4: "p2"}
@@ -47,8 +45,8 @@ class BalData:
     points : (N, 3) array
     """
 
-    camera: npt.NDArray[np.intp]
-    point: npt.NDArray[np.intp]
+    camera: Index
+    point: Index
     xy: Array
     cameras: Array
     points: Array

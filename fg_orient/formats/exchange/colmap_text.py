@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Final, NoReturn
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from factors.arrays import Array, Index
 from fg_orient.formats.atomic import require_free_files, write_lines
 from fg_orient.formats.exchange.colmap import FIRST_PIXEL, camera_lines, interior_of
 from fg_orient.formats.exchange.text import TextLines, make_folder, positions, require_once, whole
@@ -26,9 +26,6 @@ from fg_orient.formats.registry import TIES_ONLY, Format
 from fg_orient.formats.tables import finite
 from fg_orient.model.errors import InputError, finding
 from fg_orient.sensors.interior import Interior
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 FILES: Final = ("cameras.txt", "images.txt", "points3D.txt")
 #: Point id of a keypoint without a point: -1, or the same as an unsigned number.
