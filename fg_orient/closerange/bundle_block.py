@@ -24,8 +24,7 @@ from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
-from fg_orient.closerange.corrections import CAMERA, NAMES, camera_of
-from fg_orient.closerange.photo import PhotoInterior
+from fg_orient.closerange.photo import CAMERA, NAMES, PhotoInterior, camera_of
 from fg_orient.model.block import (
     Block,
     Coordinates,

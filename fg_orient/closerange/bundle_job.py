@@ -15,13 +15,12 @@ from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import files, job
 from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
 from fg_orient.closerange.bundle_record import bundle_record
-from fg_orient.closerange.corrections import parameters_of
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.options import BundleOptions
-from fg_orient.closerange.photo import Photo, PhotoInterior
+from fg_orient.closerange.photo import Photo, PhotoInterior, parameters_of
 from fg_orient.closerange.resection import resect
 from fg_orient.formats.closerange import read_photos
-from fg_orient.formats.constraints import read_constraints
+from fg_orient.formats.schema import read_constraints
 from fg_orient.model.constraint import Constraint, foreign_members, place_of
 from fg_orient.model.errors import Finding, InputError, finding
 

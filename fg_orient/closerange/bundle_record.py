@@ -14,7 +14,7 @@ from fg_orient.closerange.accuracy import compare_points
 from fg_orient.closerange.bundle_block import CENTRE, TURNS
 from fg_orient.closerange.bundle_checks import NAMED
 from fg_orient.closerange.bundle_result import Adjustment, BundleResult
-from fg_orient.closerange.corrections import NAMES, camera_of, profile
+from fg_orient.closerange.photo import NAMES, camera_of, profile
 from fg_orient.model.errors import Finding, NoSolutionError, as_record, finding
 from fg_orient.quality.camera import ImageCofactors, inseparable
 from fg_orient.quality.reliability import ALPHA, CHECKABLE, POWER, noncentrality

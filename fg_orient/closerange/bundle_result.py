@@ -13,9 +13,8 @@ from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.closerange import bundle_checks as checks
 from fg_orient.closerange.bundle_block import CENTRE, POINT, TURNS, Built
-from fg_orient.closerange.corrections import NAMES
 from fg_orient.closerange.fitting import unit_weight
-from fg_orient.closerange.photo import Photo, PhotoInterior
+from fg_orient.closerange.photo import NAMES, Photo, PhotoInterior
 from fg_orient.model.errors import InputError
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality.elimination import control_residuals

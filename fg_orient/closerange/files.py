@@ -18,8 +18,7 @@ import numpy as np
 from factors.arrays import Array, Index, Mask
 from factors.cameras.image_corrections import NAMES
 from fg_orient.closerange.photo import Photo, PhotoInterior, rotation_from_aerial
-from fg_orient.formats.table_files import require_table
-from fg_orient.formats.tables import Table
+from fg_orient.formats.tables import Table, require_table
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import LARGEST, SMALLEST

@@ -24,7 +24,7 @@ from fg_orient.formats.exchange.photomodeler import read_centres, read_control
 from fg_orient.formats.frame_model import FrameModel
 from fg_orient.formats.registry import Settings, format_named
 from fg_orient.model.errors import InputError, as_record, finding
-from fg_orient.rectification.folder import write_rows
+from fg_orient.rectification.record import write_rows
 from fg_orient.result.plain import plain
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL
 from fg_orient.sensors.interior import Interior as FrameInterior

@@ -28,7 +28,7 @@ from fg_orient.formats.atomic import Contents, require_free, require_free_files,
 from fg_orient.formats.closerange import read_photos
 from fg_orient.model.errors import Finding, InputError, as_record, finding
 from fg_orient.model.installation import versions
-from fg_orient.rectification.folder import write_rows
+from fg_orient.rectification.record import write_rows
 from fg_orient.result.plain import dumps, of_axes, plain
 from fg_orient.result.provenance import sha256_of
 

@@ -18,8 +18,7 @@ from factors.arrays import Index
 from fg_orient.formats.exchange.convert import filled, read_survey
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.faults import Faults, did_you_mean, sigma_remarks
-from fg_orient.formats.observations import PLAUSIBLE_SIGMA_PX, ObservationFile
-from fg_orient.formats.points import PointFile, point_file
+from fg_orient.formats.points import PLAUSIBLE_SIGMA_PX, ObservationFile, PointFile, point_file
 from fg_orient.formats.registry import Holds, Settings, format_named
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.block import Coordinates, GroundPoints, ImagePoints
@@ -125,7 +124,7 @@ def read_foreign_observations(
     """Read image points of known ground points; other points of the file become tie points.
 
     None, with the faults noted, if anything is wrong; parameters as in
-    :func:`fg_orient.formats.observations.read_observations`.
+    :func:`fg_orient.formats.points.read_observations`.
     """
     survey = table.read(faults)
     if survey is None or sizes is None or points is None:

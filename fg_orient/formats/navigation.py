@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.formats.table_files import read_numbers
+from fg_orient.formats.tables import read_numbers
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind, to_ecef
 from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitude

@@ -14,8 +14,7 @@ import numpy as np
 
 from factors.arrays import Array, Mask
 from fg_orient.formats.atomic import write_lines
-from fg_orient.formats.observations import COLUMNS
-from fg_orient.formats.point_table import FIXED, SIGMA_COLUMNS
+from fg_orient.formats.points import COLUMNS, FIXED, SIGMA_COLUMNS
 from fg_orient.formats.toml import entries
 from fg_orient.geodesy import COORDINATE_COLUMNS, Kind
 from fg_orient.model.block import Options

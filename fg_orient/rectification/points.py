@@ -14,8 +14,7 @@ from typing import Final, Literal
 import numpy as np
 
 from factors.arrays import Array, Mask
-from fg_orient.formats.table_files import require_table
-from fg_orient.formats.tables import Table
+from fg_orient.formats.tables import Table, require_table
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.geodesy import crs_kind, from_geographic
 from fg_orient.model.errors import InputError

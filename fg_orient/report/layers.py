@@ -17,7 +17,7 @@ from fg_orient.report.chart import round_down
 from fg_orient.report.maps import KM_PER_DEGREE, shrink_at
 from fg_orient.result.plain import WORDS, Table
 from fg_orient.result.record import Result
-from fg_orient.sensors.footprints import polygon_geometry
+from fg_orient.sensors.viewing import polygon_geometry
 
 Array = npt.NDArray[np.float64]
 

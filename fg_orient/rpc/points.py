@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Array
-from fg_orient.formats.table_files import require_table
-from fg_orient.formats.tables import Table
+from fg_orient.formats.tables import Table, require_table
 from fg_orient.model.names import Role
 from fg_orient.rpc.rfm_points import ControlPoints
 

@@ -1,6 +1,6 @@
 """Bundler's files (``bundle.out``, v0.3).
 
-``fg_orient.formats.exchange.bundle_model`` has the camera model. Rotations are matrices, each
+``fg_orient.formats.exchange.bal`` has the camera model. Rotations are matrices, each
 point has a colour, and images without orientation have zeros. The list of images is another
 file: one name per line, in the order of the bundle.
 """
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from factors.arrays import Array, Index, Mask
 from fg_orient.formats.atomic import require_free_files, write_bytes
-from fg_orient.formats.exchange.bundle_model import BalData, bundle_format
+from fg_orient.formats.exchange.bal import BalData, bundle_format
 from fg_orient.formats.exchange.text import TextLines
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from factors.arrays import Index
 from fg_orient.formats.atomic import staged_file
-from fg_orient.formats.exchange.colmap import FIRST_PIXEL
+from fg_orient.formats.exchange.colmap_text import FIRST_PIXEL
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.ties import matched_survey, pairs_of
 from fg_orient.formats.registry import TIES_ONLY, Format, Settings

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from factors.arrays import Array, Index
-from fg_orient.formats.exchange.bundle_model import sizes_of
+from fg_orient.formats.exchange.bal import sizes_of
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import positions
 from fg_orient.formats.exchange.ties import model_survey

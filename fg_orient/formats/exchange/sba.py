@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from factors.arrays import Array
-from fg_orient.formats.exchange.bundle_model import sizes_of
+from fg_orient.formats.exchange.bal import sizes_of
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import TextLines
 from fg_orient.formats.exchange.ties import model_survey
