@@ -26,8 +26,7 @@ import numpy.typing as npt
 
 from factors._compile import compiled as compiled
 from factors._compile import inlined as inlined
-
-Array = npt.NDArray[np.float64]
+from factors.arrays import Array as Array
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,11 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array, Index
 from factors.conditions.control import POINT
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import DOWN, Weights
 from fg_orient.adjustment.rows import linearised, residuals, summed
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Numbers of rays of a point: with two, nothing tells which one is wrong; with more than twelve, most agree.
 FEWEST: Final = 3

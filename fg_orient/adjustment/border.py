@@ -16,8 +16,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Index, Mask
 from fg_orient.adjustment.border_matrix import BorderMatrix, Followed, triangle
 from fg_orient.adjustment.cofactors import Part, order_by_point, parts_of
 from fg_orient.adjustment.dense import extra_blocks
@@ -31,9 +31,6 @@ from fg_orient.model.options import Datum
 if TYPE_CHECKING:
     from scipy import sparse
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
 
 #: Image points whose Jacobians are kept; of larger blocks they are computed at each use.
 KEPT: Final = 100_000

@@ -13,13 +13,11 @@ from functools import cached_property
 from typing import Any, Final, Self
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack
 
+from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.schur_reduced import CONDITION_LIMIT, Singular, inverse_norm
-
-Array = npt.NDArray[np.float64]
 
 #: Rows of a part of :func:`triangle`: a third of the time for 37 000 rows of 16 columns (measured).
 PART: Final = 512

@@ -26,8 +26,6 @@ from fg_orient.model.declaration import declared
 from fg_orient.model.errors import InputError
 from fg_orient.model.options import Options
 
-Array = npt.NDArray[np.float64]
-
 FORMAT: Final = 3
 EVERY_S: Final = 60.0
 _NUMBERS: Final = tuple(f.name for f in fields(Carried) if f.name not in ("state", "log"))

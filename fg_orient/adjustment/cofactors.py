@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised, rows_by_image, summed
 from fg_orient.adjustment.unknown_cofactors import DenseUnknowns
@@ -23,8 +24,6 @@ from fg_orient.model.options import Options
 if TYPE_CHECKING:
     from fg_orient.adjustment.schur import SchurSystem
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Image points whose Jacobians are in memory at once.
 CHUNK: Final = 50_000

@@ -7,13 +7,11 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from factors._contract import Equation
+from factors.arrays import Array
 from factors.conditions import circles, constraints, surfaces
 from fg_orient.model.constraint import AXES, MEASURED, Constraint
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

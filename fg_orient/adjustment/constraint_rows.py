@@ -13,9 +13,9 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from factors._contract import Argument, Equation
+from factors.arrays import Array
 from factors.conditions.circles import CIRCLE_RECORD
 from factors.conditions.constraints import FACTOR, FIGURE
 from factors.records import Record
@@ -23,8 +23,6 @@ from fg_orient.adjustment.constraint_kinds import RELATIONS, ROWS, Figure, figur
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.model.block import ExtraObservation
 from fg_orient.model.constraint import OF_PHOTOS, SIZES, Constraint
-
-Array = npt.NDArray[np.float64]
 
 #: Weight w of the misclosures, factor of the misclosure of a sphere that makes it metres, axes of the figure (3, 3) and
 #: its frame at the start (normal or direction, two axes across). A relation's record and the correlates k follow.

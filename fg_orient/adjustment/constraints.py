@@ -15,8 +15,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.constraint_kinds import ROWS, figure_of, relation_record
 from fg_orient.adjustment.constraint_rows import (
     DEPENDENT,
@@ -38,7 +38,6 @@ from fg_orient.sensors.frame import FrameSensor
 if TYPE_CHECKING:
     from fg_orient.adjustment.solve import Estimate
 
-Array = npt.NDArray[np.float64]
 
 #: Unknowns of a frame image that a constraint between images depends on.
 CENTRE: Final = ("centre_x", "centre_y", "centre_z")

@@ -14,9 +14,9 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from factors._contract import Equation, check_blocks, evaluate
+from factors.arrays import Array
 from fg_orient.adjustment.linear.registry import solve
 from fg_orient.adjustment.linear.registry import solver as find_solver
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, LinearSystem
@@ -26,8 +26,6 @@ from fg_orient.adjustment.robust import Robust, control_squares, squares, togeth
 from fg_orient.adjustment.rows import linearised, refuse, residuals, rows_by_image
 from fg_orient.model.block import ExtraObservation
 from fg_orient.model.errors import InputError
-
-Array = npt.NDArray[np.float64]
 
 #: Orthogonal: its error grows with cond(J). The error of methods that use J^T J grows with the square of cond(J).
 DEFAULT_SOLVER = "qr"

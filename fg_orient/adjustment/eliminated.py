@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import NotFiniteError
+from factors.arrays import Array
 from factors.conditions.control import POINT
 from fg_orient.adjustment.group_matrices import GroupMatrices
 from fg_orient.adjustment.point_groups import GroupRows, numbers_of_groups, vector_parts
@@ -35,7 +36,6 @@ from fg_orient.kernels.batch_pairs import gather_blocks, gather_gradients
 from fg_orient.kernels.batch_points import decreases, move, newton_steps
 from fg_orient.model.errors import NoSolutionError
 
-Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
 #: Newton decrement of a point, in sigmas, below which it is at the intersection of its rays. Cost, gradient and matrix

@@ -14,8 +14,8 @@ from typing import Any
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from factors.conditions.control import POINT
 from factors.graph import factor, image_point_factors
 from factors.split import Split
@@ -29,8 +29,6 @@ from fg_orient.adjustment.robust import Robust, squares, weighted_problem, weigh
 from fg_orient.adjustment.rows import groups
 from fg_orient.model.block import ExtraObservation
 from fg_orient.model.constraint import SIZES
-
-Array = npt.NDArray[np.float64]
 
 
 def image_key(k: int) -> int:

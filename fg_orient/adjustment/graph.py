@@ -15,6 +15,7 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from factors.graph import eliminated_factor
 from fg_orient.adjustment.border import Border, divided, small_enough
 from fg_orient.adjustment.eliminated import Elimination
@@ -33,7 +34,6 @@ from fg_orient.adjustment.robust import Robust
 from fg_orient.adjustment.schur import SchurSystem
 from fg_orient.adjustment.schur_reduced import Singular
 
-Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.point_groups import PointGroup
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.kernels.batch_matrix import add_shared
 from fg_orient.kernels.batch_pairs import gather_blocks, gather_gradients
 
-Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
 

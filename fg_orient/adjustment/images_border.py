@@ -8,15 +8,13 @@ from __future__ import annotations
 import contextlib
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.border import Border, small_enough
 from fg_orient.adjustment.border_matrix import BorderMatrix, Followed, triangle
 from fg_orient.adjustment.images_first import Images, Places, images_first
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.schur_reduced import Singular
-
-Array = npt.NDArray[np.float64]
 
 
 class ImagesBorder(BorderMatrix):

@@ -19,8 +19,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Index, Mask
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised, refuse
@@ -31,9 +31,6 @@ from fg_orient.model.block import ExtraObservation
 if TYPE_CHECKING:
     from scipy import sparse
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
 
 #: Predicted work of an elimination of points over that of images, and multiplications saved, from which the images are
 #: eliminated first.

@@ -16,9 +16,9 @@ from typing import Final
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
 from factors._contract import NotFiniteError
+from factors.arrays import Array
 from factors.conditions.control import POINT
 from fg_orient.adjustment.eliminated import IMPOSSIBLE, INTERSECTED, MAX_STEPS
 from fg_orient.adjustment.images_border import ImagesBorder
@@ -27,8 +27,6 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.reduced_graph import cost_factor
 from fg_orient.adjustment.robust import Robust, Weighing, squares, weighted_problem, weights_at
 from fg_orient.adjustment.schur_reduced import Singular
-
-Array = npt.NDArray[np.float64]
 
 #: Key of the variable.
 BORDER: Final = int(gtsam.symbol("b", 0))

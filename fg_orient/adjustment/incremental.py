@@ -21,15 +21,13 @@ from typing import Final
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.eliminated import Elimination
 from fg_orient.adjustment.graph import group_factor
 from fg_orient.adjustment.point_groups import vector_names
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.model.errors import InputError
-
-Array = npt.NDArray[np.float64]
 
 #: Correction, in prior sigmas, from which a vector of unknowns is linearised again.
 RELINEARISE: Final = 2e-3

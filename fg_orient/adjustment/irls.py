@@ -19,8 +19,8 @@ from collections.abc import Callable
 from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from factors.losses import ALIASES, Loss, find, losses
 from fg_orient.adjustment.loop import OPTIMIZERS, Callback, Carried
 from fg_orient.adjustment.problem import Problem, State
@@ -38,7 +38,6 @@ from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.distributions import chi_square_probability
 from fg_orient.model.errors import InputError
 
-Array = npt.NDArray[np.float64]
 S = TypeVar("S")
 
 

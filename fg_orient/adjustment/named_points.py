@@ -7,9 +7,9 @@ others. With damping the border is ``S(damping) + J^T J + damping``, with J the 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack
 
+from factors.arrays import Array
 from fg_orient.adjustment.border import Border, bordered, eliminated_part, explicit_rows, small_enough
 from fg_orient.adjustment.border_matrix import cholesky
 from fg_orient.adjustment.problem import Problem, State
@@ -24,8 +24,6 @@ from fg_orient.adjustment.robust import (
 from fg_orient.adjustment.schur import Blended, SchurBackend, SchurStep
 from fg_orient.adjustment.schur_stages import half_extras
 from fg_orient.model.errors import InputError
-
-Array = npt.NDArray[np.float64]
 
 
 class NamedSystem(Blended):

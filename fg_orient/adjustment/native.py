@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from factors._contract import Argument, Equation
+from factors.arrays import Array
 from fg_orient.adjustment.constraint_rows import constraint_observation
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.constraint import Constraint
@@ -20,8 +20,6 @@ from fg_orient.model.errors import InputError
 
 if TYPE_CHECKING:
     import gtsam
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

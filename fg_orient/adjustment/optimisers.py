@@ -23,7 +23,6 @@ from typing import Any, Final
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.images_graph import ImagesGraph, ImagesReduced
@@ -44,8 +43,6 @@ from fg_orient.adjustment.loop import (
 from fg_orient.adjustment.problem import State
 from fg_orient.adjustment.reduced_graph import ReducedGraph
 from fg_orient.model.errors import finding
-
-Array = npt.NDArray[np.float64]
 
 #: Whitened gradient at the end, in standard deviations of the solution, above which it is not converged.
 REMAINING: Final = 1e-3

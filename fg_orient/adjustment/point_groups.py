@@ -12,12 +12,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
+from factors.arrays import Array, Mask
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.schur_structure import Small
 
-Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 #: Work of a group that does not depend on its size, in multiplications: calls, and small matrices.
 OVERHEAD: Final = 1_500_000

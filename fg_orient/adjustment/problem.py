@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from factors.conditions.control import POINT
 from factors.geometry import ellipsoid
 from fg_orient import geodesy
@@ -27,7 +28,6 @@ from fg_orient.model.parameters import ImageParameters
 from fg_orient.sensors import initial
 from fg_orient.sensors.base import ImageModel
 
-Array = npt.NDArray[np.float64]
 #: One ground point by its number, or several by numbers or by a mask.
 Points = int | npt.NDArray[np.intp] | npt.NDArray[np.bool_]
 

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.eliminated import Elimination
 from fg_orient.adjustment.problem import State
 from fg_orient.adjustment.schur_reduced import full_matrix
@@ -30,7 +30,6 @@ from fg_orient.adjustment.schur_reduced import full_matrix
 if TYPE_CHECKING:
     from fg_orient.adjustment.graph import GraphBackend
 
-Array = npt.NDArray[np.float64]
 Pair = tuple[int, int]
 
 #: Vectors from which they are joined to variables of about so many unknowns, if all are linked, and unknowns up to

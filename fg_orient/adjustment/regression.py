@@ -26,6 +26,7 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from factors._contract import NotFiniteError
+from factors.arrays import Array
 from fg_orient.adjustment.loop import (
     SHRINK_REWEIGHTED,
     Callback,
@@ -39,7 +40,6 @@ from fg_orient.adjustment.loop import (
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.errors import InputError, NoSolutionError
 
-Array = npt.NDArray[np.float64]
 Model = Callable[..., Any]
 
 EPS: Final = float(np.finfo(np.float64).eps)

@@ -33,15 +33,13 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.cofactors import cofactors_of_points
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import CONTROL, IMAGE, inlier_limit
 from fg_orient.adjustment.rows import image_rows, linearised, rows_by_image, whitened_records
 from fg_orient.model.distributions import chi_square_median
 from fg_orient.model.errors import InputError, finding
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 METHODS: Final = ("lms", "lts")
 #: Probability of at least one subset without gross errors, and the share of wrong image points assumed.

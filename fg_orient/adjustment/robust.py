@@ -22,14 +22,12 @@ from typing import Final, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array, Index
 from factors.conditions.control import POINT
 from factors.losses import Curve, Loss
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import residuals, whitened_records
 from fg_orient.model.distributions import chi_square_quantile
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Share of the square in every loss: a residual of 1000 sigmas has the effect of 0.001 sigma. With a smaller share,
 #: rounding dominates the cofactors of a point with one good ray (its pivots differ by this factor).

@@ -19,11 +19,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows, rows_by_image
 from fg_orient.model.distributions import chi_square_median
-
-Array = npt.NDArray[np.float64]
 
 #: Directions with a smaller share of their error in the residual are excluded from the scale: it is approximate.
 CHECKED: Final = 0.1

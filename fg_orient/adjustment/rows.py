@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import NotFiniteError, check_blocks
+from factors.arrays import Array, Index
 from fg_orient.kernels.batch import batch
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.base import ImageModel
@@ -20,9 +21,6 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.problem import Problem, State
     from fg_orient.model.block import Image, ImagePoints, Options
     from fg_orient.sensors.base import ImageModel
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 class Rows(NamedTuple):

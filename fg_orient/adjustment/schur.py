@@ -16,8 +16,8 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from factors.conditions.control import POINT
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State, schur_possible
@@ -29,8 +29,6 @@ from fg_orient.adjustment.schur_structure import SERIAL_LIMIT, Grouping, Structu
 from fg_orient.kernels.batch_pairs import gather_blocks, gather_gradients, image_gradients
 from fg_orient.kernels.batch_points import control_squares, move, product, scale_rows
 from fg_orient.model.errors import InputError
-
-Array = npt.NDArray[np.float64]
 
 #: More threads bring no gain: memory bandwidth is the limit.
 MAX_THREADS: Final = 2

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
+from factors.arrays import Array
 from fg_orient.kernels.batch_matrix import add_shared, fill_lower
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
     from fg_orient.adjustment.ties import Ties
 
-Array = npt.NDArray[np.float64]
 Bounds = npt.NDArray[np.intp]
 Index = npt.NDArray[np.int64]
 

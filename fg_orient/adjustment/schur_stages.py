@@ -12,8 +12,8 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import refuse
@@ -22,8 +22,6 @@ from fg_orient.adjustment.schur_structure import ALL_KEPT, Structure, Tile
 from fg_orient.kernels.batch_pairs import pair_blocks
 from fg_orient.kernels.batch_points import back_substitute, point_blocks, scale_rows
 from fg_orient.kernels.vectors import SLACK, padded
-
-Array = npt.NDArray[np.float64]
 
 #: Bytes of a cache line.
 CACHE_LINE: Final = 64

@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import groups
 from fg_orient.adjustment.schur_reduced import Pattern
@@ -24,7 +25,6 @@ from fg_orient.kernels.batch import Columns, batch
 from fg_orient.kernels.batch_pairs import widen
 from fg_orient.kernels.batch_rows import Flags
 
-Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 Small = npt.NDArray[np.int32]
 

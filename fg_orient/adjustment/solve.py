@@ -9,10 +9,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from factors._contract import NotFiniteError
 from factors._preparation import working_clock
+from factors.arrays import Array
 from factors.losses import losses
 from fg_orient.adjustment.best_rays import sharing, with_best_rays
 from fg_orient.adjustment.checkpoint import Checkpoint
@@ -63,7 +63,6 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.explicit import ExplicitSystem
     from fg_orient.adjustment.schur import SchurSystem
 
-Array = npt.NDArray[np.float64]
 S = TypeVar("S")
 
 #: Image points up to which a graph with a factor for each is built where eliminated points give a singular system:

@@ -27,8 +27,8 @@ from functools import partial
 from typing import Final, NamedTuple, Protocol, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from factors.losses import Curve, Loss, losses
 from factors.losses.standard import GEMAN_MCCLURE, HUBER
 from fg_orient.adjustment.irls import RULES, find_loss
@@ -38,7 +38,6 @@ from fg_orient.adjustment.robust import A_PRIORI, CONTROL, IMAGE, NONE, Robust, 
 from fg_orient.model.errors import InputError
 from fg_orient.model.options import Options
 
-Array = npt.NDArray[np.float64]
 Scale = tuple[float, float]
 S = TypeVar("S")
 

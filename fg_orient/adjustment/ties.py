@@ -16,14 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array, Index
 from fg_orient.model.errors import InputError
 from fg_orient.model.parameters import ImageParameters
 
 if TYPE_CHECKING:
     from scipy import sparse
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

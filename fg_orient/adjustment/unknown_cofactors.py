@@ -7,11 +7,9 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
+from factors.arrays import Array, Index
 
 
 class UnknownCofactors(Protocol):

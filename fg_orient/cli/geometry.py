@@ -12,7 +12,7 @@ from fg_orient.cli.output import answer, number, say, table, tell, write_records
 from fg_orient.model.errors import Finding, InputError, finding
 
 if TYPE_CHECKING:
-    from fg_orient.model.arrays import Array
+    from factors.arrays import Array
     from fg_orient.model.block import Image, ImagePoints
     from fg_orient.sensors.surface import RasterDem
 
@@ -211,7 +211,7 @@ def _pixel(text: str) -> tuple[float, float]:
 
 def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[list[str], list[Array]]:
     """Ids and numeric columns of a CSV file, the last is ``optional``; InputError lists all faults of the file."""
-    from fg_orient.formats.table_files import read_numbers
+    from fg_orient.formats.tables import read_numbers
 
     layouts = [("id", *names), *([("id", *names, optional)] if optional else [])]
     values, table = read_numbers(path, layouts, ("id",))
@@ -266,8 +266,7 @@ def footprint(
     On the ground at --height or on --dem.
     """
     from fg_orient.formats.atomic import require_free_files, write_text
-    from fg_orient.sensors.footprints import feature_collection
-    from fg_orient.sensors.viewing import View, viewing_records
+    from fg_orient.sensors.viewing import View, feature_collection, viewing_records
 
     if (height is None) == (dem is None):
         code = "cli.no_height" if height is None else "cli.two_heights"

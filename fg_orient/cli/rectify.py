@@ -165,7 +165,7 @@ def ortho(
     overwrite: Overwrite = False,
 ) -> None:
     """Rectify an image on a DEM (or a plane) to a GeoTIFF: by its sensor, adjusted or not, or by points."""
-    from fg_orient.rectification.ortho_job import rectify_image
+    from fg_orient.rectification.ortho import rectify_image
 
     limits = _bounds(bounds) if bounds else None
     if dem is not None and height is not None:

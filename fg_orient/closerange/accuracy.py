@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.closerange.fitting import as_points, plain_rms
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

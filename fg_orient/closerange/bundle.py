@@ -9,16 +9,16 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import bundle_checks as checks
 from fg_orient.closerange.bundle_block import Built, build
 from fg_orient.closerange.bundle_result import BundleResult, result_of, without_rejected
-from fg_orient.closerange.corrections import NAMES
 from fg_orient.closerange.fitting import as_points, require_sigmas
 from fg_orient.closerange.options import COMMON, DEFAULTS
-from fg_orient.closerange.photo import PhotoInterior
+from fg_orient.closerange.photo import NAMES, PhotoInterior
 from fg_orient.model.block import Options
 from fg_orient.model.constraint import Constraint
 from fg_orient.model.declaration import require_declared
@@ -27,8 +27,6 @@ from fg_orient.model.names import Status
 from fg_orient.orientation.orient import adjust
 from fg_orient.orientation.solution import Solution
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 Residual = Literal["image", "condition"]
 
 
@@ -49,7 +47,7 @@ class BundlePhoto:
         Camera parameters of this photo alone (photo-variant): c, x0, y0, the names of
         ``factors.cameras.image_corrections``, a1 to a21 of ``factors.cameras.additional_parameters``, and the names of
         ``factors.cameras.image_variants``, relative to the radius of the camera's outermost image point.
-        ``closerange.corrections`` has sets of them.
+        ``closerange.photo`` has sets of them.
     camera : str
         Photos of one camera have its ``shared`` unknowns in common.
     shared : tuple of str

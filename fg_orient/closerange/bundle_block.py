@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array, Index, Mask
 from factors.cameras.frame_camera import rotated
 from factors.conditions.constraints import ELEMENT, OBSERVED_ELEMENT
 from fg_orient.adjustment.constraint_rows import (
@@ -23,8 +24,7 @@ from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
-from fg_orient.closerange.corrections import CAMERA, NAMES, camera_of
-from fg_orient.closerange.photo import PhotoInterior
+from fg_orient.closerange.photo import CAMERA, NAMES, PhotoInterior, camera_of
 from fg_orient.model.block import (
     Block,
     Coordinates,
@@ -46,8 +46,6 @@ from fg_orient.sensors.frame_unknowns import NAMES as CODES
 if TYPE_CHECKING:
     from fg_orient.closerange.bundle import BundlePhoto
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 Control = Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]]
 
 TURNS: Final = ("turn_x", "turn_y", "turn_z")
@@ -115,7 +113,7 @@ class Built:
         return column if self.problem.ties is None else int(self.problem.ties.of[column])
 
     @property
-    def is_observed(self) -> npt.NDArray[np.bool_]:
+    def is_observed(self) -> Mask:
         """Whether an unknown is observed directly (u,)."""
         points = self.problem.observed[self.problem.active]
         return np.array([*(owner in self.observed for owner in self.owners), *np.repeat(points, 3)], bool)

@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.problem import State
 from fg_orient.closerange.bundle_block import CENTRE, TURNS, Built
 from fg_orient.closerange.fitting import RANK_LIMIT, UNDETERMINED
 from fg_orient.model.errors import InputError, finding
-
-Array = npt.NDArray[np.float64]
 
 #: Elements of a direction above this share of the largest are named.
 NAMED: Final = 0.3

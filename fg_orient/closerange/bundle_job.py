@@ -7,26 +7,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.robust import NONE
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import files, job
 from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
 from fg_orient.closerange.bundle_record import bundle_record
-from fg_orient.closerange.corrections import parameters_of
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.options import BundleOptions
-from fg_orient.closerange.photo import Photo, PhotoInterior
+from fg_orient.closerange.photo import Photo, PhotoInterior, parameters_of
 from fg_orient.closerange.resection import resect
 from fg_orient.formats.closerange import read_photos
-from fg_orient.formats.constraints import read_constraints
+from fg_orient.formats.schema import read_constraints
 from fg_orient.model.constraint import Constraint, foreign_members, place_of
 from fg_orient.model.errors import Finding, InputError, finding
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 #: Called at each stage of the work with its name and the number of image points (0 if unknown).
 Stage = Callable[[str, int], None]
 Known = Mapping[str, tuple[Array, Array]]

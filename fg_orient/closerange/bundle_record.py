@@ -6,15 +6,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.robust import NONE
 from fg_orient.closerange import files, job
 from fg_orient.closerange.accuracy import compare_points
 from fg_orient.closerange.bundle_block import CENTRE, TURNS
 from fg_orient.closerange.bundle_checks import NAMED
 from fg_orient.closerange.bundle_result import Adjustment, BundleResult
-from fg_orient.closerange.corrections import NAMES, camera_of, profile
+from fg_orient.closerange.photo import NAMES, camera_of, profile
 from fg_orient.model.errors import Finding, NoSolutionError, as_record, finding
 from fg_orient.quality.camera import ImageCofactors, inseparable
 from fg_orient.quality.reliability import ALPHA, CHECKABLE, POWER, noncentrality
@@ -23,8 +23,6 @@ from fg_orient.report.tables import correlations
 from fg_orient.result.statistics import search_record
 from fg_orient.result.summary import robust_record
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 Known = Mapping[str, tuple[Array, Array]]
 
 #: Limit of listed correlations; number of listed correlations and of weak directions.

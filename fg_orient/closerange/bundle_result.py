@@ -6,23 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Mask
 from fg_orient.adjustment.constraint_rows import ConstraintObservation, FittedFigure
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.closerange import bundle_checks as checks
 from fg_orient.closerange.bundle_block import CENTRE, POINT, TURNS, Built
-from fg_orient.closerange.corrections import NAMES
 from fg_orient.closerange.fitting import unit_weight
-from fg_orient.closerange.photo import Photo, PhotoInterior
+from fg_orient.closerange.photo import NAMES, Photo, PhotoInterior
 from fg_orient.model.errors import InputError
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality.elimination import control_residuals
 from fg_orient.sensors.frame import opk_of_rotation
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -127,7 +123,7 @@ class BundleResult:
     solution: Solution
 
     @property
-    def rejected(self) -> npt.NDArray[np.bool_]:
+    def rejected(self) -> Mask:
         """Image points (m,) that the search for gross errors left out."""
         return np.asarray(self.weights == 0.0)
 

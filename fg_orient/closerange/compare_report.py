@@ -19,7 +19,7 @@ from fg_orient.closerange.report import PACKAGE, RECORD_FILE, read_record
 from fg_orient.closerange.report_words import significant
 from fg_orient.formats.atomic import write_text
 from fg_orient.formats.faults import did_you_mean
-from fg_orient.formats.table_files import require_table
+from fg_orient.formats.tables import require_table
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.digits import MEANING, agreement, last_digit
 from fg_orient.model.errors import InputError

@@ -24,6 +24,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from factors.cameras.dlt import DLT, N_DISTORTION, RECORD
 from factors.cameras.image_corrections import NAMES
 from fg_orient.closerange import fitting
@@ -31,8 +32,6 @@ from fg_orient.closerange.photo import Photo, YAxis, corrections_of
 from fg_orient.model.distributions import normal_quantile, t_quantile
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.rectification.transformation import Scaling
-
-Array = npt.NDArray[np.float64]
 
 #: Distortion that a DLT may have, in order.
 DISTORTION: Final = NAMES[:N_DISTORTION]

@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Index, Mask
 from factors.cameras.image_corrections import NAMES
 from fg_orient.closerange.photo import Photo, PhotoInterior, rotation_from_aerial
-from fg_orient.formats.table_files import require_table
-from fg_orient.formats.tables import Table
+from fg_orient.formats.tables import Table, require_table
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import LARGEST, SMALLEST
@@ -27,9 +26,6 @@ from fg_orient.rpc.points import checks
 
 if TYPE_CHECKING:
     from fg_orient.formats.closerange import PhotoEntry, Photos
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 IMAGE: Final = ("x", "y")
 GROUND: Final = ("x_m", "y_m", "z_m")
@@ -64,7 +60,7 @@ class Observed:
     image: Array
     ground: Array
     sigma: Array | None
-    check: npt.NDArray[np.bool_]
+    check: Mask
     sha256: str
 
     def __len__(self) -> int:

@@ -17,13 +17,13 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.dense import DenseRows, RowsBackend
 from fg_orient.adjustment.dense import equation_rows as equation_rows
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.model.names import LARGEST, SMALLEST
 
-Array = npt.NDArray[np.float64]
 Rows = DenseRows
 
 MAX_ITERATIONS: Final = 100

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.closerange.files import photo_text
 from fg_orient.closerange.job import rows
 from fg_orient.closerange.photo import Photo, PhotoInterior
@@ -24,12 +24,11 @@ from fg_orient.formats.exchange.photomodeler import read_centres, read_control
 from fg_orient.formats.frame_model import FrameModel
 from fg_orient.formats.registry import Settings, format_named
 from fg_orient.model.errors import InputError, as_record, finding
-from fg_orient.rectification.folder import write_rows
+from fg_orient.rectification.record import write_rows
 from fg_orient.result.plain import plain
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL
 from fg_orient.sensors.interior import Interior as FrameInterior
 
-Array = npt.NDArray[np.float64]
 Record = dict[str, Any]
 
 CONTENTS: Final = Contents("photos.toml", ("photos.toml", "image.csv", "control.csv", "start.csv", "stations.csv"))

@@ -9,12 +9,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array, Index, Mask
 from fg_orient.closerange.fitting import UNDETERMINED, as_points, require_sigmas, unit_weight
 from fg_orient.closerange.photo import Photo
 from fg_orient.model.errors import InputError, NoSolutionError
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 _ITERATIONS: Final = 50
 #: Largest step, relative to the coordinates, that ends the iteration.
@@ -120,7 +118,7 @@ def intersect_photos(
     return Intersection(points + origin, cofactors, residuals, m0, redundancy, iterations)
 
 
-def _refuse(bad: npt.NDArray[np.bool_], names: Sequence[str], code: str = "closerange.parallel_rays") -> None:
+def _refuse(bad: Mask, names: Sequence[str], code: str = "closerange.parallel_rays") -> None:
     """InputError that names the first of the bad points (n,)."""
     if bad.any():
         raise InputError.of(code, place=f"point {names[int(np.argmax(bad))]}", value=f"{bad.sum()} point(s)")

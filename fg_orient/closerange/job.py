@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import files
 from fg_orient.closerange.dlt import RECOVERED, fit_dlt
@@ -28,11 +28,10 @@ from fg_orient.formats.atomic import Contents, require_free, require_free_files,
 from fg_orient.formats.closerange import read_photos
 from fg_orient.model.errors import Finding, InputError, as_record, finding
 from fg_orient.model.installation import versions
-from fg_orient.rectification.folder import write_rows
+from fg_orient.rectification.record import write_rows
 from fg_orient.result.plain import dumps, of_axes, plain
 from fg_orient.result.provenance import sha256_of
 
-Array = npt.NDArray[np.float64]
 Record = dict[str, Any]
 T = TypeVar("T")
 

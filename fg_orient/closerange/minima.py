@@ -17,15 +17,13 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.dense import RowsBackend
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.closerange.fitting import MAX_ITERATIONS, UNDETERMINED, Rows, finite_rows
 from fg_orient.model.distributions import chi_square_limit, f_quantile
 from fg_orient.model.errors import NoSolutionError
-
-Array = npt.NDArray[np.float64]
 
 #: Level of the test that distinguishes two minima.
 RIVAL_LEVEL: Final = 0.05

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import evaluate
+from factors.arrays import Array
 from factors.cameras.frame_camera import CAMERA, rotated
 from factors.conditions.coplanarity import COPLANARITY, turn_and_base
 from factors.conditions.coplanarity import RECORD as PAIR
@@ -23,8 +24,6 @@ from fg_orient.model.distributions import chi_square_limit, f_quantile
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.rectification.transformation import Scaling
 from fg_orient.sensors.initial import nearest_points
-
-Array = npt.NDArray[np.float64]
 
 LEAST_RELATIVE: Final = 6
 LEAST_EIGHT_POINT: Final = 8

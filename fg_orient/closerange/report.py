@@ -7,22 +7,196 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from fg_orient.closerange import report_plots as plots
+from factors.arrays import Array
 from fg_orient.closerange.report_maps import columns, deviation_views, distance_histogram, scene_of, views_of
 from fg_orient.closerange.report_words import KINDS, photo_rows, problems, significant, suspects, unit_of, verdict
 from fg_orient.formats.atomic import write_text
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Progress
 from fg_orient.report import figures
+from fg_orient.report.chart import Axis, Chart, broad, cut, round_down
 from fg_orient.report.page import environment
-from fg_orient.report.plots import heat_map, iteration_charts, redundancy_chart
+from fg_orient.report.plots import (
+    ENDS,
+    heat_map,
+    histogram,
+    iteration_charts,
+    quantiles,
+    redundancy_chart,
+    thinned,
+    vectors,
+)
+from fg_orient.report.words import printable
+
+Charts = Sequence[Chart | None]
+
+#: Number of photos and cameras on a page; number of photos on paper, those with the most image points.
+MAX_PHOTOS: Final = 16
+FEW_PHOTOS: Final = 6
+#: Vectors of one photo.
+MAX_VECTORS: Final = 400
+#: A direction below this singular value is refused as not determined, in units of one image point.
+REFUSED: Final = 1e-3
+
+
+def by_photo(record: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    """Image points with residuals by photo, in the order of the photos."""
+    out: dict[str, list[dict[str, Any]]] = {}
+    for row in record.get("residuals") or photo_rows(record):
+        out.setdefault(row["photo"], []).append(row)
+    return out
+
+
+def residual_rows(record: dict[str, Any]) -> list[dict[str, Any]]:
+    """Figures of each photo: number of points, RMS of x and y, largest residual and its point."""
+    out = []
+    for name, rows in by_photo(record).items():
+        v, w = columns(rows, "residual_x", "residual_y"), columns(rows, "w_x", "w_y")
+        worst, (rms_x, rms_y) = int(np.argmax(np.abs(v).max(axis=1))), np.sqrt(np.mean(v**2, axis=0)).tolist()
+        out.append({
+            "photo": name, "n": len(rows), "rms_x": rms_x, "rms_y": rms_y, "largest": float(np.abs(v).max()),
+            "worst": rows[worst]["id"], "w": float(np.nanmax(np.abs(w))) if np.isfinite(w).any() else None,
+        })  # fmt: skip
+    return out
+
+
+def residual_panels(record: dict[str, Any]) -> list[dict[str, Any]]:
+    """Charts of the photos with the largest residuals: ``photo``, ``drawings``, ``words``."""
+    photos, rows = by_photo(record), residual_rows(record)
+    worst = {row["photo"] for row in sorted(rows, key=lambda row: -row["largest"])[:MAX_PHOTOS]}
+    down = y_down(record)
+    out = []
+    for name, points in photos.items():
+        if name not in worst:
+            continue
+        drawings: list[Chart | None] = [photo_vectors(name, points, down.get(name, False))]
+        ratio = columns(points, "w_x", "w_y")
+        if np.isfinite(ratio).any():
+            drawings += [chart(ratio, printable(name), True, ("x", "y")) for chart in (histogram, quantiles)]
+        beyond = int((np.abs(ratio) > ENDS).sum())
+        out.append({"photo": name, "drawings": drawings, "words": f"{beyond} beyond ±{ENDS:g} σ" if beyond else ""})
+    return out
+
+
+def y_down(record: dict[str, Any]) -> dict[str, bool]:
+    """Whether y points down in each photo."""
+    cameras = {p["photo"]: p.get("camera") or p.get("interior") or {} for p in record.get("photos", [])}
+    return {name: camera.get("y_axis") == "down" for name, camera in cameras.items()}
+
+
+def photo_vectors(name: str, rows: list[dict[str, Any]], down: bool) -> Chart:
+    """Residual vectors in a photo with one scale along both axes.
+
+    Parameters
+    ----------
+    name : str
+        Of the photo.
+    rows : list of dict
+        Its image points.
+    down : bool
+        The y axis of the image points down.
+    """
+    place, v = columns(rows, "x", "y"), columns(rows, "residual_x", "residual_y")
+    drawn = thinned(np.arange(len(rows)), v, MAX_VECTORS)
+    low, high = place.min(axis=0), place.max(axis=0)
+    room = np.array(Chart("").inner)
+    half = 0.56 * room * float(np.maximum((high - low) / room, 1e-12).max())
+    limits = np.stack([0.5 * (low + high) - half, 0.5 * (low + high) + half], axis=1)
+    words = f"residual vectors of photo {printable(name)}"
+    chart = vectors(words, place[drawn], v[drawn], limits, ("x", "y"), reference=v, down=down)
+    chart.title = cut(name or "photo")
+    return chart
+
+
+def distortions(record: dict[str, Any]) -> list[dict[str, Any]]:
+    """Curves of the cameras: ``photos``, ``determined``, ``drawing``, and ``edge``, the values at the rim."""
+    out = []
+    for one in record.get("distortion", [])[:MAX_PHOTOS]:
+        names = ", ".join(one["photos"][:4]) + (", ..." if len(one["photos"]) > 4 else "")
+        edge = {name: one[name][-1] for name in ("radius", "radial", "sigma", "across")}
+        out.append({"photos": names, "n": len(one["photos"]), "determined": one["determined"],
+                    "drawing": distortion(one, names), "edge": edge})  # fmt: skip
+    return out
+
+
+def band_factor(radial: Array, sigma: Array) -> float:
+    """Factor by which a band is enlarged to be visible along the curve; 1 if it is visible without."""
+    reach, widest = float(np.abs(radial).max()), float(sigma.max())
+    return round_down(0.08 * reach / widest) if 0.0 < widest < 0.04 * reach else 1.0
+
+
+def distortion(one: dict[str, Any], names: str) -> Chart:
+    """Radial correction over the radius with a band of one standard deviation, enlarged where it would not be seen."""
+    radius, radial, sigma, across = (np.array(one[k]) for k in ("radius", "radial", "sigma", "across"))
+    times = band_factor(radial, sigma)
+    low, high = radial - times * sigma, radial + times * sigma
+    ends = min(float(low.min()), 0.0), max(float(high.max()), float(across.max()), 0.0)
+    margin = 0.06 * max(ends[1] - ends[0], 1e-12)
+    chart = broad(
+        f"distortion of {printable(names)}: radial correction over the radius",
+        Axis("radius from the principal point, image units", (0.0, float(radius[-1])), about=6),
+        Axis("correction, image units", (ends[0] - margin, ends[1] + margin)), 300.0, left=74.0, title=cut(names),
+        legend="top" if radial[-1] > 0.0 else "bottom",
+    )  # fmt: skip
+    chart.across("zero", 0.0)
+    if sigma.any():
+        words = f"± {times:g} σ" if times > 1.0 else "± σ"
+        chart.add("area", "band", np.append(radius, radius[::-1]), np.append(high, low[::-1]), label=words)
+    chart.add("line", "curve", radius, radial, label="radial, mean of all directions")
+    if across.any():
+        chart.add("line", "across", radius, across, label="across the radius, largest")
+    return chart
+
+
+def directions_chart(record: dict[str, Any]) -> Chart | None:
+    """Singular values of the orientation, weakest first, with the limit of refused directions."""
+    values = np.array(record.get("directions", {}).get("singular_values", []), float)
+    values = values[np.isfinite(values) & (values > 0.0)]
+    if not len(values):
+        return None
+    low = 10.0 ** (min(math.floor(math.log10(values.min())), -3) - 0.2)
+    high = 10.0 ** (max(math.ceil(math.log10(values.max())), 0) + 0.2)
+    chart = broad(
+        "singular values of the orientation, weakest first",
+        Axis("direction, weakest first", (1.0, float(max(len(values), 2))), about=8, whole=True),
+        Axis(f"singular value, refused below {REFUSED:g}", (low, high), log=True), 260.0,
+    )  # fmt: skip
+    chart.across("limit", REFUSED)
+    chart.add("dots", "line-dot", np.arange(1, len(values) + 1), values)
+    return chart
+
+
+# --- figures for papers ----------------------------------------------------------------------------
+
+
+def _views(record: dict[str, Any], *, of_surface: bool) -> Charts:
+    if (record["kind"] == "surface") != of_surface:
+        return []
+    return [chart for _, chart in (deviation_views(record) if of_surface else views_of(scene_of(record)))][:2]
+
+
+def _photos(record: dict[str, Any]) -> Charts:
+    photos = sorted(by_photo(record).items(), key=lambda item: -len(item[1]))[:FEW_PHOTOS]
+    return [photo_vectors(name, rows, y_down(record).get(name, False)) for name, rows in photos]
+
+
+PLOTS: Final[dict[str, tuple[Callable[[dict[str, Any]], Charts], str]]] = {
+    "map": (partial(_views, of_surface=False),
+            "points (triangles: control, circles: check, dots: new) with ellipses of one standard deviation, and "
+            "camera stations (squares); the bars are the scales of the object and of the errors."),
+    "residuals": (_photos, "image residuals, computed minus measured; the bar above each photo is their scale."),
+    "distortion": (lambda record: [one["drawing"] for one in distortions(record)[:FEW_PHOTOS]],
+                   "corrections along the radius with the band of their standard deviations, and the largest across."),
+    "deviations": (partial(_views, of_surface=True), "normal distances of the points from the surface."),
+}  # fmt: skip
+
 
 #: Record that makes a folder one of close range, and the page in it.
 RECORD_FILE: Final = "closerange.json"
@@ -66,9 +240,9 @@ def write_figures(
     record = _used(read_record(Path(folder)))
 
     def captions(drawn: Collection[str]) -> str:
-        return "\n".join(["# Figures", "", *(f"- `{name}`: {plots.PLOTS[name][1]}" for name in drawn), ""])
+        return "\n".join(["# Figures", "", *(f"- `{name}`: {PLOTS[name][1]}" for name in drawn), ""])
 
-    charts = {name: partial(draw, record) for name, (draw, _) in plots.PLOTS.items()}
+    charts = {name: partial(draw, record) for name, (draw, _) in PLOTS.items()}
     return figures.draw_figures(
         charts, captions, out or Path(folder) / figures.FOLDER, overwrite=overwrite, progress=progress
     )
@@ -98,9 +272,9 @@ def render(record: dict[str, Any]) -> str:
         views=deviation_views(record) if is_surface else views_of(scene_of(record)),
         histogram=distance_histogram(record) if is_surface else None,
         deviations=sorted(points, key=lambda p: -abs(p["distance_m"])) if is_surface else [],
-        residuals=plots.residual_rows(record), panels=plots.residual_panels(record), max_photos=plots.MAX_PHOTOS,
-        worst=_worst(record), curves=plots.distortions(record), heat=_heat(record),
-        directions=plots.directions_chart(record),
+        residuals=residual_rows(record), panels=residual_panels(record), max_photos=MAX_PHOTOS,
+        worst=_worst(record), curves=distortions(record), heat=_heat(record),
+        directions=directions_chart(record),
         history=iteration_charts(record["history"], "m, rad or camera steps"),
         redundancy=redundancy_chart(columns(record["residuals"], "redundancy_x", "redundancy_y"), ("x", "y")),
     )  # fmt: skip
@@ -146,7 +320,7 @@ def _worst(record: dict[str, Any]) -> list[dict[str, Any]]:
 def _heat(record: dict[str, Any]) -> list[dict[str, Any]]:
     """Correlations of the unknowns of each photo and camera as triangles."""
     out = []
-    for part in record.get("correlations", {}).get("parts", [])[: plots.MAX_PHOTOS]:
+    for part in record.get("correlations", {}).get("parts", [])[:MAX_PHOTOS]:
         n = len(part["names"])
         rho = np.full((n, n), np.nan)
         for i, row in enumerate(part["triangle"]):

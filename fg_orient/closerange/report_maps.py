@@ -10,13 +10,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Index
 from fg_orient.closerange.report_words import length, photo_rows, round_length
 from fg_orient.report.chart import Axis, Chart, broad, large, mapped, round_down, thousands
 from fg_orient.report.words import printable
-
-Array = npt.NDArray[np.float64]
 
 TALLEST: Final = 480.0
 MARGIN: Final = 40.0
@@ -159,7 +157,7 @@ def _frame(words: str, places: Array, across: int, up: int) -> Chart:
     return chart
 
 
-def _thinned(scene: Scene) -> npt.NDArray[np.intp]:
+def _thinned(scene: Scene) -> Index:
     """Rows that are drawn: all control and check points, new ones as many as fit."""
     new = np.array([role == "new" for role in scene.roles])
     rows, others = np.flatnonzero(new), np.flatnonzero(~new)

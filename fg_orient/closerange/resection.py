@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from factors.cameras.frame import FRAME_COLLINEARITY, RECORD, camera
 from factors.cameras.frame_camera import CAMERA
 from fg_orient.closerange import fitting
@@ -19,7 +20,6 @@ from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.model.errors import FgOrientError, Finding, InputError, NoSolutionError, finding
 from fg_orient.rectification.transformation import Scaling
 
-Array = npt.NDArray[np.float64]
 Pose = tuple[Array, Array]
 
 LEAST: Final = 4

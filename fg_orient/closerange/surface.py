@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Equation, evaluate
+from factors.arrays import Array, Mask
 from factors.cameras.frame_camera import CAMERA
 from factors.conditions import surfaces
 from factors.conditions.surfaces import RECORD
 from fg_orient.closerange.fitting import Conditions, as_points, foot_points
 from fg_orient.model.errors import InputError
 
-Array = npt.NDArray[np.float64]
 Kind = Literal["sphere", "spheroid", "ellipsoid", "quadric"]
 
 KINDS: Final[tuple[Kind, ...]] = ("sphere", "spheroid", "ellipsoid", "quadric")
@@ -181,7 +181,7 @@ class SurfaceModel:
     setup: Array
     names: tuple[str, ...]
     start: Array
-    is_length: npt.NDArray[np.bool_]
+    is_length: Mask
 
     def derivatives(self, x: Array, points: Array, *, with_jacobians: bool = True) -> tuple[Array, Array, Array]:
         """Value (n,), derivatives with respect to the unknowns (n, u) and to the points (n, 3)."""

@@ -16,13 +16,13 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.closerange import fitting
 from fg_orient.closerange.minima import followed, held, reach
 from fg_orient.closerange.surface import Kind, Surface, SurfaceModel, models_of
 from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
 from fg_orient.model.names import LARGEST, SMALLEST
 
-Array = npt.NDArray[np.float64]
 Method = Literal["geometric", "algebraic"]
 #: Names with prior values and sigmas, m.
 Priors = Mapping[str, tuple[float, float]]

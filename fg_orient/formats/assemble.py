@@ -11,10 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.formats.observations import ObservationFile
-from fg_orient.formats.points import PointFile, take_points
+from factors.arrays import Index
+from fg_orient.formats.points import ObservationFile, PointFile, take_points
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
-from fg_orient.model.block import GroundPoints, Image, ImagePoints, Index, WithheldCoordinates
+from fg_orient.model.block import GroundPoints, Image, ImagePoints, WithheldCoordinates
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 

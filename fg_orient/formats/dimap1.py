@@ -29,15 +29,13 @@ be wrong by 64 to 722 m. With this table, Scene_Center is met as well as the cor
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.formats import dimap_checks as checks
 from fg_orient.formats.dimap_checks import DIMAP_FIRST_PIXEL
 from fg_orient.formats.xml import PURE, RADIANS, RADIANS_PER_SECOND, SECONDS, Quantity, XmlNode
 from fg_orient.model.errors import Finding, OutOfTimeRange, finding
 from fg_orient.sensors.metadata import AngleAttitude, LineTiming, LookAngleTable, PushbroomMetadata
-
-Array = npt.NDArray[np.float64]
 
 PROFILES = ("SPOTSCENE_1A", "SPOTSEGMENT_1A")
 #: Roll, pitch, yaw of the records = these signs times the values of the file.

@@ -19,8 +19,8 @@ import math
 import re
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from factors.geometry.interpolation import sign_aligned
 from fg_orient.formats import dimap_checks as checks
 from fg_orient.formats.dimap_checks import DIMAP_FIRST_PIXEL
@@ -33,8 +33,6 @@ from fg_orient.sensors.metadata import (
     QuaternionList,
     QuaternionPolynomial,
 )
-
-Array = npt.NDArray[np.float64]
 
 #: Profiles that can be read, and the mission if the file names none.
 PROFILES = {"PHR_SENSOR": "PHR", "S6_SENSOR": "SPOT 6", "S7_SENSOR": "SPOT 7"}

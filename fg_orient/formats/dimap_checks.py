@@ -13,13 +13,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.formats.xml import DEGREES, METRES, METRES_PER_SECOND, Quantity, XmlNode
 from fg_orient.model.errors import Finding, finding
 from fg_orient.sensors.metadata import Ephemeris, FramePoint, LineTiming, PushbroomMetadata
-
-Array = npt.NDArray[np.float64]
 
 MIN_EPHEMERIS_POINTS = 4
 RADIUS_M = (6.5e6, 8.0e6)

@@ -14,17 +14,15 @@ from decimal import Decimal
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from lxml import etree
 
+from factors.arrays import Array
 from fg_orient.formats.atomic import write_text
 from fg_orient.formats.dimap1 import ATTITUDE_SIGN, FRAME_HEIGHT_M
 from fg_orient.formats.dimap_checks import DIMAP_FIRST_PIXEL
 from fg_orient.formats.xml import element
 from fg_orient.model.errors import FgOrientError, InputError
 from fg_orient.sensors.metadata import AngleAttitude, FramePoint, LookAngleTable, PushbroomMetadata
-
-Array = npt.NDArray[np.float64]
 
 _HEAD: Final = '<?xml version="1.0" encoding="UTF-8"?>\n'
 PRODUCER: Final = "fg_orient simulator"

@@ -11,11 +11,9 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.model.errors import Finding, InputError, finding
-
-Array = npt.NDArray[np.float64]
 
 #: Faults listed per file; the rest is counted.
 MAX_FAULTS: Final = 20

@@ -13,13 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Index
 from fg_orient.formats.exchange.convert import filled, read_survey
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.faults import Faults, did_you_mean, sigma_remarks
-from fg_orient.formats.observations import PLAUSIBLE_SIGMA_PX, ObservationFile
-from fg_orient.formats.points import PointFile, point_file
+from fg_orient.formats.points import PLAUSIBLE_SIGMA_PX, ObservationFile, PointFile, point_file
 from fg_orient.formats.registry import Holds, Settings, format_named
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.block import Coordinates, GroundPoints, ImagePoints
@@ -125,7 +124,7 @@ def read_foreign_observations(
     """Read image points of known ground points; other points of the file become tie points.
 
     None, with the faults noted, if anything is wrong; parameters as in
-    :func:`fg_orient.formats.observations.read_observations`.
+    :func:`fg_orient.formats.points.read_observations`.
     """
     survey = table.read(faults)
     if survey is None or sizes is None or points is None:
@@ -145,9 +144,7 @@ def read_foreign_observations(
     return ObservationFile(table.path, sha256_of(*table.absolute), measured, remarks), points
 
 
-def _images(
-    survey: Survey, known: list[str], entry: PointsEntry | ObservationsEntry, faults: Faults
-) -> npt.NDArray[np.intp]:
+def _images(survey: Survey, known: list[str], entry: PointsEntry | ObservationsEntry, faults: Faults) -> Index:
     """Position of each image of the file in the project: by ``images``, by its name, or by its name without suffix."""
     renamed = getattr(entry, "images", {})
     out = np.zeros(len(survey.images), np.intp)
@@ -164,7 +161,7 @@ def _images(
 
 
 def _check_pixels(
-    survey: Survey, image: npt.NDArray[np.intp], sizes: list[tuple[str, tuple[int, int] | None]], faults: Faults
+    survey: Survey, image: Index, sizes: list[tuple[str, tuple[int, int] | None]], faults: Faults
 ) -> None:
     """Note image points outside their image, or without a standard deviation."""
     o = survey.observed

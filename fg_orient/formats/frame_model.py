@@ -14,8 +14,8 @@ from itertools import compress
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Index, Mask
 from factors.cameras.frame_camera import CAMERA
 from fg_orient.kernels.batch import batch
 from fg_orient.model.block import (
@@ -33,9 +33,6 @@ from fg_orient.model.names import Role
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameCamera, FrameSensor
 from fg_orient.sensors.frame_unknowns import FURTHER, NAMES, UNKNOWNS
 from fg_orient.sensors.interior import Interior
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Default unknowns of an image in the adjustment of such a model.
 EXTERIOR: Final = UNKNOWNS[:6]
@@ -206,7 +203,7 @@ def _further(camera: FrameCamera, correction: Array) -> dict[str, float]:
     return {name: value for name, value in values.items() if value != 0.0}
 
 
-def _in_one_image(image: Index, point: Index, n_points: int) -> npt.NDArray[np.bool_]:
+def _in_one_image(image: Index, point: Index, n_points: int) -> Mask:
     """Points (n_points,) that are measured, but in one image only."""
     some, several = (np.zeros(n_points, bool) for _ in range(2))
     any_image = np.zeros(n_points, np.intp)

@@ -6,17 +6,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
-from fg_orient.formats.table_files import read_numbers
+from factors.arrays import Array
+from fg_orient.formats.tables import read_numbers
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind, to_ecef
 from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitude
 
 if TYPE_CHECKING:
     from fg_orient.formats.schema import NavigationEntry
-
-Array = npt.NDArray[np.float64]
 
 POSITION_SIGMAS: Final = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
 ANGLES: Final = ("roll_deg", "pitch_deg", "heading_deg")

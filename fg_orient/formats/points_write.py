@@ -11,11 +11,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Mask
 from fg_orient.formats.atomic import write_lines
-from fg_orient.formats.observations import COLUMNS
-from fg_orient.formats.point_table import FIXED, SIGMA_COLUMNS
+from fg_orient.formats.points import COLUMNS, FIXED, SIGMA_COLUMNS
 from fg_orient.formats.toml import entries
 from fg_orient.geodesy import COORDINATE_COLUMNS, Kind
 from fg_orient.model.block import Options
@@ -23,8 +22,6 @@ from fg_orient.model.declaration import declared
 from fg_orient.model.names import Role
 
 __all__ = ["write_observations", "write_points", "write_project"]
-
-Array = npt.NDArray[np.float64]
 
 
 def write_points(
@@ -35,7 +32,7 @@ def write_points(
     sigma_enu_m: Array,
     *,
     kind: Kind = "geographic",
-    fixed: npt.NDArray[np.bool_] | None = None,
+    fixed: Mask | None = None,
     comments: Sequence[str] = (),
 ) -> None:
     """Write a table of ground points.

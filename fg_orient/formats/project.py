@@ -9,16 +9,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from fg_orient.formats.assemble import assemble, geometry_remarks
-from fg_orient.formats.constraints import constraints_of
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.foreign import Table, read_foreign_observations, read_foreign_points
-from fg_orient.formats.observations import ObservationFile, read_observations
-from fg_orient.formats.points import LOSES_IDS, PointFile, read_points
+from fg_orient.formats.points import LOSES_IDS, ObservationFile, PointFile, read_observations, read_points
 from fg_orient.formats.registry import format_named
 from fg_orient.formats.scenes import Scene
+from fg_orient.formats.schema import ProjectFile, constraints_of, validate
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.formats.toml import parse_toml
 from fg_orient.geodesy import crs_kind
@@ -29,9 +28,6 @@ from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 from fg_orient.model.options import Reading
 from fg_orient.model.parameters import chosen_datum, eop_set_number
-
-if TYPE_CHECKING:
-    from fg_orient.formats.schema import ProjectFile
 
 #: Format of our own tables.
 OWN: Final = "csv"
@@ -190,8 +186,6 @@ def _navigated(block: Block, project: ProjectFile, folder: Path, file: str) -> B
 
 
 def _read_toml(path: Path, overrides: Mapping[str, object]) -> ProjectFile:
-    from fg_orient.formats.schema import ProjectFile, validate
-
     require_declared(overrides, "read_project", Options, Reading)
     content = parse_toml(path)
     for name, value in overrides.items():

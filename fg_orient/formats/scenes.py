@@ -16,12 +16,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array, Mask
 from fg_orient.formats.faults import Faults
 from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind, geodetic_to_ecef, to_ecef
 from fg_orient.model.errors import InputError
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 #: Largest distance of a plausible ground point from the image centre, in diagonals of the footprint.
 REACH: Final = 1.5

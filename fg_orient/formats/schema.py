@@ -1,4 +1,4 @@
-"""Contents of the project file as pydantic models.
+"""Contents of the project file and of files of constraints as pydantic models.
 
 Unknown keys, wrong types, nan and infinity are refused, all in one error. The ``description`` of a field is the
 expected value in its messages. Entries of options are made from their declaration (``fg_orient.model.options``).
@@ -6,6 +6,8 @@ expected value in its messages. Entries of options are made from their declarati
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
@@ -16,6 +18,7 @@ from pydantic.fields import FieldInfo
 from fg_orient.formats.faults import did_you_mean
 from fg_orient.formats.toml import parse_toml
 from fg_orient.model import declaration as option_types
+from fg_orient.model.constraint import Constraint, place_of
 from fg_orient.model.declaration import Option, declared, toml
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import LARGEST, SMALLEST
@@ -238,3 +241,45 @@ def _table_of(field: FieldInfo | None) -> type[BaseModel] | None:
         if isinstance(candidate, type) and issubclass(candidate, BaseModel):
             return candidate
     return None
+
+
+# --- files of constraints ---------------------------------------------------------------------------
+
+
+class ConstraintFile(Table):
+    """A whole file of constraints."""
+
+    constraints: tuple[ConstraintEntry, ...] = Field(min_length=1, description="at least one [[constraints]] table")
+
+
+def read_constraints(path: Path) -> tuple[Constraint, ...]:
+    """Read a file of constraints.
+
+    Raises
+    ------
+    InputError
+        All faults of the file.
+    """
+    stated, faults = constraints_of(read_toml(path, ConstraintFile).constraints, str(path))
+    if faults:
+        raise InputError(*faults)
+    return stated
+
+
+def constraints_of(
+    entries: Sequence[ConstraintEntry], file: str, surplus: int = 0
+) -> tuple[tuple[Constraint, ...], list[Finding]]:
+    """Constraints of a file, and faults with the number of their entry.
+
+    ``surplus``: smallest number of residuals of a figure beyond its unknowns.
+    """
+    stated, faults = list[Constraint](), list[Finding]()
+    for k, e in enumerate(entries):
+        turn = np.eye(3) if e.offset is None else np.array(e.offset)
+        try:
+            one = Constraint(e.kind, e.members, e.value_m, e.sigma, e.observed, e.axis, turn)
+            one.require_surplus(surplus)
+            stated.append(one)
+        except InputError as error:
+            faults += [replace(p, file=file, place=f"{place_of(k)}, {p.place}") for p in error.problems]
+    return tuple(stated), faults

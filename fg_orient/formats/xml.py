@@ -19,14 +19,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from lxml import etree
 
+from factors.arrays import Array
 from fg_orient.formats.registry import read_bytes
 from fg_orient.formats.tables import DECIMAL_COMMA, NUMBER, finite
 from fg_orient.model.errors import InputError, finding
-
-Array = npt.NDArray[np.float64]
 
 #: No quantity of a metadata file is larger; beyond it squares overflow.
 LARGEST = 1e30

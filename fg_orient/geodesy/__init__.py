@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.model.errors import InputError, finding
 
 if TYPE_CHECKING:
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["ecef_to_geodetic", "enu_from_ecef", "from_geographic", "geodetic_to_ecef", "to_ecef", "to_geographic"]
 
-Array = npt.NDArray[np.float64]
 Kind = Literal["geographic", "projected", "geocentric"]
 
 ECEF: Final = "EPSG:4978"

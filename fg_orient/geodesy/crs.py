@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.geodesy import (
     Operation,
     crs_kind,
@@ -28,7 +29,6 @@ from fg_orient.geodesy import (
 if TYPE_CHECKING:
     from pyproj import CRS
 
-Array = npt.NDArray[np.float64]
 
 #: WGS84 longitude, latitude, ellipsoidal height.
 WGS84: Final = "EPSG:4979"

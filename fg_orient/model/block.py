@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array, Index, Mask
 from fg_orient.model.errors import Finding
 from fg_orient.model.names import Role
 from fg_orient.model.options import Options as Options
@@ -21,9 +22,6 @@ from fg_orient.model.options import Options as Options
 if TYPE_CHECKING:
     from factors._contract import Equation
     from fg_orient.sensors.base import Sensor
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 def _read_only(record: object, **kinds: type) -> None:
@@ -59,7 +57,7 @@ class Coordinates:
 
     ecef_m: Array
     sigma_enu_m: Array
-    fixed: npt.NDArray[np.bool_]
+    fixed: Mask
 
     def __post_init__(self) -> None:
         _read_only(self, ecef_m=np.float64, sigma_enu_m=np.float64, fixed=np.bool_)
@@ -88,7 +86,7 @@ class GroundPoints:
         """Indices of the points with this role."""
         return np.flatnonzero([r is role for r in self.roles])
 
-    def without_coordinates(self, gone: npt.NDArray[np.bool_], role: Role) -> GroundPoints:
+    def without_coordinates(self, gone: Mask, role: Role) -> GroundPoints:
         """Remove the coordinates of the points ``gone`` (n,), which get this role."""
         known, roles = self.known, tuple(role if away else r for away, r in zip(gone, self.roles, strict=True))
         ecef_m, sigma_m = (np.where(gone[:, None], np.nan, values) for values in (known.ecef_m, known.sigma_enu_m))
@@ -138,7 +136,7 @@ class ImagePoints:
     def __len__(self) -> int:
         return len(self.line)
 
-    def take(self, rows: npt.NDArray[np.bool_] | Index) -> ImagePoints:
+    def take(self, rows: Mask | Index) -> ImagePoints:
         """Give the selected rows."""
         return ImagePoints(
             self.image[rows], self.point[rows], self.line[rows],

@@ -7,12 +7,10 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import LARGEST, SMALLEST
-
-Array = npt.NDArray[np.float64]
 
 #: Kinds with their smallest number of members; kinds between photos are last.
 LEAST: Final = {

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-Array = npt.NDArray[np.float64]
+from factors.arrays import Array
 
 
 def _of_arrays(function: Callable[..., Any]) -> Callable[..., Array]:

@@ -14,15 +14,13 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Mask
 from fg_orient.model.block import Block, Image, Options
 from fg_orient.model.declaration import require_declared
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import ATTITUDE, COMPONENTS, EOP_SETS, POSITION, VELOCITY
 from fg_orient.model.options import Datum
-
-Array = npt.NDArray[np.float64]
 
 UNITS = ("m", "m", "m", "m/s", "m/s", "m/s", "rad", "rad", "rad")
 N_EOP = 27
@@ -153,11 +151,11 @@ class ImageParameters:
         return len(self.codes)
 
     @cached_property
-    def own(self) -> npt.NDArray[np.bool_]:
+    def own(self) -> Mask:
         """Unknowns (k,) that no other image shares."""
         return np.array([not name for name in self.shared or ("",) * len(self)], dtype=bool)
 
-    def take(self, which: npt.NDArray[np.bool_]) -> ImageParameters:
+    def take(self, which: Mask) -> ImageParameters:
         """Some of the unknowns (k,)."""
         at = np.flatnonzero(which).tolist()
 

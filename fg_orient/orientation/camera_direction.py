@@ -14,9 +14,9 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from factors._preparation import working_clock
+from factors.arrays import Array
 from factors.conditions.constraints import ELEMENT, OBSERVED_ELEMENT
 from factors.conditions.navigation import ANTENNA_POSITION, INERTIAL_ATTITUDE
 from fg_orient.adjustment.cofactors import full_statistics
@@ -28,8 +28,6 @@ from fg_orient.model.names import Status
 from fg_orient.orientation.solution import Solution
 from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL, FrameCamera, FrameSensor
 from fg_orient.sensors.frame_unknowns import FURTHER, NAMES
-
-Array = npt.NDArray[np.float64]
 
 #: Level of the tests.
 LEVEL: Final = 0.001

@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from factors._preparation import working_clock
+from factors.arrays import Array, Index
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.resection import LocatedPoints, locate_points
 from fg_orient.adjustment.robust import are_information, weighted_problem
@@ -26,9 +26,6 @@ from fg_orient.quality.covariance import Indeterminate, cofactors_of
 from fg_orient.quality.free_network import FreeNetwork
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.sensors import initial
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 def conclude(

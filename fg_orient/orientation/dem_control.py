@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Index
 from factors.conditions.control import HEIGHT, HEIGHT_CONTROL
 from factors.geometry import ellipsoid
 from fg_orient.geodesy import enu_from_ecef
@@ -26,8 +26,6 @@ from fg_orient.sensors.correction import HeightSurface
 
 __all__ = ["DemAdjustment", "adjust_with_dem"]
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Half the distance for slopes; maximum number of rounds; largest movement of a point in the last round.
 SLOPE_M: Final = 1.0

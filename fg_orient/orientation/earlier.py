@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Argument, Equation
+from factors.arrays import Array, Index
 from fg_orient.adjustment.problem import Problem, State, participates
 from fg_orient.adjustment.rows import image_models, local_origin
 from fg_orient.model.block import Block, Coordinates, ExtraObservation
@@ -35,9 +36,6 @@ from fg_orient.orientation.solution import Solution
 from fg_orient.result.joint import LIMIT, JointCofactors, joint_cofactors_of, points_within, unknown_names
 from fg_orient.result.record import COVARIANCE_FILE, Result, read_result
 from fg_orient.sensors import initial
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Share of the earlier observations in the information of a direction, below which the prior has no row for it.
 LEAST_SHARE: Final = 1e-9

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from factors._preparation import working_clock
+from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.solve import Estimate, eliminates_points
@@ -20,7 +20,6 @@ from fg_orient.orientation.solution import Solution
 if TYPE_CHECKING:
     import gtsam
 
-Array = npt.NDArray[np.float64]
 Points = Literal["eliminated", "explicit"]
 
 

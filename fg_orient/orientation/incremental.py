@@ -12,8 +12,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Index, Mask
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.rows import image_models
 from fg_orient.adjustment.runtime import one_blas_thread
@@ -33,9 +33,6 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.incremental import IncrementalGraph, LocalGroup
     from fg_orient.sensors.base import ImageModel
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
 
 #: Images of a group, unless a single point is seen by more. Large groups couple images that have no common point.
 GROUP_IMAGES: Final = 6

@@ -11,9 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-import numpy.typing as npt
-
 from factors._preparation import preparing_seconds, working_clock
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.constraints import has_constraints, hold, released, tightened
@@ -49,8 +46,6 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.parts.execution import Execution
     from fg_orient.orientation.factor_graph import FactorGraph
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 #: Function of a graph and start values that gives the values of a solution.
 Optimizer = Callable[["gtsam.NonlinearFactorGraph", "gtsam.Values"], "gtsam.Values"]
 #: Called at each stage of the work with its name and the number of image points.

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Index
 from fg_orient.adjustment.problem import Problem, State, compile_problem, participates
 from fg_orient.adjustment.robust import NONE
 from fg_orient.model.block import Block
@@ -29,7 +29,6 @@ from fg_orient.quality.successive import Exclusion, successive
 from fg_orient.quality.variance_components import VarianceComponents
 from fg_orient.sensors import initial
 
-Index = npt.NDArray[np.intp]
 #: Adjusts a block from a state and the problem of the last round, which differs in some observations.
 Run = Callable[[Block, State, Problem], AdjustmentResult]
 

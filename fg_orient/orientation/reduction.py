@@ -26,8 +26,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.model.block import Block, Coordinates, WithheldCoordinates
 from fg_orient.model.distributions import sidak
 from fg_orient.model.errors import InputError, NoSolutionError, RankDeficientError
@@ -38,7 +38,6 @@ from fg_orient.orientation.solution import Solution
 from fg_orient.quality.significance import GroupTest, group_test, places_of
 from fg_orient.sensors.frame_unknowns import INTERIOR, UNKNOWNS
 
-Array = npt.NDArray[np.float64]
 Direction = Literal["backward", "forward"]
 #: Ground points that are excluded together.
 Parts = Sequence[Sequence[int]]

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.memory import Need
 from fg_orient.model.errors import Finding, InputError, NoSolutionError
@@ -46,8 +46,6 @@ if TYPE_CHECKING:
     from fg_orient.quality.free_network import FreeNetwork
     from fg_orient.quality.located_point import LocatedPoint, Orientation
     from fg_orient.sensors.correction import HeightSurface
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,12 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Index, Mask
 from fg_orient.model.block import Block, Coordinates, GroundPoints, ImagePoints, WithheldCoordinates
 from fg_orient.model.errors import Finding, finding
 from fg_orient.model.names import Role
 from fg_orient.sensors import initial
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
 
 #: Relative eigenvalue of a scaled normal matrix below which a direction is undetermined.
 UNDETERMINED: Final = 1e-11

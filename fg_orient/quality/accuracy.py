@@ -25,9 +25,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.resection import locate_points
-from fg_orient.model.arrays import Array, Index
 from fg_orient.model.distributions import (
     chi_square_interval,
     chi_square_limit,

@@ -16,9 +16,9 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array
 from factors.cameras.frame_camera import CAMERA
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.model.arrays import Array
 from fg_orient.model.errors import Finding, finding
 from fg_orient.quality.cofactors import Cofactors
 from fg_orient.sensors.frame import FrameSensor

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.model.arrays import Array
+from factors.arrays import Array
 
 #: Check coordinates beyond this number of standard deviations of the difference are listed.
 RATIO_LIMIT: Final = 3.0

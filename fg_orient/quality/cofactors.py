@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.border import Border
 from fg_orient.adjustment.border_matrix import BorderMatrix
 from fg_orient.adjustment.cofactors import (
@@ -24,7 +25,6 @@ from fg_orient.adjustment.cofactors import (
 from fg_orient.adjustment.images_border import ImagesBorder
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.unknown_cofactors import DenseUnknowns, SpreadUnknowns, UnknownCofactors
-from fg_orient.model.arrays import Array, Index
 
 
 class PointCofactors(Protocol):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.border import Border, small_enough
 from fg_orient.adjustment.border_matrix import BorderMatrix
 from fg_orient.adjustment.cofactors import WHOLE_LIMIT, ReducedCofactors, SummedSystem, full_statistics
@@ -24,7 +25,6 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import Estimate
-from fg_orient.model.arrays import Array, Index
 from fg_orient.quality.cofactors import BorderCofactors, Cofactors, MatrixCofactors, of_border
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors.arrays import Array, Mask
 from factors.geometry import ellipsoid
 from fg_orient.geodesy import enu_from_ecef
-from fg_orient.model.arrays import Array, Mask
 from fg_orient.model.block import Block
 from fg_orient.model.distributions import t_quantile
 from fg_orient.model.errors import Finding, InputError, as_record, finding

@@ -21,13 +21,13 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from factors.conditions.control import POINT
 from fg_orient.adjustment.border_matrix import triangle
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import Rows
 from fg_orient.adjustment.runtime import one_blas_thread
-from fg_orient.model.arrays import Array, Index
 
 #: Singular values of whitened Jacobians in prior sigmas up to this limit: the direction is unobservable.
 UNOBSERVABLE: Final = 1e-5

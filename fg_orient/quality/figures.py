@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.adjustment.constraint_rows import fitted_figures
 from fg_orient.adjustment.constraints import misclosures
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.model.arrays import Array
 from fg_orient.quality.cofactors import Cofactors
 
 

@@ -31,6 +31,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from factors._contract import Argument, Equation
+from factors.arrays import Array, Index, Mask
 from fg_orient.adjustment.border_matrix import BorderMatrix
 from fg_orient.adjustment.cofactors import (
     Datum,
@@ -51,7 +52,6 @@ from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.adjustment.unknown_cofactors import DenseUnknowns, SpreadUnknowns, UnknownCofactors
-from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import InputError, finding
 from fg_orient.quality.cofactors import BorderCofactors, Cofactors, MatrixCofactors, StarCofactors, places_of

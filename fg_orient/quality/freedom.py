@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from fg_orient.model.arrays import Array, Index
+from factors.arrays import Array, Index
 from fg_orient.model.errors import NoSolutionError
 from fg_orient.quality.observation_groups import GroupedResiduals, groups_of
 from fg_orient.quality.residuals import ResidualCofactors

@@ -11,10 +11,10 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array, Index, Mask
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.geodesy import ecef_to_geodetic, undulation_m
 from fg_orient.geodesy.datums import DatumShift, known_shifts
-from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError
 from fg_orient.model.names import Role

@@ -20,7 +20,7 @@ from typing import Final, get_args
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.model.arrays import Array, Index, Mask
+from factors.arrays import Array, Index, Mask
 from fg_orient.model.distributions import (
     beta_limit,
     beta_probability,

@@ -17,9 +17,9 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.rows import Rows, linearised
-from fg_orient.model.arrays import Array, Index
 from fg_orient.quality import hypotheses, mended
 from fg_orient.quality.cause import PAIRED, Cause, penalty_of, without_parameter
 from fg_orient.quality.elimination import PointRows, eliminated_points, free_cofactors, image_columns

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from factors.arrays import Array, Index, Mask
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows
-from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.model.errors import InputError
 from fg_orient.quality.cofactors import Cofactors
 

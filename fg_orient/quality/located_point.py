@@ -22,10 +22,10 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array
 from factors.geometry import ellipsoid
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised, side_by_side, whitened_records
-from fg_orient.model.arrays import Array
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.distributions import chi_square_limit, normal_quantile, normal_within
 from fg_orient.model.errors import InputError, NoSolutionError

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
-from fg_orient.model.arrays import Array
 from fg_orient.model.block import Block, Coordinates
 from fg_orient.model.names import Role
 from fg_orient.quality.stated_sigmas import WORDS

@@ -15,8 +15,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from fg_orient.geodesy import ecef_to_geodetic, geodetic_to_ecef
-from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError, Finding, finding
 from fg_orient.model.names import Role

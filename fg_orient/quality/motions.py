@@ -18,9 +18,9 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array, Index, Mask
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import Rows
-from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.quality.elimination import UNOBSERVABLE
 from fg_orient.quality.structure import named, of_ids
 from fg_orient.sensors.frame_unknowns import NAVIGATION

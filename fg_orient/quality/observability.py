@@ -22,12 +22,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.adjustment.images_border import border_of
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.schur_reduced import Singular
-from fg_orient.model.arrays import Array
 from fg_orient.model.errors import Finding, finding
 from fg_orient.model.parameters import ImageParameters
 from fg_orient.quality.elimination import UNOBSERVABLE, reduced_rows, spectrum

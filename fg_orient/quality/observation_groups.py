@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.problem import Problem, participates
-from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import Block, Coordinates
 from fg_orient.model.declaration import declared
 from fg_orient.model.distributions import chi_square_median

@@ -8,8 +8,8 @@ from typing import overload
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.problem import Problem
-from fg_orient.model.arrays import Array, Index
 from fg_orient.quality import hypotheses
 
 

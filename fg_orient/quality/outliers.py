@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array, Index, Mask
 from fg_orient.adjustment.problem import Problem
-from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.model.errors import InputError
 from fg_orient.quality import hypotheses
 from fg_orient.quality.freedom import freedoms

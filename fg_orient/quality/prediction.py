@@ -20,10 +20,10 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array
 from factors.conditions.control import POINT
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised, side_by_side
-from fg_orient.model.arrays import Array
 from fg_orient.quality import hypotheses
 from fg_orient.quality.cofactors import Cofactors
 

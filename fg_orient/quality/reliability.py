@@ -22,7 +22,7 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.model.arrays import Array, Mask
+from factors.arrays import Array, Mask
 from fg_orient.model.distributions import chi_square_limit, chi_square_noncentrality
 from fg_orient.model.errors import InputError
 from fg_orient.quality.residuals import ResidualCofactors

@@ -33,11 +33,11 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.cofactors import RayCofactors, inverse_roots
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows, linearised, residuals
-from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import ExtraObservation
 from fg_orient.quality.cofactors import Cofactors
 from fg_orient.quality.elimination import (

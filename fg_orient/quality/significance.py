@@ -26,9 +26,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.unknown_cofactors import DenseUnknowns, UnknownCofactors
-from fg_orient.model.arrays import Array, Index
 from fg_orient.model.distributions import f_tail, holm, t_two_sided
 from fg_orient.model.errors import NoSolutionError
 from fg_orient.model.parameters import term_of

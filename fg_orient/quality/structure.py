@@ -19,8 +19,8 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Index, Mask
 from fg_orient.adjustment.problem import Problem
-from fg_orient.model.arrays import Index, Mask
 
 #: Maximum number of names in one sentence.
 NAMED: Final = 10

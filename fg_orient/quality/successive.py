@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.best_rays import RIVAL
 from fg_orient.adjustment.cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.rows import linearised
@@ -29,9 +30,6 @@ from fg_orient.quality.outlier_records import GroupTest, OutlierTests
 from fg_orient.quality.outliers import SAME
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.suspects import Kind, suspects
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Suspects with the smallest probabilities that take part: matrices of twice this size.
 CANDIDATES: Final = 256

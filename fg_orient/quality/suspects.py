@@ -19,10 +19,10 @@ from typing import Final, Literal
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
-from fg_orient.model.arrays import Array, Index
 from fg_orient.quality import hypotheses
 from fg_orient.quality.cofactors import Cofactors
 from fg_orient.quality.elimination import PointRows, eliminated_points, free_cofactors

@@ -25,7 +25,7 @@ from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
-from fg_orient.model.arrays import Array, Index, Mask
+from factors.arrays import Array, Index, Mask
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.options import USUAL_GROUPS
 from fg_orient.quality.hypotheses import CHECKED

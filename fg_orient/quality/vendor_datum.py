@@ -28,13 +28,13 @@ import numpy as np
 from scipy.linalg import eigh
 
 from factors._contract import Argument, Equation
+from factors.arrays import Array, Index
 from fg_orient.adjustment.border import Border, small_enough
 from fg_orient.adjustment.constraint_rows import ConstraintObservation
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur_reduced import Singular
-from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.constraint import Constraint
 from fg_orient.model.errors import Finding, InputError, finding

@@ -13,9 +13,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.linalg import lapack, qr, solve_triangular
 
+from factors.arrays import Array
 from fg_orient.adjustment.border_matrix import BorderMatrix
 from fg_orient.adjustment.schur_reduced import Singular
-from fg_orient.model.arrays import Array
 
 #: Added to the diagonal of the scaled matrix: above its rounding, far below the eigenvalues of weak directions.
 SHIFT: Final = 1e-11

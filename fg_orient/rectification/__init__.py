@@ -9,12 +9,12 @@ from __future__ import annotations
 from fg_orient.model.public import names_of, on_first_use
 
 _HOME = names_of(__name__, {
-    "areas": "planar_area_m2 perimeter_m",
     "fit": "Observations TransformationFit",
     "options": "AccuracyOptions OrthoOptions PointOptions",
     "ortho": "orthorectify",
     "outliers": "PointTests point_tests",
     "points": "MapPoints PointFit fit_points read_map_points",
+    "projections": "perimeter_m planar_area_m2",
     "standards": "check_accuracy nmas_limit_m nssda_m",
     "transformation": "Transformation find_model read_transformation",
     "grid": "MapGrid",

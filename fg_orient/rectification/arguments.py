@@ -7,9 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.model.errors import InputError
-
-Array = npt.NDArray[np.float64]
 
 
 def numbers(place: str, values: npt.ArrayLike) -> Array:

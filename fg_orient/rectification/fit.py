@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array, Index, Mask
 from factors.cameras.plane import RECORD
 from fg_orient.adjustment.dense import RowsBackend, equation_rows
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
@@ -117,7 +117,7 @@ class Observations:
     def __len__(self) -> int:
         return len(self.ids)
 
-    def take(self, index: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Observations:
+    def take(self, index: Index | Mask) -> Observations:
         """Some of the points."""
         ids = tuple(np.array(self.ids, dtype=object)[index])
         return Observations(self.source[index], self.target[index], self.sigma[index], ids)

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array
 from fg_orient.geodesy import to_geographic
 from fg_orient.kernels.resampling import KNOT, SCALING
 from fg_orient.model.errors import InputError

@@ -10,17 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from factors._contract import Array
+from factors.arrays import Array
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.formats.atomic import require_free, staged_folder, writing
-from fg_orient.formats.table_files import require_table
+from fg_orient.formats.tables import require_table
 from fg_orient.model.errors import InputError
 from fg_orient.model.installation import versions
-from fg_orient.rectification.folder import CONTENTS, write_folder
 from fg_orient.rectification.options import PointOptions, StudyOptions
 from fg_orient.rectification.outliers import pair_distances
 from fg_orient.rectification.points import DIRECTIONS, fit_points, observations, read_map_points
-from fg_orient.rectification.record import record_of
+from fg_orient.rectification.record import CONTENTS, record_of, write_folder
 from fg_orient.rectification.study import Cell, design_study
 from fg_orient.rectification.transformation import find_model
 from fg_orient.rpc.points import ids_and_checks

@@ -3,28 +3,32 @@
 Each map pixel takes its height from the surface (bilinear), its position in the image from the
 model (:class:`fg_orient.rectification.grid.Lattice`, with a stated error) and its grey value from
 the image by the chosen resampling. Hidden ground is not detected: behind a ridge the map shows
-the image of the ridge. Source: İpbüker 1994, sec. 5 (indirect method).
+the image of the ridge. Sources: İpbüker 1994, sec. 5 (indirect method); Keys 1981 (cubic convolution).
 """
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array
 from fg_orient.formats.atomic import require_free_files, staged_file
 from fg_orient.formats.gdal import rasterio_of
-from fg_orient.geodesy import from_geographic
-from fg_orient.kernels.resampling import LIMITS
-from fg_orient.model.errors import InputError
+from fg_orient.formats.sensor import read_sensor
+from fg_orient.geodesy import from_geographic, same_crs
+from fg_orient.kernels.resampling import BILINEAR, CUBIC, LIMITS, NEAREST, REACH, pixel_positions, resample
+from fg_orient.model.errors import InputError, as_record
 from fg_orient.model.names import Progress
-from fg_orient.rectification.grid import CACHE_BYTES, TILE, Bounds, MapGrid, Surface, lattice
+from fg_orient.rectification.adjusted import read_correction
+from fg_orient.rectification.grid import CACHE_BYTES, TILE, Bounds, Lattice, LevelSurface, MapGrid, Surface, lattice
 from fg_orient.rectification.options import OrthoOptions
-from fg_orient.rectification.ortho_models import BORDER, MapModel
-from fg_orient.rectification.ortho_windows import fill
+from fg_orient.rectification.ortho_models import BORDER, MapModel, PointModel, SensorModel
+from fg_orient.rectification.transformation import read_transformation
+from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.surface import RasterDem
 
 
@@ -180,3 +184,189 @@ def _pixel_size(x: Array, y: Array, size: tuple[int, int]) -> float:
     (down_x, across_x), (down_y, across_y) = ((v[-1, 0] - v[0, 0], v[-1, -1] - v[-1, 0]) for v in (a, b))
     area = abs(down_x * across_y - across_x * down_y)
     return float(f"{math.sqrt(area / (size[0] * size[1])):.2g}")
+
+
+# --- windows ----------------------------------------------------------------------------------------
+
+#: Kernel and its slope a, by name.
+RESAMPLING: Final = {
+    "nearest": (NEAREST, 0.0), "bilinear": (BILINEAR, 0.0), "cubic": (CUBIC, -0.5), "cubic-sharp": (CUBIC, -1.0),
+}  # fmt: skip
+
+
+def fill(
+    rasterio: Any, source: Any, target: Path, grid: MapGrid, knots: Lattice, surface: Surface, limits: Array,
+    nodata: float, options: OrthoOptions, progress: Progress | None,
+) -> tuple[int, int]:  # fmt: skip
+    """Write all windows; number of map pixels inside the image, and of those with a value in its first band."""
+    settings = grid.profile(bands=source.count, dtype=source.dtypes[0], nodata=nodata, compress=options.compress)
+    heights = np.ascontiguousarray(surface.heights_m)
+    corners = [(r, c) for r in range(0, grid.rows, options.window) for c in range(0, grid.columns, options.window)]
+    seen = filled = 0
+    with rasterio.open(target, "w", **settings) as sink:
+        for done, (row, column) in enumerate(corners):
+            if progress is not None:
+                progress(done, len(corners), "windows")
+            shape = min(options.window, grid.rows - row), min(options.window, grid.columns - column)
+            line, sample = np.empty(shape), np.empty(shape)
+            holes, hole_row, hole_column = pixel_positions(
+                row, column, knots.step, knots.knots, heights, knots.scaling, limits, line, sample
+            )
+            if holes and not options.allow_holes:
+                raise InputError.of("ortho.hole", file=surface.path, row=hole_row, column=hole_column)
+            seen += int(np.count_nonzero(~np.isnan(line)))
+            place = rasterio.windows.Window(column, row, shape[1], shape[0])
+            filled += _window(rasterio, source, sink, place, line, sample, nodata, options.resampling)
+    if progress is not None:
+        progress(len(corners), len(corners), "windows")
+    return seen, filled
+
+
+def _window(
+    rasterio: Any, source: Any, sink: Any, place: Any, line: Array, sample: Array, nodata: float, resampling: str
+) -> int:
+    """Resample all bands into one window; number of pixels of the first band that have a value."""
+    if np.isnan(line).all():
+        empty = np.full(line.shape, nodata).astype(source.dtypes[0])
+        for band in source.indexes:
+            sink.write(empty, band, window=place)
+        return 0
+    first_l, last_l = _needed(line, source.height)
+    first_s, last_s = _needed(sample, source.width)
+    part = rasterio.windows.Window(first_s, first_l, last_s - first_s, last_l - first_l)
+    kind, a = RESAMPLING[resampling]
+    out, count = np.empty(line.shape), 0
+    for band in source.indexes:
+        grey = _read(rasterio, source, band, part)
+        n = resample(grey, first_l, first_s, line, sample, kind, a, out)
+        count = n if band == source.indexes[0] else count
+        sink.write(_stored(out, source.dtypes[0], nodata), band, window=place)
+    return count
+
+
+def _needed(positions: Array, n: int) -> tuple[int, int]:
+    """First line that a kernel may use, and the line after the last one."""
+    low, high = math.floor(np.nanmin(positions)), math.floor(np.nanmax(positions))
+    return min(max(low - REACH, 0), n - 1), max(min(high + REACH + 1, n), 1)
+
+
+def _read(rasterio: Any, source: Any, band: int, part: Any) -> Array:
+    try:
+        grey = source.read(band, window=part).astype(float)
+    except rasterio.RasterioIOError as error:  # as an OSError it would be reported as one of the output
+        raise InputError.of("ortho.image", file=source.name, place=f"band {band}, from line {part.row_off}",
+                            value=error.__cause__ or error) from error  # fmt: skip
+    nodata = source.nodatavals[band - 1]
+    if nodata is not None and not math.isnan(nodata):
+        grey[grey == nodata] = np.nan
+    return np.ascontiguousarray(grey)
+
+
+def _stored(values: Array, dtype: str, nodata: float) -> npt.NDArray[Any]:
+    """Values rounded and limited to the type of the file; values equal to nodata become the next one."""
+    kind, empty = np.dtype(dtype), np.isnan(values)
+    if kind.kind == "f":
+        out = values.astype(kind)
+        out[empty] = nodata
+        return out
+    limits = np.iinfo(kind)
+    whole = np.clip(np.rint(np.where(empty, 0.0, values)), limits.min, limits.max)
+    whole[whole == nodata] += 1.0 if nodata < limits.max else -1.0
+    out = whole.astype(kind)
+    out[empty] = kind.type(nodata)
+    return out
+
+
+# --- work of the command ----------------------------------------------------------------------------
+
+#: First bytes of TIFF and BigTIFF files in both byte orders.
+TIFF_MARKS: Final = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+
+
+def rectify_image(
+    image: Path, model: Path, out: Path, *, dem: Path | None = None, height_m: float | None = None,
+    result: Path | None = None, image_id: str = "", crs: str = "", resolution: float | None = None,
+    bounds: Bounds | None = None, options: OrthoOptions | None = None, overwrite: bool = False,
+    progress: Progress | None = None, extrapolate_attitude_s: float = 0.0,
+) -> dict[str, Any]:  # fmt: skip
+    """Orthorectify an image.
+
+    Parameters
+    ----------
+    image : Path
+        Raster in sensor geometry.
+    model : Path
+        Metadata file of its sensor, or ``transformation.json`` of ``rectify fit`` or its folder.
+    out : Path
+        GeoTIFF.
+    dem : Path, optional
+        Ellipsoidal heights; or ``height_m``, one height. Plane transformations need neither.
+    result : Path, optional
+        Result folder of ``adjust`` whose orientation is used; ``image_id``: the image in it.
+    crs : str
+        Coordinate system of the map; default that of the transformation or of the DEM.
+    resolution, bounds, options, overwrite, progress
+        See :func:`fg_orient.rectification.ortho.orthorectify`.
+    extrapolate_attitude_s : float
+        See :func:`fg_orient.formats.sensor.read_sensor`.
+
+    Returns
+    -------
+    dict
+        See :func:`fg_orient.rectification.ortho.orthorectify`; ``findings`` of the DEM; for a sensor
+        also its ``notes``, for example on extrapolation.
+
+    Raises
+    ------
+    InputError
+        Unusable files, no coordinate system, no heights, no common ground, holes of the DEM.
+    """
+    _require_other(out, image, model, *([] if dem is None else [dem]))
+    surface: Surface | None = RasterDem(dem) if dem is not None else None
+    if height_m is not None:
+        surface = LevelSurface(height_m)
+    sensor: Sensor | None = None
+    geometry: MapModel | None = None
+    if model.is_dir() or model.suffix.lower() == ".json":
+        if result is not None:
+            raise InputError.of("ortho.points_and_result", option="result")
+        transformation = read_transformation(model)
+        chosen = _system(crs or transformation.crs, image)
+        if transformation.crs and not same_crs(transformation.crs, chosen):
+            raise InputError.of("ortho.other_crs", option="crs", fitted=transformation.crs)
+        geometry = PointModel(transformation)
+        if not geometry.needs_heights:  # a DEM would only limit the extent of the map
+            surface = LevelSurface(0.0)
+    if surface is None:
+        raise InputError.of("ortho.no_heights", file=model, option="dem")
+    if geometry is None:
+        chosen = _system(crs or (surface.crs if isinstance(surface, RasterDem) else ""), image)
+        sensor = read_sensor(model, extrapolate_attitude_s=extrapolate_attitude_s)
+        correction = None if result is None else read_correction(result, sensor, image_id)
+        geometry = SensorModel(sensor, correction, chosen, surface.range_m[1])
+    record = orthorectify(image, geometry, surface, out, crs=chosen, resolution=resolution, bounds=bounds,
+                          options=options, overwrite=overwrite, progress=progress)  # fmt: skip
+    record |= as_record(surface.notes if isinstance(surface, RasterDem) else ())
+    return record if sensor is None else record | {"notes": list(map(str, sensor.notes))}
+
+
+def _require_other(out: Path, *inputs: Path) -> None:
+    """Refuse to replace an input, or a file that is not a raster, even with ``overwrite``."""
+    if any(path.resolve() == out.resolve() for path in inputs):
+        raise InputError.of("ortho.over_input", file=out, option="out")
+    if out.is_file():
+        with out.open("rb") as stream:
+            mark = stream.read(4)
+        if mark not in TIFF_MARKS:
+            raise InputError.of("ortho.foreign", file=out, option="out")
+
+
+def _system(crs: str, image: Path) -> str:
+    """Coordinate system of the map as WKT; InputError if it is missing or unknown to rasterio."""
+    if not crs:
+        raise InputError.of("ortho.no_crs", option="crs")
+    rasterio = rasterio_of(image)
+    try:
+        return str(rasterio.crs.CRS.from_user_input(crs).to_wkt())
+    except rasterio.errors.CRSError:
+        raise InputError.of("geodesy.unknown_crs", option="crs", value=crs) from None

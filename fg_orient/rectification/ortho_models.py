@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
-from factors._contract import Array
+from factors.arrays import Array
 from fg_orient.geodesy import ecef_to_geodetic, from_geographic, geodetic_to_ecef, to_geographic
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.base import Sensor

@@ -17,7 +17,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array, Index, Mask
 from fg_orient.model.distributions import f_quantile, f_tail
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.quality.hypotheses import can_be_tested, f_statistics, quadratic
@@ -45,14 +45,14 @@ class PointTests:
         Estimated gross error of the target coordinates (given minus true), in their unit.
     """
 
-    dimension: npt.NDArray[np.intp]
+    dimension: Index
     statistic: Array
     critical: Array
     probability: Array
     error: Array
 
     @property
-    def suspicious(self) -> npt.NDArray[np.bool_]:
+    def suspicious(self) -> Mask:
         """Whether a point exceeds its limit (n,)."""
         return np.asarray(self.statistic > self.critical)
 
@@ -137,7 +137,7 @@ def prune(first: TransformationFit, target_rms: float, *, rule: Rule = "residual
     positive("RMSE to reach", target_rms, "the target's unit")
     points, t, history = first.points, first.transformation, list[float]()
 
-    def left(out: Sequence[int]) -> npt.NDArray[np.intp]:
+    def left(out: Sequence[int]) -> Index:
         return np.setdiff1d(np.arange(len(points)), np.array(out, np.intp))
 
     def worst(fitted: TransformationFit, out: Sequence[int]) -> list[int]:

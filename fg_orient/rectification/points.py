@@ -12,11 +12,9 @@ from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import Array
-from fg_orient.formats.table_files import require_table
-from fg_orient.formats.tables import Table
+from factors.arrays import Array, Mask
+from fg_orient.formats.tables import Table, require_table
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.geodesy import crs_kind, from_geographic
 from fg_orient.model.errors import InputError
@@ -59,7 +57,7 @@ class MapPoints:
     """
 
     ids: tuple[str, ...]
-    check: npt.NDArray[np.bool_]
+    check: Mask
     image: Array
     ground: Array
     sigma_map: Array | None

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import finite, number, positive
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

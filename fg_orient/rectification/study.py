@@ -15,9 +15,8 @@ from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array, Index
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import finite, positive, whole
 from fg_orient.rectification.fit import Observations, fit, plain_rmse
@@ -117,7 +116,7 @@ def design_study(
     return tuple(out)
 
 
-def _cell(control: Observations, test: Observations, chosen: Sequence[npt.NDArray[np.intp]], degree: int) -> Cell:
+def _cell(control: Observations, test: Observations, chosen: Sequence[Index], degree: int) -> Cell:
     model, reason, rmse = find_model("polynomial", degree), "", list[float]()
     for rows in chosen:
         try:

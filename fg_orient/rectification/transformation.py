@@ -13,7 +13,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array, Equation
+from factors._contract import Equation
+from factors.arrays import Array
 from factors.cameras import plane
 from fg_orient.model.errors import InputError
 

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.model.arrays import Array
+from factors.arrays import Array
 
 #: Inks for colour-blind readers (Okabe and Ito 2008); each kind also has a marker or a line style.
 INK, GREY = "#1d2327", "#8a9298"

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.graph_structure import (
     ORDERINGS,
     EliminationTree,
@@ -22,7 +23,6 @@ from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.solve import EXPLICIT_LIMIT, eliminates_points
 from fg_orient.formats.atomic import Contents, require_free
-from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import Block
 from fg_orient.model.names import Progress
 from fg_orient.quality.deficiency import compiled_problem

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fg_orient.model.arrays import Array, Index, Mask
+from factors.arrays import Array, Index, Mask
 from fg_orient.report.chart import Chart, large, mapped, round_down, thousands
 from fg_orient.report.words import signed
 from fg_orient.result.record import Result

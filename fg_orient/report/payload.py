@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
-from fg_orient.model.arrays import Array, Index
+from factors.arrays import Array, Index
 from fg_orient.report.maps import KM_PER_DEGREE, footprints, shrink_at, view_of
 from fg_orient.result.record import Result
 

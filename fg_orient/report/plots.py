@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fg_orient.model.arrays import Array, Index
+from factors.arrays import Array, Index
 from fg_orient.model.distributions import beta_quantile, normal_probability, normal_quantile
 from fg_orient.report.chart import SERIES, Axis, Chart, broad, cut, decades, large, limits_of, round_down
 from fg_orient.report.words import number

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
-from fg_orient.model.arrays import Array
 from fg_orient.model.distributions import normal_probability
 from fg_orient.model.errors import InputError
 from fg_orient.model.parameters import N_EOP, parameter_name

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.model.arrays import Array, Index
+from factors.arrays import Array, Index
 
 if TYPE_CHECKING:
     from fg_orient.orientation.solution import Solution

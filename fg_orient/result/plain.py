@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.model.arrays import Array, Index
+from factors.arrays import Array, Index
 
 #: Values of a column: an array of numbers, or a sequence of text.
 Column = npt.NDArray[Any] | Sequence[Any]

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array, Index
 from fg_orient.formats.atomic import RESULT
-from fg_orient.model.arrays import Array, Index
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Status
 from fg_orient.result.joint import JointCofactors

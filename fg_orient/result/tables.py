@@ -25,8 +25,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array, Index, Mask
 from factors.geometry import ellipsoid
-from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.quality.accuracy import PointDifferences
 from fg_orient.result import statistics
 from fg_orient.result.plain import Column, Table, of_axes, table_of_rows

@@ -11,11 +11,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors.arrays import Array
 from factors.cameras import rfm
 from factors.geometry import ellipsoid
 from fg_orient.formats.rpc.dimap import AGREEMENT_PX
 from fg_orient.formats.sensor import read_sensor
-from fg_orient.model.arrays import Array
 from fg_orient.model.errors import Finding, InputError, finding, judged
 from fg_orient.rpc.compensate import normalised, residuals
 from fg_orient.rpc.files import RpcFile, describe

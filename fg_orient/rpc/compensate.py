@@ -16,10 +16,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors.arrays import Array, Mask
 from factors.cameras import rfm
 from factors.cameras.rfm_equation import COMPENSATION, COMPENSATIONS
 from factors.cameras.rfm_project import RANGE
-from fg_orient.model.arrays import Array, Mask
 from fg_orient.model.distributions import f_quantile
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding, judged
 from fg_orient.model.names import Role

@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from factors.cameras.rfm import terms
 from factors.cameras.rfm_project import COMPENSATION, RANGE
 from fg_orient.formats.atomic import require_free_files
 from fg_orient.formats.registry import formats
 from fg_orient.formats.rpc import read_rpc, rpc_writer
 from fg_orient.formats.rpc.fields import USUAL_ORDER
-from fg_orient.model.arrays import Array
 from fg_orient.model.errors import InputError, finding
 from fg_orient.rpc.points import statistics
 from fg_orient.sensors.rpc import RpcModel

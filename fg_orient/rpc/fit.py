@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from factors.cameras.rfm_project import RANGE
 from fg_orient.adjustment.linear.system import Conditioning, LinearSystem, diagnose
-from fg_orient.model.arrays import Array, Index
 from fg_orient.model.errors import InputError, NoSolutionError, finding
 from fg_orient.model.names import Progress
 from fg_orient.rpc.form import RfmForm

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fg_orient.model.arrays import Array
+from factors.arrays import Array
 from fg_orient.model.errors import Finding, InputError, finding, judged
 from fg_orient.model.names import Progress
 from fg_orient.rpc.estimate import SOLVER, fit_linear, fit_true, fit_weighted, require_points

@@ -15,8 +15,8 @@ from typing import Final, get_args
 
 import numpy as np
 
+from factors.arrays import Array, Mask
 from factors.cameras.rfm import EXPONENTS, permutation, terms
-from fg_orient.model.arrays import Array, Mask
 from fg_orient.model.errors import InputError
 from fg_orient.rpc.options import Denominators
 

@@ -14,10 +14,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors.arrays import Array, Index, Mask
 from factors.cameras.rfm_project import RANGE
-from fg_orient.formats.table_files import require_table
-from fg_orient.formats.tables import Table
-from fg_orient.model.arrays import Array, Index, Mask
+from fg_orient.formats.tables import Table, require_table
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 from fg_orient.sensors.rpc import COORDINATES

@@ -19,9 +19,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from factors._contract import compiled
+from factors.arrays import Array, Index
 from fg_orient.adjustment.linear.kappa import choose_kappa
 from fg_orient.adjustment.linear.system import LinearSystem
-from fg_orient.model.arrays import Array, Index
 from fg_orient.model.distributions import f_quantile, t_quantile
 from fg_orient.model.errors import InputError
 from fg_orient.rpc.estimate import fit_true, linear_system

@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array
 from factors.geometry import ellipsoid
 from fg_orient.adjustment.runtime import one_blas_thread
-from fg_orient.model.arrays import Array
 from fg_orient.model.errors import InputError, finding
 from fg_orient.rpc.estimate import fit_true
 from fg_orient.rpc.fit import RfmFit

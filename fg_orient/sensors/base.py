@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array, Mask
 from factors.geometry import ellipsoid
 from fg_orient.model.errors import Finding, InputError, OutOfImage, finding
 from fg_orient.sensors.correction import HeightSurface
@@ -66,7 +66,7 @@ class ImageModel(ABC):
         """Factors (k,) from the unknowns in physical units to coefficients per line, nan if not applicable; units."""
         return np.full(len(self.parameters), np.nan), ("",) * len(self.parameters)
 
-    def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
+    def is_valid(self, ground_m: Array) -> Mask:
         """Whether the sensor's model may be used at ground points (n, 3) ECEF m: (n,)."""
         return np.ones(len(ground_m), bool)
 
@@ -205,7 +205,7 @@ class Sensor(ABC):
         corners = self.locate(*self.corners(), height_m=self.mean_height_m)
         return np.degrees(ellipsoid.geodetic_array(corners)[:, :2])
 
-    def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:
+    def is_inside(self, line: Array, sample: Array) -> Mask:
         """Whether pixels (N,) lie in the image, half a pixel of border included."""
         inside = (line >= self.first_line - 0.5) & (line <= self.last_line + 0.5)
         return np.asarray(inside & (sample >= self.first_sample - 0.5) & (sample <= self.last_sample + 0.5))

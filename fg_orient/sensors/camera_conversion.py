@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from factors._contract import Array
+from factors.arrays import Array
 from factors.cameras.frame_extended import FRAME_EXTENDED
 from fg_orient.kernels.batch import batch
 from fg_orient.model.errors import InputError

@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array, Mask
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL
 from fg_orient.sensors.frame_unknowns import FURTHER, UNKNOWNS
@@ -103,7 +103,7 @@ class Convention:
         """Whether the direction and projection are those of a camera."""
         return (interior.model, interior.is_fisheye) == (self.direction, self.is_fisheye)
 
-    def has(self, used: npt.NDArray[np.bool_]) -> bool:
+    def has(self, used: Mask) -> bool:
         """Whether the convention has all parameters that are in use, (len(OURS),)."""
         return {OURS[k] for k in np.flatnonzero(used)} <= set(self.ours)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from factors._contract import Array
+from factors.arrays import Array
 from factors.geometry import polynomials
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from factors._contract import Array
+from factors.arrays import Array
 from factors.geometry import interpolation
 from factors.geometry.light import EARTH_RATE_RAD_S
 from fg_orient.model.errors import Finding, InputError, finding

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array, Mask
 from factors.cameras import frame, frame_camera, frame_corrections, frame_extended
 from factors.cameras.frame import FRAME_COLLINEARITY, RECORD
 from factors.cameras.frame_camera import CAMERA
@@ -389,7 +389,7 @@ class FrameImageModel(ImageModel):
         out[list(self.parameters.codes)] = x * self.parameters.sigma
         return out if self.sensor.camera.is_extended else out[: len(UNKNOWNS)]
 
-    def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
+    def is_valid(self, ground_m: Array) -> Mask:
         """Whether points lie in front of the camera at its approximate orientation."""
         return np.isfinite(self.sensor.project(ground_m)[0])
 

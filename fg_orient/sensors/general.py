@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array
 from factors.cameras import look
 from factors.geometry import ellipsoid, interpolation, light, orbital, polynomials, rotations
 from fg_orient.model.errors import Finding, InputError

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array, Index, Mask
 from fg_orient.model.block import Image, ImagePoints
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.base import Sensor
@@ -21,7 +21,7 @@ from fg_orient.sensors.base import Sensor
 MIN_CONVERGENCE_DEG = 0.1
 
 
-def missing_rows(coordinates_m: Array) -> npt.NDArray[np.bool_]:
+def missing_rows(coordinates_m: Array) -> Mask:
     """Rows without coordinates among (N, 3): (N,)."""
     return np.asarray(np.isnan(coordinates_m).any(axis=1))
 
@@ -38,7 +38,7 @@ def all_rays(
 
 def _by_image(
     images: tuple[Image, ...], observations: ImagePoints, corrections: Sequence[Any] | None
-) -> Iterator[tuple[Any, npt.NDArray[np.intp], Any]]:
+) -> Iterator[tuple[Any, Index, Any]]:
     """Sensor, image points and correction of each image that has image points."""
     for k, image in enumerate(images):
         rows = np.flatnonzero(observations.image == k)
@@ -46,9 +46,7 @@ def _by_image(
             yield image.sensor, rows, None if corrections is None else corrections[k]
 
 
-def nearest_points(
-    centre_m: Array, direction: Array, point: npt.NDArray[np.intp], n_points: int
-) -> tuple[Array, Array]:
+def nearest_points(centre_m: Array, direction: Array, point: Index, n_points: int) -> tuple[Array, Array]:
     """Points nearest to their rays.
 
     Parameters
@@ -129,7 +127,7 @@ def foot_points(centre_m: Array, direction: Array, ground_m: Array) -> Array:
     return np.asarray(centre_m + along[:, None] * direction)
 
 
-def _largest_angles_deg(direction: Array, point: npt.NDArray[np.intp], count: npt.NDArray[np.intp]) -> Array:
+def _largest_angles_deg(direction: Array, point: Index, count: Index) -> Array:
     """Largest angle between any two rays of each point; all points with the same number of rays together."""
     out = np.zeros(len(count))
     order, first = np.argsort(point, kind="stable"), np.cumsum(count) - count

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from factors._contract import Array
+from factors.arrays import Array
 from factors.cameras import look
 from factors.geometry import polynomials
 from fg_orient.model.errors import Finding

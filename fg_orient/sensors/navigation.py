@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from factors._contract import Array
+from factors.arrays import Array
 from factors.conditions.navigation import ANTENNA_POSITION, ATTITUDE, INERTIAL_ATTITUDE, POSITION
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.model.block import Block, ExtraObservation, Image

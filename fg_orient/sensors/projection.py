@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors._contract import Array, compiled
+from factors._contract import compiled
 from factors._plain import FEW_ARRAYS, plain
+from factors.arrays import Array
 from factors.cameras import pushbroom
 from factors.cameras.pushbroom_record import CURVE, CURVES, N_EOP, RECORD, correction, corrections, observation
 from fg_orient.sensors.correction import Correction

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array
 from factors.cameras import look
 from factors.cameras.pushbroom import LOOK_ANGLE_COLLINEARITY, RECORD
 from factors.geometry import interpolation, light, polynomials, rotations

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array, Mask
 from factors.cameras import rfm, rfm_project
 from factors.cameras.rfm_project import COMPENSATION, RANGE
 from fg_orient.model.errors import Finding, InputError
@@ -137,7 +137,7 @@ class RpcModel:
             self.coefficients, self.offsets, self.scales, checked_compensation(compensation), lon, lat, h
         )
 
-    def inside(self, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    def inside(self, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike) -> Mask:
         """Whether ground points lie in the validity range: (N,)."""
         lon, lat, h = same_length(lon_deg, lat_deg, height_m)
         lon = lon - 360.0 * np.round((lon - self.offsets[RANGE.lon]) / 360.0)

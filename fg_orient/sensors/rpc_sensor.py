@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array, Mask
 from factors.cameras.rfm_equation import COMPENSATION, COMPENSATIONS, RATIONAL_FUNCTION, RECORD
 from factors.cameras.rfm_project import RANGE
 from factors.geometry import ellipsoid
@@ -223,7 +223,7 @@ class RpcImageModel(ImageModel):
         rows = [table[code // 2] for code in self.parameters.codes]
         return np.array([factor for factor, _ in rows]), tuple(unit for _, unit in rows)
 
-    def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
+    def is_valid(self, ground_m: Array) -> Mask:
         """Whether points lie in the validity range of the file; outside, cubics diverge."""
         lon, lat, height = ellipsoid.geodetic_array(np.ascontiguousarray(ground_m)).T
         return self.sensor.model.inside(np.degrees(lon), np.degrees(lat), height)

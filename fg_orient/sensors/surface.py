@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Array
+from factors.arrays import Array, Index
 from factors.geometry import ellipsoid
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.correction import HeightSurface
@@ -321,7 +321,7 @@ class _GridLines:
         self._line = np.where(sign > 0.0, np.floor(start) + 1.0, np.ceil(start) - 1.0)
         self._sign = sign
 
-    def after(self, path: npt.NDArray[np.intp]) -> Array:
+    def after(self, path: Index) -> Array:
         """Parameter t of the next crossing of these paths, 1 if there is no further crossing or the path is nan."""
         travel = self._travel[path]
         with np.errstate(divide="ignore", invalid="ignore"):

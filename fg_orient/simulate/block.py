@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from factors.arrays import Array, Mask
 from fg_orient.geodesy import ecef_to_geodetic, geodetic_to_ecef
-from fg_orient.model.arrays import Array, Mask
 from fg_orient.model.block import Block
 from fg_orient.model.names import Progress
 from fg_orient.sensors.correction import Correction

@@ -16,9 +16,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from factors.cameras import frame_camera
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import Block, Image, Options
 from fg_orient.rpc.virtual_grid import fit_sensor
 from fg_orient.sensors.correction import Correction

@@ -19,11 +19,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.formats.gdal import rasterio_of
 from fg_orient.geodesy import ecef_to_geodetic, from_geographic
 from fg_orient.kernels.rendering import RAY, TO_MAP, corners, expose
 from fg_orient.kernels.resampling import SCALING
-from fg_orient.model.arrays import Array
 from fg_orient.model.names import Progress
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.pushbroom import PushbroomSensor

@@ -31,10 +31,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from factors.geometry import polynomials, rotations
 from fg_orient.formats.dimap1 import straight_line
 from fg_orient.geodesy import ecef_to_geodetic
-from fg_orient.model.arrays import Array
 from fg_orient.sensors.metadata import (
     AngleAttitude,
     Ephemeris,

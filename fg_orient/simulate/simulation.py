@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array, Index, Mask
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.model.arrays import Array, Index, Mask
 from fg_orient.model.block import (
     Block,
     Coordinates,

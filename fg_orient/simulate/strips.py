@@ -12,10 +12,10 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array, Mask
 from factors.cameras.frame_camera import rotated
 from factors.conditions.navigation import UNKNOWN
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.model.arrays import Array, Mask
 from fg_orient.model.block import Block, Image, Options
 from fg_orient.sensors.frame import FrameCamera, FrameSensor
 from fg_orient.sensors.frame_unknowns import NAVIGATION, UNKNOWNS

@@ -20,8 +20,8 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
-from fg_orient.model.arrays import Array
 from fg_orient.model.block import Block
 from fg_orient.model.names import Progress, Role
 from fg_orient.simulate.files import simulate_to

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.adjustment.parts.study import study
 from fg_orient.adjustment.runtime import one_blas_thread
-from fg_orient.model.arrays import Array
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from fg_orient.studies.switches import TEXT, Switches
 from fg_orient.studies.two_stage import TwoStage

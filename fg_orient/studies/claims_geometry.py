@@ -11,10 +11,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from factors.arrays import Array
 from factors.cameras import look
 from factors.geometry import ellipsoid, rotations
 from fg_orient.adjustment.linear.system import diagnose
-from fg_orient.model.arrays import Array
 from fg_orient.rpc.estimate import fit_linear
 from fg_orient.rpc.form import DEGREES, RfmForm
 from fg_orient.rpc.points import ControlPoints

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from factors.cameras.pushbroom import RECORD
 from fg_orient.adjustment.linear.registry import attempt, solvers
 from fg_orient.adjustment.linear.system import singular_values, unit_columns
-from fg_orient.model.arrays import Array, Index
 from fg_orient.model.names import VELOCITY
 from fg_orient.model.parameters import eop_codes
 from fg_orient.studies import claims

@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from factors.cameras import look, pushbroom
 from factors.cameras.pushbroom_record import CORRECTION, N_EOP, RECORD, corrections
 from factors.geometry import polynomials, rotations
-from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import Image, ImagePoints
 from fg_orient.sensors.correction import metadata_eop
 from fg_orient.sensors.pushbroom import require_pushbroom

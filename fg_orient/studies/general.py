@@ -29,9 +29,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
+from factors.arrays import Array
 from fg_orient.adjustment.linear.registry import solve
 from fg_orient.adjustment.linear.system import LinearSystem
-from fg_orient.model.arrays import Array
 from fg_orient.model.declaration import declared
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.model.options import Options

@@ -19,8 +19,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors.arrays import Array, Mask
 from factors.geometry import rotations
-from fg_orient.model.arrays import Array, Mask
 
 
 def _switch(label: str) -> bool:

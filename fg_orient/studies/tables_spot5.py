@@ -15,11 +15,11 @@ from itertools import combinations
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.adjustment.linear import system as linear
 from fg_orient.adjustment.linear.l_curve import LCurve, l_curve_of
 from fg_orient.adjustment.linear.registry import attempt
 from fg_orient.adjustment.linear.system import LinearSystem, diagnose
-from fg_orient.model.arrays import Array
 from fg_orient.model.names import COMPONENTS, EOP_SETS, CellKey, Role
 from fg_orient.model.parameters import N_EOP, eop_codes
 from fg_orient.simulate.zonguldak import CHECK_COUNT

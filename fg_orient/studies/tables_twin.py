@@ -11,9 +11,9 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.adjustment.linear.system import Conditioning
 from fg_orient.adjustment.runtime import one_blas_thread
-from fg_orient.model.arrays import Array
 from fg_orient.model.names import COMPONENTS, EOP_SETS, CellKey
 from fg_orient.model.parameters import N_EOP, eop_codes
 from fg_orient.studies.claims import Study

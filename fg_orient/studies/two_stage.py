@@ -22,9 +22,9 @@ from typing import Literal
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.linear.registry import attempt
 from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
-from fg_orient.model.arrays import Array, Index
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
-from fg_orient.model.arrays import Array, Index
 
 
 @dataclass(frozen=True)

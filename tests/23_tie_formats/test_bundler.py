@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fg_orient.formats.exchange.bal import read_bal, read_bal_data, write_bal
-from fg_orient.formats.exchange.bundle_model import BalData, bal_data_of, frame_model_of
+from fg_orient.formats.exchange.bal import BalData, bal_data_of, frame_model_of, read_bal, read_bal_data, write_bal
 from fg_orient.formats.exchange.bundler import read_bundler, write_bundler
 from fg_orient.model.errors import InputError
 from tests.support.frame_models import frame_model

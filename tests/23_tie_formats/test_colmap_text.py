@@ -9,8 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.exchange.colmap import MODELS, interior_of, parameters_of
-from fg_orient.formats.exchange.colmap_text import FILES, read_colmap_text, write_colmap_text
+from fg_orient.formats.exchange.colmap_text import (
+    FILES,
+    MODELS,
+    interior_of,
+    parameters_of,
+    read_colmap_text,
+    write_colmap_text,
+)
 from fg_orient.formats.frame_model import FrameModel
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.exchange.bal import read_bal_data
-from fg_orient.formats.exchange.bundle_model import assumed_side, frame_model_of
+from fg_orient.formats.exchange.bal import assumed_side, frame_model_of, read_bal_data
 from fg_orient.formats.exchange.bundler import read_bundler
 from fg_orient.formats.exchange.colmap_database import read_colmap_database
 from fg_orient.formats.exchange.colmap_text import read_colmap_text, write_colmap_text

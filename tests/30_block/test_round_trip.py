@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fg_orient.formats.faults import Faults
-from fg_orient.formats.observations import read_observations
-from fg_orient.formats.points import read_points
+from fg_orient.formats.points import read_observations, read_points
 from fg_orient.formats.points_write import write_observations, write_points, write_project
 from fg_orient.formats.project import read_project
 from fg_orient.model.block import Options

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fg_orient.formats.faults import MAX_FAULTS, Faults
-from fg_orient.formats.table_files import read_table
-from fg_orient.formats.tables import Row, number
+from fg_orient.formats.tables import Row, number, read_table
 
 
 def read(tmp_path: Path, data: bytes | str, columns=(("id", "x_m"),)):

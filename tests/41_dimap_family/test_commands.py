@@ -142,7 +142,7 @@ def test_ortho_extrapolates_as_the_other_commands(short: Path, tmp_path: Path, m
         lines.append(model.sensor.last_line)
         return {}
 
-    monkeypatch.setattr("fg_orient.rectification.ortho_job.orthorectify", rectified)
+    monkeypatch.setattr("fg_orient.rectification.ortho.orthorectify", rectified)
     words = ("rectify", "ortho", tmp_path / "image.tif", short.parent / "left.DIM", "--height", 0, "--crs",
              "EPSG:32636", "--out", tmp_path / "map.tif", "--json")  # fmt: skip
     refused = run(*words)

@@ -13,9 +13,17 @@ from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Image
 from fg_orient.sensors.base import OrientedSensor
-from fg_orient.sensors.footprints import feature_collection, polygon_geometry
 from fg_orient.sensors.frame import FrameCamera, FrameSensor
-from fg_orient.sensors.viewing import SIDE, View, _area_m2, footprint, image_record, pair_record
+from fg_orient.sensors.viewing import (
+    SIDE,
+    View,
+    _area_m2,
+    feature_collection,
+    footprint,
+    image_record,
+    pair_record,
+    polygon_geometry,
+)
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 
 LON, LAT, HEIGHT = 31.0, 41.0, 2000.0

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import fg_orient as fg
 from benchmarks.frames import Size, network
-from fg_orient.formats.exchange.colmap import FIRST_PIXEL, interior_of, parameters_of
+from fg_orient.formats.exchange.colmap_text import FIRST_PIXEL, interior_of, parameters_of
 from fg_orient.formats.metadata.frame import read_camera, write_camera
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameCamera, FrameSensor
 from fg_orient.sensors.frame_unknowns import NAMES

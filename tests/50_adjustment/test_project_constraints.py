@@ -13,9 +13,9 @@ import numpy.typing as npt
 import pytest
 
 import fg_orient as fg
-from fg_orient.formats.constraints import read_constraints
 from fg_orient.formats.metadata.frame import write_camera, write_frame_file
 from fg_orient.formats.points_write import write_observations, write_points, write_project
+from fg_orient.formats.schema import read_constraints
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameSensor, rotation_of_opk

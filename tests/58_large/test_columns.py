@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from fg_orient.adjustment.problem import State, compile_problem
 from fg_orient.adjustment.rows import image_rows, linearised, residuals, rows_by_image
 from fg_orient.formats.faults import Faults
-from fg_orient.formats.observations import COLUMNS, read_observations
-from fg_orient.formats.points import read_points
+from fg_orient.formats.points import COLUMNS, read_observations, read_points
 from fg_orient.model.block import Block
 from fg_orient.orientation.orient import adjust
 from fg_orient.result.plain import Table, read_table

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from fg_orient.model.errors import InputError
-from fg_orient.rectification.areas import pixel_area_sigma_m2
 from fg_orient.rectification.fit import Observations, fit
-from fg_orient.rectification.projections import lambert_polar, project, space_oblique_mercator
+from fg_orient.rectification.projections import lambert_polar, pixel_area_sigma_m2, project, space_oblique_mercator
 from fg_orient.rectification.study import (
     RUNS,
     admissible_points,

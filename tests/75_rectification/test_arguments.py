@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fg_orient.model.errors import InputError
-from fg_orient.rectification import areas, projections, scanner, standards, study
+from fg_orient.rectification import projections, scanner, standards, study
 from fg_orient.rectification.fit import Observations, fit
 from fg_orient.rectification.grid import LevelSurface, MapGrid
 from fg_orient.rectification.outliers import pair_distances, prune
@@ -28,12 +28,12 @@ NAN = float("nan")
 
 #: Helper, arguments that it takes, and for each argument what it must refuse.
 CASES: list[tuple[Callable[..., Any], tuple[Any, ...], tuple[tuple[Any, ...], ...]]] = [
-    (areas.planar_area_m2, (BOX,), (([], BOX[:2], BOX[:, 0], [["a", "b"]] * 3, BOX * NAN),)),
-    (areas.perimeter_m, (BOX,), (([], [[0.0, 1.0], [1.0]]),)),
-    (areas.mean_spacing_m, (100.0, 4), ((-1.0, 0.0, NAN, "x"), (0, -3, NAN))),
-    (areas.pixel_area_m2, (5, 30.0), ((-1, NAN), (0.0, -30.0, np.inf))),
-    (areas.pixel_area_sigma_m2, (1e4, 30.0), ((-1.0, 0.0, NAN, []), (-30.0, NAN))),
-    (areas.count_pixels, (BOX, 3.0, (0.0, 0.0)), (([],), (-3.0, NAN), ((NAN, 0.0), 0.0, (1.0, 2.0, 3.0)))),
+    (projections.planar_area_m2, (BOX,), (([], BOX[:2], BOX[:, 0], [["a", "b"]] * 3, BOX * NAN),)),
+    (projections.perimeter_m, (BOX,), (([], [[0.0, 1.0], [1.0]]),)),
+    (projections.mean_spacing_m, (100.0, 4), ((-1.0, 0.0, NAN, "x"), (0, -3, NAN))),
+    (projections.pixel_area_m2, (5, 30.0), ((-1, NAN), (0.0, -30.0, np.inf))),
+    (projections.pixel_area_sigma_m2, (1e4, 30.0), ((-1.0, 0.0, NAN, []), (-30.0, NAN))),
+    (projections.count_pixels, (BOX, 3.0, (0.0, 0.0)), (([],), (-3.0, NAN), ((NAN, 0.0), 0.0, (1.0, 2.0, 3.0)))),
     (scanner.Scanner, (7e5, 4e-5, 4e-5), ((-7e5, NAN, "high"), (0.0,), (-1.0,))),
     (scanner.total_angle_rad, (185e3, 705e3), ((-1.0, NAN), (0.0, -705e3))),
     (scanner.swath_m, (0.07, 8e5, 0.1, 6.4e6), ((0.0, -0.1), (-8e5, NAN), (NAN,), (-1.0, NAN))),

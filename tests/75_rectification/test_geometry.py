@@ -13,12 +13,16 @@ from hypothesis import strategies as st
 from scipy import integrate, optimize
 
 from fg_orient.model.errors import InputError
-from fg_orient.rectification.areas import count_pixels, mean_spacing_m, perimeter_m, pixel_area_m2, planar_area_m2
 from fg_orient.rectification.projections import (
+    count_pixels,
     ellipsoidal_area,
     gauss_krueger,
     lambert_cylindrical,
     lambert_polar,
+    mean_spacing_m,
+    perimeter_m,
+    pixel_area_m2,
+    planar_area_m2,
     project,
     scale_factors,
     space_oblique_mercator,

@@ -12,8 +12,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.rectification.fit import Observations, fit
 from fg_orient.rectification.grid import LevelSurface
 from fg_orient.rectification.options import OrthoOptions
-from fg_orient.rectification.ortho import orthorectify
-from fg_orient.rectification.ortho_job import rectify_image
+from fg_orient.rectification.ortho import orthorectify, rectify_image
 from fg_orient.rectification.ortho_models import PointModel, solved
 from fg_orient.rectification.transformation import find_model
 

@@ -15,8 +15,8 @@ from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
 from fg_orient.closerange.bundle_block import build
 from fg_orient.closerange.bundle_checks import motions
 from fg_orient.closerange.bundle_result import BundleResult
-from fg_orient.closerange.corrections import NAMES, SETS, parameters_of
 from fg_orient.closerange.intersection import intersect_photos
+from fg_orient.closerange.photo import NAMES, SETS, parameters_of
 from fg_orient.model.block import Options
 from fg_orient.model.constraint import Constraint
 from fg_orient.model.errors import FgOrientError, InputError

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fg_orient.closerange import report as plots
 from fg_orient.closerange import report_maps as maps
-from fg_orient.closerange import report_plots as plots
 from fg_orient.closerange import report_words as words
-from fg_orient.closerange.corrections import NAMES, profile
+from fg_orient.closerange.photo import NAMES, profile
 from fg_orient.closerange.report import render
 from fg_orient.closerange.surface import Surface
 from fg_orient.model.errors import as_record, finding

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.rectification.areas import count_pixels, outline, perimeter_m, pixel_area_m2, planar_area_m2
+from fg_orient.rectification.projections import count_pixels, outline, perimeter_m, pixel_area_m2, planar_area_m2
 
 Array = npt.NDArray[np.float64]
 

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fg_orient.formats.exchange.bal import write_bal
-from fg_orient.formats.exchange.bundle_model import bal_data_of
+from fg_orient.formats.exchange.bal import bal_data_of, write_bal
 from fg_orient.formats.exchange.bundler import write_bundler
 from fg_orient.formats.exchange.colmap_text import write_colmap_text
 from fg_orient.formats.exchange.tie_folders import write_match

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.adjustment.linear.registry import Function, register_solver
-from fg_orient.adjustment.linear.system import Array, LinearSolution, LinearSystem
+from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
 from fg_orient.adjustment.linear.triangular import Numbers, back_substitution, check_pivot, cholesky_rows, lost_digits
 
 

@@ -10,8 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.adjustment.linear.registry import Function, register_solver
-from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSolution, LinearSystem
+from fg_orient.adjustment.linear.system import Breakdown, LinearSolution, LinearSystem
 from fg_orient.adjustment.linear.triangular import LOST, check_pivot, cholesky_rows, lu_factors, upper_inverse
 
 Inverse = Callable[[Array], Array]

@@ -15,8 +15,9 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.adjustment.linear.registry import solve
-from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSystem
+from fg_orient.adjustment.linear.system import Breakdown, LinearSystem
 from fg_orient.model.errors import InputError
 
 #: Modules of this package that register rules when imported.

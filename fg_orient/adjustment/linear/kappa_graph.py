@@ -10,9 +10,10 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
+from factors.arrays import Array
 from fg_orient.adjustment.linear.kappa import Given, KappaChoice, RuleFunction, register_kappa_rule
 from fg_orient.adjustment.linear.ridge import GRID_POINTS, Ridge
-from fg_orient.adjustment.linear.system import Array, Breakdown
+from fg_orient.adjustment.linear.system import Breakdown
 from fg_orient.model.errors import InputError
 
 Curve = Callable[[float], float]

@@ -11,9 +11,10 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.adjustment.linear.kappa import KappaRule, choose_kappa, kappa_rules
 from fg_orient.adjustment.linear.ridge import Ridge
-from fg_orient.adjustment.linear.system import Array, LinearSystem
+from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.model.errors import FgOrientError
 
 #: Kappas of a recorded curve, in equal ratios.

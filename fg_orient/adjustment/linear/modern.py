@@ -14,10 +14,11 @@ from typing import Final
 import numpy as np
 from scipy.linalg import lapack, qr
 
+from factors.arrays import Array
 from fg_orient.adjustment.linear.inverses import moore_penrose_inverse
 from fg_orient.adjustment.linear.kappa import Given, choose_kappa
 from fg_orient.adjustment.linear.registry import Function, register_solver, solve
-from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSolution, LinearSystem, scaled
+from fg_orient.adjustment.linear.system import Breakdown, LinearSolution, LinearSystem, scaled
 from fg_orient.adjustment.linear.triangular import back_substitution
 from fg_orient.model.errors import InputError
 

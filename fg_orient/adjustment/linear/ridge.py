@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSystem
+from factors.arrays import Array
+from fg_orient.adjustment.linear.system import Breakdown, LinearSystem
 
 GRID_POINTS = 240
 #: The grid starts at the smallest singular value, but not below 16 roundings of the largest (Hansen 1998).

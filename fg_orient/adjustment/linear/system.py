@@ -17,9 +17,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.model.errors import InputError, NoSolutionError
-
-Array = npt.NDArray[np.float64]
 
 #: Dense matrices with more unknowns are refused: the graph backend is made for them.
 MAX_UNKNOWNS = 2000

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.linear.system import Array, Breakdown
+from factors.arrays import Array
+from fg_orient.adjustment.linear.system import Breakdown
 
 # Real, or complex after a negative radicand. (No '#:': autodoc cannot format this alias.)
 Numbers = npt.NDArray[Any]

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.parts import tasks
 from fg_orient.adjustment.parts.parts import START, divide, read_ground, rows_of, write_ground, write_part
 from fg_orient.adjustment.parts.pool import Pool
@@ -24,8 +24,6 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust
 from fg_orient.adjustment.schur_reduced import Pattern, Reduced, ReducedSystems
 from fg_orient.adjustment.schur_stages import half_extras
-
-Array = npt.NDArray[np.float64]
 
 
 class PartedBackend:

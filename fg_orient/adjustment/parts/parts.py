@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Equation, registered
+from factors.arrays import Array, Index
 from fg_orient import __version__
 from fg_orient.adjustment.problem import Problem, State, schur_possible
 from fg_orient.formats.atomic import write_bytes
@@ -26,9 +27,6 @@ from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, Image
 from fg_orient.model.errors import InputError
 from fg_orient.model.parameters import ImageParameters
 from fg_orient.sensors.base import ImageModel, Sensor
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 #: Default number of image points of a part. The number of parts then depends on the block only, so that the last bit of
 #: a result does not depend on the machines. A task costs a few ms, a part of this size 10 ms.

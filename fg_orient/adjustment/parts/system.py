@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.cofactors import SummedSystem
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.parts import tasks
@@ -23,8 +23,6 @@ from fg_orient.adjustment.schur_stages import ImageExtras
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.parts.backend import PartedBackend
-
-Array = npt.NDArray[np.float64]
 
 
 class PartedState(State):

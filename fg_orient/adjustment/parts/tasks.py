@@ -16,12 +16,12 @@ from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.adjustment.parts.parts import START, read_ground, read_part, write_ground
 from fg_orient.adjustment.problem import State
 from fg_orient.adjustment.robust import Robust
 from fg_orient.adjustment.schur import SchurBackend, SchurStep, SchurSystem
 
-Array = npt.NDArray[np.float64]
 P = ParamSpec("P")
 T = TypeVar("T")
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.survey import Gathering, Survey
 from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, require_plain, sigma, stated_in
@@ -24,8 +24,6 @@ from fg_orient.geodesy import crs_kind, enu_from_ecef
 from fg_orient.geodesy.crs import WGS84, wkt
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
-
-Array = npt.NDArray[np.float64]
 
 _ASP_GROUND: Final = ("id", "latitude", "longitude", "height", "sx", "sy", "sz")
 _ASP_IMAGE: Final = ("image", "column", "row", "sigma_column", "sigma_row")

@@ -3,27 +3,192 @@
 They contain frame images, tie points and start values, but no control. A file is text, plain or
 compressed by gzip or bzip2: number of cameras, points and observations; one observation per line
 (camera, point, x, y); nine numbers per camera (rotation vector, translation, f, k1, k2), three
-per point; ``fg_orient.formats.exchange.bundle_model`` has the camera model. A block of such a
-file counts pixels from the middle of the image: samples are x and lines -y.
+per point. A block of such a file counts pixels from the middle of the image: samples are x and
+lines -y.
+
+Cameras look along -Z, x runs right and y up from the middle of the image (Snavely et al. 2006).
+The projection centre is ``-R^T t``. A frame model counts pixels from the first pixel; the middle
+of an image of w x h pixels is at ((h - 1) / 2, (w - 1) / 2), because the lower left corner is at
+(-w/2, -h/2) in Bundler. These files contain neither the principal point nor the size of the
+images.
 """
 
 from __future__ import annotations
 
 import bz2
 import gzip
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from factors.arrays import Array, Index
+from factors.cameras import frame_camera
 from fg_orient.formats.atomic import require_free_files, write_bytes
-from fg_orient.formats.exchange.bundle_model import BalData, bundle_format, frame_model_of
+from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import read_packed, whole
-from fg_orient.formats.frame_model import frame_block
+from fg_orient.formats.exchange.ties import model_survey
+from fg_orient.formats.frame_model import FrameModel, Pose, frame_block
+from fg_orient.formats.registry import TIES_ONLY, Format, Settings
 from fg_orient.formats.tables import finite
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.block import Block, Source
-from fg_orient.model.errors import Finding, InputError
+from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.sensors.frame import HALF_TURN, IDEAL_TO_MEASURED
+from fg_orient.sensors.interior import Interior, converted
+
+#: Coefficients that the camera model of these files lacks, by the position in ``Interior.distortion``.
+_BEYOND: Final = {2: "k3", 3: "p1", 4: "p2"}
+
+
+@dataclass(frozen=True, eq=False)
+class BalData:
+    """Contents of a file, in its own conventions.
+
+    Parameters
+    ----------
+    camera, point : (n,) int arrays
+    xy : (n, 2) array, px
+    cameras : (M, 9) array
+        Rotation vector (rad), translation, f (px), k1, k2.
+    points : (N, 3) array
+    """
+
+    camera: Index
+    point: Index
+    xy: Array
+    cameras: Array
+    points: Array
+
+
+def frame_model_of(
+    data: BalData, names: Sequence[str] | None = None, sizes: Sequence[tuple[int, int] | None] | None = None,
+    notes: tuple[Finding, ...] = (), *, from_middle: bool = False,
+) -> FrameModel:  # fmt: skip
+    """Convert the numbers of a file to a frame model; each image has its own camera.
+
+    Parameters
+    ----------
+    data : BalData
+    names : sequence of str, optional
+        Names of the images; default: counted from 0.
+    sizes : sequence of (n_lines, n_samples) or None, optional
+        Sizes of the images. An image without one becomes the square that contains the outermost image point of all
+        images; a note names these images.
+    notes : tuple of Finding
+    from_middle : bool
+        Count the pixels from the middle of the images; no note on sizes.
+    """
+    n, side = len(data.cameras), assumed_side(data)
+    keys = tuple(names) if names is not None else tuple(map(str, range(n)))
+    given = {key: size for key, size in zip(keys, sizes or (None,) * n, strict=True) if size}
+    found, assumed = sizes_of(keys, given, side)
+    notes = notes if from_middle else (*notes, *assumed)
+    size = np.array(found, int).reshape(n, 2)
+    middle = np.zeros((n, 2)) if from_middle else (size - 1) / 2.0
+    cameras, poses = {}, []
+    for k, (key, row) in enumerate(zip(keys, data.cameras, strict=True)):
+        theirs, distortion = frame_camera.rotated(np.eye(3), row), np.array([row[7], row[8], 0.0, 0.0, 0.0])
+        cameras[key] = Interior(int(size[k, 0]), int(size[k, 1]), row[6], middle[k], distortion, name=key)
+        poses.append(Pose(key, key, HALF_TURN @ theirs, -theirs.T @ row[3:6]))
+    line, sample = middle[data.camera, 0] - data.xy[:, 1], middle[data.camera, 1] + data.xy[:, 0]
+    ids = tuple(map(str, range(len(data.points))))
+    return FrameModel(
+        cameras, tuple(poses), ids, data.points, data.camera, data.point, line, sample, notes, from_middle
+    )  # fmt: skip
+
+
+def sizes_of(
+    names: Sequence[str], given: Mapping[str, tuple[int, int]], side: int
+) -> tuple[list[tuple[int, int]], tuple[Finding, ...]]:
+    """Lines and samples of each image, those not given as a square of this side, px, with a note that names them."""
+    assumed = [name for name in names if name not in given]
+    notes = (finding("points.sizes_assumed", side=side, images=assumed),) if assumed else ()
+    return [given.get(name, (side, side)) for name in names], notes
+
+
+def assumed_side(data: BalData) -> int:
+    """Side of the square that contains all image points about its middle, px: an odd number."""
+    return 2 * math.ceil(float(np.abs(data.xy).max(initial=0.0))) + 1
+
+
+def bal_data_of(model: FrameModel, file: str = "") -> tuple[BalData, tuple[str, ...]]:
+    """Convert a frame model to the conventions of these files; pixels are counted from the principal point.
+
+    Returns
+    -------
+    data : BalData
+    lost : tuple of str
+        Information that they cannot hold, in words.
+
+    Raises
+    ------
+    InputError
+        A camera has k3, p1 or p2.
+    """
+    rows, fitted = [], {}
+    lost = ["names of images, points and cameras; sizes of images; principal points"]
+    for name, interior in model.cameras.items():
+        conversion = converted(interior, IDEAL_TO_MEASURED)
+        fitted[name] = own = conversion.interior
+        beyond = {text: own.distortion[k] for k, text in _BEYOND.items() if own.distortion[k] != 0.0}
+        if beyond:
+            value = " ".join(f"{text} {number:g}" for text, number in beyond.items())
+            raise InputError.of("bundle.camera", file=file, place=f"camera {name}", value=value)
+        if conversion.max_px > 0.0:
+            lost.append(f"camera {name}: distortion fitted the other way round, up to {conversion.max_px:.2g} px")
+    for pose in model.poses:
+        own, theirs = fitted[pose.camera], HALF_TURN @ pose.rotation
+        rotation = Rotation.from_matrix(theirs).as_rotvec()
+        rows.append([*rotation, *(-theirs @ pose.centre_m), own.focal_px, *own.distortion[:2]])
+    principal = np.array([fitted[pose.camera].principal_px for pose in model.poses]).reshape(-1, 2)[model.image]
+    xy = np.column_stack([model.sample - principal[:, 1], principal[:, 0] - model.line])
+    return BalData(model.image, model.point, xy, np.array(rows).reshape(-1, 9), model.points_m), tuple(lost)
+
+
+def bundle_format(
+    load: Callable[[tuple[Path, ...]], tuple[BalData, Sequence[str], tuple[Finding, ...]]],
+    save: Callable[..., None], **fields: Any,
+) -> Format:  # fmt: skip
+    """Registration record of a format with the numbers of BAL.
+
+    Parameters
+    ----------
+    load : callable
+        Files to numbers, names of the images and notes.
+    save : callable
+        Writes numbers to a file; ``overwrite`` is True to replace an existing file.
+    **fields
+        Further fields of the record.
+    """
+
+    def read_model(paths: tuple[Path, ...], settings: Settings) -> FrameModel:
+        data, names, notes = load(paths)
+        return frame_model_of(data, names, [settings.image_sizes.get(name) for name in names], notes)
+
+    def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
+        model = read_model(paths, settings)
+        names = [pose.name for pose in model.poses]
+        settings.require_images(names, paths[0].name)
+        for name in names:
+            if name not in settings.image_sizes:  # without the size the first pixel is unknown
+                raise InputError.of("ties.size", file=paths[0].name, place=name)
+        return model_survey(model)
+
+    def write_model(out: Path, model: FrameModel, overwrite: bool) -> tuple[str, ...]:
+        data, lost = bal_data_of(model, out.name)
+        save(out, data, overwrite=overwrite)
+        return lost
+
+    return Format(
+        pixel_axes="x right, y up from the middle of the image (pixels)", ground_axes="local x, y, z (left out)",
+        holds=TIES_ONLY, read=read, read_model=read_model, write_model=write_model, **fields,
+    )  # fmt: skip
+
 
 N_CAMERA: Final = 9
 #: Unknowns of a camera.

@@ -1,6 +1,6 @@
 """Bundler's files (``bundle.out``, v0.3).
 
-``fg_orient.formats.exchange.bundle_model`` has the camera model. Rotations are matrices, each
+``fg_orient.formats.exchange.bal`` has the camera model. Rotations are matrices, each
 point has a colour, and images without orientation have zeros. The list of images is another
 file: one name per line, in the order of the bundle.
 """
@@ -12,16 +12,14 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from factors.arrays import Array, Index, Mask
 from fg_orient.formats.atomic import require_free_files, write_bytes
-from fg_orient.formats.exchange.bundle_model import BalData, bundle_format
+from fg_orient.formats.exchange.bal import BalData, bundle_format
 from fg_orient.formats.exchange.text import TextLines
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
-
-Array = npt.NDArray[np.float64]
 
 HEAD: Final = "# Bundle file v0.3"
 
@@ -71,7 +69,7 @@ def read_bundler(path: str | Path) -> tuple[BalData, tuple[int, ...], tuple[Find
     return data, tuple(np.flatnonzero(kept).tolist()), notes
 
 
-def _camera_rows(text: TextLines, cameras: Array, kept: npt.NDArray[np.bool_]) -> Array:
+def _camera_rows(text: TextLines, cameras: Array, kept: Mask) -> Array:
     """Rows of BAL (rotation vector, translation, f, k1, k2) of the images that are kept."""
     own = cameras[kept]
     rotation = own[:, 3:12].reshape(-1, 3, 3)
@@ -84,9 +82,7 @@ def _camera_rows(text: TextLines, cameras: Array, kept: npt.NDArray[np.bool_]) -
     return np.column_stack([vector, own[:, 12:15], own[:, :3]])
 
 
-def _views(
-    text: TextLines, rows: Sequence[tuple[int, list[str]]], n_cameras: int
-) -> tuple[Array, npt.NDArray[np.intp]]:
+def _views(text: TextLines, rows: Sequence[tuple[int, list[str]]], n_cameras: int) -> tuple[Array, Index]:
     """Camera, key, x, y (n, 4) of all image points, and the number of image points of each point."""
     needed = "the number of views, then camera, key, x, y of each"
     for number, cells in rows:

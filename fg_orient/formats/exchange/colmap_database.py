@@ -18,14 +18,13 @@ from urllib.parse import quote
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Index
 from fg_orient.formats.atomic import staged_file
-from fg_orient.formats.exchange.colmap import FIRST_PIXEL
+from fg_orient.formats.exchange.colmap_text import FIRST_PIXEL
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.ties import matched_survey, pairs_of
 from fg_orient.formats.registry import TIES_ONLY, Format, Settings
 from fg_orient.model.errors import Finding, InputError, finding
-
-Index = npt.NDArray[np.intp]
 
 #: A pair's number is this times its smaller image id plus its larger one.
 PAIR: Final = 2147483647

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array, Index, Mask
 from fg_orient.formats.atomic import require_free_files
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.faults import Faults
@@ -25,7 +25,6 @@ from fg_orient.model.names import Role
 if TYPE_CHECKING:
     from fg_orient.formats.frame_model import FrameModel
 
-Array = npt.NDArray[np.float64]
 Three = tuple[float, float, float]
 Two = tuple[float, float]
 
@@ -184,7 +183,7 @@ def _require(survey: Survey, format_: Format, file: str) -> None:
     """Refuse a survey that lacks information required by the format; the message names the option that supplies it."""
     known, o = survey.located, survey.observed
     weighted = known & ~(survey.fixed & (Holds.FIXED in format_.holds))
-    lacking: list[tuple[Holds, str, npt.NDArray[np.bool_], str]] = [
+    lacking: list[tuple[Holds, str, Mask, str]] = [
         (Holds.HEIGHTS, "interchange.needs_height", known & np.isnan(survey.coordinates[:, 2]), "point"),
         (
             Holds.SIGMA_GROUND, "interchange.needs_sigma_ground",
@@ -250,7 +249,7 @@ def check_ground(survey: Survey, file: str, scenes: Sequence[Scene] = ()) -> tup
     return remarks
 
 
-def _check_ranges(survey: Survey, rows: npt.NDArray[np.intp], faults: Faults) -> None:
+def _check_ranges(survey: Survey, rows: Index, faults: Faults) -> None:
     for k in rows:
         lon, lat = survey.coordinates[k, :2]
         place = f"line {survey.lines[k]}, point {survey.ids[k]}"
@@ -261,7 +260,7 @@ def _check_ranges(survey: Survey, rows: npt.NDArray[np.intp], faults: Faults) ->
             faults.add("points.longitude", place=place, value=f"{lon:.10g}")
 
 
-def _check_area(survey: Survey, rows: npt.NDArray[np.intp], faults: Faults) -> tuple[Finding, ...]:
+def _check_area(survey: Survey, rows: Index, faults: Faults) -> tuple[Finding, ...]:
     """Check projected coordinates against the area of use of their CRS."""
     area = area_of_use(survey.crs)
     first, second = survey.coordinates[rows, :2].T
@@ -278,9 +277,7 @@ def _check_area(survey: Survey, rows: npt.NDArray[np.intp], faults: Faults) -> t
     )  # fmt: skip
 
 
-def _in_area(
-    crs: str, first: Array, second: Array, area: tuple[float, float, float, float] | None
-) -> npt.NDArray[np.bool_]:
+def _in_area(crs: str, first: Array, second: Array, area: tuple[float, float, float, float] | None) -> Mask:
     """Whether points lie in the area of use of a CRS, with a margin: (n,)."""
     if area is None:
         return np.ones(len(first), bool)
@@ -311,7 +308,7 @@ def losses(survey: Survey, format_: Format, file: str) -> tuple[Finding, ...]:
     return (*lost, finding(code, file=file, value=survey.crs, format=format_.name)) if code else tuple(lost)
 
 
-def _measured(survey: Survey) -> npt.NDArray[np.bool_]:
+def _measured(survey: Survey) -> Mask:
     return np.asarray(np.bincount(survey.observed.point, minlength=len(survey.ids)) > 0)
 
 
@@ -327,7 +324,7 @@ def _no_numbers(survey: Survey) -> int:
     return 0 if all(name.isdecimal() and name == str(int(name)) for name in survey.ids) else len(survey.ids)
 
 
-def _weighted(survey: Survey) -> npt.NDArray[np.bool_]:
+def _weighted(survey: Survey) -> Mask:
     return np.asarray(np.isfinite(survey.sigma_enu_m).all(axis=1))
 
 

@@ -21,8 +21,7 @@ from fg_orient.formats.atomic import staged_file, write_text
 from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.gdal import plain_case
-from fg_orient.formats.observations import COLUMNS
-from fg_orient.formats.point_table import SIGMA_COLUMNS
+from fg_orient.formats.points import COLUMNS, SIGMA_COLUMNS
 from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.text_files import read_text
 from fg_orient.geodesy.crs import WGS84, same_horizontal

@@ -24,7 +24,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from fg_orient.formats.exchange.bundle_model import sizes_of
+from factors.arrays import Array, Index
+from fg_orient.formats.exchange.bal import sizes_of
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import positions
 from fg_orient.formats.exchange.ties import model_survey
@@ -87,8 +88,8 @@ def read_libmv(path: str | Path, image_sizes: Mapping[str, tuple[int, int]] | No
 
 
 def _check(
-    file: str, camera: npt.NDArray[np.float64], tables: list[npt.NDArray[np.void]], away: npt.NDArray[np.float64],
-    at: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]],
+    file: str, camera: Array, tables: list[npt.NDArray[np.void]], away: Array,
+    at: tuple[Index, Index],
 ) -> None:  # fmt: skip
     """Refuse a file with impossible values; all faults at once."""
     faults = Faults(file)

@@ -12,11 +12,10 @@ import numpy as np
 from fg_orient.formats.exchange.survey import Survey, decided_crs
 from fg_orient.formats.exchange.text import stated_in
 from fg_orient.formats.faults import Faults
-from fg_orient.formats.observations import COLUMNS, read_observations
-from fg_orient.formats.point_table import located, parse_points
+from fg_orient.formats.points import COLUMNS, located, parse_points, read_observations
 from fg_orient.formats.points_write import write_observations, write_points
 from fg_orient.formats.registry import Format, Holds, Settings
-from fg_orient.formats.table_files import read_table
+from fg_orient.formats.tables import read_table
 from fg_orient.geodesy import crs_kind
 from fg_orient.model.errors import InputError
 

@@ -28,8 +28,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import TextLines, positions, require_once
 from fg_orient.formats.exchange.ties import model_survey, tie_survey
@@ -44,7 +44,6 @@ from fg_orient.sensors.conventions import CONVENTIONS, Image
 from fg_orient.sensors.frame import rotation_of_opk
 from fg_orient.sensors.interior import Interior
 
-Array = npt.NDArray[np.float64]
 Paragraph = list[tuple[int, list[str]]]
 
 HEAD: Final = "Bundle Soln"
@@ -191,7 +190,6 @@ FORMAT: Final = Format(
     read_model=lambda paths, settings: read_photomodeler(paths[0], settings.image_sizes),
     evidence="the projects published with DBAT; the pixel origin is an assumption",
 )
-
 
 # --- DBAT ------------------------------------------------------------------------------------------
 

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from fg_orient.formats.exchange.bundle_model import sizes_of
+from factors.arrays import Array
+from fg_orient.formats.exchange.bal import sizes_of
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import TextLines
 from fg_orient.formats.exchange.ties import model_survey
@@ -30,8 +30,6 @@ from fg_orient.formats.tables import finite
 from fg_orient.model.errors import InputError, finding
 from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL
 from fg_orient.sensors.interior import Interior
-
-Array = npt.NDArray[np.float64]
 
 #: Coordinate of the centre of the first pixel.
 CORNER: Final = 0.5

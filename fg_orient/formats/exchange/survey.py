@@ -15,14 +15,13 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array, Mask
 from fg_orient.formats.faults import Faults
 from fg_orient.geodesy import crs_kind
 from fg_orient.geodesy.crs import epsg_code, same_horizontal
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
-
-Array = npt.NDArray[np.float64]
 
 UNKNOWN: Final = (np.nan, np.nan, np.nan)
 #: Characters of a CRS that a note repeats.
@@ -66,7 +65,7 @@ class Survey:
     roles: tuple[Role, ...]
     coordinates: Array
     sigma_enu_m: Array
-    fixed: npt.NDArray[np.bool_]
+    fixed: Mask
     images: tuple[str, ...] = ()
     observed: ImagePoints = field(default_factory=no_image_points)
     lines: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
@@ -77,7 +76,7 @@ class Survey:
             object.__setattr__(self, "lines", np.zeros(len(self.ids), np.int64))
 
     @property
-    def located(self) -> npt.NDArray[np.bool_]:
+    def located(self) -> Mask:
         """Points with horizontal coordinates: (n,)."""
         return np.asarray(np.isfinite(self.coordinates[:, :2]).all(axis=1))
 

@@ -17,12 +17,12 @@ from typing import Any, Final, Literal, NoReturn
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array, Index
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.tables import Row, finite, number
 from fg_orient.formats.text_files import delimited, read_text
 from fg_orient.model.errors import Finding, InputError, finding
 
-Array = npt.NDArray[np.float64]
 Separator = Literal["comma", "blank", "either"]
 
 #: First characters of a cell that spreadsheets interpret as a formula.
@@ -212,7 +212,7 @@ def require_once(values: npt.NDArray[Any], kind: str, file: str, at: Callable[[i
         raise InputError.of("interchange.twice", file=file, place=place, value=value, kind=kind)
 
 
-def positions(ids: Array, wanted: Array) -> npt.NDArray[np.intp]:
+def positions(ids: Array, wanted: Array) -> Index:
     """Position of each wanted id (n,) among the ids (m,), -1 where it is missing."""
     if not len(ids):
         return np.full(len(wanted), -1)

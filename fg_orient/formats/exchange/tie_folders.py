@@ -26,14 +26,13 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.formats.atomic import write_bytes, write_lines
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import TextLines, make_folder, read_packed, require_once
 from fg_orient.formats.exchange.ties import matched_survey, pairs_of, tie_survey
 from fg_orient.formats.registry import TIES_ONLY, Format, Holds, Settings
 from fg_orient.model.errors import InputError
-
-Array = npt.NDArray[np.float64]
 
 RECORD: Final = np.dtype([
     ("x", "<f4"), ("y", "<f4"), ("ix", "<i4"), ("iy", "<i4"), ("orientation", "<f4"), ("scale", "<f4"),
@@ -156,7 +155,6 @@ FORMAT = Format(
     read=read_matches,
     write=write_matches,
 )
-
 
 # --- MicMac ----------------------------------------------------------------------------------------
 

@@ -10,18 +10,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from factors.arrays import Array, Index
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.frame_model import FrameModel
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import Finding, finding
 from fg_orient.model.names import Role
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 def tie_survey(

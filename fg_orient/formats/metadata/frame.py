@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
+from factors.arrays import Array
 from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.registry import Format
 from fg_orient.formats.schema import Number, Positive, Table, Text, read_toml, validate
@@ -29,7 +29,6 @@ from fg_orient.sensors.interior import Interior
 if TYPE_CHECKING:
     from fg_orient.sensors.camera_conversion import ConvertedCamera
 
-Array = npt.NDArray[np.float64]
 Three = tuple[Number, Number, Number]
 Count = Annotated[int, Field(strict=True, gt=0)]
 _KIND: Final = re.compile(r"""^\s*kind\s*=\s*["']frame["']""", re.MULTILINE)

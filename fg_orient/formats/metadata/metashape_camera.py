@@ -11,11 +11,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.formats.xml import XmlNode, read_xml
-
-Array = npt.NDArray[np.float64]
 
 #: Values of the convention "metashape".
 NAMES: Final = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2")

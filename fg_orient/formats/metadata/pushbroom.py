@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
+from factors.arrays import Array
 from factors.geometry import orbital
 from factors.geometry.interpolation import sign_aligned
 from fg_orient.formats.registry import Format
 from fg_orient.formats.schema import Number, Positive, Switch, Table, Text, read_toml
-from fg_orient.formats.table_files import read_numbers
+from fg_orient.formats.tables import read_numbers
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.earth_rotation import DAY_S, EarthOrientation, EarthRotation, neglected
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
@@ -38,7 +38,6 @@ from fg_orient.sensors.metadata import (
     QuaternionList,
 )
 
-Array = npt.NDArray[np.float64]
 Three = tuple[Number, Number, Number]
 Coefficients = Annotated[tuple[Number, ...], Field(min_length=1, max_length=12)]
 Count = Annotated[int, Field(strict=True, ge=2, le=10_000_000)]

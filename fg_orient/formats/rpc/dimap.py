@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from lxml import etree
 
+from factors.arrays import Array
 from factors.cameras.rfm import permutation
 from factors.cameras.rfm_project import RANGE
 from fg_orient.formats.atomic import write_bytes
@@ -31,8 +31,6 @@ from fg_orient.formats.rpc.fields import (
 from fg_orient.formats.xml import XmlNode, element, read_xml
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
-
-Array = npt.NDArray[np.float64]
 
 #: Profile -> pixel coordinate of the first pixel's centre in the model and in its validity domain. The
 #: readers of other programs disagree on SPOT 6/7 and Pléiades Neo; docs/rpc.md gives the reasons for these values.

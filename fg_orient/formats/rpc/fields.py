@@ -15,16 +15,14 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import Array
 from factors.cameras.rfm import EXPONENTS, N_TERMS, permutation
 from factors.cameras.rfm_project import RANGE
 from fg_orient.formats.registry import read_bytes
 from fg_orient.formats.tables import NUMBER
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel
-
-Array = npt.NDArray[np.float64]
 
 #: Line, sample, longitude, latitude, height: the order of ``RpcModel``.
 AXES: Final = ("LINE", "SAMP", "LONG", "LAT", "HEIGHT")

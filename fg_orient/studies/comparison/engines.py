@@ -9,12 +9,12 @@ from typing import Any, cast
 import numpy as np
 
 from factors._preparation import working_clock
+from factors.arrays import Array
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.linear import registry
 from fg_orient.adjustment.linear.l_curve import l_curve_of
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, numerical_rank, singular_values, unit_columns
 from fg_orient.adjustment.problem import Problem, compile_problem
-from fg_orient.model.arrays import Array
 from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError, finding
 from fg_orient.model.names import EOP_SETS, Status

@@ -10,9 +10,9 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.adjustment.linear import registry
 from fg_orient.adjustment.linear.l_curve import Choice, LCurve
-from fg_orient.model.arrays import Array
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.parameters import eop_set_number

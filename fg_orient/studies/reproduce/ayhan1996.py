@@ -14,9 +14,9 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.closerange.surface import Kind, Surface, map_points
 from fg_orient.closerange.surface_fit import fit_surface
-from fg_orient.model.arrays import Array
 from fg_orient.studies.reproduce import ayhan1996_photos as photos
 from fg_orient.studies.reproduce.ayhan1996_photos import GEODETIC, GON, POINTS, SUMS, cells_of, points_of
 from fg_orient.studies.reproduce.verdict import Cells, Recomputed, Values, row_key

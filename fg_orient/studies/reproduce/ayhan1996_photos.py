@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from factors.cameras.image_corrections import ideal_points
 from fg_orient.closerange.accuracy import compare_points
 from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
@@ -21,7 +22,6 @@ from fg_orient.closerange.bundle_result import BundleResult
 from fg_orient.closerange.dlt import DltFit, fit_dlt
 from fg_orient.closerange.intersection import Intersection, intersect_photos, normal_case
 from fg_orient.closerange.photo import Photo, PhotoInterior, ayhan_from_rotation, rotation_from_ayhan
-from fg_orient.model.arrays import Array
 from fg_orient.model.constraint import Constraint
 from fg_orient.studies.reproduce.verdict import Cells, Recomputed, Values, row_key
 

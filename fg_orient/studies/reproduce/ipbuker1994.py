@@ -13,12 +13,20 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.model.arrays import Array
+from factors.arrays import Array
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import CellKey
 from fg_orient.rectification import study
-from fg_orient.rectification.areas import mean_spacing_m, pixel_area_m2, planar_area_m2
-from fg_orient.rectification.projections import gauss_krueger, lambert_cylindrical, lambert_polar, project, unproject
+from fg_orient.rectification.projections import (
+    gauss_krueger,
+    lambert_cylindrical,
+    lambert_polar,
+    mean_spacing_m,
+    pixel_area_m2,
+    planar_area_m2,
+    project,
+    unproject,
+)
 from fg_orient.rectification.scanner import swath_m, total_angle_rad
 from fg_orient.rectification.standards import effective_resolution_m
 from fg_orient.studies.reproduce.verdict import Cells, Recomputed, Values, attempt, row_key

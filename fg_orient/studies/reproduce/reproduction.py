@@ -12,8 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.adjustment.linear.l_curve import LCurve
-from fg_orient.model.arrays import Array
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import CellKey
 from fg_orient.studies.claims import ClaimResult, all_claims, run_claims

@@ -11,9 +11,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.adjustment.linear.l_curve import LCurve
 from fg_orient.adjustment.runtime import one_blas_thread
-from fg_orient.model.arrays import Array
 from fg_orient.model.errors import FgOrientError
 from fg_orient.model.names import CellKey
 from fg_orient.studies import tables_spot5, tables_spot6, tables_twin

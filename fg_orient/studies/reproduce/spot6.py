@@ -22,7 +22,7 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.model.arrays import Array
+from factors.arrays import Array
 from fg_orient.model.digits import last_digit
 from fg_orient.model.names import CellKey
 from fg_orient.rpc.points import SPOT6_FILE, SPOT6_FOLDER, ControlPoints, find_spot6, read_gcp

@@ -35,7 +35,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from fg_orient.model.arrays import Array
+from factors.arrays import Array
 from fg_orient.model.digits import MEANING, agreement, last_digit
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import CellKey

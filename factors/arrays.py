@@ -1,8 +1,9 @@
-"""Types of arrays: numbers, places in other arrays, truth values."""
+"""Types of arrays in annotations: numbers, positions and masks."""
 
 import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+#: Positions in another array.
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
