@@ -104,8 +104,8 @@ class BundlePhoto:
 
     def fault(self, place: str, value: object, expected: str) -> InputError:
         """Error of the photo."""
-        return InputError.of("closerange.bundle", place=f"photo {self.name}, {place}", value=value,
-                             expected=expected)  # type: ignore[return-value]  # fmt: skip
+        where = f"photo {self.name}, {place}"
+        return InputError.of("closerange.bundle", place=where, value=value, expected=expected)
 
 
 def adjust_bundle(

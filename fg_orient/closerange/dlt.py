@@ -225,7 +225,7 @@ def _open(ground: Array, value: str) -> InputError:
     """Refusal of points close to a plane, or else in another critical configuration such as a twisted cubic."""
     size = np.linalg.svd(ground - ground.mean(axis=0), compute_uv=False)
     code = "closerange.plane" if size[2] <= CLOSE_TO_PLANE * size[0] else "closerange.critical"
-    return InputError.of(code, place="DLT", value=value)  # type: ignore[return-value]
+    return InputError.of(code, place="DLT", value=value)
 
 
 def _require_spatial(ground: Array, design: Array) -> fitting.Determination:

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from factors.arrays import Index
-from fg_orient.formats.points import ObservationFile, PointFile, take_points
+from fg_orient.formats.points import ObservationFile, PointFile
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.model.block import GroundPoints, Image, ImagePoints, WithheldCoordinates
 from fg_orient.model.errors import Finding, InputError, finding
@@ -66,9 +66,8 @@ def assemble(
     unmeasured = np.flatnonzero((rays == 0) & ~held)
     if len(unmeasured):
         named = _named(points.points.ids, unmeasured)
-        remarks.append(
-            finding("remark.not_measured", file=point_file, place="column id", value=named, count=len(unmeasured))
-        )
+        count = len(unmeasured)
+        remarks.append(finding("remark.not_measured", file=point_file, place="column id", value=named, count=count))
     if not relative and not (control & (rays > 0)).any():
         value = f"{control.sum()} control points in the file, 0 measured"
         problems.append(finding("block.no_control", file=point_file, place="column role", value=value))
@@ -78,7 +77,7 @@ def assemble(
         problems.append(finding("observations.image_unused", file=file, place="column image", value=image_ids[k]))
     if problems:
         raise InputError(*problems)
-    left = take_points(points.points, kept)
+    left = points.points.take(kept)
     withheld = points.withheld([left.ids[k] for k in left.where(Role.CHECK)])
     return left, taken, withheld, tuple(remarks)
 
@@ -149,10 +148,8 @@ def _clusters(images: Sequence[Image], control: Index, o: ImagePoints, file: str
         lines = float(np.ptp(o.line[rows])) / images[k].sensor.n_lines
         samples = float(np.ptp(o.sample[rows])) / images[k].sensor.n_samples
         if rows.sum() > 1 and max(lines, samples) < CLUSTER_SPAN:
-            remarks.append(
-                finding(
-                    "remark.control_clustered", file=file, place="control points", value=f"{rows.sum()} points",
-                    image=images[k].id, lines=lines, samples=samples,
-                )
-            )  # fmt: skip
+            remarks.append(finding(
+                "remark.control_clustered", file=file, place="control points", value=f"{rows.sum()} points",
+                image=images[k].id, lines=lines, samples=samples,
+            ))  # fmt: skip
     return remarks

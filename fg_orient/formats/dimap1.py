@@ -130,9 +130,8 @@ def _attitude(
     if index == 5:
         nodes = source.every("Corrected_Attitudes/Corrected_Attitude/Angles", 2)
         time_s, angles = _rows(nodes, epoch, RADIANS)
-        return AngleAttitude(time_s, ATTITUDE_SIGN * angles), checks.flagged(
-            nodes, "OUT_OF_RANGE", "N", "image.attitude_flags"
-        )
+        flags = checks.flagged(nodes, "OUT_OF_RANGE", "N", "image.attitude_flags")
+        return AngleAttitude(time_s, ATTITUDE_SIGN * angles), flags
     raw = source.one("Raw_Attitudes/Aocs_Attitude")
     speed_nodes = raw.every("Angular_Speeds_List/Angular_Speeds", 2)
     angle_nodes = raw.every("Angles_List/Angles", 1)
@@ -173,10 +172,10 @@ def _integrate(
 def _held(node: XmlNode, speed_time: Array, angle_time: Array, ends_s: Array) -> tuple[float, float]:
     """Seconds by which the first and the last speed are extended to cover the image and the absolute angles."""
     if max(speed_time[0] - ends_s[0], ends_s[1] - speed_time[-1]) > SPEED_HOLD_S:
-        raise OutOfTimeRange(finding(
+        raise OutOfTimeRange.of(
             "dimap.speed_span", file=node.file, place=node.place, hold=SPEED_HOLD_S,
             value=f"image {ends_s[0]:.3f} .. {ends_s[1]:.3f} s", first=speed_time[0], last=speed_time[-1],
-        ))  # fmt: skip
+        )  # fmt: skip
     before = speed_time[0] - min(angle_time[0], ends_s[0])
     after = max(angle_time[-1], ends_s[1]) - speed_time[-1]
     return float(np.clip(before, 0.0, SPEED_HOLD_S)), float(np.clip(after, 0.0, SPEED_HOLD_S))

@@ -141,9 +141,8 @@ def require_unit_quaternions(nodes: Sequence[XmlNode], quaternion: Array) -> Non
     norm = np.linalg.norm(quaternion, axis=1)
     wrong = np.flatnonzero(np.abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE)
     if len(wrong):
-        raise nodes[int(wrong[0])].fault(
-            "dimap.quaternion_norm", f"norm {norm[wrong[0]]:.6g}", tolerance=QUATERNION_NORM_TOLERANCE
-        )
+        node, value = nodes[int(wrong[0])], f"norm {norm[wrong[0]]:.6g}"
+        raise node.fault("dimap.quaternion_norm", value, tolerance=QUATERNION_NORM_TOLERANCE)
 
 
 def flagged(nodes: Sequence[XmlNode], tag: str, good: str, code: str) -> tuple[Finding, ...]:

@@ -120,7 +120,7 @@ def _require_whole(survey: Survey, faults: Faults) -> None:
 
 def read_foreign_observations(
     table: Table, sizes: Mapping[str, tuple[int, int] | None] | None, points: PointFile | None, faults: Faults
-) -> tuple[ObservationFile, PointFile] | None:  # fmt: skip
+) -> tuple[ObservationFile, PointFile] | None:
     """Read image points of known ground points; other points of the file become tie points.
 
     None, with the faults noted, if anything is wrong; parameters as in

@@ -155,9 +155,8 @@ def frame_block(
     notes = tuple(finding(code, n=count) for code, count in counts if count)
     known = Coordinates(model.points_m, np.full((n, 3), np.nan), np.zeros(n, bool))
     points = GroundPoints(model.point_ids, (Role.TIE,) * n, known)
-    nothing = WithheldCoordinates((), lambda: Coordinates(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool)))
     options = Options(datum="free", priors=False, optimizer="levenberg-marquardt", max_iterations=500)
-    return Block(name, tuple(images), points, seen, nothing, options, sources, (*model.notes, *notes))
+    return Block(name, tuple(images), points, seen, WithheldCoordinates(), options, sources, (*model.notes, *notes))
 
 
 def adjusted_model(model: FrameModel, corrections: Sequence[Array], ground_m: Array) -> FrameModel:
@@ -214,7 +213,7 @@ def _in_one_image(image: Index, point: Index, n_points: int) -> Mask:
 
 def _in_pixels(
     camera: FrameCamera, unknowns: Sequence[str], line: Array, sample: Array, ground_m: Array
-) -> FrameCamera:  # fmt: skip
+) -> FrameCamera:
     """Camera with unknowns whose units move its image points (n,) by 1 px (root of the sum of squares) at the start.
 
     Without priors the units act on the damped steps only (Moré 1978), which then do not depend on the units of the

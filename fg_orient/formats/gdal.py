@@ -8,11 +8,15 @@ It also resets the decimal point of the calling program to that of "C" (seen wit
 from __future__ import annotations
 
 import locale
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Final
 
 from fg_orient.model.errors import InputError
+
+#: First bytes of TIFF and BigTIFF files in both byte orders.
+TIFF_MARKS: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
 def rasterio_of(file: object, code: str = "ortho.no_rasterio") -> Any:
@@ -23,6 +27,13 @@ def rasterio_of(file: object, code: str = "ortho.no_rasterio") -> Any:
     except ImportError as error:
         raise InputError.of(code, file=file) from error
     return rasterio
+
+
+def opened(rasterio: Any, path: object, mode: str = "r") -> Any:
+    """Open an image without GDAL's warning that it has no map coordinates; errors are those of rasterio."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        return rasterio.open(path, mode)
 
 
 @contextmanager

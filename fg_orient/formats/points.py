@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.arrays import Array, Mask
 from fg_orient.formats.exchange.survey import Survey
@@ -237,32 +236,12 @@ def point_file(
         if again is None or noted or sha256_of(*files) != digest:
             raise InputError.of("points.changed", file=files[0], place="check points")
         row = {name: k for k, name in enumerate(again.ids)}
-        return _take(located(again, noted)[0], np.array([row[name] for name in wanted], int))
+        return located(again, noted)[0].take(np.array([row[name] for name in wanted], np.intp))
 
     control = np.array([role is Role.CONTROL for role in survey.roles], bool)
-    points = GroundPoints(survey.ids, survey.roles, _mask(coordinates, control))
+    points = GroundPoints(survey.ids, survey.roles, coordinates.only(control))
     remarks = _remarks(str(path), survey, operation)
     return PointFile(path, survey.crs, digest, points, operation, remarks, opened)
-
-
-def _mask(coordinates: Coordinates, known: Mask) -> Coordinates:
-    shown = known[:, None]
-    return Coordinates(
-        np.where(shown, coordinates.ecef_m, np.nan),
-        np.where(shown, coordinates.sigma_enu_m, np.nan),
-        coordinates.fixed & known,
-    )
-
-
-def _take(coordinates: Coordinates, rows: npt.NDArray[np.int_]) -> Coordinates:
-    return Coordinates(coordinates.ecef_m[rows], coordinates.sigma_enu_m[rows], coordinates.fixed[rows])
-
-
-def take_points(points: GroundPoints, rows: npt.NDArray[np.int_]) -> GroundPoints:
-    """Selected points."""
-    return GroundPoints(
-        tuple(points.ids[k] for k in rows), tuple(points.roles[k] for k in rows), _take(points.known, rows)
-    )
 
 
 def _remarks(file: str, survey: Survey, operation: Operation | None) -> tuple[Finding, ...]:
@@ -270,10 +249,8 @@ def _remarks(file: str, survey: Survey, operation: Operation | None) -> tuple[Fi
     remarks = [*sigma_remarks("remark.sigma_ground", file, sigma, PLAUSIBLE_SIGMA_M, lambda k: f"line {lines[k]}")]
     if operation is not None and operation.missing_grids:
         accuracy = "an unknown accuracy" if np.isnan(operation.accuracy_m) else f"{operation.accuracy_m:g} m"
-        grids = ", ".join(operation.missing_grids)
-        remarks.append(
-            finding("remark.grid_missing", file=file, place="crs", value=operation.crs, accuracy=accuracy, grids=grids)
-        )
+        fields = {"accuracy": accuracy, "grids": ", ".join(operation.missing_grids)}
+        remarks.append(finding("remark.grid_missing", file=file, place="crs", value=operation.crs, **fields))
     return tuple(remarks)
 
 

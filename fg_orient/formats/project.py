@@ -84,14 +84,13 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
     ids, control = [image.id for image in known], bool(points.points.where(Role.CONTROL).size)
     relative = chosen_datum(options, known, control=control) != "control"
     named = {name for c in constraints for name in c.members}
-    kept, measured, withheld, left_out = assemble(
-        ids, points, observations, drop=drop, relative=relative, named=named
-    )  # fmt: skip
+    kept, measured, withheld, left_out = assemble(ids, points, observations, drop=drop, relative=relative, named=named)
     foreign = foreign_members(constraints, kept.ids, ids, str(path))
     if foreign:
         raise InputError(*foreign)
     geometry = geometry_remarks(known, kept, measured, str(points.path))
     remarks = (*points.remarks, *observations.remarks, *left_out, *geometry)
+    files = (path, *(folder / entry.metadata for entry in project.images))
     block = Block(
         name=project.name,
         images=known,
@@ -100,7 +99,7 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
         withheld=withheld,
         options=options,
         sources=(
-            *(_source(file) for file in (path, *(folder / entry.metadata for entry in project.images))),
+            *(Source(str(file), sha256_of(file)) for file in files),
             *(Source(str(table.path), table.sha256) for table in (points, observations)),
         ),
         notes=_notes(known, points, [p for p in remarks if p.code != FEW_CHECK_CODE]),
@@ -322,10 +321,6 @@ def _entry_problems(project: ProjectFile, file: str) -> list[Finding]:
         except InputError as error:
             faults += [replace(p, file=file, place=f"{name}.crs") for p in error.problems]
     return faults
-
-
-def _source(path: Path) -> Source:
-    return Source(str(path), sha256_of(path))
 
 
 def _notes(images: Sequence[Image], points: PointFile, remarks: Sequence[Finding]) -> tuple[Finding, ...]:

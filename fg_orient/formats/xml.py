@@ -24,7 +24,7 @@ from lxml import etree
 from factors.arrays import Array
 from fg_orient.formats.registry import read_bytes
 from fg_orient.formats.tables import DECIMAL_COMMA, NUMBER, finite
-from fg_orient.model.errors import InputError, finding
+from fg_orient.model.errors import InputError
 
 #: No quantity of a metadata file is larger; beyond it squares overflow.
 LARGEST = 1e30
@@ -94,7 +94,7 @@ class XmlNode:
 
     def fault(self, code: str, value: object = "", **fields: object) -> InputError:
         """Build the error of this element."""
-        return InputError(finding(code, file=self.file, place=self.place, value=value, **fields))
+        return InputError.of(code, file=self.file, place=self.place, value=value, **fields)
 
     # --- elements ----------------------------------------------------------------------------
 

@@ -62,6 +62,15 @@ class Coordinates:
     def __post_init__(self) -> None:
         _read_only(self, ecef_m=np.float64, sigma_enu_m=np.float64, fixed=np.bool_)
 
+    def take(self, rows: Index) -> Coordinates:
+        """Selected rows."""
+        return Coordinates(self.ecef_m[rows], self.sigma_enu_m[rows], self.fixed[rows])
+
+    def only(self, known: Mask) -> Coordinates:
+        """All rows, without the coordinates of those that are not ``known`` (n,)."""
+        ecef_m, sigma_m = (np.where(known[:, None], values, np.nan) for values in (self.ecef_m, self.sigma_enu_m))
+        return Coordinates(ecef_m, sigma_m, self.fixed & known)
+
 
 @dataclass(frozen=True)
 class GroundPoints:
@@ -86,22 +95,26 @@ class GroundPoints:
         """Indices of the points with this role."""
         return np.flatnonzero([r is role for r in self.roles])
 
+    def take(self, rows: Index) -> GroundPoints:
+        """Selected points."""
+        ids, roles = (tuple(values[k] for k in rows) for values in (self.ids, self.roles))
+        return GroundPoints(ids, roles, self.known.take(rows))
+
     def without_coordinates(self, gone: Mask, role: Role) -> GroundPoints:
         """Remove the coordinates of the points ``gone`` (n,), which get this role."""
-        known, roles = self.known, tuple(role if away else r for away, r in zip(gone, self.roles, strict=True))
-        ecef_m, sigma_m = (np.where(gone[:, None], np.nan, values) for values in (known.ecef_m, known.sigma_enu_m))
-        return GroundPoints(self.ids, roles, Coordinates(ecef_m, sigma_m, known.fixed & ~gone))
+        roles = tuple(role if away else r for away, r in zip(gone, self.roles, strict=True))
+        return GroundPoints(self.ids, roles, self.known.only(~gone))
 
 
 @dataclass(frozen=True)
 class WithheldCoordinates:
     """Coordinates of the check points, sealed until :meth:`open` after convergence.
 
-    ``ids`` names the points; opening calls ``reader`` and gives rows in the order of ``ids``.
+    ``ids`` names the points; opening calls ``reader`` and gives rows in the order of ``ids``. Default: no points.
     """
 
-    ids: tuple[str, ...]
-    reader: Callable[[], Coordinates]
+    ids: tuple[str, ...] = ()
+    reader: Callable[[], Coordinates] = lambda: Coordinates(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool))
 
     def open(self) -> Coordinates:
         """Read the withheld coordinates."""

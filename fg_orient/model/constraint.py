@@ -116,7 +116,7 @@ class Constraint:
         """Error of the constraint."""
         more = ", ..." if len(self.members) > 6 else ""
         text = f"{self.kind if self.kind in LEAST else 'constraint'} of {', '.join(self.members[:6])}{more}"
-        return InputError.of("closerange.constraint", place=f"{text}, {place}", value=value, expected=expected)  # type: ignore[return-value]
+        return InputError.of("closerange.constraint", place=f"{text}, {place}", value=value, expected=expected)
 
 
 def place_of(number: int) -> str:

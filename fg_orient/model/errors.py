@@ -13,7 +13,7 @@ import string
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
-from typing import Any, Final
+from typing import Any, Final, Self
 
 from fg_orient.model.messages import CATALOGUE
 from fg_orient.model.messages.adjustment import figures_in_words
@@ -99,7 +99,8 @@ class Finding:
         data = known | dict(self.data)
         name = (lambda option: self.names.get(option, option)) if self.names else naming
         named = [_OPTION.sub(lambda found: name(found[1]), part) for part in parts]
-        shown = (part for k, part in enumerate(named) if k == 0 or _filled(part, data))
+        empty: tuple[object, ...] = ("", None, [])  # a further part with an empty field is not shown
+        shown = named[:1] + [part for part in named[1:] if not any(data[item] in empty for item in _fields(part))]
         return "".join(_FORMAT.vformat(_agreeing(part, data), (), data) for part in shown)
 
 
@@ -132,11 +133,6 @@ def _agreeing(part: str, data: Mapping[str, Any]) -> str:
         return counted[1] + (_SINGULAR[verb] if str(data[counted[2]]) == "1" else f"s{verb}")
 
     return _COUNTED.sub(agree, part)
-
-
-def _filled(part: str, data: Mapping[str, Any]) -> bool:
-    """True if no field of a part of a message is empty; a part with an empty field is not shown."""
-    return not any(data[name] in ("", None, []) for name in _fields(part))
 
 
 def finding(
@@ -240,7 +236,7 @@ class FgOrientError(Exception):
         super().__init__("\n".join(str(p) for p in problems))
 
     @classmethod
-    def of(cls, code: str, **fields: object) -> FgOrientError:
+    def of(cls, code: str, **fields: object) -> Self:
         """Build the error from one finding."""
         return cls(finding(code, **fields))
 

@@ -13,6 +13,7 @@ import re
 import shlex
 import sys
 from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
@@ -47,6 +48,12 @@ def versions(distributions: Sequence[str] = COMPUTING) -> dict[str, str | None]:
 
     found = {name: version_of(name) for name in distributions}
     return {"python": platform.python_version(), "fg_orient": fg_orient.__version__, **found}
+
+
+def stamp(command: Sequence[str]) -> dict[str, Any]:
+    """Versions, words of the command line without folders, and time of a run, for its record."""
+    words = [Path(word).name if Path(word).is_absolute() else word for word in command]
+    return {"versions": versions(), "command": words, "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds")}
 
 
 def is_ours(found: str) -> bool:

@@ -214,11 +214,11 @@ class Sensor(ABC):
         """Raise OutOfImage if a pixel lies outside the image; the message names the first one and the range."""
         bad = np.flatnonzero(~self.is_inside(line, sample))
         if len(bad):
-            raise OutOfImage(finding(
+            raise OutOfImage.of(
                 "sensor.pixel_outside", file=self.file, place=f"line {line[bad[0]]:g}, sample {sample[bad[0]]:g}",
                 value=f"{len(bad)} pixel(s)", first_line=self.first_line - 0.5, last_line=self.last_line + 0.5,
                 first_sample=self.first_sample - 0.5, last_sample=self.last_sample + 0.5,
-            ))  # fmt: skip
+            )  # fmt: skip
 
     def corners(self) -> tuple[Array, Array]:
         """Lines and samples (4,) of the corners in image order, clockwise."""

@@ -116,14 +116,13 @@ def convert_camera(
     if covariance is None:
         return converted_interior(one.interior(given, image), target, image)
     by_values = _derivative(lambda v: one.camera(v, image), given) @ by_name
-    return converted_interior(
-        one.interior(given, image), target, image, by_values, _covariance(covariance, values, one)
-    )
+    spread = _covariance(covariance, values, one)
+    return converted_interior(one.interior(given, image), target, image, by_values, spread)
 
 
 def converted_interior(
     interior: Interior, target: str, image: Image, by_values: Array | None = None, covariance: Array | None = None
-) -> ConvertedCamera:  # fmt: skip
+) -> ConvertedCamera:
     """Convert a camera of fg_orient.
 
     Parameters
@@ -162,7 +161,7 @@ def converted_interior(
 
 def _fitted(
     interior: Interior, two: Convention, image: Image, start: Array, by_values: Array
-) -> tuple[Array, Array, dict[str, Any]]:  # fmt: skip
+) -> tuple[Array, Array, dict[str, Any]]:
     """Values (k,) that fit best to the directions of a camera, their derivatives (k, n), and the remaining distance."""
     require_image(image, is_fit=True)
     line, sample = pixel_grid(interior)

@@ -61,9 +61,8 @@ class EarthOrientation:
         InputError if the series does not cover the time.
         """
         if not self.mjd[0] <= mjd <= self.mjd[-1]:
-            raise InputError.of(
-                "earth.span", file=self.file, place="MJD", value=f"{mjd:.5f}", first=self.mjd[0], last=self.mjd[-1]
-            )
+            first, last = self.mjd[[0, -1]]
+            raise InputError.of("earth.span", file=self.file, place="MJD", value=f"{mjd:.5f}", first=first, last=last)
         first = int(np.clip(np.searchsorted(self.mjd, mjd) - 2, 0, max(len(self.mjd) - 4, 0)))
         near = slice(first, first + 4)
         ut1_tai = self.ut1_utc_s[near] - [_tai_utc(day) for day in self.mjd[near]]  # without leap seconds

@@ -86,9 +86,8 @@ class GeneralPushbroom(PushbroomSensor):
                 frame = orbital.frames_from_kepler(orbital.kepler_angles(p, inertial))
             else:
                 frame = orbital.frames_from_state(p, v if kind == "earth-fixed velocity" else inertial)
-            return np.asarray(
-                frame @ orbital.attitude_matrices(interpolation.linear(source.time_s, source.angles_rad, t))
-            )
+            angles = interpolation.linear(source.time_s, source.angles_rad, t)
+            return np.asarray(frame @ orbital.attitude_matrices(angles))
         assert isinstance(source, QuaternionList)  # a description contains lists
         q = interpolation.quaternion_linear(source.time_s, source.quaternion, t)
         matrices = rotations.quaternion_matrices(np.ascontiguousarray(q))

@@ -125,7 +125,7 @@ def pixel_grid(interior: Interior) -> tuple[Array, Array]:
     """Lines and samples (N,) of a grid over the whole image."""
     line, sample = np.meshgrid(
         np.linspace(0.0, interior.n_lines - 1.0, GRID), np.linspace(0.0, interior.n_samples - 1.0, GRID)
-    )  # fmt: skip
+    )
     return line.ravel(), sample.ravel()
 
 

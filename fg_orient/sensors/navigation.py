@@ -159,9 +159,7 @@ def _with_unknowns(sensor: FrameSensor, fix: Fix, mounting: Mounting) -> FrameSe
     return sensor.with_camera(camera, sensor.file)
 
 
-def _observations(
-    fix: Fix, tau: float, axes: Array, camera: FrameCamera, mounting: Mounting
-) -> list[ExtraObservation]:  # fmt: skip
+def _observations(fix: Fix, tau: float, axes: Array, camera: FrameCamera, mounting: Mounting) -> list[ExtraObservation]:
     """Position, and attitude if there is one; records of ``factors.conditions.navigation``."""
     common = {"rotation": camera.rotation.ravel(), "mounting": mounting.camera_from_body.ravel(), "tau": tau}
     weight, image = axes / fix.position_sigma_m[:, None], (f"image:{fix.image}",)

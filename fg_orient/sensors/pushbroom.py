@@ -123,8 +123,8 @@ class PushbroomSensor(Sensor):
         times, covered = self._line_time(np.array([0.0, self.n_lines - 1.0])), self.metadata.ephemeris.time_s
         image = f"image {times.min():.6f} .. {times.max():.6f} s"
         if times.min() < covered[0] - TIME_PRINT_S or times.max() > covered[-1] + TIME_PRINT_S:
-            raise OutOfTimeRange(finding("sensor.ephemeris_span", file=self.file, place="ephemeris", value=image,
-                                         first=covered[0], last=covered[-1]))  # fmt: skip
+            raise OutOfTimeRange.of("sensor.ephemeris_span", file=self.file, place="ephemeris", value=image,
+                                    first=covered[0], last=covered[-1])  # fmt: skip
         if not 0.0 <= seconds <= MAX_EXTRAPOLATION_S:
             raise InputError.of("sensor.extrapolation", file=self.file, place="extrapolate attitude", value=seconds,
                                 most=MAX_EXTRAPOLATION_S)  # fmt: skip
@@ -152,8 +152,8 @@ class PushbroomSensor(Sensor):
         listed = self.attitude.time_s  # type: ignore[union-attr]
         gap = float(np.maximum(listed[0] - t, t - listed[-1]).max())
         lines = f"lines {self.first_line:.0f} to {self.last_line:.0f}" if self.first_line <= self.last_line else "them"
-        return OutOfTimeRange(finding("sensor.attitude_span", file=self.file, place=place, value=value,
-                                      first=listed[0], last=listed[-1], gap=gap, lines=lines))  # fmt: skip
+        return OutOfTimeRange.of("sensor.attitude_span", file=self.file, place=place, value=value,
+                                 first=listed[0], last=listed[-1], gap=gap, lines=lines)  # fmt: skip
 
     def require_inside(self, line: Array, sample: Array) -> None:
         """Refuse pixels outside the image (OutOfImage), and lines that the attitudes do not cover (OutOfTimeRange)."""
@@ -198,10 +198,10 @@ class PushbroomSensor(Sensor):
         beyond = gap > TIME_PRINT_S + 0.51 * abs(self.metadata.timing.line_period_s)
         if beyond.any():
             place, fields = f"line {line[beyond][0]:.2f}", {"what": table} if table else {}
-            raise OutOfTimeRange(finding(
+            raise OutOfTimeRange.of(
                 code, file=self.file, place=f"[{table}], {place}" if table else place, value=f"{t[beyond][0]:.6f} s",
                 first=listed_s[0], last=listed_s[-1], **fields,
-            ))  # fmt: skip
+            )  # fmt: skip
 
     def _attitude(self, t: Array, p: Array, v: Array) -> tuple[Array, Array]:
         """Angles (N, 3) and mounting (N, 3, 3) of the observation equation."""
@@ -411,10 +411,9 @@ class PushbroomModel(ImageModel):
         meta, (per_tau, residuals) = self.sensor.metadata, fit_eop(self.sensor)
         per_line = per_tau * polynomials.per_line_from_tau(self.sensor.n_lines)
         rms, largest = np.sqrt(np.mean(residuals**2, axis=0)), np.abs(residuals).max(axis=0)
-        names = zip(COMPONENTS, UNITS, per_line.tolist(), rms.tolist(), largest.tolist(), strict=True)
+        rows = zip(COMPONENTS, UNITS, per_line.tolist(), rms.tolist(), largest.tolist(), strict=True)
+        names = ("component", "unit", "per_line", "rms", "largest")
         return {
             "model": "pushbroom", "mission": meta.mission, "instrument": meta.instrument, "format": meta.format,
-            "metadata_polynomials": [
-                dict(zip(("component", "unit", "per_line", "rms", "largest"), row, strict=True)) for row in names
-            ],
+            "metadata_polynomials": [dict(zip(names, row, strict=True)) for row in rows],
         }  # fmt: skip

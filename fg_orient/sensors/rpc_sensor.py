@@ -125,9 +125,8 @@ class RpcSensor(Sensor):
         if np.isnan(lon).any():
             bad = int(np.flatnonzero(np.isnan(lon))[0])
             place, value = f"line {line[bad]:g}, sample {sample[bad]:g}", f"height {h[bad]:g} m"
-            raise InputError.of(
-                "rpc.no_ground", file=self.file, place=place, value=value, height=span(self.model.validity.height_m)
-            )
+            valid = span(self.model.validity.height_m)
+            raise InputError.of("rpc.no_ground", file=self.file, place=place, value=value, height=valid)
         return geodetic_to_ecef(lon, lat, h)
 
     def _located(

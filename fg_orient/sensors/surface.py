@@ -130,7 +130,7 @@ class RasterDem:
 
         step = KNOT_STEP
         while True:
-            knots = [_knots(n, step) for n in shape]
+            knots = [np.unique(np.append(np.arange(0.0, n, step), n - 1.0)) for n in shape]
             values = exact(*knots)
             if step == 1:
                 return values
@@ -186,11 +186,6 @@ class RasterDem:
         top = z[r, c] * (1 - fc) + z[r, c1] * fc
         bottom = z[r1, c] * (1 - fc) + z[r1, c1] * fc
         return np.asarray(np.where(inside, top * (1 - fr) + bottom * fr, np.nan))
-
-
-def _knots(n: int, step: int) -> Array:
-    """Indices 0, step, ... and n - 1."""
-    return np.unique(np.append(np.arange(0.0, n, step), n - 1.0))
 
 
 def _bilinear(knots: list[Array], values: Array, at: list[Array]) -> Array:

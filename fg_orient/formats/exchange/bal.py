@@ -31,9 +31,9 @@ from factors.cameras import frame_camera
 from fg_orient.formats.atomic import require_free_files, write_bytes
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import read_packed, whole
-from fg_orient.formats.exchange.ties import model_survey
+from fg_orient.formats.exchange.ties import model_format, model_survey
 from fg_orient.formats.frame_model import FrameModel, Pose, frame_block
-from fg_orient.formats.registry import TIES_ONLY, Format, Settings
+from fg_orient.formats.registry import Format, Settings
 from fg_orient.formats.tables import finite
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.block import Block, Source
@@ -99,7 +99,7 @@ def frame_model_of(
     ids = tuple(map(str, range(len(data.points))))
     return FrameModel(
         cameras, tuple(poses), ids, data.points, data.camera, data.point, line, sample, notes, from_middle
-    )  # fmt: skip
+    )
 
 
 def sizes_of(
@@ -184,10 +184,8 @@ def bundle_format(
         save(out, data, overwrite=overwrite)
         return lost
 
-    return Format(
-        pixel_axes="x right, y up from the middle of the image (pixels)", ground_axes="local x, y, z (left out)",
-        holds=TIES_ONLY, read=read, read_model=read_model, write_model=write_model, **fields,
-    )  # fmt: skip
+    axes = "x right, y up from the middle of the image (pixels)"
+    return model_format(read_model, read=read, write_model=write_model, pixel_axes=axes, **fields)
 
 
 N_CAMERA: Final = 9

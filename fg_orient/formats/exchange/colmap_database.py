@@ -73,20 +73,18 @@ def _read_database(opened: sqlite3.Connection, file: str) -> Survey:
     first = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.intp)
     matches, kind = _matches(opened, file, position, first)
     xy = np.concatenate([np.empty((0, 2), np.float32), *keypoints]).astype(float) - FIRST_PIXEL
-    image, notes = (
-        np.repeat(np.arange(len(rows)), np.diff(first)),
-        [finding("points.matches", n=len(matches), kind=kind)],
-    )
+    image = np.repeat(np.arange(len(rows)), np.diff(first))
+    notes = [finding("points.matches", n=len(matches), kind=kind)]
     return matched_survey(tuple(str(name) for _, name in rows), image, xy[:, 1], xy[:, 0], matches, notes)
 
 
 def _matches(opened: sqlite3.Connection, file: str, position: Mapping[int, int], first: Index) -> tuple[Index, str]:
     """Rows of matched keypoints (m, 2), and the kind of the matches in words."""
     tables = {name for (name,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-    verified = "two_view_geometries" in tables and bool(
-        opened.execute("SELECT sum(rows) FROM two_view_geometries").fetchone()[0]
-    )
-    table = "two_view_geometries" if verified else "matches"
+    table, verified = "two_view_geometries", False
+    if table in tables:
+        verified = bool(opened.execute(f"SELECT sum(rows) FROM {table}").fetchone()[0])
+    table = table if verified else "matches"
     parts = [np.empty((0, 2), np.intp)]
     for pair, n, columns, data in opened.execute(f"SELECT pair_id, rows, cols, data FROM {table} WHERE rows > 0"):
         ids = divmod(pair, PAIR)

@@ -19,9 +19,8 @@ from scipy.spatial.transform import Rotation
 from factors.arrays import Array, Index
 from fg_orient.formats.atomic import require_free_files, write_lines
 from fg_orient.formats.exchange.text import TextLines, make_folder, positions, require_once, whole
-from fg_orient.formats.exchange.ties import model_survey
+from fg_orient.formats.exchange.ties import model_format
 from fg_orient.formats.frame_model import FrameModel, Pose
-from fg_orient.formats.registry import TIES_ONLY, Format
 from fg_orient.formats.tables import finite
 from fg_orient.model.errors import InputError, finding
 from fg_orient.sensors.conventions import CONVENTIONS, Image, interior_parameters
@@ -43,7 +42,7 @@ FIRST_PIXEL: Final = CONVENTION["PINHOLE"].first_pixel
 
 def interior_of(
     model: str, size: tuple[int, int], parameters: Sequence[float], name: str, *, file: str = "", place: str = ""
-) -> Interior:  # fmt: skip
+) -> Interior:
     """Camera of COLMAP as an interior orientation.
 
     Parameters
@@ -67,9 +66,8 @@ def interior_of(
         raise InputError.of("colmap.model", file=file, place=place, value=model, known=", ".join(MODELS))
     if len(parameters) != len(MODELS[model]):
         needed = f"{model} with {' '.join(MODELS[model])}"
-        raise InputError.of(
-            "interchange.cells", file=file, place=place, value=f"{len(parameters)} numbers", needed=needed
-        )
+        value = f"{len(parameters)} numbers"
+        raise InputError.of("interchange.cells", file=file, place=place, value=value, needed=needed)
     absent = CONVENTION[model].absent.split()
     beyond = [f"{key} {v:g}" for key, v in zip(MODELS[model], parameters, strict=True) if key in absent and v != 0.0]
     if beyond:
@@ -158,7 +156,7 @@ def _read_cameras(text: TextLines) -> dict[str, Interior]:
         width, height = (n for n in size if n is not None)
         cameras[cells[0]] = interior_of(
             cells[1], (width, height), values.tolist(), cells[0], file=text.path.name, place=f"line {number}"
-        )  # fmt: skip
+        )
     ids = np.array([cells[0] for _, cells in rows], str)
     require_once(ids, "camera", text.path.name, lambda k: (f"line {rows[k][0]}", ids[k]))
     return cameras
@@ -217,9 +215,8 @@ def write_colmap_text(folder: str | Path, model: FrameModel, *, overwrite: bool 
     require_free_files(*paths, overwrite=overwrite)
     for pose in model.poses:
         if len(pose.name.split()) != 1:
-            raise InputError.of(
-                "interchange.cells", file=FILES[1], value=repr(pose.name), needed="a NAME without blanks"
-            )
+            needed = "a NAME without blanks"
+            raise InputError.of("interchange.cells", file=FILES[1], value=repr(pose.name), needed=needed)
     cameras, lost = camera_lines(model)
     order = np.lexsort((model.point, model.image))
     place = np.empty(len(order), np.intp)  # of an image point among those of its image
@@ -264,16 +261,14 @@ def _point_lines(model: FrameModel, place: Index) -> Iterator[str]:
         yield " ".join([str(k + 1), *map(repr, xyz), "128 128 128", repr(error), *tokens[first:last]])
 
 
-TEXT: Final = Format(
+TEXT: Final = model_format(
+    lambda paths, settings: read_colmap_text(paths[0]),
     name="colmap-text",
     title="COLMAP text model (folder of cameras.txt, images.txt, points3D.txt)",
     files=("model",),
     first_pixel=(FIRST_PIXEL, FIRST_PIXEL),
     pixel_axes="x column, y row (pixels)",
-    ground_axes="local x, y, z (left out)",
-    holds=TIES_ONLY,
-    read=lambda paths, settings: model_survey(read_colmap_text(paths[0])),
-    read_model=lambda paths, settings: read_colmap_text(paths[0]),
+    help=__doc__ or "",
     write_model=lambda out, model, overwrite: write_colmap_text(out, model, overwrite=overwrite),
     evidence="models written by pycolmap 4.2; ours are read by it",
 )

@@ -183,23 +183,17 @@ def _require(survey: Survey, format_: Format, file: str) -> None:
     """Refuse a survey that lacks information required by the format; the message names the option that supplies it."""
     known, o = survey.located, survey.observed
     weighted = known & ~(survey.fixed & (Holds.FIXED in format_.holds))
-    lacking: list[tuple[Holds, str, Mask, str]] = [
-        (Holds.HEIGHTS, "interchange.needs_height", known & np.isnan(survey.coordinates[:, 2]), "point"),
-        (
-            Holds.SIGMA_GROUND, "interchange.needs_sigma_ground",
-            weighted & np.isnan(survey.sigma_enu_m).any(axis=1), "point",
-        ),
-        (
-            Holds.SIGMA_IMAGE, "interchange.needs_sigma_image",
-            np.isnan(o.sigma_line_px) | np.isnan(o.sigma_sample_px), "image point",
-        ),
-    ]  # fmt: skip
-    for what, code, rows, noun in lacking:
+    lacking = {
+        Holds.HEIGHTS: ("interchange.needs_height", known & np.isnan(survey.coordinates[:, 2])),
+        Holds.SIGMA_GROUND: ("interchange.needs_sigma_ground", weighted & np.isnan(survey.sigma_enu_m).any(axis=1)),
+        Holds.SIGMA_IMAGE: ("interchange.needs_sigma_image", np.isnan(o.sigma_line_px) | np.isnan(o.sigma_sample_px)),
+    }
+    for what, (code, rows) in lacking.items():
         if what in format_.needs and rows.any():
-            k = int(np.flatnonzero(rows)[0])
-            name = survey.ids[k] if noun == "point" else survey.ids[int(o.point[k])]
+            k, of_image = int(np.argmax(rows)), what is Holds.SIGMA_IMAGE
+            place = f"image point {survey.ids[o.point[k]]}" if of_image else f"point {survey.ids[k]}"
             value = f"{int(rows.sum())} without"
-            raise InputError.of(code, file=file, place=f"{noun} {name}", value=value, what=f"format {format_.name}")
+            raise InputError.of(code, file=file, place=place, value=value, what=f"format {format_.name}")
 
 
 def convert_model(

@@ -26,12 +26,11 @@ from scipy.spatial.transform import Rotation
 
 from factors.arrays import Array, Index
 from fg_orient.formats.exchange.bal import sizes_of
-from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import positions
-from fg_orient.formats.exchange.ties import model_survey
+from fg_orient.formats.exchange.ties import model_format
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.frame_model import FrameModel, Pose
-from fg_orient.formats.registry import TIES_ONLY, Format, Settings, read_bytes
+from fg_orient.formats.registry import read_bytes
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
 from fg_orient.sensors.interior import Interior
@@ -78,9 +77,8 @@ def read_libmv(path: str | Path, image_sizes: Mapping[str, tuple[int, int]] | No
     names, xy = images["id"].astype(str).tolist(), marks["xy"].astype(float)
     sizes, notes = sizes_of(names, image_sizes or {}, int(np.ceil(xy.max(initial=0.0))) + 1)
     interior = Interior(*sizes[0], camera[0], camera[2:0:-1], name="1")
-    poses = [
-        Pose(name, "1", r, -r.T @ t) for name, r, t in zip(names, matrices, images["t"].astype(float), strict=True)
-    ]
+    shifts = images["t"].astype(float)
+    poses = [Pose(name, "1", r, -r.T @ t) for name, r, t in zip(names, matrices, shifts, strict=True)]
     return FrameModel(
         {"1": interior}, tuple(poses), tuple(points["id"].astype(str).tolist()), points["xyz"].astype(float), image,
         point, xy[:, 1], xy[:, 0], notes,
@@ -119,20 +117,13 @@ def _check(
     faults.raise_if_any()
 
 
-def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read the image points."""
-    return model_survey(read_libmv(paths[0], settings.image_sizes))
-
-
-FORMAT: Final = Format(
+FORMAT: Final = model_format(
+    lambda paths, settings: read_libmv(paths[0], settings.image_sizes),
     name="libmv",
     title="libmv bundle problem (problem_NN.bin of Ceres Solver)",
     files=("problem",),
     first_pixel=(0.0, 0.0),
     pixel_axes="x right, y down (pixels)",
-    ground_axes="local x, y, z (left out)",
-    holds=TIES_ONLY,
-    read=read,
-    read_model=lambda paths, settings: read_libmv(paths[0], settings.image_sizes),
+    help=__doc__ or "",
     evidence="problem_01.bin of Ceres Solver, from which the layout was found; y down is an assumption",
 )

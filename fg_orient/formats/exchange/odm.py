@@ -19,7 +19,7 @@ from fg_orient.formats.exchange.survey import Gathering, Survey
 from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, require_plain
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.registry import Format, Holds, Settings
-from fg_orient.formats.tables import Row
+from fg_orient.formats.tables import Row, finite
 from fg_orient.model.errors import InputError, finding
 from fg_orient.model.names import Role
 
@@ -37,7 +37,8 @@ def read_odm(paths: tuple[Path, ...], settings: Settings) -> Survey:
     faults.raise_if_any()
     if not lines:
         raise InputError.of("interchange.empty", file=path)
-    headless = _is_point(lines[0][1])
+    # the first line is an image point: the file lacks its CRS
+    headless = len(lines[0][1]) >= _ODM_FEWEST and finite(lines[0][1][:2]) is not None
     gathered = Gathering(path, settings.crs, "" if headless else " ".join(lines[0][1]))
     faults = gathered.faults
     placed: dict[str, tuple[tuple[str, ...], int]] = {}
@@ -60,14 +61,6 @@ def read_odm(paths: tuple[Path, ...], settings: Settings) -> Survey:
     return gathered.finished()
 
 
-def _is_point(cells: list[str]) -> bool:
-    """Whether the first line is an image point, so that the file lacks its CRS."""
-    try:
-        return len([float(cell) for cell in cells[:2]]) == 2 and len(cells) >= _ODM_FEWEST
-    except ValueError:
-        return False
-
-
 def _coordinates(row: Row, faults: Faults) -> tuple[float, ...]:
     """Coordinates of a line; the height may be nan."""
     if row.cells["geo_z"].lower() == "nan":
@@ -78,7 +71,7 @@ def _coordinates(row: Row, faults: Faults) -> tuple[float, ...]:
 def write_odm(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
     """Write the image points of the points with coordinates."""
     path, o = paths[0], survey.observed
-    require_plain((*survey.ids, *survey.images), "name", path)
+    require_plain(survey, path)
     flat = survey.crs.partition("+")[0].upper()
     lines, known = [_ODM_FLAT.get(flat, flat)], survey.located
     for i, p, line, sample in zip(o.image, o.point, o.line, o.sample, strict=True):

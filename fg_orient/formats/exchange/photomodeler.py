@@ -167,8 +167,7 @@ def read_points_2d(path: str | Path) -> Survey:
         lambda k: (f"line {rows[k][0]}", ",".join(rows[k][1])),
     )  # fmt: skip
     names = [str(int(photo)) for photo in photos]
-    return tie_survey(names, [str(int(i)) for i in ids], image, point, table[:, 3], table[:, 2],
-                      text.notes)  # fmt: skip
+    return tie_survey(names, [str(int(i)) for i in ids], image, point, table[:, 3], table[:, 2], text.notes)
 
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:

@@ -20,12 +20,11 @@ from scipy.spatial.transform import Rotation
 
 from factors.arrays import Array
 from fg_orient.formats.exchange.bal import sizes_of
-from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import TextLines
-from fg_orient.formats.exchange.ties import model_survey
+from fg_orient.formats.exchange.ties import model_format
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.frame_model import FrameModel, Pose
-from fg_orient.formats.registry import TIES_ONLY, Format, Settings
+from fg_orient.formats.registry import Settings
 from fg_orient.formats.tables import finite
 from fg_orient.model.errors import InputError, finding
 from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL
@@ -172,20 +171,13 @@ def _model(paths: tuple[Path, ...], settings: Settings) -> FrameModel:
     return read_sba(*paths, image_sizes=settings.image_sizes)
 
 
-def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read the image points."""
-    return model_survey(_model(paths, settings))
-
-
-FORMAT: Final = Format(
+FORMAT: Final = model_format(
+    _model,
     name="sba",
     title="sba: cameras, points and camera matrix",
     files=("cams", "pts", "calib"),
     first_pixel=(CORNER, CORNER),
     pixel_axes="x right, y down from the top left corner (pixels)",
-    ground_axes="local x, y, z (left out)",
-    holds=TIES_ONLY,
-    read=read,
-    read_model=_model,
+    help=__doc__ or "",
     evidence="the two examples published with sba (7 and 9 cameras); the pixel origin is by description",
 )

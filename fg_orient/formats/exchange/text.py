@@ -18,6 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array, Index
+from fg_orient.formats.atomic import writing
+from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.tables import Row, finite, number
 from fg_orient.formats.text_files import delimited, read_text
@@ -119,22 +121,22 @@ def digits(value: float) -> str:
     return text.removesuffix(".0")
 
 
-def row_of(cells: Iterable[str], mark: str = ",") -> str:
-    """Line of a delimited file; cells that a reader or a spreadsheet would misread are quoted."""
-    return mark.join(_quoted(cell, mark) for cell in cells)
+def row_of(cells: Iterable[str]) -> str:
+    """Line of a file with commas; cells that a reader or a spreadsheet would misread are quoted."""
+    return ",".join(map(_quoted, cells))
 
 
-def _quoted(cell: str, mark: str) -> str:
+def _quoted(cell: str) -> str:
     is_number = cell.lstrip("+-").replace(".", "", 1).replace("e", "", 1).replace("-", "", 1).isdigit()
-    odd = any(c in cell for c in (mark, '"', "#")) or (cell.startswith(_FORMULA) and not is_number)
+    odd = any(c in cell for c in ',"#') or (cell.startswith(_FORMULA) and not is_number)
     return '"' + cell.replace('"', '""') + '"' if odd else cell
 
 
-def require_plain(names: Iterable[str], what: str, path: Path) -> None:
-    """Raise InputError if a name is empty, contains blanks or commas, or begins with ``#``."""
-    for name in names:
+def require_plain(survey: Survey, path: Path) -> None:
+    """Raise InputError if a name of a point or image is empty, contains blanks or commas, or begins with ``#``."""
+    for name in (*survey.ids, *survey.images):
         if not name or name[:1] == "#" or any(c.isspace() or c in ',"' for c in name):
-            raise InputError.of("interchange.name", file=path, place=what, value=name)
+            raise InputError.of("interchange.name", file=path, place="name", value=name)
 
 
 # --- files of bundle programs --------------------------------------------------------------------
@@ -223,10 +225,8 @@ def positions(ids: Array, wanted: Array) -> Index:
 
 def make_folder(folder: Path) -> None:
     """Make a folder that may exist; raise InputError if that fails."""
-    try:
+    with writing(folder, option=""):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError.of("output.unwritable", file=folder, value=error.strerror or error) from None
 
 
 def read_packed(path: Path, code: str) -> bytes:

@@ -7,7 +7,9 @@ is a conflict. The matches do not show which connection is wrong; the whole trac
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -16,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from factors.arrays import Array, Index
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.frame_model import FrameModel
+from fg_orient.formats.registry import TIES_ONLY, Format, Settings
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import Finding, finding
 from fg_orient.model.names import Role
@@ -106,6 +109,13 @@ def model_survey(model: FrameModel) -> Survey:
         tuple(pose.name for pose in model.poses), model.point_ids, model.image, model.point, model.line, model.sample,
         (*model.notes, left_out),
     )  # fmt: skip
+
+
+def model_format(read_model: Callable[[tuple[Path, ...], Settings], FrameModel], **fields: Any) -> Format:
+    """Registration record of a format of frame models, whose tie points are those of the model."""
+    usual = {"ground_axes": "local x, y, z (left out)", "holds": TIES_ONLY}
+    read = lambda paths, settings: model_survey(read_model(paths, settings))  # noqa: E731
+    return Format(read_model=read_model, **{"read": read, **usual, **fields})
 
 
 # --- tracks --------------------------------------------------------------------------------------

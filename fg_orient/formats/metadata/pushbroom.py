@@ -18,7 +18,7 @@ from factors.geometry import orbital
 from factors.geometry.interpolation import sign_aligned
 from fg_orient.formats.registry import Format
 from fg_orient.formats.schema import Number, Positive, Switch, Table, Text, read_toml
-from fg_orient.formats.tables import read_numbers
+from fg_orient.formats.tables import finite, read_numbers
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.earth_rotation import DAY_S, EarthOrientation, EarthRotation, neglected
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
@@ -287,9 +287,13 @@ def read_earth_orientation(path: str | Path) -> EarthOrientation:
     if len(records) < 2:
         raise InputError.of("earth.no_records", file=path, value=f"{len(records)} records")
     # year, month, day (, hour), MJD, x, y, UT1 - UTC; then LOD, dX, dY, or since C04 20 dX, dY directly
-    hours = _c04_number(path, *records[0], 3) < 100.0
-    columns = (4, 5, 6, 7, 8, 9) if hours else (3, 4, 5, 6, 8, 9)
-    table = np.array([[_c04_number(path, n, words, k) for k in columns] for n, words in records])
+    hour = finite(records[0][1][3:4])
+    columns = (4, 5, 6, 7, 8, 9) if hour is not None and (hour < 100.0).all() else (3, 4, 5, 6, 8, 9)
+    values = [finite([words[k] for k in columns if k < len(words)]) for _, words in records]
+    for (n, words), row in zip(records, values, strict=True):
+        if row is None or len(row) < len(columns):
+            raise InputError.of("earth.record", file=path, place=f"line {n}", value=" ".join(words)[:60])
+    table = np.array(values, float)
     gaps = np.flatnonzero(np.abs(np.diff(table[:, 0]) - 1.0) > 1e-9) + 1
     bad = np.flatnonzero((np.abs(table[:, 1:4]) > _LIMITS).any(axis=1))
     for code, rows, cells in (("earth.gap", gaps, 0), ("earth.value", bad, slice(1, 4))):
@@ -299,16 +303,6 @@ def read_earth_orientation(path: str | Path) -> EarthOrientation:
     if "dpsi" in text[:5000].lower():
         offset, notes = 0.0 * offset, (finding("image.pole_offsets"),)
     return EarthOrientation(str(path), table[:, 0], table[:, 1:3] * _ARC_SECOND, table[:, 3], offset, notes)
-
-
-def _c04_number(path: str | Path, line: int, words: list[str], k: int) -> float:
-    try:
-        value = float(words[k])
-    except (IndexError, ValueError):
-        value = np.nan
-    if not np.isfinite(value):
-        raise InputError.of("earth.record", file=path, place=f"line {line}", value=" ".join(words)[:60])
-    return value
 
 
 FORMAT = Format(

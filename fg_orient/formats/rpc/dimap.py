@@ -220,9 +220,7 @@ def _body(
 ) -> dict[str, Any]:
     """Contents of ``Global_RFM``: both models, of which PHR_DIMAP has pairs of polynomials, domains and ranges."""
     v, texts = model.validity, texts_of(model, first)
-    body: dict[str, Any] = (
-        {layout.direct: _coefficients(model.direct, layout.stems)} if model.direct is not None else {}
-    )
+    direct = {} if model.direct is None else {layout.direct: _coefficients(model.direct, layout.stems)}
     image, ground = dict[str, str](), dict[str, str]()
     for k, end in enumerate(("FIRST", "LAST")):
         image |= {
@@ -235,7 +233,7 @@ def _body(
         scale, offset = texts[f"{axis}_SCALE"], texts[f"{axis}_OFF"]
         pair = {f"{axis}_SCALE": scale, f"{axis}_OFF": offset}
         ranges |= {tag: {"A": scale, "B": offset}} if layout.stems == V1_DIRECT else pair
-    return {**body, layout.inverse: _coefficients(model.coefficients, stems), "RFM_Validity": ranges}
+    return {**direct, layout.inverse: _coefficients(model.coefficients, stems), "RFM_Validity": ranges}
 
 
 def _coefficients(rows: Array, stems: tuple[str, ...]) -> dict[str, str]:

@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import os
 import re
-import secrets
 import shutil
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from fg_orient.formats.gdal import rasterio_of
+from fg_orient.formats.atomic import staged_file
+from fg_orient.formats.gdal import TIFF_MARKS, opened, rasterio_of
 from fg_orient.formats.registry import Format, xml_root
 from fg_orient.formats.rpc.fields import NAMES, Reading, RpcFields, printed, texts_of
 from fg_orient.formats.xml import read_xml
@@ -27,16 +24,6 @@ from fg_orient.sensors.rpc import RpcModel
 
 NAME: Final = "GeoTIFF RPC"
 VRT_NAME: Final = "GDAL RPC metadata"
-_TIFF: Final = ("II*\0", "MM\0*", "II+\0", "MM\0+")
-
-
-@contextmanager
-def _opened(rasterio: Any, path: str | os.PathLike[str], mode: str = "r") -> Iterator[Any]:
-    """Open an image without GDAL's warning that it has no map coordinates."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-        with rasterio.open(path, mode) as image:
-            yield image
 
 
 def read_rpc_raster(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
@@ -50,7 +37,7 @@ def read_rpc_raster(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     fields = RpcFields(os.fspath(path), reading)
     rasterio = rasterio_of(fields.file, "rpc.no_rasterio")
     try:
-        with _opened(rasterio, path) as source:
+        with opened(rasterio, path) as source:
             rpcs, size = source.rpcs, source.shape
     except (rasterio.errors.RasterioError, ValueError, KeyError) as error:  # the latter two: damaged tags
         raise InputError.of("rpc.unreadable", file=fields.file, value=error) from error
@@ -74,16 +61,13 @@ def write_rpc_raster(path: str | os.PathLike[str], model: RpcModel) -> None:
     rasterio = rasterio_of(file, "rpc.no_rasterio")
     if not target.is_file():
         raise InputError.of("rpc.tags_target", file=file)
-    copy = target.with_name(f".{secrets.token_hex(4)}.tmp.tif")
     try:
-        shutil.copyfile(target, copy)
-        with _opened(rasterio, copy, "r+") as image:
-            image.rpcs = rasterio.rpc.RPC.from_gdal(texts_of(model))
-        copy.replace(target)
-    except (OSError, rasterio.errors.RasterioError) as error:
+        with staged_file(target, suffix=".tif") as copy:
+            shutil.copyfile(target, copy)
+            with opened(rasterio, copy, "r+") as image:
+                image.rpcs = rasterio.rpc.RPC.from_gdal(texts_of(model))
+    except rasterio.errors.RasterioError as error:
         raise InputError.of("output.unwritable", file=file, value=error) from error
-    finally:
-        copy.unlink(missing_ok=True)
 
 
 def read_rpc_vrt(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
@@ -110,7 +94,8 @@ def read_rpc_vrt(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
 
 FORMAT = Format(
     name="geotiff-tags", title="GeoTIFF", suffixes=(".tif", ".tiff"),
-    sniff=lambda _, head: head.startswith(_TIFF), read_rpc=read_rpc_raster, write_rpc=write_rpc_raster,
+    sniff=lambda _, head: head[:4].encode("latin-1") in TIFF_MARKS, read_rpc=read_rpc_raster,
+    write_rpc=write_rpc_raster,
 )  # fmt: skip
 VRT_FORMAT = Format(
     name="vrt", title="GDAL VRT or .aux.xml", read_rpc=read_rpc_vrt,

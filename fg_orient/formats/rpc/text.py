@@ -52,10 +52,8 @@ def read_rpc_text(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     for number, line in enumerate(read_text(path).splitlines(), 1):
         match = _LINE.fullmatch(line)
         if line.strip() and not (match and fields.take(match[1], match[2], f"line {number}")):
-            expected = "KEY: value, for instance LINE_OFF: 5124.0 pixels"
-            raise InputError.of(
-                "rpc.syntax", file=fields.file, place=f"line {number}", value=line.strip(), expected=expected
-            )
+            place, expected = f"line {number}", "KEY: value, for instance LINE_OFF: 5124.0 pixels"
+            raise InputError.of("rpc.syntax", file=fields.file, place=place, value=line.strip(), expected=expected)
     return fields.model(NAME)
 
 
