@@ -187,7 +187,12 @@ class Built:
         """Start values of the camera parameters of a photo by name."""
         sensor = self.block.images[k].sensor
         assert isinstance(sensor, FrameSensor)
-        return _values(sensor.camera)
+        camera = sensor.camera
+        k1, k2, k3, p1, p2 = camera.distortion.tolist()
+        line, sample = camera.principal_px.tolist()
+        known = {"x0": sample, "y0": line, "k1": k1, "k2": k2, "k3": k3, "p1": p2, "p2": p1}
+        known["c"] = float(camera.focal_px)
+        return known | {name: float(camera.further.get(name, 0.0)) for name in NAMES if name not in known}
 
     def parameter(self, k: int, name: str, state: State) -> float:
         """Value of a camera parameter of a photo."""
@@ -220,14 +225,6 @@ class Built:
                 raise NoSolutionError.of("closerange.behind", place=where)
 
 
-def _values(camera: FrameCamera) -> dict[str, float]:
-    """Camera parameters of close range by name."""
-    k1, k2, k3, p1, p2 = camera.distortion.tolist()
-    line, sample = camera.principal_px.tolist()
-    known = {"c": float(camera.focal_px), "x0": sample, "y0": line, "k1": k1, "k2": k2, "k3": k3, "p1": p2, "p2": p1}
-    return known | {name: float(camera.further.get(name, 0.0)) for name in NAMES if name not in known}
-
-
 def build(
     photos: Sequence[BundlePhoto], ids: tuple[str, ...], start: Array, which: Index, of: Index, image: Array,
     sigma: Array, control: Control, constraints: Sequence[Constraint], is_condition: bool, options: Options,
@@ -251,14 +248,13 @@ def build(
             raise photo.fault(f"point {ids[j]}", "photo and point held", "a point or a photo that is unknown")
     images, extras, observed = _images(photos, which, image, is_condition)
     seen = ImagePoints(which, of, image[:, 1], image[:, 0], sigma[:, 1], sigma[:, 0])
-    nothing = WithheldCoordinates((), lambda: Coordinates(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool)))
-    block = Block("bundle", images, points, seen, nothing, options, extra=(*extras, *constraints))  # type: ignore[arg-type]
+    block = Block("bundle", images, points, seen, WithheldCoordinates(), options, extra=(*extras, *constraints))  # type: ignore[arg-type]
     return Built(tuple(photos), ids, points.known.ecef_m, block, frozenset(observed), exact)
 
 
 def _require_members(
     photos: Sequence[BundlePhoto], ids: Sequence[str], constraints: Sequence[Constraint], control: Control
-) -> None:  # fmt: skip
+) -> None:
     """Refuse unknown members, constraints of held ones only, and different hard lengths between the same two members.
 
     The adjustment refuses equal ones as dependent; lengths with a sigma are observations.

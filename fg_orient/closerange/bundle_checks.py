@@ -72,8 +72,7 @@ def require_determined(built: Built, state: State) -> None:
     share = np.abs(weak) / np.abs(weak).max()
     names = [built.labels[k] for k in np.flatnonzero(share >= NAMED)]
     top = int(np.argmax(share))
-    terms = (f"{weak[k] * unit[k] / (weak[top] * unit[top]):+.3g} {built.labels[k]}"
-             for k in np.argsort(-share)[:4])  # fmt: skip
+    terms = (f"{weak[k] * unit[k] / (weak[top] * unit[top]):+.3g} {built.labels[k]}" for k in np.argsort(-share)[:4])
     shown = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
     raise InputError.of("closerange.undetermined", place="bundle", names=shown, direction=" ".join(terms),
                         limit=UNDETERMINED)  # fmt: skip

@@ -249,7 +249,7 @@ def _words(direction: Array, labels: Sequence[str]) -> str:
 
 def _findings(
     result: BundleResult, known: Known, seen: Mapping[str, files.Station], check: Mapping[str, Array]
-) -> list[Finding]:  # fmt: skip
+) -> list[Finding]:
     """Warnings on the result."""
     solution = result.solution
     out = job.no_redundancy(result.m0)

@@ -155,23 +155,8 @@ def without_rejected(built: Built, solution: Solution) -> Built:
     return built if same else replace(built, block=own)
 
 
-def _unit_weight(solution: Solution) -> float | None:
-    """Factor from roots of cofactors to standard deviations; None without redundancy."""
-    m0 = unit_weight(solution.chi2, solution.redundancy)
-    return m0 if m0 is None or solution.weights is None else solution.weights.scale[0]
-
-
-@dataclass(frozen=True, eq=False)
-class _ImagePoints:
-    """Of all given image points: residuals (m, 2), sigmas (m, 2), weights (m,), redundancy numbers (m, 2)."""
-
-    residuals: Array
-    sigma: Array
-    weights: Array
-    redundancy: Array
-
-
-def _image_points(given: Built, solution: Solution) -> _ImagePoints:
+def _image_points(given: Built, solution: Solution) -> dict[str, Array]:
+    """Fields of the result about all given image points."""
     o, kept = given.block.observations, np.arange(len(given.block.observations))
     if solution.snooping is not None:
         kept = np.array(solution.snooping.kept, np.intp)
@@ -183,17 +168,15 @@ def _image_points(given: Built, solution: Solution) -> _ImagePoints:
     sigma[kept] = np.column_stack([used.sigma_sample_px, used.sigma_line_px])
     weights[kept] = 1.0 if solution.weights is None else solution.weights.image
     redundancy[kept] = np.einsum("nii->ni", solution.residual_cofactors.image)[:, ::-1]
-    return _ImagePoints(residuals, sigma, weights, redundancy)
+    return {"residuals": residuals, "image_sigma": sigma, "weights": weights, "redundancy_numbers": redundancy}
 
 
 def result_of(given: Built, solution: Solution) -> BundleResult:
     """Result of a bundle from the solution of its block."""
-    problem, state, m0, built = (
-        solution.problem,
-        solution.state,
-        _unit_weight(solution),
-        without_rejected(given, solution),
-    )
+    problem, state, built = solution.problem, solution.state, without_rejected(given, solution)
+    m0 = unit_weight(solution.chi2, solution.redundancy)
+    if m0 is not None and solution.weights is not None:
+        m0 = solution.weights.scale[0]
     figures, z = built.figures(problem, state), len(built.owners)
     orientation = _orientation(built, solution, figures)
     origin = dict(zip("xyz", problem.origin_m.tolist(), strict=True))
@@ -221,17 +204,14 @@ def result_of(given: Built, solution: Solution) -> BundleResult:
         if photo.shared and photo.key not in cameras:
             cameras[photo.key] = adjusted(f"camera {photo.key}", photo.shared, camera(k, photo.shared))
         if not photo.held:
-            by, rows = (
-                np.degrees(opk_of_rotation(rotations[k])[1]),
-                [labels.index(f"photo {photo.name} {t}") for t in TURNS],
-            )
+            by = np.degrees(opk_of_rotation(rotations[k])[1])
+            rows = [labels.index(f"photo {photo.name} {t}") for t in TURNS]
             of_angles[k] = by @ orientation[np.ix_(rows, rows)] @ by.T
     points, of_points = solution.ground_m.copy(), np.zeros((len(built.ids), 3, 3))
     active = np.flatnonzero(problem.active)
     assert solution.cofactors is not None  # required before
     of_points[active] = solution.cofactors.points(active)
     spread = np.maximum(np.einsum("nii->ni", of_points), 0.0)
-    image = _image_points(given, solution)
     others, whitened, redundancy = _others(built, solution)
     steps, shape_values = built.steps, np.concatenate([np.zeros(0), *shapes])
     shape_variance = np.array([variance[label] for label in labels[z:]])
@@ -240,16 +220,14 @@ def result_of(given: Built, solution: Solution) -> BundleResult:
         figures=tuple(adjusted(f.label, f.names, values.tolist()) for f, values in zip(figures, shapes, strict=True)),
         interiors=tuple(built.interior(k, state) for k in range(len(rotations))), rotations=tuple(rotations),
         centres_m=tuple(centres), ids=built.ids, points_m=points, sigma_m=None if m0 is None else m0 * np.sqrt(spread),
-        residuals=image.residuals, image_sigma=image.sigma, weights=image.weights,
         state=np.concatenate([problem.image_vector(state), state.ground[active].ravel(), shape_values]),
         labels=(*built.labels, *labels[z:]),
         cofactors=np.concatenate([np.maximum(orientation.diagonal()[:z], 0.0) / steps[:z] ** 2, spread[active].ravel(),
                                   shape_variance]),
         m0=m0, redundancy=solution.redundancy, iterations=len(solution.log), backend=solution.backend,
-        history=solution.log, redundancy_numbers=image.redundancy,
-        others=others, others_whitened=whitened, others_redundancy=redundancy, point_cofactors=of_points,
-        angle_cofactors=of_angles, orientation=orientation, orientation_labels=tuple(labels),
-        orientation_units=units, solution=solution,
+        history=solution.log, others=others, others_whitened=whitened, others_redundancy=redundancy,
+        point_cofactors=of_points, angle_cofactors=of_angles, orientation=orientation, orientation_labels=tuple(labels),
+        orientation_units=units, solution=solution, **_image_points(given, solution),
     )  # fmt: skip
 
 

@@ -119,7 +119,10 @@ def run_comparison(folder: Path, path: Path, output: Output = NONE) -> Record:
         "command": list(output.command), "versions": versions(),
     })  # fmt: skip
     if output.report is not None:
-        write_text(output.report, _page(record))
+        shell = environment(PACKAGE)
+        shell.filters |= {"significant": significant}
+        page = shell.get_template("compare_report.html.j2")
+        write_text(output.report, page.render(r=record, verdict=summary(record), problems=[], meaning=MEANING))
     return record | {"page": None if output.report is None else str(output.report)}
 
 
@@ -148,10 +151,3 @@ def summary(record: Record) -> dict[str, Any]:
     good = not (differ or record["sigma_counts"]["differs"])
     title = "All values agree" if good else f"{differ} of {n} values differ" if differ else "Standard deviations differ"
     return {"kind": "good" if good else "warn", "title": title, "text": texts}
-
-
-def _page(record: Record) -> str:
-    shell = environment(PACKAGE)
-    shell.filters |= {"significant": significant}
-    template = shell.get_template("compare_report.html.j2")
-    return template.render(r=record, verdict=summary(record), problems=[], meaning=MEANING)

@@ -6,7 +6,6 @@ receiver, a total station or an inertial unit, in the coordinate system of the c
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -20,6 +19,7 @@ from factors.cameras.image_corrections import NAMES
 from fg_orient.closerange.photo import Photo, PhotoInterior, rotation_from_aerial
 from fg_orient.formats.tables import Table, require_table
 from fg_orient.formats.text_files import sha256_of
+from fg_orient.formats.toml import entries
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import LARGEST, SMALLEST
 from fg_orient.rpc.points import checks
@@ -163,15 +163,12 @@ def oriented_photos(photos: Photos) -> dict[str, Photo]:
 
 def photo_text(photo: Photo, interior: PhotoInterior | None = None, rotation: Array | None = None) -> str:
     """One ``[[photos]]`` table: of a camera with its rotation, else with the matrix."""
-    lines = ["[[photos]]", f"name = {json.dumps(photo.name, ensure_ascii=False)}"]
+    place, lens = photo.origin_m.tolist(), dict(zip(NAMES, photo.corrections.tolist(), strict=True))
+    own: dict[str, object] = {"matrix": photo.matrix.tolist(), "origin_m": place}
     if interior is not None and rotation is not None:
-        lines += [f"focal = {interior.focal!r}", f'y_axis = "{interior.y_axis}"', f"rotation = {rotation.tolist()}",
-                  f"centre_m = {photo.origin_m.tolist()}"]  # fmt: skip
-    else:
-        lines += [f"matrix = {photo.matrix.tolist()}", f"origin_m = {photo.origin_m.tolist()}"]
-    lines.append(f"principal = {photo.principal.tolist()}")
-    lines += [f"{n} = {float(v)!r}" for n, v in zip(NAMES, photo.corrections, strict=True) if v != 0.0]
-    return "\n".join(lines) + "\n"
+        own = {"focal": interior.focal, "y_axis": interior.y_axis, "rotation": rotation.tolist(), "centre_m": place}
+    own |= {"principal": photo.principal.tolist(), **{name: value for name, value in lens.items() if value != 0.0}}
+    return "\n".join(["[[photos]]", *entries({"name": photo.name, **own}), ""])
 
 
 # --- stations --------------------------------------------------------------------------------------

@@ -105,8 +105,7 @@ def intersect_photos(
         rows = which == k
         if rows.any():
             ideal[rows] = one.ideal(measured[rows])
-    points, iterations = _iterated(matrices, ideal, size, of, _start(matrices, ideal, of, n, names), names,
-                                   reweighted)  # fmt: skip
+    points, iterations = _iterated(matrices, ideal, size, of, _start(matrices, ideal, of, n, names), names, reweighted)
     residuals, slopes, depth = _rows(matrices, ideal, points[of], False)
     if not (depth > 0.0).all():
         raise NoSolutionError.of("closerange.behind", place=f"point {names[of[int(np.argmin(depth))]]}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -26,11 +25,11 @@ from fg_orient.closerange.surface import Kind
 from fg_orient.closerange.surface_fit import Priors, fit_surface
 from fg_orient.formats.atomic import Contents, require_free, require_free_files, staged_folder, write_text, writing
 from fg_orient.formats.closerange import read_photos
+from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.errors import Finding, InputError, as_record, finding
-from fg_orient.model.installation import versions
+from fg_orient.model.installation import stamp
 from fg_orient.rectification.record import write_rows
 from fg_orient.result.plain import dumps, of_axes, plain
-from fg_orient.result.provenance import sha256_of
 
 Record = dict[str, Any]
 T = TypeVar("T")
@@ -289,9 +288,7 @@ def finished(
     """
     inputs, out, report = [one for one in beside if one is not None], output.out, output.report
     record = plain({
-        "schema": SCHEMA, **record, "input": {"file": path.name, "sha256": table.sha256}, "versions": versions(),
-        "command": [Path(word).name if Path(word).is_absolute() else word for word in output.command],
-        "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "schema": SCHEMA, **record, "input": {"file": path.name, "sha256": table.sha256}, **stamp(output.command),
         "report": {"inputs": [{"file": one.name, "sha256": sha256_of(one)} for one in inputs]},
     })  # fmt: skip
     record["doubts"] = doubts(record)

@@ -23,7 +23,7 @@ from fg_orient.adjustment.dense import RowsBackend
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.closerange.fitting import MAX_ITERATIONS, UNDETERMINED, Rows, finite_rows
 from fg_orient.model.distributions import chi_square_limit, f_quantile
-from fg_orient.model.errors import NoSolutionError
+from fg_orient.model.errors import Finding, NoSolutionError, finding
 
 #: Level of the test that distinguishes two minima.
 RIVAL_LEVEL: Final = 0.05
@@ -66,6 +66,10 @@ class Rival:
     ratio: float
     limit: float
 
+    def warning(self, code: str, name: str, place: str = "") -> Finding:
+        """Warning of this orientation; ``name`` is that of its place in the message."""
+        return finding(code, place=place, ratio=self.ratio, limit=self.limit, **{name: self.place.tolist()})
+
 
 def ratio_limit(redundancy: int) -> float:
     """Ratio of weighted squares at which an F test of equal redundancies distinguishes two minima."""
@@ -74,7 +78,7 @@ def ratio_limit(redundancy: int) -> float:
 
 def rival_of(
     own: float, other: float, redundancy: int, rotation: Array, place: Array, *, known: bool = False
-) -> Rival | None:  # fmt: skip
+) -> Rival | None:
     """Another minimum, unless the test distinguishes it from the result.
 
     Parameters

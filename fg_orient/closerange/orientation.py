@@ -21,7 +21,7 @@ from fg_orient.closerange import fitting
 from fg_orient.closerange.minima import SAME, Rival, bend, ratio_limit, rival_of
 from fg_orient.closerange.photo import PhotoInterior
 from fg_orient.model.distributions import chi_square_limit, f_quantile
-from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
+from fg_orient.model.errors import Finding, InputError, NoSolutionError
 from fg_orient.rectification.transformation import Scaling
 from fg_orient.sensors.initial import nearest_points
 
@@ -76,10 +76,7 @@ class RelativeOrientation(fitting.Fit):
 
     def second_orientation(self) -> list[Finding]:
         """Warning of the rival, if there is one."""
-        if self.rival is None:
-            return []
-        return [finding("closerange.second_orientation", base=self.rival.place.tolist(), ratio=self.rival.ratio,
-                        limit=self.rival.limit)]  # fmt: skip
+        return [] if self.rival is None else [self.rival.warning("closerange.second_orientation", "base")]
 
 
 @dataclass(frozen=True)

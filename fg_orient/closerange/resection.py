@@ -17,7 +17,7 @@ from fg_orient.closerange import fitting
 from fg_orient.closerange.dlt import direct_dlt, recover
 from fg_orient.closerange.minima import SAME, Rival, bend, rival_of
 from fg_orient.closerange.photo import Photo, PhotoInterior
-from fg_orient.model.errors import FgOrientError, Finding, InputError, NoSolutionError, finding
+from fg_orient.model.errors import FgOrientError, Finding, InputError, NoSolutionError
 from fg_orient.rectification.transformation import Scaling
 
 Pose = tuple[Array, Array]
@@ -64,10 +64,7 @@ class Resection(fitting.Fit):
 
     def second_pose(self, place: str = "") -> list[Finding]:
         """Warning of the rival, if there is one."""
-        if self.rival is None:
-            return []
-        return [finding("closerange.second_pose", place=place, centre_m=self.rival.place.tolist(),
-                        ratio=self.rival.ratio, limit=self.rival.limit)]  # fmt: skip
+        return [] if self.rival is None else [self.rival.warning("closerange.second_pose", "centre_m", place)]
 
 
 def resect(
@@ -165,7 +162,7 @@ def _mirrored(pose: Pose, ground: Array) -> Pose:
 
 def _adjusted(
     interior: PhotoInterior, ground: Array, tangents: Array, sigma: Array, start: Pose, name: str
-) -> Resection:  # fmt: skip
+) -> Resection:
     """Resection from a start; unknowns are rotations (rad) and the centre in units of the object's distance."""
     rotation, centre = start
     distance = float(np.linalg.norm(ground - centre, axis=1).mean())

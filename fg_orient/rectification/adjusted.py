@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import Any
 
+from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Status
 from fg_orient.model.options import Options
@@ -67,7 +67,7 @@ def _files(record: dict[str, Any]) -> dict[str, tuple[str, str]]:
 
 def _chosen(files: dict[str, tuple[str, str]], folder: Path, metadata: Path, image: str) -> str:
     """Image id by content, because products of one mission often have the same file name; else by name."""
-    digest = hashlib.sha256(metadata.read_bytes()).hexdigest() if metadata.is_file() else ""
+    digest = sha256_of(metadata) if metadata.is_file() else ""
     same = [key for key, (file, known) in files.items()
             if (known == digest if known and digest else file == metadata.name)]  # fmt: skip
     if image in files:

@@ -228,7 +228,5 @@ def _error(
         return np.nan
     x, y = x[some], y[some]
     exact = model.pixels(x, y, scaling[SCALING.offset] + t[some] * scaling[SCALING.scale])
-    differences = np.concatenate(
-        [pixels[some] - exact, k[some][:, [KNOT.row, KNOT.column]] - _cells(grid, surface, x, y)], axis=1
-    )
-    return float(np.nanmax(np.abs(differences), initial=0.0))
+    cells = k[some][:, [KNOT.row, KNOT.column]] - _cells(grid, surface, x, y)
+    return float(np.nanmax(np.abs(np.hstack([pixels[some] - exact, cells])), initial=0.0))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.formats.atomic import require_free, staged_folder, writing
 from fg_orient.formats.tables import require_table
 from fg_orient.model.errors import InputError
-from fg_orient.model.installation import versions
+from fg_orient.model.installation import stamp
 from fg_orient.rectification.options import PointOptions, StudyOptions
 from fg_orient.rectification.outliers import pair_distances
 from fg_orient.rectification.points import DIRECTIONS, fit_points, observations, read_map_points
@@ -57,17 +56,14 @@ def rectify_fit(
         require_free(out, overwrite=overwrite, contents=CONTENTS)
     points, distances = read_map_points(path, options.crs or ""), None
     with one_blas_thread():
-        fitted = fit_points(
-            points, model, options.direction, prune_to=options.prune_to, prune_by=options.prune_by
-        )  # fmt: skip
+        fitted = fit_points(points, model, options.direction, prune_to=options.prune_to, prune_by=options.prune_by)
     if options.pixel_size_m is not None:
         rows = np.isin(np.array(points.ids, dtype=object), np.array(fitted.fit.points.ids, dtype=object))
         distances = pair_distances(points.image[rows] * options.pixel_size_m, points.ground[rows, :2])
     record = record_of(fitted, distances)
     record |= {
-        "input": {"file": path.name, "sha256": points.sha256}, "versions": versions(),
-        "command": [Path(word).name if Path(word).is_absolute() else word for word in command],
-        "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds"), "out": None if out is None else str(out),
+        "input": {"file": path.name, "sha256": points.sha256}, **stamp(command),
+        "out": None if out is None else str(out),
     }  # fmt: skip
     if out is not None:
         with staged_folder(out, overwrite=overwrite, contents=CONTENTS) as folder, writing(out):

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from factors.arrays import Array
 from fg_orient.formats.atomic import require_free_files, staged_file
-from fg_orient.formats.gdal import rasterio_of
+from fg_orient.formats.gdal import TIFF_MARKS, opened, rasterio_of
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import from_geographic, same_crs
 from fg_orient.kernels.resampling import BILINEAR, CUBIC, LIMITS, NEAREST, REACH, pixel_positions, resample
@@ -81,9 +81,8 @@ def orthorectify(
         _require_fitting(source, model, image)
         empty = _nodata(source, nodata, image)
         grid = _grid(model, surface, size, crs, resolution, bounds)
-        limits = LIMITS.pack(
-            first_line=-0.5, last_line=source.height - 0.5, first_sample=-0.5, last_sample=source.width - 0.5
-        )
+        last_line, last_sample = (n - 0.5 for n in size)
+        limits = LIMITS.pack(first_line=-0.5, last_line=last_line, first_sample=-0.5, last_sample=last_sample)
         knots = lattice(grid, model, surface, limits)
         if knots is None:
             raise InputError.of("ortho.no_overlap", file=image, what=surface.path)
@@ -116,14 +115,10 @@ def _require_writable(out: Path, *, overwrite: bool) -> None:
 
 
 def _opened(rasterio: Any, image: str | Path) -> Any:
-    import warnings
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)  # an image in sensor geometry
-        try:
-            return rasterio.open(image)
-        except rasterio.RasterioIOError as error:
-            raise InputError.of("ortho.image", file=image, value=error) from error
+    try:
+        return opened(rasterio, image)
+    except rasterio.RasterioIOError as error:
+        raise InputError.of("ortho.image", file=image, value=error) from error
 
 
 def _require_fitting(source: Any, model: MapModel, image: str | Path) -> None:
@@ -278,9 +273,6 @@ def _stored(values: Array, dtype: str, nodata: float) -> npt.NDArray[Any]:
 
 
 # --- work of the command ----------------------------------------------------------------------------
-
-#: First bytes of TIFF and BigTIFF files in both byte orders.
-TIFF_MARKS: Final = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 
 
 def rectify_image(

@@ -5,7 +5,6 @@ The record is the content of ``result.json`` and of the command's JSON output.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,7 +23,7 @@ from fg_orient.rectification.points import DIRECTIONS, PointFit
 from fg_orient.report.chart import INKS, Chart, large, mapped, round_down
 from fg_orient.report.svg import svg
 from fg_orient.report.words import printable, scientific
-from fg_orient.result.plain import dumps
+from fg_orient.result.plain import dumps, table_of_rows
 
 SCHEMA: Final = 1
 #: Condition number of the scaled design beyond which the points hardly determine a transformation: 50 times the median
@@ -219,13 +218,8 @@ def write_folder(folder: Path, fitted: PointFit, record: dict[str, Any]) -> None
 
 
 def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Write a CSV table of rows with the same keys; None and nan are empty cells."""
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(next(iter(rows)))  # the keys
-        for row in rows:
-            values = ["" if v is None or v != v else str(v).lower() if isinstance(v, bool) else v for v in row.values()]
-            writer.writerow(values)
+    """Write a CSV table of rows with the same keys; None and what is not finite are empty cells."""
+    table_of_rows(tuple(next(iter(rows))), [tuple(row.values()) for row in rows]).write(path)
 
 
 def _report(record: dict[str, Any]) -> str:
