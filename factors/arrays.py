@@ -4,6 +4,6 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
-#: Positions in another array.
+# positions in another array
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
