@@ -79,7 +79,7 @@ def write_asp(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tu
     path, o = paths[0], survey.observed
     if crs_kind(survey.crs) != "geographic":
         raise InputError.of("interchange.geographic", file=path, option="to_crs", value=survey.crs)
-    require_plain(survey, path)
+    require_plain((*survey.ids, *survey.images), "name", path)
     marks: dict[int, list[str]] = {}
     for image, point, line, sample, along, across in zip(
         o.image.tolist(), o.point.tolist(), o.line, o.sample, o.sigma_line_px, o.sigma_sample_px, strict=True

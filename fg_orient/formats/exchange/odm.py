@@ -71,7 +71,7 @@ def _coordinates(row: Row, faults: Faults) -> tuple[float, ...]:
 def write_odm(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
     """Write the image points of the points with coordinates."""
     path, o = paths[0], survey.observed
-    require_plain(survey, path)
+    require_plain((*survey.ids, *survey.images), "name", path)
     flat = survey.crs.partition("+")[0].upper()
     lines, known = [_ODM_FLAT.get(flat, flat)], survey.located
     for i, p, line, sample in zip(o.image, o.point, o.line, o.sample, strict=True):

@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from factors.arrays import Array, Index
 from fg_orient.formats.atomic import writing
-from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.tables import Row, finite, number
 from fg_orient.formats.text_files import delimited, read_text
@@ -132,11 +131,11 @@ def _quoted(cell: str) -> str:
     return '"' + cell.replace('"', '""') + '"' if odd else cell
 
 
-def require_plain(survey: Survey, path: Path) -> None:
-    """Raise InputError if a name of a point or image is empty, contains blanks or commas, or begins with ``#``."""
-    for name in (*survey.ids, *survey.images):
+def require_plain(names: Iterable[str], what: str, path: Path) -> None:
+    """Raise InputError if a name is empty, contains blanks or commas, or begins with ``#``."""
+    for name in names:
         if not name or name[:1] == "#" or any(c.isspace() or c in ',"' for c in name):
-            raise InputError.of("interchange.name", file=path, place="name", value=name)
+            raise InputError.of("interchange.name", file=path, place=what, value=name)
 
 
 # --- files of bundle programs --------------------------------------------------------------------

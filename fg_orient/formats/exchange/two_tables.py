@@ -77,7 +77,7 @@ class Layout:
         """Write the files as :meth:`read` reads them; the second file only if there are image points."""
         blank, o = self.separator == "blank", survey.observed
         if blank:
-            require_plain(survey, paths[0])
+            require_plain((*survey.ids, *survey.images), "name", paths[0])
         join = " ".join if blank else row_of
         order = [1, 0, 2] if self.in_crs_order and north_first(survey.crs) else [0, 1, 2]
         points, marks = ([f"# {' '.join(names)}"] * blank for names in (self.point, self.mark))
