@@ -35,10 +35,8 @@ STEPS: Final = 5
 FARTHEST_M: Final = 1e5
 #: Widths of the limit in the steps after an intersection.
 WIDTHS: Final = (2.0, 1.0, 1.0)
-#: Decrease of the cost for which a point moves: the place of the stages before is as likely up to a ratio of 100.
-BETTER: Final = 9.21
-#: Difference of sums of squares, in units of the variance factor, below which rays of a point are rivals: likelihoods
-#: of 1 to 100.
+#: Difference of costs, in units of the variance factor, up to which two places, or two rays of a point, are rivals:
+#: likelihoods of 1 to 100. A point moves for a larger decrease only.
 RIVAL: Final = 9.21
 
 
@@ -70,7 +68,7 @@ def with_best_rays(problem: Problem, state: State, limits: tuple[float, float]) 
         better = cost < least
         best[better], least[better] = place[better], cost[better]
     ground = state.ground.copy()
-    ground[points] = np.where((least < before - BETTER)[:, None], best, begin)
+    ground[points] = np.where((least < before - RIVAL)[:, None], best, begin)
     return State(state.image, ground)
 
 

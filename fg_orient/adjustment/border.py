@@ -23,8 +23,8 @@ from fg_orient.adjustment.cofactors import Part, order_by_point, parts_of
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised, summed
-from fg_orient.adjustment.schur import SchurBackend, SchurSystem
-from fg_orient.adjustment.schur_reduced import FULL_LIMIT, full_matrix
+from fg_orient.adjustment.schur import SchurBackend
+from fg_orient.adjustment.schur_reduced import FULL_LIMIT, Pattern, full_matrix
 from fg_orient.model.block import ExtraObservation
 from fg_orient.model.options import Datum
 
@@ -118,12 +118,10 @@ def free_columns(problem: Problem) -> Index:
     return np.arange(problem.n_image_unknowns) if problem.ties is None else problem.ties.of
 
 
-def bordered(
-    system: SchurSystem, problem: Problem, blocks: Array, rows: tuple[Array, sparse.csr_array]
-) -> Array:  # fmt: skip
-    """Normal matrix (b, b) from blocks of eliminated points and the rows of :func:`explicit_rows`."""
-    out, z = (rows[1].T @ rows[1]).toarray(), problem.n_free_unknowns
-    out[:z, :z] += full_matrix(system.structure.pattern, problem.first, blocks, problem.ties)
+def bordered(problem: Problem, pattern: Pattern, blocks: Array, design: sparse.csr_array) -> Array:
+    """Normal matrix (b, b) from blocks of eliminated points and the Jacobian of :func:`explicit_rows`."""
+    out, z = (design.T @ design).toarray(), problem.n_free_unknowns
+    out[:z, :z] += full_matrix(pattern, problem.first, blocks, problem.ties)
     return np.asarray(out)
 
 
@@ -167,7 +165,7 @@ class Border(BorderMatrix):
     def _normal(self) -> tuple[Array, Array]:
         """S (b, b), and the gradient (b,) with the points at the intersection of their rays."""
         blocks, gradient = self._system.partial(0.0)
-        matrix = bordered(self._system, self.problem, blocks, self._rows)
+        matrix = bordered(self.problem, self._system.structure.pattern, blocks, self._rows[1])
         self._backend.buffers.release()
         value, design = self._rows
         full = np.asarray(design.T @ value)

@@ -51,7 +51,7 @@ class NamedSystem(Blended):
         problem, z = self._backend.problem, self._backend.problem.n_free_unknowns
         damping = max(damping, problem.least_damping)
         blocks, own = self._inner.partial(damping)
-        matrix = bordered(self._inner, problem, blocks, (self._value, self._design))
+        matrix = bordered(problem, self._backend.inner.structure.pattern, blocks, self._design)
         diagonal, images = np.diag(matrix).copy(), np.arange(len(matrix)) < z
         matrix[np.diag_indices(len(matrix))] += np.where(images, damping, problem.point_damping(damping) * diagonal)
         gradient = np.asarray(self._design.T @ self._value)
@@ -81,9 +81,8 @@ class NamedSystem(Blended):
     def _step(self, border: Array, ground: Array, inner: SchurStep) -> SchurStep:
         """Step of everything from that of the eliminated points and their images."""
         left, after = self._value + self._design @ border, inner.after
-        named = self._backend.problem.named_points()
         moved = after.ground.copy()
-        moved[named] += border[self._backend.problem.n_free_unknowns :].reshape(-1, 3)
+        moved[self._backend.named] += border[self._backend.problem.n_free_unknowns :].reshape(-1, 3)
         error = self._excess + inner.predicted_error + 0.5 * float(left @ left)
         length = max(inner.length, float(np.abs(border).max()))
         return SchurStep(border, ground, length, error, self.state, State(after.image, moved))
@@ -108,16 +107,17 @@ class NamedBackend:
         if not small_enough(problem):
             size = problem.n_free_unknowns + 3 * len(problem.named_points())
             raise InputError.of("adjust.schur", option="backend", value=f"{size} unknowns of images and named points")
-        self.problem = problem
-        #: Backend of the points to eliminate.
+        self.problem, self.named = problem, problem.named_points()
+        #: Backend of the points to eliminate, and the rows of their image points in its order.
         self.inner = SchurBackend(eliminated_part(problem, problem.block.options.datum))
+        rays = np.flatnonzero(~np.isin(problem.observations.point, self.named))
+        self._rows = rays[self.inner.structure.row]
         self.robust: Robust | None = None
 
     def hold(self, weights: Weights) -> None:
         """Give the rows of the eliminated points their weights until the next call."""
-        rays = np.flatnonzero(~np.isin(self.problem.observations.point, self.problem.named_points()))
-        image = weights.image[rays[self.inner.structure.row]]
-        self.inner.robust = FixedWeights(image, weights.control[self.inner.structure.observed])
+        observed = self.inner.structure.observed
+        self.inner.robust = FixedWeights(weights.image[self._rows], weights.control[observed])
 
     def linearise(self, state: State) -> NamedSystem:
         """Linearise at a state."""

@@ -421,7 +421,7 @@ def _require_finite(block: Block, observations: ImagePoints, control: npt.NDArra
 
 
 def schur_possible(block: Block) -> bool:
-    """Whether the Schur backend supports a block: no extra observation names a ground point."""
+    """Whether all ground points of a block can be eliminated: no extra observation names one."""
     return all(name.startswith("image:") for extra in block.extra for name in extra.unknowns)
 
 

@@ -6,6 +6,7 @@ Unknowns are prior sigmas (images) and metres (points), prior scale. Sources of 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -67,14 +68,14 @@ class Cofactors(PointCofactors, Protocol):
         ...
 
 
-class CommonCofactors:
+class CommonCofactors(ABC):
     """Common part of classes of :class:`Cofactors`: what follows from ``joint``, or from ``points`` and ``blocks``."""
 
     problem: Problem
 
+    @abstractmethod
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """See :class:`Cofactors`."""
-        raise NotImplementedError
 
     def image(self, k: int) -> Array:
         """See :class:`Cofactors`."""
