@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors._contract import Array
+from factors._contract import compiled
+from factors.arrays import Array, Index
 
 #: Samples interpolated by one Lagrange polynomial.
 MAX_SAMPLES = 8
-#: Times that are interpolated together: their data remain in the cache.
-AT_ONCE = 1024
+#: Number of times from which on a compiled loop takes a fifth of numpy's time, with the same bits.
+MANY = 1024
 
 
 def lagrange(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
@@ -25,18 +26,36 @@ def lagrange(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
     apart = sample_time_s[window][:, None] - sample_time_s[window][None]  # of sample d (axis 0) from sample e (axis 1)
     apart[np.arange(use), np.arange(use)] = 1.0
     divisor = np.multiply.reduce(apart, axis=1)
-    out = np.zeros((len(time_s), samples.shape[1]))
-    for lo in range(0, len(time_s), AT_ONCE):
-        t = time_s[lo : lo + AT_ONCE]
-        first = np.clip(np.searchsorted(sample_time_s, t) - use // 2, 0, len(sample_time_s) - use)
-        near = first + np.arange(use)[:, None]
-        away = t - sample_time_s[near]  # (use, N)
-        before, after = np.ones_like(away), np.ones_like(away)  # products over the samples before and after sample d
+    first = np.clip(np.searchsorted(sample_time_s, time_s) - use // 2, 0, len(sample_time_s) - use)
+    if len(time_s) >= MANY:
+        return _sums(sample_time_s, np.ascontiguousarray(samples), time_s, first, divisor)
+    near = first + np.arange(use)[:, None]
+    away = time_s - sample_time_s[near]  # (use, N)
+    before, after = np.ones_like(away), np.ones_like(away)  # products over the samples before and after sample d
+    for d in range(1, use):
+        np.multiply(before[d - 1], away[d - 1], out=before[d])
+        np.multiply(after[use - d], away[use - d], out=after[use - d - 1])
+    weight = before * after / divisor[:, first]
+    return np.asarray(np.add.reduce(weight[:, :, None] * samples[near], axis=0))
+
+
+@compiled
+def _sums(sample_time_s: Array, samples: Array, time_s: Array, first: Index, divisor: Array) -> Array:
+    """Weighted sums of the samples at N times, ``first`` (N,) of them each: the operations of :func:`lagrange`."""
+    use = divisor.shape[0]
+    away, before, after = np.empty(use), np.ones(use), np.ones(use)
+    out = np.zeros((time_s.shape[0], samples.shape[1]))
+    for i in range(time_s.shape[0]):
+        at = first[i]
+        for d in range(use):
+            away[d] = time_s[i] - sample_time_s[at + d]
         for d in range(1, use):
-            np.multiply(before[d - 1], away[d - 1], out=before[d])
-            np.multiply(after[use - d], away[use - d], out=after[use - d - 1])
-        weight = before * after / divisor[:, first]
-        np.add.reduce(weight[:, :, None] * samples[near], axis=0, out=out[lo : lo + AT_ONCE])
+            before[d] = before[d - 1] * away[d - 1]
+            after[use - d - 1] = after[use - d] * away[use - d]
+        for d in range(use):
+            weight = before[d] * after[d] / divisor[d, at]
+            for c in range(samples.shape[1]):
+                out[i, c] += weight * samples[at + d, c]
     return out
 
 

@@ -21,7 +21,7 @@ from fg_orient.adjustment.cofactors import CHUNK, WHOLE_LIMIT, full_statistics
 from fg_orient.adjustment.images_first import Sizes, each_of_one_image
 from fg_orient.adjustment.rows import image_models
 from fg_orient.adjustment.schur_structure import ALL_KEPT, LEAST_CHUNKS
-from fg_orient.adjustment.solve import suitable_backend
+from fg_orient.adjustment.solve import points_are_eliminated, suitable_backend
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
@@ -29,10 +29,10 @@ from fg_orient.sensors.base import ImageModel
 
 #: Default limit as share of the available memory.
 SHARE: Final = 0.8
-#: Bytes per image point: arrays of the Schur backend; factors, values, linear graph and Bayes tree of GTSAM; start
-#: values and results (cofactors, tables, report).
+#: Bytes per image point: arrays of eliminated points; explicit factors of GTSAM with values, linear graph and Bayes
+#: tree; start values and results (cofactors, tables, report).
 SCHUR: Final = 400
-GRAPH: Final = 13_000
+EXPLICIT: Final = 13_000
 RESULTS: Final = 400
 #: Bytes per image point of the statistics of every observation, and of Jacobians that are in memory at once.
 STATISTICS: Final = 700
@@ -111,7 +111,7 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
     working = _working(backend, block, n, u, max(sizes))
     if backend == "schur" and elsewhere:
         working -= n * SCHUR
-    elif backend == "schur" and n <= ALL_KEPT:  # small blocks have a second copy of their records
+    elif backend != "dense" and n <= ALL_KEPT:  # small blocks have a second copy of their records
         working += n * records
     working += _statistics(len(block.images), n, max(sizes)) if full_statistics(options, n, u) else 0
     return Need(backend, int(FIXED + common + working + n * RESULTS), allowed_bytes(options.memory_limit_gb))
@@ -129,7 +129,7 @@ def _images_first(block: Block, models: Sequence[ImageModel]) -> int | None:
     parameters = [model.parameters for model in models]
     shared = {(p.shared[j], p.codes[j]) for p in parameters for j in np.flatnonzero(~p.own).tolist()}
     rays = np.bincount(block.observations.point, minlength=len(points.ids))
-    names = {name.removeprefix("point:") for e in extra for name in e.unknowns if name.startswith("point:")}
+    names = _named(block)
     named = np.array([name in names for name in points.ids], bool) & (rays > 0)
     border = len(shared) + 3 * int(((rays > 0) & ~points.known.fixed).sum())
     widest = max(len(p) for p in parameters)
@@ -137,12 +137,19 @@ def _images_first(block: Block, models: Sequence[ImageModel]) -> int | None:
     return border if each_of_one_image(extra) and sizes.images_first else None
 
 
+def _named(block: Block) -> set[str]:
+    """Ids of the ground points that extra observations name."""
+    names = (name for e in block.extra if isinstance(e, ExtraObservation) for name in e.unknowns)
+    return {name.removeprefix("point:") for name in names if name.startswith("point:")}
+
+
 def _working(backend: str, block: Block, n: int, u: int, widest: int) -> float:
     """Memory of a backend for n image points and u image unknowns, ``widest`` of them of one image."""
-    if backend == "graph":  # GTSAM; joint cofactors of the images
-        return n * GRAPH + 2 * 8 * u**2
     images, points = len(block.images), block.points
-    if backend == "schur":  # rows, reduced matrix with factor and inverse, blocks of pairs of images and their sums
+    named = len(_named(block))
+    if backend == "graph" and not points_are_eliminated(block.options, not named, named < len(points.ids)):
+        return n * EXPLICIT + 2 * 8 * u**2  # GTSAM; joint cofactors of the images
+    if backend != "dense":  # rows, reduced matrix with factor and inverse, blocks of pairs of images and their sums
         whole = 3 * 8 * u**2 if u <= WHOLE_LIMIT else 0
         return n * SCHUR + whole + (2 + LEAST_CHUNKS) * 8 * widest**2 * images * (images + 1) / 2
     fixed = int(points.known.fixed.sum())

@@ -44,15 +44,17 @@ def whitened_records(
     models: Sequence[ImageModel], observations: ImagePoints, ground_m: Array, origin_m: Array
 ) -> Array:
     """Records (n, d) of image points, whose residuals are in sigmas; ``ground_m`` (N, 3) ECEF."""
-    parts: list[tuple[Index, Array]] = []
+    out = np.zeros((len(observations), 0))
     for k, model in enumerate(models):
         rows = np.flatnonzero(observations.image == k)
         if len(rows):
             o = observations.take(rows)
-            parts.append((rows, model.records(o, ground_m[o.point], origin_m)))
-    out = np.zeros((len(observations), max(part.shape[1] for _, part in parts)))
-    for rows, part in parts:
-        out[rows, : part.shape[1]] = part
+            part = model.records(o, ground_m[o.point], origin_m)
+            if part.shape[1] > out.shape[1]:
+                wider = np.zeros((len(out), part.shape[1]))
+                wider[:, : out.shape[1]] = out
+                out = wider
+            out[rows, : part.shape[1]] = part
     return out
 
 

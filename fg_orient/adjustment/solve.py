@@ -54,7 +54,7 @@ from fg_orient.adjustment.runtime import calm_memory, one_blas_thread
 from fg_orient.adjustment.stages import FROM_RESECTIONS, PLAIN, plan_of, require_possible, run_stages
 from fg_orient.model.block import Block
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
-from fg_orient.model.options import Backend
+from fg_orient.model.options import Backend, Options
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.border_matrix import BorderMatrix
@@ -175,12 +175,16 @@ def eliminates_points(problem: Problem) -> bool:
     condition. A free or an inner datum holds what control would. Under a loss the rays of points that extra
     observations name would need weights of their own.
     """
-    options, block = problem.block.options, problem.block
+    points = len(np.unique(problem.observations.point))
+    all_of_them = schur_possible(problem.block)
+    return points_are_eliminated(problem.block.options, all_of_them, len(problem.named_points()) < points)
+
+
+def points_are_eliminated(options: Options, all_of_them: bool, some: bool) -> bool:
+    """See :func:`eliminates_points`; ``all_of_them``, ``some``: extra observations name no point, not every point."""
     if not (options.priors or options.datum in ("free", "inner")):
         return False
-    if schur_possible(block):
-        return True
-    return options.loss == NONE and len(problem.named_points()) < len(np.unique(problem.observations.point))
+    return all_of_them or (options.loss == NONE and some)
 
 
 def first_sentence(error: Exception) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from fg_orient.adjustment.constraints import prepared
 from fg_orient.adjustment.problem import Problem, compile_problem
-from fg_orient.adjustment.rows import linearised, rows_by_image
+from fg_orient.adjustment.rows import image_rows, rows_by_image
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError, Finding, InputError, RankDeficientError, finding
@@ -86,11 +86,12 @@ def _motions_without_control(block: Block) -> list[Finding]:
 
 def judge_observability(compiled: Problem) -> tuple[ImageObservability, ...]:
     """Singular values of each image's whitened Jacobian at the start."""
-    out, whole = [], linearised(compiled, compiled.start).image
+    out = []
     with one_blas_thread():
         for k, rows in enumerate(rows_by_image(compiled)):
             model = compiled.models[k]
-            flat = whole[rows, :, : len(model.parameters)].reshape(2 * len(rows), len(model.parameters))
+            jacobian = image_rows(compiled, compiled.start, k, rows, jacobian=True)[1]
+            flat = jacobian.reshape(2 * len(rows), len(model.parameters))
             out.append(analyse(compiled.block.images[k].id, flat, model))
     return tuple(out)
 

@@ -148,7 +148,7 @@ class _Part:
         ground, ids = problem.start.ground[self.control], [problem.block.points.ids[j] for j in self.control]
         middle, first = ground.mean(axis=0), []
         if len(ids) > 1:
-            along = np.linalg.svd(ground - middle)[2][0]
+            along = np.linalg.svd(ground - middle, full_matrices=False)[2][0]
             first.append((f"turned about the line through control points {named(ids)}", self._rotation(along, middle)))
         where = of_ids("control point", ids)
         first += [(f"turned about {n} through {where}", self._rotation(a, middle))

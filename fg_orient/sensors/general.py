@@ -47,6 +47,7 @@ class GeneralPushbroom(PushbroomSensor):
 
     def __init__(self, metadata: GeneralMetadata) -> None:
         super().__init__(metadata)
+        self.bends_light = bool(metadata.effects)
 
     def _bind_attitude(self, seconds: float) -> tuple[Finding, ...]:
         self.states([0.0, self.n_lines - 1.0])

@@ -1,16 +1,16 @@
 """Ground to image for a pushbroom: the zero of the look-angle collinearity in (line, sample).
 
 Newton on both pixel coordinates at once (docs/equations.md 6). The conditions F_y, F_x are those of the observation
-equation, so that every correction (EOP, look angles) is included; their derivatives are differences over half a
-pixel. Attitude is piecewise linear in time. Up to 30 steps are therefore needed. They end below 1e-9 px, or below 1e-6
-px if they no longer shrink (a time of day has 11 digits: 1e-8 px). Lines are evaluated inside the image only. A point
-outside gets the linear continuation from the border. A point that is invisible from the satellite, or for which the
-steps do not converge, gets nan.
+equation, so that every correction (EOP, look angles) is included. Their derivatives are differences over half a pixel
+to both sides: attitudes and look angles are piecewise linear, and a pixel may contain a knot. Up to 30 steps are
+therefore needed. They end below 1e-9 px, or below 1e-6 px if they no longer shrink (a time of day has 11 digits: 1e-8
+px). Lines are evaluated inside the image only. A point outside gets the linear continuation from the border. A point
+that is invisible from the satellite, or for which the steps do not converge, gets nan.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -34,19 +34,25 @@ AT_ONCE = 4096
 
 
 def physical_unknowns(correction: Correction) -> tuple[Array, Array]:
-    """Setup (2, k) and unknowns (k,) of the equation for a correction in physical units."""
+    """Setup (2, k) and unknowns (k,) of the equation for a correction in physical units; zeros are left out."""
     codes = np.arange(N_EOP + correction.look.size, dtype=float)
     x = np.concatenate([correction.eop.ravel(), correction.look.T.ravel()])
     if correction.curve.shape[1]:  # their sums follow the record: one "curve" of 1 for each EOP
         codes = np.concatenate([codes, CURVE + (CURVES + 1.0) * np.arange(9)])
         x = np.concatenate([x, np.ones(9)])
+    codes, x = codes[x != 0.0], x[x != 0.0]
     return np.ascontiguousarray(np.stack([codes, np.ones_like(codes)])), x
 
 
 def conditions(sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
     """F_y, F_x (tangents) of N pixels and ground points: (N, 2)."""
-    setup, x = physical_unknowns(correction)
     records = sensor.records(line, sample, ground_m, small_angle=correction.small_angle)
+    return _conditions(records, ground_m, correction)
+
+
+def _conditions(records: Array, ground_m: Array, correction: Correction) -> Array:
+    """Conditions (N, 2) of records (N, d)."""
+    setup, x = physical_unknowns(correction)
     if correction.curve.shape[1]:
         records = np.hstack([records, correction.curve_at(records[:, RECORD.tau])])
     return residuals(records, setup, x, np.ascontiguousarray(ground_m))
@@ -79,24 +85,48 @@ def pixel_derivative(
     sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction
 ) -> Array:
     """Local derivative J = dF/d(line, sample) of the conditions: (N, 2, 2), rad per pixel."""
-    return _linearised(sensor, line, sample, ground_m, correction)[1]
+    return linearised(sensor, line, sample, ground_m, correction).slope
 
 
-def _linearised(
+class Linearised(NamedTuple):
+    """Records (N, 34) of pixels, their conditions (N, 2) and the derivative (N, 2, 2) by line and sample."""
+
+    records: Array
+    value: Array
+    slope: Array
+
+
+def linearised(
     sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction
-) -> tuple[Array, Array]:
-    """Conditions (N, 2) and their derivative (N, 2, 2) at pixels inside the image, from one evaluation."""
+) -> Linearised:
+    """Evaluate conditions and their derivative at pixels inside the image."""
     if len(line) > AT_ONCE:
         parts = [slice(lo, lo + AT_ONCE) for lo in range(0, len(line), AT_ONCE)]
-        found = [_linearised(sensor, line[k], sample[k], ground_m[k], correction) for k in parts]
-        return np.concatenate([f for f, _ in found]), np.concatenate([j for _, j in found])
-    line_low, line_high = (np.clip(line + s, sensor.first_line - 0.5, sensor.last_line + 0.5) for s in (-0.5, 0.5))
+        found = [linearised(sensor, line[k], sample[k], ground_m[k], correction) for k in parts]
+        return Linearised(*(np.concatenate(each) for each in zip(*found, strict=True)))
+    n, small = len(line), correction.small_angle
+    before, after = (np.clip(line + s, sensor.first_line - 0.5, sensor.last_line + 0.5) for s in (-0.5, 0.5))
     low, high = (np.clip(sample + s, sensor.first_sample - 0.5, sensor.last_sample + 0.5) for s in (-0.5, 0.5))
-    lines, samples = (np.concatenate(x) for x in ([line_low, line_high, line, line, line],
-                                                  [sample, sample, low, high, sample]))  # fmt: skip
-    f = conditions(sensor, lines, samples, np.tile(ground_m, (5, 1)), correction).reshape(5, -1, 2)
-    slopes = (f[1] - f[0]) / (line_high - line_low)[:, None], (f[3] - f[2]) / (high - low)[:, None]
-    return f[4], np.stack(slopes, axis=2)
+    states = sensor.states(np.concatenate([line, before, after]))
+    ground = np.tile(ground_m, (3, 1))
+    psi_x, psi_y = sensor.look_angles(sample)
+    thrice = np.tile(sample, 3), (np.tile(psi_x, 3), np.tile(psi_y, 3))
+    records = sensor.records_of(states, *thrice, ground, small_angle=small)
+    f = _conditions(records, ground, correction).reshape(3, n, 2)
+    by_line = (f[2] - f[1]) / (after - before)[:, None]
+    if sensor.bends_light:  # the mounting depends on the sample
+        here, other = states.first(n), ((s, sensor.look_angles(s)) for s in (low, high))
+        there = [sensor.records_of(here, *one, ground_m, small_angle=small) for one in other]
+        f_low, f_high = (_conditions(part, ground_m, correction) for part in there)
+    else:  # F_y = f1/f3 - tan psi_y, F_x = f2/f3 + tan psi_x: the rest does not depend on the sample
+        f_low, f_high = (_tangents(sensor, s, correction) for s in (low, high))
+    return Linearised(records[:n], f[0], np.stack([by_line, (f_high - f_low) / (high - low)[:, None]], axis=2))
+
+
+def _tangents(sensor: PushbroomSensor, sample: Array, correction: Correction) -> Array:
+    """Terms -tan psi_y, tan psi_x (N, 2) of the conditions."""
+    psi_x, psi_y = sensor.corrected_look(sensor.look_angles(sample), sample, correction)
+    return np.stack([-np.tan(psi_y), np.tan(psi_x)], axis=1)
 
 
 def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) -> tuple[Array, Array]:
@@ -117,7 +147,7 @@ def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) ->
                   np.clip(at[1], sensor.first_sample - 0.5, sensor.last_sample + 0.5))  # fmt: skip
         # less than a pixel away the derivative is nearly the same: each step is still a thousandth of the last
         if (previous > SAME_SLOPE_PX).any():
-            f, slope[todo] = _linearised(sensor, *inside, ground_m[todo], correction)
+            _, f, slope[todo] = linearised(sensor, *inside, ground_m[todo], correction)
         else:
             f = conditions(sensor, *inside, ground_m[todo], correction)
         step = np.stack(inside, axis=1) - np.stack(at, axis=1) - np.linalg.solve(slope[todo], f[:, :, None])[:, :, 0]

@@ -66,6 +66,10 @@ class LineStates:
     angles_rad: Array
     mount: Array  # (N, 3, 3)
 
+    def first(self, n: int) -> LineStates:
+        """States of the first n lines."""
+        return LineStates(*(a[:n] for a in (self.tau, self.position_m, self.velocity_m_s, self.angles_rad, self.mount)))
+
 
 def _extended(source: AngleAttitude | QuaternionList, seconds: Array) -> AngleAttitude | QuaternionList:
     """Attitudes, extrapolated with the last rate by ``seconds`` (2,) before and after their list."""
@@ -97,6 +101,8 @@ class PushbroomSensor(Sensor):
 
     #: Name of the camera in messages.
     _camera = "look angles"
+    #: Whether effects on light turn each line of sight, so that the mounting depends on the sample.
+    bends_light = False
 
     def __init__(self, metadata: PushbroomMetadata, *, extrapolate_attitude_s: float = 0.0) -> None:
         self.metadata, self.file = metadata, metadata.file
@@ -238,16 +244,30 @@ class PushbroomSensor(Sensor):
         ``reference_m`` (N, 3) or (3,): ECEF points near the observed ones; differences are formed
         against them. ``origin_m`` (3,): local origin of the ground unknowns, ECEF (default 0).
         """
-        states = self.states(line)
         s = np.atleast_1d(np.asarray(sample, float))
-        psi, to_ground = self.look_angles(s), reference_m - states.position_m
+        records = self.records_of(self.states(line), s, self.look_angles(s), reference_m, small_angle=small_angle)
+        if origin_m is not None:
+            records[:, RECORD.reference] -= origin_m
+        return records
+
+    def records_of(
+        self, states: LineStates, sample: Array, psi: tuple[Array, Array], reference_m: Array, *, small_angle: bool
+    ) -> Array:
+        """Records as of :meth:`records`, of N states, samples and their look angles; local origin 0."""
+        to_ground = reference_m - states.position_m
         return RECORD.pack(
             position=states.position_m, velocity=states.velocity_m_s, angles=states.angles_rad,
             mounting=self._mounting(states, psi, to_ground).reshape(-1, 9), tau=states.tau, look=np.stack(psi, axis=1),
-            s=polynomials.normalised(s, self.n_samples), whitening=np.eye(2).ravel(), follows=self.follows_orbit,
-            small_angle=small_angle, reference=reference_m if origin_m is None else reference_m - origin_m,
-            from_position=to_ground,
+            s=polynomials.normalised(sample, self.n_samples), whitening=np.eye(2).ravel(), follows=self.follows_orbit,
+            small_angle=small_angle, reference=reference_m, from_position=to_ground,
         )  # fmt: skip
+
+    def corrected_look(self, psi: tuple[Array, Array], sample: Array, correction: Correction) -> tuple[Array, Array]:
+        """Look angles psi_x, psi_y of N samples with their corrections."""
+        if not correction.look.shape[1]:
+            return psi
+        bend = polynomials.evaluate(correction.look, polynomials.normalised(sample, self.n_samples))
+        return psi[0] + bend[:, 0], psi[1] + bend[:, 1]
 
     # --- image to ground ---------------------------------------------------------------------
 
@@ -265,10 +285,7 @@ class PushbroomSensor(Sensor):
         lines, s = same_length(line, sample)
         states, psi = self.states(lines), self.look_angles(s)
         mount = self._mounting(states, psi, to_ground_m)
-        delta = c.eop_at(states.tau)
-        if c.look.shape[1]:
-            bend = polynomials.evaluate(c.look, polynomials.normalised(s, self.n_samples))
-            psi = psi[0] + bend[:, 0], psi[1] + bend[:, 1]
+        delta, psi = c.eop_at(states.tau), self.corrected_look(psi, s, c)
         p = states.position_m + delta[:, 0:3]
         p_frame, v_frame = states.position_m, states.velocity_m_s
         if self.follows_orbit:
@@ -349,9 +366,9 @@ class PushbroomModel(ImageModel):
 
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
         """Whiten with ``-S^-1 J^-1``, J = dF/d(line, sample) of the metadata orientation."""
-        line, sample, small = points.line, points.sample, self.small_angle
-        out = self.sensor.records(line, sample, ground_m, origin_m, small_angle=small)
-        j = projection.pixel_derivative(self.sensor, line, sample, ground_m, Correction(small_angle=small))
+        metadata = Correction(small_angle=self.small_angle)
+        out, _, j = projection.linearised(self.sensor, points.line, points.sample, ground_m, metadata)
+        out[:, RECORD.reference] -= origin_m
         sigma = np.stack([points.sigma_line_px, points.sigma_sample_px], axis=1)
         out[:, RECORD.whitening] = (-np.linalg.inv(j) / sigma[:, :, None]).reshape(-1, 4)
         return np.hstack([out, polynomials.curves(out[:, RECORD.tau], self.n_curves)]) if self.n_curves else out

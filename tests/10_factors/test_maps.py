@@ -94,6 +94,15 @@ def test_lagrange_is_exact_for_degree_seven(rng: np.random.Generator) -> None:
     assert np.abs(nodes - poly(t / 120.0, c).T).max() < 1e-14
 
 
+@pytest.mark.consistency
+@pytest.mark.parametrize("n", [3, 9])
+def test_lagrange_of_many_times_gives_the_bits_of_few(rng: np.random.Generator, n: int) -> None:
+    t, samples = np.sort(rng.uniform(-100.0, 100.0, n)), rng.normal(size=(n, 6))
+    at = rng.uniform(t[0], t[-1], interpolation.MANY + 500)
+    few = [interpolation.lagrange(t, samples, part) for part in np.array_split(at, 7)]
+    assert np.array_equal(interpolation.lagrange(t, samples, at), np.concatenate(few))
+
+
 @pytest.mark.oracle
 def test_polynomials_fit_and_transformation_to_lines(rng: np.random.Generator) -> None:
     n_lines = 12000

@@ -12,6 +12,8 @@ import fg_orient as fg
 from factors.geometry import light, orbital
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.block import Block, Image
+from fg_orient.sensors import projection
+from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.general import GeneralPushbroom
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
@@ -84,6 +86,34 @@ def test_round_trips_with_light(block: Block, tmp_path: Path) -> None:
     assert 0.7 < moved["light_time"].min() < moved["light_time"].max() < 1.5
     assert 15.0 < moved["aberration"].min() < moved["aberration"].max() < 30.0
     assert moved["refraction"].max() < 3.0
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("effects", ["", ALL_LIGHT], ids=["no effects", "light"])
+def test_pixel_derivatives_are_differences_of_the_conditions(block: Block, tmp_path: Path, effects: str) -> None:
+    """Over half a pixel to both sides, inside the image, with corrections of orientation and look angles."""
+    sensor = read_sensor(describe(block.images[0].sensor, tmp_path, extra=effects))
+    assert isinstance(sensor, GeneralPushbroom) and sensor.bends_light == bool(effects)
+    line, sample = pixels(sensor)
+    rng = np.random.default_rng(3)
+    eop = rng.normal(0.0, 1.0, (9, 3)) * np.repeat([10.0, 0.01, 1e-5], 3)[:, None]
+    correction = Correction(eop, rng.normal(0.0, 1e-5, (2, 3)))
+    ground = sensor.locate(line, sample, height_m=700.0) + rng.normal(0.0, 20.0, (len(line), 3))
+
+    def values(line: np.ndarray, sample: np.ndarray) -> np.ndarray:
+        return projection.conditions(sensor, line, sample, ground, correction)
+
+    last = sensor.n_lines - 0.5, sensor.n_samples - 0.5
+    before, after = (np.clip(line + s, -0.5, last[0]) for s in (-0.5, 0.5))
+    low, high = (np.clip(sample + s, -0.5, last[1]) for s in (-0.5, 0.5))
+    expected = np.stack([
+        (values(after, sample) - values(before, sample)) / (after - before)[:, None],
+        (values(line, high) - values(line, low)) / (high - low)[:, None],
+    ], axis=2)  # fmt: skip
+    got = projection.linearised(sensor, line, sample, ground, correction)
+    assert np.abs(got.slope - expected).max() < 1e-10 * np.abs(expected).max()
+    assert np.array_equal(got.value, values(line, sample))
+    assert np.array_equal(got.records, sensor.records(line, sample, ground))
 
 
 @pytest.mark.oracle
