@@ -119,26 +119,6 @@ def trees_parsed_once() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="session", autouse=True)
-def templates_compiled_once() -> Iterator[None]:
-    """Compile the templates of the pages once in each worker: 0.25 s of each report."""
-    import jinja2
-
-    class Memory(jinja2.BytecodeCache):
-        kept: dict[str, Any] = {}  # noqa: RUF012 (one for all)
-
-        def load_bytecode(self, bucket: Any) -> None:
-            bucket.code = self.kept.get(f"{bucket.key} {bucket.checksum}")
-
-        def dump_bytecode(self, bucket: Any) -> None:
-            self.kept[f"{bucket.key} {bucket.checksum}"] = bucket.code
-
-    made = jinja2.Environment
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(jinja2, "Environment", lambda **given: made(**given, bytecode_cache=Memory()))
-        yield
-
-
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Give all files of a folder to one worker (``--dist loadscope``): they share what their conftest.py makes."""

@@ -10,12 +10,14 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
+from contextlib import suppress
 from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from markupsafe import Markup
 
+from factors._compile import cache_folder
 from fg_orient.report.svg import svg
 from fg_orient.report.words import number, printable, scientific
 
@@ -63,10 +65,18 @@ def environment(package: str = SHELL) -> jinja2.Environment:
     """
     import jinja2
 
+    class Cache(jinja2.FileSystemBytecodeCache):
+        """Compiled templates beside the compiled kernels; a folder that cannot be written is no error."""
+
+        def dump_bytecode(self, bucket: Any) -> None:
+            with suppress(OSError):
+                super().dump_bytecode(bucket)
+
+    folder = cache_folder()
     loaders = [jinja2.PackageLoader(name) for name in dict.fromkeys((package, SHELL))]
     shell = jinja2.Environment(
         loader=jinja2.ChoiceLoader(loaders), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
-        lstrip_blocks=True,
+        lstrip_blocks=True, bytecode_cache=None if folder is None else Cache(str(folder), "%s.template"),
     )  # fmt: skip
     shell.filters |= {
         "number": number, "scientific": scientific, "printable": printable, "svg": svg, "headings": headings,
