@@ -34,13 +34,12 @@ from typing import Any, Final
 from benchmarks import cases, memory, own, peers_ceres, peers_pinhole, peers_scipy, pinhole
 from benchmarks.entries import Entry, Outcome, run_rounds
 from benchmarks.flat import FlatProblem
-from benchmarks.hardware import Meter
+from benchmarks.hardware import Meter, this_machine
 from benchmarks.page import write_page
 from benchmarks.table import print_table
 from fg_orient.adjustment.optimisers import GTSAM_OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.formats.project import read_project
-from fg_orient.kernels.vectors import LANES
 from fg_orient.simulate.block import BlockOptions, simulate_block
 
 RESULTS: Final = Path(__file__).parent / "results" / "fast_path.json"
@@ -154,11 +153,6 @@ def warm_up(given: argparse.Namespace) -> float:
 
 def machine(given: argparse.Namespace) -> dict[str, Any]:
     """What ran where."""
-    name = platform.processor()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        lines = [line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
-        name = lines[0].split(":")[1].strip() if lines else name
     versions = {}
     for package in PACKAGES:
         try:
@@ -166,10 +160,13 @@ def machine(given: argparse.Namespace) -> dict[str, Any]:
         except importlib.metadata.PackageNotFoundError:
             versions[package] = ""
     return {
-        "processor": name, "cores": os.cpu_count(), "vector_bits": 64 * LANES, "system": platform.platform(),
-        "python": platform.python_version(), "versions": versions, "load": os.getloadavg()[0],
-        "date": datetime.now(UTC).isoformat(timespec="seconds"), "full": given.full, "repeats": given.repeats,
-    }  # fmt: skip
+        **this_machine(),
+        "system": platform.platform(),
+        "versions": versions,
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "full": given.full,
+        "repeats": given.repeats,
+    }
 
 
 def run(given: argparse.Namespace) -> dict[str, Any]:

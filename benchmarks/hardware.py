@@ -8,15 +8,20 @@ not reach. Back-substitution, gradients and priors are not charged: the bound is
 
 from __future__ import annotations
 
+import os
+import platform
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
+
+from fg_orient.kernels.vectors import LANES
 
 Array = npt.NDArray[np.float64]
 
@@ -44,6 +49,18 @@ class Hardware:
     triad: dict[int, float]
     product: dict[int, float]
     cholesky: float
+
+
+def this_machine() -> dict[str, Any]:
+    """Processor, bits of its vectors, cores, Python and load."""
+    name, information = platform.processor(), Path("/proc/cpuinfo")
+    if information.exists():
+        lines = [line for line in information.read_text().splitlines() if line.startswith("model name")]
+        name = lines[0].split(":")[1].strip() if lines else name
+    return {
+        "processor": name, "cores": os.cpu_count(), "vector_bits": 64 * LANES, "python": platform.python_version(),
+        "load": os.getloadavg()[0],
+    }  # fmt: skip
 
 
 class Meter:

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
+from benchmarks import whole_run
 from benchmarks.goals import GRAPH
 from benchmarks.summary import Summary, iteration_seconds, steady_seconds
 from benchmarks.table import NAMES, Rows, all_tables, goal_rows, solver_rows
@@ -96,7 +97,7 @@ def page(results: dict[str, Any]) -> str:
         parts += [f"## {heading}", TEXTS[heading], markdown(rows)]
         if heading == "Targets":
             parts += second_run([row for name in ("Limits", heading) for row in tables[name][1:]])
-    return "\n\n".join(parts + graph_run()) + "\n"
+    return "\n\n".join(parts + graph_run() + whole_runs()) + "\n"
 
 
 def graph_run() -> list[str]:
@@ -109,6 +110,21 @@ def graph_run() -> list[str]:
         "Levenberg-Marquardt over our Levenberg-Marquardt, Gauss-Newton and Dogleg over our Gauss-Newton."
     )
     return ["## GTSAM's optimisers", text, markdown(goal_rows(s, GRAPH, must=True)), markdown(solver_rows(s))]
+
+
+def whole_runs() -> list[str]:
+    """Section on what a user waits for, from a run of its own."""
+    results = json.loads(whole_run.RESULTS.read_text("utf-8"))
+    m = results["machine"]
+    text = (
+        "From the command `adjust` to its last file, with report: processor seconds and peak of the resident memory of "
+        "the process, medians; all statistics means redundancy numbers, reliability and tests of all observations. "
+        f"`python -m benchmarks.whole_run` on {m['processor']}, {m['cores']} cores, vectors of {m['vector_bits']} "
+        f"bits, Python {m['python']}, load {m['load']:.1f}."
+    )
+    stages = "Shares of the stages in the wall-clock time, per cent:"
+    tables = [markdown(table(results)) for table in (whole_run.rows, whole_run.stage_rows, whole_run.figures)]
+    return ["## Whole runs", text, tables[0], stages, *tables[1:]]
 
 
 def second_run(rows: Rows) -> list[str]:

@@ -1,0 +1,154 @@
+"""What a user waits for: the command ``adjust`` from its start to the last file, and ``simulate block``.
+
+    python -m benchmarks.whole_run [--sizes 1e4 1.3e5 1.35e6 1e7] [--repeats N] [--folder F]
+
+writes results/whole_run.json, of which ``python -m benchmarks.page`` makes a section of docs/performance.md. Blocks
+have 16 SPOT-like images (4 x 4), 2 % control points and 10 % check points. Each run is a process of its own. The first
+run of the smallest block compiles and is not counted. Processor seconds (user and system) and the peak of the resident
+memory are those that the system counts; the shares of the stages are wall-clock seconds of the record.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from benchmarks.hardware import this_machine
+from fg_orient.formats.atomic import write_bytes
+
+RESULTS: Final = Path(__file__).parent / "results" / "whole_run.json"
+#: Image points for each ground point of these blocks.
+RAYS: Final = 3.2
+LEAST_S: Final = 1e-9
+
+
+@dataclass(frozen=True)
+class Size:
+    """Ground points of a block; limits of the whole run, and whether it has the statistics of all observations."""
+
+    points: int
+    limit_s: float
+    limit_mb: float | None = None
+    statistics: bool = True
+
+
+SIZES: Final = {
+    "1e4": Size(3_100, 1.8),
+    "1.3e5": Size(40_000, 4.5, 400.0),
+    "1.35e6": Size(420_000, 30.0, 1400.0),
+    "1e7": Size(3_120_000, 300.0, 12_000.0, statistics=False),
+}
+
+
+def run(arguments: list[str]) -> dict[str, float]:
+    """Run a command; processor seconds, wall-clock seconds and megabytes of its process.
+
+    Raises
+    ------
+    RuntimeError
+        It fails.
+    """
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # else all modules are compiled again in each run
+    begin = time.perf_counter()
+    child = os.posix_spawn(sys.executable, [sys.executable, "-m", "fg_orient", *arguments], environment)
+    _, status, used = os.wait4(child, 0)
+    if os.waitstatus_to_exitcode(status) != 0:
+        raise RuntimeError(" ".join(arguments))
+    wall = time.perf_counter() - begin
+    return {"processor_s": used.ru_utime + used.ru_stime, "wall_s": wall, "mb": used.ru_maxrss * 1024 / 1e6}
+
+
+def measured(name: str, folder: Path, repeats: int) -> dict[str, Any]:
+    """Simulate a block and adjust it so many times; medians."""
+    size, block, out = SIZES[name], folder / f"block-{name}", folder / f"result-{name}"
+    grid = ["--rows", "4", "--columns", "4", "--points", str(size.points), "--seed", "1"]
+    made = [run(["simulate", "block", *grid, "--out", str(block), "--overwrite", "--quiet"]) for _ in range(repeats)]
+    runs, records = [], []
+    for _ in range(repeats):
+        runs.append(run(["adjust", str(block / "project.toml"), "--out", str(out), "--overwrite", "--quiet"]))
+        records.append(json.loads((out / "result.json").read_text("utf-8")))
+    record, seconds = records[-1], [r["seconds"] for r in records]
+    return {
+        "n_image_points": record["n_image_points"], "repeats": repeats,
+        "simulate": {key: statistics.median(r[key] for r in made) for key in made[0]},
+        "adjust": {key: statistics.median(r[key] for r in runs) for key in runs[0]},
+        "stages_s": {key: statistics.median(s[key] for s in seconds) for key in seconds[0]},
+        "statistics": record["reliability"] is not None, "report_mb": (out / "report.html").stat().st_size / 1e6,
+        "folder_mb": sum(f.stat().st_size for f in out.iterdir()) / 1e6,
+    }  # fmt: skip
+
+
+def rows(results: dict[str, Any]) -> list[list[str]]:
+    """Table of the runs against their limits, rows of text."""
+    out = [
+        ["image points", "processor s", "limit", "peak MB", "limit", "wall s", "all statistics", "report MB", "verdict"]
+    ]
+    for name, found in results["sizes"].items():
+        size, whole = SIZES[name], found["adjust"]
+        met = whole["processor_s"] <= size.limit_s and (size.limit_mb is None or whole["mb"] <= size.limit_mb)
+        met &= found["statistics"] or not size.statistics
+        out.append([
+            f"{found['n_image_points']:,}".replace(",", " "), f"{whole['processor_s']:.2f}", f"{size.limit_s:g}",
+            f"{whole['mb']:.0f}", "-" if size.limit_mb is None else f"{size.limit_mb:.0f}", f"{whole['wall_s']:.1f}",
+            "yes" if found["statistics"] else "no", f"{found['report_mb']:.1f}", "met" if met else "missed",
+        ])  # fmt: skip
+    return out
+
+
+def stage_rows(results: dict[str, Any]) -> list[list[str]]:
+    """Shares of the stages in the wall-clock time, per cent."""
+    names = ("read", "structure", "solve", "statistics", "record", "write", "report")
+    out = [["image points", *names, "start and rest"]]
+    for found in results["sizes"].values():
+        whole, stages = max(found["adjust"]["wall_s"], LEAST_S), found["stages_s"]
+        shares = [100.0 * stages.get(name, 0.0) / whole for name in names]
+        of_points = f"{found['n_image_points']:,}".replace(",", " ")
+        out.append([of_points, *(f"{s:.0f}" for s in shares), f"{max(0.0, 100.0 - sum(shares)):.0f}"])
+    return out
+
+
+def figures(results: dict[str, Any]) -> list[list[str]]:
+    """Marginal cost, cost without the solution, and the simulation, against their limits."""
+    sizes, out = results["sizes"], [["figure", "measured", "limit"]]
+    if {"1.3e5", "1.35e6"} <= sizes.keys():
+        small, large = sizes["1.3e5"], sizes["1.35e6"]
+        more_s = large["adjust"]["processor_s"] - small["adjust"]["processor_s"]
+        cost = 1e6 * more_s / (large["n_image_points"] - small["n_image_points"])
+        rest = large["adjust"]["processor_s"] - large["stages_s"]["solve"]
+        out.append(["marginal cost, 1.3e5 to 1.35e6, µs per image point", f"{cost:.1f}", "<= 22"])
+        out.append(["whole run minus solve at 1.35e6, s", f"{rest:.1f}", "<= 24"])
+        each = 1e6 * large["simulate"]["processor_s"] / large["n_image_points"]
+        out.append(["`simulate block` at 1.35e6, µs per image point", f"{each:.1f}", "<= 25"])
+    return out
+
+
+def main() -> None:
+    """Measure and write the file of results."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", nargs="+", default=["1e4", "1.3e5", "1.35e6"], choices=list(SIZES))
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--folder", type=Path, help="folder for blocks and results; default: a temporary one")
+    given = parser.parse_args()
+    results: dict[str, Any] = {"machine": this_machine(), "sizes": {}}
+    with tempfile.TemporaryDirectory(dir=given.folder) as folder:
+        measured("1e4", Path(folder), 1)
+        for name in given.sizes:
+            results["sizes"][name] = measured(name, Path(folder), 1 if name == "1e7" else given.repeats)
+            write_bytes(RESULTS, (json.dumps(results, indent=1) + "\n").encode())
+            sys.stdout.write(" | ".join(rows(results)[-1]) + "\n")
+            sys.stdout.flush()
+    for table in (stage_rows(results), figures(results)):
+        sys.stdout.write("\n".join(" | ".join(row) for row in table) + "\n")
+
+
+if __name__ == "__main__":
+    main()
