@@ -152,7 +152,8 @@ def unseen_shifts(known: ResidualCofactors) -> Array:
 
     An error of a ray along its least checked direction is unseen if the minimal detectable bias, both coordinates
     tested together, shifts the point by more than :data:`UNSEEN` of its own sigmas: of a tie point with two rays along
-    the epipolar lines. The ray with the largest shift counts. Under a loss the rays have their final weights.
+    the epipolar lines. The ray with the largest shift counts. Under a loss the rays have their final weights. The error
+    may have either sign; the largest component of the shift is positive.
     """
     problem, o, rays = known.problem, known.problem.observations, known.rays
     size, axes = np.linalg.eigh(known.image)
@@ -166,7 +167,9 @@ def unseen_shifts(known: ResidualCofactors) -> Array:
     order = np.argsort(np.linalg.norm(shift, axis=1), kind="stable")  # the largest last
     out[o.point[rows[order]]] = shift[order]
     at = np.unique(o.point[rows])
-    out[at] = np.einsum("nij,nj->ni", problem.axes(known.state.ground[at] + problem.origin_m), out[at])
+    shift = np.einsum("nij,nj->ni", problem.axes(known.state.ground[at] + problem.origin_m), out[at])
+    largest = np.take_along_axis(shift, np.abs(shift).argmax(axis=1)[:, None], axis=1)
+    out[at] = np.where(largest < 0.0, -shift, shift)
     return out
 
 
