@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array, Index, Mask
+from fg_orient.formats.columns import Cells, regular
 from fg_orient.formats.faults import MAX_FAULTS, Faults, did_you_mean
 from fg_orient.formats.text_files import delimited, read_text
 
@@ -71,15 +72,21 @@ class Table:
 
     def where(self, column: str, text: str) -> Mask:
         """Records (n,) whose cell is this text."""
-        return np.fromiter((cell == text for cell in self.cells[column]), bool, len(self))
+        cells = self.cells[column]
+        if isinstance(cells, Cells):
+            return cells.are(text)
+        return np.fromiter((cell == text for cell in cells), bool, len(self))
 
     def numbers(self, *columns: str, rows: Mask | None = None) -> Array:
         """Columns as finite numbers (n, k); nan where a cell, then refused, is not a number, and in other ``rows``."""
         out = np.full((len(self), len(columns)), np.nan)
         wanted = np.ones(len(self), bool) if rows is None else rows
         for j, name in enumerate(columns):
-            cells = self.cells[name] if rows is None else list(compress(self.cells[name], rows.tolist()))
-            values = finite(cells)
+            of_column = self.cells[name]
+            values = of_column.finite(rows) if isinstance(of_column, Cells) else None
+            if values is None:
+                cells = of_column if rows is None else list(compress(of_column, rows.tolist()))
+                values = finite(cells)
             if values is None:
                 codes = np.array([_number_fault(cell) for cell in self.cells[name]])
                 for code in sorted(set(codes[wanted].tolist()) - {""}):
@@ -178,8 +185,6 @@ def finite(cells: Sequence[str]) -> Array | None:
 
 #: A longer line than this is not a record of ours.
 MAX_LINE: Final = 100_000
-#: Characters that ``strip`` removes from ASCII text, except line ends.
-_SPACES: Final = "\t\v\f\x1c\x1d\x1e\x1f "
 #: Lines that start otherwise are neither blank nor a comment.
 _ODD_STARTS: Final = frozenset(("", "#", " ", "\t", ","))
 
@@ -204,6 +209,13 @@ def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> 
     text = read_text(path, faults)
     if text is None:
         return None
+    table = regular(text, MAX_LINE)
+    if table is not None:
+        names = _header(table.line, table.header, columns, faults)
+        if names is None:
+            return None
+        lines_of = table.line + 1 + np.arange(len(table.columns[0]))
+        return Table(names, dict(zip(names, table.columns, strict=True)), lines_of, str(path))
     numbers, lines = _lines(text, faults)
     headers = ((n, delimited(n, line, faults)) for n, line in zip(numbers, lines, strict=True))
     first, cells = next(((n, cells) for n, cells in headers if cells is not None), (0, None))
@@ -276,16 +288,8 @@ def _lines(text: str, faults: Faults) -> tuple[list[int], list[str]]:
 def _records(
     numbers: list[int], lines: list[str], names: tuple[str, ...], faults: Faults
 ) -> tuple[list[int], dict[str, Sequence[str]]]:
-    """Line numbers and cells by column of the records; those with a wrong number of cells are left out, and noted.
-
-    A table without quotes and with the right number of commas everywhere is split at once.
-    """
-    width, text = len(names), ",".join(lines)
-    if '"' not in text and all(line.count(",") == width - 1 for line in lines):
-        flat = text.split(",") if lines else []
-        if not text.isascii() or any(space in text for space in _SPACES):
-            flat = [cell.strip() for cell in flat]
-        return numbers, {name: flat[k::width] for k, name in enumerate(names)}
+    """Line numbers and cells by column of the records; those with a wrong number of cells are left out, and noted."""
+    width = len(names)
     split = {n: delimited(n, line, faults, width) for n, line in zip(numbers, lines, strict=True)}
     rows = {n: cells for n, cells in split.items() if cells is not None}
     return list(rows), {name: [cells[k] for cells in rows.values()] for k, name in enumerate(names)}

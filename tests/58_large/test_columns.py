@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 
 from fg_orient.adjustment.problem import State, compile_problem
 from fg_orient.adjustment.rows import image_rows, linearised, residuals, rows_by_image
+from fg_orient.formats import columns, tables
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.points import COLUMNS, read_observations, read_points
 from fg_orient.model.block import Block
@@ -30,22 +32,32 @@ words = st.text(st.characters(codec="utf-8", exclude_characters="\r\0"), min_siz
 figures = st.one_of(st.sampled_from([0.0, -0.0, -1.5, float("nan"), float("inf")]), st.floats())
 
 
+def digits(cell: str) -> str:
+    """Significant digits of a number."""
+    return re.sub(r"[^0-9]", "", cell.partition("e")[0]).strip("0")
+
+
 @pytest.mark.oracle
 @quiet
 @given(st.lists(st.tuples(words, figures, st.integers(), figures), min_size=1, max_size=9))
-def test_written_bytes_are_those_of_csv_row_by_row(tmp_path: Path, rows: list[tuple[str, float, int, float]]) -> None:
+def test_written_table_is_that_of_csv_row_by_row(tmp_path: Path, rows: list[tuple[str, float, int, float]]) -> None:
+    """But for the forms of numbers, such as 1e-7 and 1e-07: they have the same value and no more digits."""
     ids, first, counts, second = zip(*rows, strict=True)
     place = np.arange(len(rows))[::-1]
-    columns = {"id": ids, "x,m": np.array(first), "n": np.array(counts, object), "y": np.array(second),
+    given = {"id": ids, "x,m": np.array(first), "n": np.array(counts, object), "y": np.array(second),
                "to": [ids[k] for k in place]}  # fmt: skip
-    Table(columns).write(tmp_path / "t.csv")
+    Table(given).write(tmp_path / "t.csv")
+    text = (tmp_path / "t.csv").read_text("utf-8")
+    found = list(csv.reader(io.StringIO(text, newline="")))[1:]
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(["id", "x,m", "n", "y", "to"])
     for k, (name, x, n, y) in enumerate(rows):
-        cells = [repr(v) if np.isfinite(v) else "" for v in (x, y)]
-        writer.writerow([name, cells[0], n, cells[1], ids[place[k]]])
-    assert (tmp_path / "t.csv").read_bytes() == stream.getvalue().encode()
+        for cell, v in zip((found[k][1], found[k][3]), (x, y), strict=True):
+            assert (struct.pack("d", float(cell)) == struct.pack("d", v)) if np.isfinite(v) else cell == ""
+            assert len(digits(cell)) <= len(digits(repr(v)))
+        writer.writerow([name, found[k][1], n, found[k][3], ids[place[k]]])
+    assert text == stream.getvalue()
 
 
 @pytest.mark.oracle
@@ -68,6 +80,44 @@ def test_table_longer_than_a_chunk_reads_back(tmp_path: Path, monkeypatch: pytes
 
 
 CELLS = st.sampled_from(["1.5", "7", "-0.4", "-2", "1e3", "", "x", "1,5", " 2 ", "inf", "fixed", "0", '"3"', "a", "b"])
+
+
+LINES = st.lists(st.one_of(
+    st.tuples(*[st.one_of(CELLS, st.floats(allow_nan=False).map(repr), words)] * 3).map(",".join),
+    st.sampled_from(["", "# a comment", ",,", "1,2", "1,2,3,", " 4,5,6", "x" * 120, "é,1,2", "1,2,3\r"]),
+    st.tuples(*[st.integers(-9, 10**20).map(str)] * 3).map(",".join),
+), max_size=6)  # fmt: skip
+
+
+@pytest.mark.consistency
+@quiet
+@given(LINES, LINES, st.booleans())
+def test_a_table_by_columns_is_that_line_by_line(
+    tmp_path: Path, before: list[str], after: list[str], ended: bool
+) -> None:
+    """Cells, numbers, masks, line numbers and faults; with and without comments, blank lines and a last line end."""
+    comments = [line for line in before if line.startswith("#") or not line]
+    text = "\n".join([*comments, "a,b,c", *after]) + "\n" * ended
+    (tmp_path / "t.csv").write_text(text, "utf-8", newline="")
+    seen = []
+    for read in (columns.regular, lambda text, longest: None):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(tables, "regular", read)
+            patch.setattr(tables, "MAX_LINE", 100)
+            patch.setattr(columns, "CHUNK", 2)
+            faults = Faults("t.csv")
+            table = tables.read_table(tmp_path / "t.csv", [("a", "b", "c")], faults)
+            found: list[object] = []
+            if table is not None:
+                some = np.arange(len(table)) % 2 == 0
+                numbers = [table.numbers("a", "c"), table.numbers("b", rows=some)]
+                masks = [table.where("a", cell).tolist() for cell in ("", "fixed", "1", "1.5")]
+                cells = [list(table.cells[name]) for name in table.columns]
+                rows = [table.row(k) for k in range(len(table))]
+                table.report(faults)
+                found = [cells, [n.tobytes() for n in numbers], masks, rows, table.lines.tolist()]
+            seen.append((found, [(p.code, p.place, p.message) for p in faults.problems]))
+    assert seen[0] == seen[1]
 
 
 @pytest.mark.consistency
