@@ -1,4 +1,4 @@
-"""Cells of a large CSV table by columns, without a string for each cell.
+"""Cells of a large CSV table by columns, without a string for each cell; rows of numbers as text.
 
 A table is regular if it is ASCII without quotes and blanks, comments stand before the header only, and every record has
 as many cells as the header. Cells are then slices of its bytes between separators. A column of numbers is read by
@@ -17,8 +17,9 @@ import orjson
 
 from factors.arrays import Array, Mask
 
-#: Cells whose bytes are gathered at once: 2 MB.
+#: Cells whose bytes are gathered at once: 2 MB. Rows that are text at once.
 CHUNK: Final = 200_000
+ROWS: Final = 20_000
 #: Characters that make a table irregular: quotes, and what ``strip`` removes from ASCII text.
 IRREGULAR: Final = '"\t\v\f\x1c\x1d\x1e\x1f '
 _COMMA, _LINE_END, _COMMENT = b",\n#"
@@ -117,3 +118,18 @@ def regular(text: str, longest: int) -> Regular | None:
         return None
     first = np.concatenate([of_line[:-1, None], last[:, :-1]], axis=1, dtype=last.dtype) + last.dtype.type(1)
     return Regular(line, header.split(","), [Cells(data, first[:, k], last[:, k]) for k in range(width)])
+
+
+def rows_of_numbers(values: Array) -> list[str]:
+    """Texts of the rows (n, k): fewest digits that read back to the same double, nothing where a number is not finite.
+
+    orjson takes a fifteenth of the time of ``repr``.
+    """
+    if not values.size:
+        return ["," * max(values.shape[1] - 1, 0)] * len(values)
+    out = list[str]()
+    for begin in range(0, len(values), ROWS):
+        rows = np.ascontiguousarray(values[begin : begin + ROWS], np.float64)
+        text = orjson.dumps(rows, option=orjson.OPT_SERIALIZE_NUMPY).decode()
+        out += text[2:-2].replace("null", "").split("],[")
+    return out

@@ -14,6 +14,7 @@ import numpy as np
 
 from factors.arrays import Array, Mask
 from fg_orient.formats.atomic import write_lines
+from fg_orient.formats.columns import rows_of_numbers
 from fg_orient.formats.points import COLUMNS, FIXED, SIGMA_COLUMNS
 from fg_orient.formats.toml import entries
 from fg_orient.geodesy import COORDINATE_COLUMNS, Kind
@@ -53,13 +54,12 @@ def write_points(
     comments : sequence of str
         Lines before the header, after ``#``.
     """
-    constant = np.zeros(len(ids), bool) if fixed is None else fixed
+    constant = [False] * len(ids) if fixed is None else np.asarray(fixed, bool).tolist()
     header = ("id", "role", *COORDINATE_COLUMNS[kind], *SIGMA_COLUMNS)
-    records = (
-        (_text(name), str(Role(role)), *_numbers(xyz), *([FIXED] * 3 if is_fixed else _numbers(sigma)))
-        for name, role, xyz, sigma, is_fixed in zip(ids, roles, coordinates, sigma_enu_m, constant, strict=True)
-    )
-    _write(path, header, records, comments)
+    words = {role: str(Role(role)) for role in set(roles)}
+    xyz, sigma = rows_of_numbers(_triples(coordinates)), rows_of_numbers(_triples(sigma_enu_m))
+    sigma = [",".join([FIXED] * 3) if fixed else text for text, fixed in zip(sigma, constant, strict=True)]
+    _write(path, header, (_texts(ids), list(map(words.__getitem__, roles)), xyz, sigma), comments)
 
 
 def write_observations(
@@ -85,12 +85,8 @@ def write_observations(
     comments : sequence of str
         Lines before the header, after ``#``.
     """
-    sigma = np.broadcast_to(sigma_px, np.shape(pixels))
-    records = (
-        (_text(image), _text(point), *_numbers(pixel), *_numbers(s))
-        for image, point, pixel, s in zip(image_ids, point_ids, pixels, sigma, strict=True)
-    )
-    _write(path, COLUMNS, records, comments)
+    numbers = np.hstack([pixels, np.broadcast_to(sigma_px, np.shape(pixels))])
+    _write(path, COLUMNS, (_texts(image_ids), _texts(point_ids), rows_of_numbers(numbers)), comments)
 
 
 def write_project(
@@ -139,8 +135,8 @@ def write_project(
 # --- text ----------------------------------------------------------------------------------------
 
 
-def _write(path: str | Path, header: Sequence[str], records: Iterable[Sequence[str]], comments: Sequence[str]) -> None:
-    lines = [*_comments(comments), ",".join(header), *(",".join(cells) for cells in records)]
+def _write(path: str | Path, header: Sequence[str], columns: Iterable[Sequence[str]], comments: Sequence[str]) -> None:
+    lines = [*_comments(comments), ",".join(header), *map(",".join, zip(*columns, strict=True))]
     write_lines(path, lines)
 
 
@@ -157,10 +153,14 @@ def _text(name: str) -> str:
     return '"' + name.replace('"', '""') + '"' if any(mark in name for mark in ',"#') or name[0] in "=@" else name
 
 
-def _numbers(values: Iterable[float]) -> list[str]:
-    """Cells of a row of numbers: shortest text that reads back exactly; empty if all are nan."""
-    row = [float(v) for v in values]
-    return [""] * len(row) if np.isnan(row).all() else [repr(v) for v in row]
+def _texts(names: Sequence[str]) -> list[str]:
+    """Cells of ids."""
+    known = {name: _text(name) for name in set(names)}
+    return list(map(known.__getitem__, names))
+
+
+def _triples(values: Array) -> Array:
+    return np.asarray(values, np.float64).reshape(-1, 3)
 
 
 def _options(options: Options, table: str) -> dict[str, object]:

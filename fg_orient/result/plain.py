@@ -19,15 +19,13 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-import orjson
 
 from factors.arrays import Array, Index
+from fg_orient.formats.columns import ROWS, rows_of_numbers
 
 #: Values of a column: an array of numbers, or a sequence of text.
 Column = npt.NDArray[Any] | Sequence[Any]
 
-#: Rows of a table that are text at once.
-CHUNK: Final = 20_000
 #: Columns of text; all others hold numbers.
 WORDS: Final = frozenset((
     "id", "role", "image", "parameter", "component", "unit", "sigma_scale", "per_line_unit", "shared", "quantity",
@@ -106,8 +104,8 @@ class Table:
     def text(self) -> Iterator[str]:
         """Parts of the text of a CSV file."""
         yield ",".join(map(_quoted, self.columns)) + "\n"
-        for start in range(0, len(self), CHUNK):
-            cells = list(self._cells(slice(start, start + CHUNK)))
+        for start in range(0, len(self), ROWS):
+            cells = list(self._cells(slice(start, start + ROWS)))
             yield "\n".join(map(",".join, zip(*cells, strict=True))) + "\n"
 
     def _cells(self, part: slice) -> Iterator[Sequence[str]]:
@@ -119,11 +117,11 @@ class Table:
                 run.append(np.asarray(cells, np.float64))
                 continue
             if run:
-                yield _numbers(run)
+                yield rows_of_numbers(np.stack(run, axis=1))
                 run = []
             yield _texts(cells, name in WHOLE)
         if run:
-            yield _numbers(run)
+            yield rows_of_numbers(np.stack(run, axis=1))
 
     def write(self, path: Path) -> None:
         """Write a CSV file."""
@@ -151,13 +149,6 @@ def _are_numbers(cells: Column) -> bool:
     if isinstance(cells, np.ndarray) and cells.dtype.kind != "O":
         return cells.dtype.kind == "f"
     return all(isinstance(cell, float) for cell in cells)
-
-
-def _numbers(columns: Sequence[Array]) -> Sequence[str]:
-    """Texts of the rows of columns of numbers; orjson takes a fifteenth of the time of ``repr``."""
-    rows = np.stack(columns, axis=1)
-    text = orjson.dumps(rows, option=orjson.OPT_SERIALIZE_NUMPY).decode()
-    return text[2:-2].replace("null", "").split("],[")
 
 
 def _texts(values: Column, whole: bool = False) -> Sequence[str]:
@@ -198,7 +189,7 @@ def read_table(path: Path, *required: str) -> Table:
         if missing := set(required) - set(names):
             raise ValueError(f"no column {min(missing)}")
         parts: list[list[Column]] = [[[] if name in WORDS else np.zeros(0)] for name in names]
-        while part := list(itertools.islice(rows, CHUNK)):
+        while part := list(itertools.islice(rows, ROWS)):
             if any(len(row) != len(names) for row in part):
                 raise ValueError(f"a line without {len(names)} cells")
             for name, column, cells in zip(names, parts, zip(*part, strict=True), strict=True):

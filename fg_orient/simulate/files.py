@@ -8,7 +8,7 @@ never reads. The folder is written completely or not at all.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, write_text, writing
+from fg_orient.formats.columns import rows_of_numbers
 from fg_orient.formats.dimap_write import write_dimap1
 from fg_orient.formats.points_write import write_observations, write_points, write_project
 from fg_orient.model.names import COMPONENTS
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from fg_orient.model.names import Progress
     from fg_orient.simulate.simulation import Simulation
 
-Rows = list[list[str]]
+Rows = Sequence[Sequence[str]]
 
 PROJECT_FILE = "project.toml"
 CAMERA_FILE: Final = "camera.toml"
@@ -137,16 +138,12 @@ def _write_images(folder: Path, simulation: Simulation, progress: Progress | Non
 
 def _write_truth(folder: Path, simulation: Simulation, values: dict[str, Any]) -> None:
     truth = simulation.truth
-    rows = [
-        [name, str(role), *map(repr, lonlat.tolist()), *map(repr, xyz.tolist())]
-        for name, role, lonlat, xyz in zip(
-            truth.point_ids, simulation.ground.roles, truth.lon_lat_height, truth.ecef_m, strict=True
-        )
-    ]
+    numbers = rows_of_numbers(np.hstack([truth.lon_lat_height, truth.ecef_m]))
+    rows = list(zip(truth.point_ids, map(str, simulation.ground.roles), numbers, strict=True))
     write_text(folder / "points.csv", _csv(["id", "role", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m"], rows))
     header = ["image", "parameter", "component", "degree", "unit", "value_per_tau"]
-    rows = [row for image in zip(truth.image_ids, truth.corrections, strict=True) for row in _orientation(*image)]
-    write_text(folder / "eop.csv", _csv(header, rows))
+    eop = [row for image in zip(truth.image_ids, truth.corrections, strict=True) for row in _orientation(*image)]
+    write_text(folder / "eop.csv", _csv(header, eop))
     write_text(folder / "options.json", json.dumps(values, indent=2, sort_keys=True) + "\n")
 
 
@@ -158,7 +155,7 @@ def _orientation(image: str, correction: Any) -> Rows:
     if not isinstance(correction, Correction):
         named = zip(OTHERS[len(correction)].items(), correction.tolist(), strict=False)
         return [[image, name, name, "", unit, repr(value)] for (name, unit), value in named]
-    rows: Rows = []
+    rows = list[list[str]]()
     for c, (name, unit) in enumerate(zip(COMPONENTS, UNITS, strict=True)):
         for k in range(3):
             rows.append([image, parameter_name(3 * c + k), name, str(k), unit, repr(float(correction.eop[c, k]))])

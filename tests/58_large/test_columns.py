@@ -62,7 +62,7 @@ def test_written_table_is_that_of_csv_row_by_row(tmp_path: Path, rows: list[tupl
 
 @pytest.mark.oracle
 def test_table_longer_than_a_chunk_reads_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fg_orient.result.plain.CHUNK", 7)
+    monkeypatch.setattr("fg_orient.result.plain.ROWS", 7)
     values, ids = np.random.default_rng(1).normal(size=40), [f"p{k}" for k in range(40)]
     values[3] = np.nan
     ids[39] = 'p"39'
