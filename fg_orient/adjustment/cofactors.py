@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 
 #: Image points whose Jacobians are in memory at once.
-CHUNK: Final = 50_000
+CHUNK: Final = 16_000
 #: Image unknowns up to which one matrix of all their cofactors is formed: 0.3 GB.
 WHOLE_LIMIT: Final = 6000
-#: Image points up to which "auto" gives statistics of every observation: 3 s, 13 us each.
-AUTO_LIMIT: Final = 200_000
+#: Image points up to which "auto" gives statistics of every observation.
+AUTO_LIMIT: Final = 2_000_000
 #: Number of joint blocks of images in memory.
 KNOWN: Final = 1000
 
@@ -242,7 +242,7 @@ def parts_of(
 ) -> Iterator[Part]:  # fmt: skip
     """Ground points, by default all that are measured, with their rays, linearised at a state; part by part."""
     order = order_by_point(problem) if order is None else order
-    points = np.unique(problem.observations.point) if points is None else points
+    points = np.flatnonzero(np.bincount(problem.observations.point)) if points is None else points
     if not len(points):
         return
     begin = np.concatenate([[0], np.cumsum(np.bincount(problem.observations.point, minlength=len(problem.active)))])

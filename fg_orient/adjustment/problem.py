@@ -324,7 +324,7 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
     """
     options = block.options
     control_rows = block.points.where(Role.CONTROL)
-    seen = np.unique(block.observations.point)
+    seen = np.flatnonzero(np.bincount(block.observations.point, minlength=len(block.points.ids)))
     if options.datum in ("priors", "vendor") and not options.priors:
         raise InputError.of("adjust.relative_priors", file=block.name, place="priors", value="false")
     if like is not None:

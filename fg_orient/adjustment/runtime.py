@@ -120,6 +120,8 @@ M_TRIM_THRESHOLD: Final = -1
 M_MMAP_THRESHOLD: Final = -3
 #: Free bytes at the top of the heap that are kept. glibc's own limit is 64 MiB for a process with large arrays.
 KEPT_BYTES: Final = 256 << 20
+#: Rows from which on it is worth the time to give memory back.
+MANY_ROWS: Final = 100_000
 #: Size from which blocks come directly from the system: upper limit of glibc's adaptive rule, which a value disables.
 OWN_MAPPING_BYTES: Final = 32 << 20
 
@@ -137,6 +139,15 @@ def keep_freed_memory() -> bool:
         return False
     kept = library.mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
     return bool(kept and library.mallopt(M_MMAP_THRESHOLD, OWN_MAPPING_BYTES))
+
+
+def return_memory(rows: int) -> None:
+    """Give freed memory back to the system after work on so many rows, if they are many: it takes 50 ms."""
+    if rows < MANY_ROWS:
+        return
+    gc.collect()
+    if sys.platform.startswith("linux") and hasattr(ctypes.CDLL(None), "malloc_trim"):  # glibc
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 @contextmanager

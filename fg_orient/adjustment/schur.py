@@ -156,6 +156,10 @@ class SchurSystem(Blended):
             self._fill()
         return self._backend.buffers
 
+    def release(self) -> None:
+        """Free the arrays of this linearisation, 0.1 kB for each image point; they are computed again at need."""
+        self._backend.buffers = Buffers(self.structure, self._backend.problem.control_records)
+
     def rows(self, tile: Tile) -> TileRows:
         """Whitened, weighted rows of a tile; rows that are not kept are overwritten by the next tile."""
         b = self.buffers()

@@ -175,7 +175,7 @@ def eliminates_points(problem: Problem) -> bool:
     condition. A free or an inner datum holds what control would. Under a loss the rays of points that extra
     observations name would need weights of their own.
     """
-    points = len(np.unique(problem.observations.point))
+    points = int(np.count_nonzero(np.bincount(problem.observations.point)))
     all_of_them = schur_possible(problem.block)
     return points_are_eliminated(problem.block.options, all_of_them, len(problem.named_points()) < points)
 

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Weights, weighted_problem
 from fg_orient.model.block import Block
@@ -15,6 +16,7 @@ from fg_orient.model.names import Status
 from fg_orient.quality.cofactors import Cofactors
 from fg_orient.quality.outlier_records import OutlierTests
 from fg_orient.quality.outliers import outlier_tests
+from fg_orient.quality.reliability import unseen_shifts
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.suspects import Kind
 from fg_orient.quality.variance_components import VarianceComponents
@@ -42,6 +44,8 @@ class AdjustmentResult:
         Variance components that were applied to the sigmas of ``block``, if the options request them.
     residuals : ResidualCofactors or None
         Cofactors of the residuals, if the assessment of this solution has computed them.
+    tests : OutlierTests or None
+        Tests of all observations by the options, if the assessment of this solution has computed them.
     """
 
     problem: Problem
@@ -53,6 +57,7 @@ class AdjustmentResult:
     weights: Weights | None = None
     components: VarianceComponents | None = None
     residuals: ResidualCofactors | None = None
+    tests: OutlierTests | None = None
 
     @property
     def block(self) -> Block:
@@ -113,10 +118,20 @@ class AdjustmentResult:
             The covariance could not be computed.
         """
         self.required_cofactors(unweighted="covariance.weighted")
-        options = self.block.options
-        return outlier_tests(
-            self.residual_cofactors, self.chi2, kind=kind, components=self.components,
-            level=options.outlier_level if level is None else level,
-            test=options.outlier_test if test is None else test,
-            control=options.multiple_testing if control is None else control,
-        )  # fmt: skip
+        options, known = self.block.options, self.tests
+        level = options.outlier_level if level is None else level
+        test = options.outlier_test if test is None else test
+        control = options.multiple_testing if control is None else control
+        if known is not None and known.problem is self.problem and self.components is None and kind == "groups":
+            if (known.level, known.test, known.control) == (level, test, control):
+                return known
+        return outlier_tests(self.residual_cofactors, self.chi2, kind=kind, components=self.components, level=level,
+                             test=test, control=control)  # fmt: skip
+
+    @cached_property
+    def unseen_shifts(self) -> Array:
+        """Shift (N, 3) m of points to East, North, Up by an unseen error of one pixel, nan without such an error.
+
+        See ``fg_orient.quality.reliability``.
+        """
+        return unseen_shifts(self.residual_cofactors)

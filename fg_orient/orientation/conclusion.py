@@ -14,6 +14,8 @@ from factors.arrays import Array, Index
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.resection import LocatedPoints, locate_points
 from fg_orient.adjustment.robust import are_information, weighted_problem
+from fg_orient.adjustment.runtime import return_memory
+from fg_orient.adjustment.schur import SchurSystem
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.block import Coordinates
 from fg_orient.model.errors import Finding, finding
@@ -47,6 +49,9 @@ def conclude(
     accuracy = _assess(compiled, ground, located, on_earth)
     assessment = verdict.assess_solution(compiled, estimate, unavailable)
     findings = [*verdict.findings(compiled, estimate, assessment, observability, block_view, accuracy)]
+    if isinstance(estimate.linear, SchurSystem):  # the statistics need its memory
+        estimate.linear.release()
+        return_memory(len(compiled.observations))
     examined = doubts.Examined([])
     if assessment.status is not Status.NOT_CONVERGED:
         examined = doubts.of_solution(compiled, estimate, ground, cofactors, accuracy.check)
@@ -61,6 +66,7 @@ def conclude(
     ordered, supposed = causes.added(ordered, compiled, estimate, on_earth, examined, accuracy.check)
     return Solution(
         problem=compiled, status=status, verdict=reason, end=estimate.end, residuals=examined.residuals,
+        tests=examined.tests,
         backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,
         state=estimate.state, ground_m=ground, chi2=estimate.chi2,
         sigma0_interval=assessment.interval, log=estimate.log, iterations=estimate.iterations,

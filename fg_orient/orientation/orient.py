@@ -18,6 +18,7 @@ from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.memory import require_memory
 from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.runtime import return_memory
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.adjustment.stages import require_possible
 from fg_orient.model.block import Block
@@ -277,8 +278,10 @@ class _Run:
         compiled, estimate = hold(compiled, estimate, lambda p, begin, n: self._solved(p, None, begin, n))
         compiled, estimate = to_inner_datum(compiled, estimate, solve) if inner else (compiled, estimate)
         compiled, estimate = released(compiled, estimate)
+        return_memory(len(compiled.observations))
         self._report("statistics", len(compiled.observations))
         solution = conclude(compiled, observability, block_view, estimate, structure)
+        return_memory(len(compiled.observations))
         if inner and not len(held_unknowns(compiled)):  # no datum defect
             code = "solution.no_inner_datum_nor_priors" if block.options.priors else "solution.no_inner_datum"
             findings = doubts.with_accepted([finding(code), *solution.findings], block.options.accept)

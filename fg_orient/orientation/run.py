@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from factors._preparation import preparing_seconds, working_clock
 from fg_orient.adjustment.checkpoint import EVERY_S, Checkpoint
+from fg_orient.adjustment.runtime import return_memory
 from fg_orient.adjustment.stages import require_possible
 from fg_orient.formats.atomic import require_free, staged_folder, writing
 from fg_orient.formats.project import read_project
@@ -102,6 +103,7 @@ def run_project(
     require_possible_options(block, project, options or {})
     if check is not None:
         check(block)
+    return_memory(len(block.observations))
     read_s = working_clock() - mark
     folder, name = Path(project).parent, Path(out).name
     earlier = None if start is None else (Path(start), start_prior)
@@ -116,6 +118,8 @@ def run_project(
             result.record.update(plain(control))
             result.record["provenance"]["repeat"] = plain(repeat)
             seconds = asdict(solution.seconds) | {"read": read_s, "jit": preparing_seconds() - prepared}
+            del solution
+            return_memory(len(block.observations))
             seconds["record"] = working_clock() - mark
             report_stage("writing", len(block.observations))
             with writing(out):

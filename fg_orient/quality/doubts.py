@@ -43,10 +43,11 @@ _ACCEPTANCE: Final = re.compile(r"(verdict\.)?(?P<code>[a-z0-9_]+)(:(?P<place>.*
 
 
 class Examined(NamedTuple):
-    """Doubts that follow from tests of a solution; if they were computed, cofactors of its residuals, sigmas."""
+    """Doubts that follow from tests of a solution; if they were computed, cofactors of its residuals, tests, sigmas."""
 
     findings: list[Finding]
     residuals: ResidualCofactors | None = None
+    tests: OutlierTests | None = None
     sigmas: tuple[StatedSigma, ...] = ()
 
 
@@ -78,7 +79,7 @@ def of_solution(
                           control=options.multiple_testing)  # fmt: skip
     gross = gross_errors(tests, options.accept)
     sigmas = stated_sigmas(residuals, tests if gross else None)
-    return Examined([*out, *gross, *wrong_sigmas(sigmas)], residuals, sigmas)
+    return Examined([*out, *gross, *wrong_sigmas(sigmas)], residuals, tests, sigmas)
 
 
 def wrong_sigmas(sigmas: Sequence[StatedSigma]) -> list[Finding]:

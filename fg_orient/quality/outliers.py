@@ -48,10 +48,11 @@ def outlier_tests(
     hypotheses.require_names(test, control, level)
     if kind not in KINDS:
         raise InputError.of("options.value", place="kind", value=repr(kind), expected=", ".join(KINDS))
-    problem, families, freedom = known.problem, suspects(known, kind), None
-    if components is not None:
-        groups = groups_of(problem, problem.block.options.variance_components)
-        freedom = freedoms(GroupedResiduals(known, groups), families, components)
+    problem = known.problem
+    if components is None:
+        return assess_suspects(problem, suspects(known, kind), chi2, level=level, test=test, control=control)
+    families, groups = suspects(known, kind), groups_of(problem, problem.block.options.variance_components)
+    freedom = freedoms(GroupedResiduals(known, groups), families, components)
     return assess_suspects(problem, families, chi2, level=level, test=test, control=control, freedom=freedom)
 
 
@@ -68,25 +69,26 @@ def assess_suspects(
         if s.unit:
             error[end - len(own) : end, : own.shape[1]] = own
     part, point, row = np.repeat(np.arange(len(families)), sizes), _column(families, "point"), _column(families, "row")
-    f: Array = np.full(len(t), float(problem.redundancy)) if freedom is None else freedom
-    squares = np.full(len(t), chi2) if freedom is None else freedom
+    parts, units = tuple(s.part for s in families), tuple(s.unit for s in families)
+    del families, results  # half of the memory of the tests
+    f: Array = np.asarray(float(problem.redundancy) if freedom is None else freedom)
+    squares: Array = np.asarray(chi2 if freedom is None else freedom)
     tested = hypotheses.can_be_tested(d, f, test)
+    f, squares = (values if values.ndim == 0 else values[tested] for values in (f, squares))
     d = np.where(tested, d, 0)
     error[~tested] = np.nan
     classes, of_class = _classes(point, d, t, tested)
     probability, statistic, critical = np.ones(len(t)), np.full(len(t), np.nan), np.full(len(t), np.nan)
-    probability[tested] = hypotheses.probabilities(t[tested], d[tested], squares[tested], f[tested], test)
+    probability[tested] = hypotheses.probabilities(t[tested], d[tested], squares, f, test)
     each = hypotheses.level_of_each(probability[classes], level, control)
-    statistic[tested] = hypotheses.statistics(t[tested], d[tested], squares[tested], f[tested], test)
-    critical[tested] = hypotheses.limits(each, d[tested], f[tested], test)
+    statistic[tested] = hypotheses.statistics(t[tested], d[tested], squares, f, test)
+    critical[tested] = hypotheses.limits(each, d[tested], f, test)
     first = np.arange(len(t))
     first[tested] = classes[of_class[tested]]
     order = np.lexsort((row < 0, -t[first], np.where(tested, probability[first], np.inf)))
     return OutlierTests(
-        problem, test, control, level, each, len(classes),
-        tuple(s.part for s in families), tuple(s.unit for s in families),
-        part[order], point[order], row[order], d[order], t[order], statistic[order], critical[order],
-        probability[order], error[order], of_class[order],
+        problem, test, control, level, each, len(classes), parts, units, part[order], point[order], row[order],
+        d[order], t[order], statistic[order], critical[order], probability[order], error[order], of_class[order],
     )  # fmt: skip
 
 

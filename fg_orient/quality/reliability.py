@@ -16,7 +16,7 @@ Residuals and their cofactors: ``fg_orient.quality.residuals``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from typing import Final
 
@@ -25,7 +25,7 @@ import numpy as np
 from factors.arrays import Array, Mask
 from fg_orient.model.distributions import chi_square_limit, chi_square_noncentrality
 from fg_orient.model.errors import InputError
-from fg_orient.quality.residuals import ResidualCofactors
+from fg_orient.quality.residuals import ResidualCofactors, by_parts, parts_of_rows
 
 #: Baarda's usual choice: probabilities of a false alarm, and of detecting the minimal detectable bias.
 ALPHA, POWER = 0.001, 0.80
@@ -135,10 +135,14 @@ def reliability(cofactors: ResidualCofactors, *, alpha: float = ALPHA, power: fl
     problem, rays, w = cofactors.problem, cofactors.rays, cofactors.control_rows
     o = problem.observations
     sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
-    image = _reliability(
-        cofactors.image, cofactors.v_image, sigma, rays.response, rays.points[o.point], rays.on_image, alpha,
-        power,
-    )  # fmt: skip
+
+    def some(k: slice) -> list[Array]:
+        of_rays = rays.points[o.point[k]]
+        found = _reliability(np.eye(2) - rays.fitted[k], cofactors.v_image[k], sigma[k], rays.response[k], of_rays,
+                             rays.on_image[k], alpha, power)  # fmt: skip
+        return [getattr(found, f.name) for f in fields(found)]
+
+    image = Reliability(*by_parts(len(o), some))
     points, sigma_m = rays.points[problem.observed], 1.0 / np.linalg.norm(w, axis=2)
     control = _reliability(
         cofactors.control, cofactors.v_control, sigma_m, points @ np.swapaxes(w, 1, 2), points,
@@ -156,17 +160,21 @@ def unseen_shifts(known: ResidualCofactors) -> Array:
     may have either sign; the largest component of the shift is positive.
     """
     problem, o, rays = known.problem, known.problem.observations, known.rays
-    size, axes = np.linalg.eigh(known.image)
-    axis = axes[:, :, :1]
-    effect = _in_own_sigmas(rays.points[o.point], rays.response @ axis)[:, 0]  # of a whitened error of length 1
-    least = np.sqrt(np.maximum(size[:, 0], ROUNDING))
-    rows = np.flatnonzero(effect * np.sqrt(noncentrality(dimension=2)) > UNSEEN * least)
-    sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)[rows]
-    shift = (rays.response[rows] @ axis[rows])[:, :, 0] / np.linalg.norm(axis[rows, :, 0] * sigma, axis=1)[:, None]
+    some, limit = [], UNSEEN / np.sqrt(noncentrality(dimension=2))
+    for part in parts_of_rows(len(o)):
+        size, axes = np.linalg.eigh(np.eye(2) - rays.fitted[part])
+        axis, point = axes[:, :, :1], o.point[part]
+        moved = rays.response[part] @ axis  # of a whitened error of length 1
+        effect = _in_own_sigmas(rays.points[point], moved)[:, 0]
+        unseen = np.flatnonzero(effect > limit * np.sqrt(np.maximum(size[:, 0], ROUNDING)))
+        sigma = np.stack([o.sigma_line_px[part], o.sigma_sample_px[part]], axis=1)[unseen]
+        pixels = np.linalg.norm(axis[unseen, :, 0] * sigma, axis=1)
+        some.append((point[unseen], moved[unseen, :, 0] / pixels[:, None]))
+    point, shift = (np.concatenate(values) for values in zip(*some, strict=True))
     out = np.full((len(problem.active), 3), np.nan)
     order = np.argsort(np.linalg.norm(shift, axis=1), kind="stable")  # the largest last
-    out[o.point[rows[order]]] = shift[order]
-    at = np.unique(o.point[rows])
+    out[point[order]] = shift[order]
+    at = np.flatnonzero(np.isfinite(out[:, 0]))
     shift = np.einsum("nij,nj->ni", problem.axes(known.state.ground[at] + problem.origin_m), out[at])
     largest = np.take_along_axis(shift, np.abs(shift).argmax(axis=1)[:, None], axis=1)
     out[at] = np.where(largest < 0.0, -shift, shift)

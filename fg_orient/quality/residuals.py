@@ -26,12 +26,13 @@ All of it is exact. Priors and extra observations are rows without a point.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from factors.arrays import Array, Index
 from fg_orient.adjustment.cofactors import RayCofactors, inverse_roots
@@ -51,10 +52,28 @@ from fg_orient.quality.elimination import (
 )
 from fg_orient.quality.hypotheses import CHECKED
 
+#: Rows of which temporary arrays are in memory at once.
+CHUNK: Final = 16_000
 #: Elements of the matrices W_j of all groups up to which they are formed: 0.5 GB each kind; 4 groups, 4000 unknowns.
 LARGEST: Final = 2**26
 #: Unknowns over those of a point up to which the rows of the point are a full matrix.
 FULL: Final = 8
+
+
+def parts_of_rows(n: int) -> list[slice]:
+    """Slices of n rows, at least one: temporary arrays of some rows stay in the cache, those of all take 1 GB."""
+    return [slice(k, k + CHUNK) for k in range(0, max(n, 1), CHUNK)]
+
+
+def by_parts(n: int, some: Callable[[slice], Sequence[npt.NDArray[Any]]]) -> list[npt.NDArray[Any]]:
+    """Arrays of n rows, of which ``some`` computes a slice."""
+    out = list[npt.NDArray[Any]]()
+    for k in parts_of_rows(n):
+        found = some(k)
+        out = out or [np.empty((n, *part.shape[1:]), part.dtype) for part in found]
+        for whole, part in zip(out, found, strict=True):
+            whole[k] = part
+    return out
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ from fg_orient.adjustment.rows import linearised
 from fg_orient.quality import hypotheses
 from fg_orient.quality.cofactors import Cofactors
 from fg_orient.quality.elimination import PointRows, eliminated_points, free_cofactors
-from fg_orient.quality.residuals import ResidualCofactors
+from fg_orient.quality.residuals import ResidualCofactors, by_parts
 
 #: Image points, positions and heights; single coordinates; ground points with all their observations.
 Kind = Literal["groups", "coordinates", "points"]
@@ -69,10 +69,17 @@ class Suspects:
 
     def quadratic(self) -> tuple[Array, Index, Array]:
         """T (n,), its degrees of freedom d (n,) and the estimated error (n, k), zero in unchecked directions."""
-        length = np.linalg.norm(self.columns, axis=-2)
-        e = self.columns / length[..., None, :]
+        if self.v.ndim > 2:  # many draws of the residuals
+            return self._quadratic(slice(None))
+        t, d, error = by_parts(len(self.v), self._quadratic)
+        return t, d, error
+
+    def _quadratic(self, rows: slice) -> tuple[Array, Index, Array]:
+        length = np.linalg.norm(self.columns[rows], axis=-2)
+        e = self.columns[rows] / length[..., None, :]
         turned = np.swapaxes(e, -1, -2)
-        t, d, error = hypotheses.quadratic(np.einsum("...km,...m->...k", turned, self.v), turned @ self.q @ e)
+        v = np.einsum("...km,...m->...k", turned, self.v[rows])
+        t, d, error = hypotheses.quadratic(v, turned @ self.q[rows] @ e)
         return t, d, error / length
 
 

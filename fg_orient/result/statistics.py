@@ -12,7 +12,7 @@ from fg_orient.adjustment.cofactors import AUTO_LIMIT
 from fg_orient.adjustment.constraints import has_constraints
 from fg_orient.model.errors import Finding, finding
 from fg_orient.quality.covariance import gives_statistics
-from fg_orient.quality.reliability import CHECKABLE, UNSEEN, noncentrality, unseen_shifts
+from fg_orient.quality.reliability import CHECKABLE, UNSEEN, noncentrality
 from fg_orient.quality.unseen import unseen_mistakes
 from fg_orient.result.plain import Column, Table, of_axes, table_of_rows
 
@@ -99,7 +99,7 @@ def unseen_record(solution: Solution) -> dict[str, Any] | None:
     """Number of points with unseen errors, median and largest shift by one pixel, m; None without such points."""
     if unavailable(solution):
         return None
-    length = np.linalg.norm(unseen_shifts(solution.residual_cofactors), axis=1)
+    length = np.linalg.norm(solution.unseen_shifts, axis=1)
     seen = np.flatnonzero(np.isfinite(length))
     if not len(seen):
         return None
@@ -226,11 +226,11 @@ def point_columns(solution: Solution) -> dict[str, Column]:
     """Columns of ``points.csv``: reliability of control points, and what undetected errors do to each point.
 
     ``external_m`` is empty where an observation of the point has no minimal detectable bias: nothing bounds the effect.
-    ``unseen_east_m`` ...: see :func:`unseen_shifts`; under a loss, too, which leaves out the other columns.
+    ``unseen_east_m`` ...: see ``Solution.unseen_shifts``; under a loss, too, which leaves out the other columns.
     """
     if unavailable(solution):
         return {}
-    unseen = of_axes("unseen_{}_m", ("east", "north", "up"), unseen_shifts(solution.residual_cofactors))
+    unseen = of_axes("unseen_{}_m", ("east", "north", "up"), solution.unseen_shifts)
     found = reliability_of(solution)
     if found is None:
         return dict(unseen)

@@ -155,7 +155,10 @@ def point_sigmas(solution: Solution, known: Mask) -> Array:
         return out
     rows = np.flatnonzero(known)
     turn = solution.problem.axes(np.ascontiguousarray(solution.ground_m[rows]))
-    q = turn @ solution.cofactors.points(rows) @ np.swapaxes(turn, 1, 2)
+    # those of all points are known where the observations have statistics
+    every = statistics.unavailable(solution) is None
+    own = solution.residual_cofactors.rays.points[rows] if every else solution.cofactors.points(rows)
+    q = turn @ own @ np.swapaxes(turn, 1, 2)
     out[rows] = np.sqrt(np.maximum(np.einsum("nii->ni", q), 0.0))
     check: PointDifferences = solution.accuracy.check
     out[check.index] = check.predicted_sigma_enu_m  # excluded ones are propagated, not unknowns
