@@ -15,12 +15,16 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
-from factors.arrays import Array, Index
+from factors.arrays import Array, Index, Mask
 from fg_orient.report.maps import KM_PER_DEGREE, footprints, shrink_at, view_of
 from fg_orient.result.record import Result
 
 #: Maximum number of image points in the page; of more the page contains a sample.
 LIMIT: Final = 200_000
+#: Bytes of all points in the page, which with its other parts stays below 8 MB; bytes of an image point and of a point.
+BUDGET: Final = 5_000_000
+RAY_BYTES: Final = 40
+POINT_BYTES: Final = 40
 #: Seed of that sample.
 SEED: Final = 1
 #: Limit of flagged residuals, in their own sigmas.
@@ -73,13 +77,15 @@ def payload(result: Result) -> Payload | None:
     if not located.any():
         return None
     rays, words = chosen_rays(result)
+    kept, more = chosen_points(result)
+    words = " ".join(filter(None, (words, more)))
     place = {name: k for k, name in enumerate(result.points.words["id"])}
     of_ray = np.fromiter((place[result.residuals.words["id"][k]] for k in rays.tolist()), np.intp, len(rays))
     role = np.array([ROLES.index(word) if word in ROLES else 2 for word in result.points.words["role"]])
     if words:  # tie points without an image point in the page are left out
         seen = np.zeros(len(located), bool)
         seen[of_ray] = True
-        located &= seen | (role < 2)
+        located &= kept & (seen | (role < 2))
     points = np.flatnonzero(located)
     points = points[np.argsort(role[points], kind="stable")]
     number = np.full(len(located), -1, np.intp)
@@ -105,20 +111,57 @@ def payload(result: Result) -> Payload | None:
 
 def chosen_rays(result: Result) -> tuple[Index, str]:
     """Rows of the image points in the page, and a sentence on those that are not; flagged ones before others."""
-    n = len(result.residuals)
-    if n <= LIMIT:
+    n, known = len(result.residuals), int(np.count_nonzero(chosen_points(result)[0] & _is_known(result)))
+    if n <= LIMIT and n * RAY_BYTES + len(result.points) * POINT_BYTES <= BUDGET:
         return np.arange(n), ""
+    most = max(BUDGET - known * POINT_BYTES, 0) // (RAY_BYTES + POINT_BYTES)
     ratio = np.nan_to_num(np.abs(result.normalised[0]).max(axis=1), nan=0.0)
-    flagged, others = np.flatnonzero(ratio > FLAG), np.flatnonzero(ratio <= FLAG)
-    room = max(LIMIT - len(flagged), 0)
-    sample = np.random.default_rng(SEED).choice(others, min(room, len(others)), replace=False)
-    rows = np.sort(np.append(flagged, sample))
+    rows, flagged = _flagged_first(ratio > FLAG, ratio, most, min(LIMIT, most))
     words = (
-        f"The moving drawings hold {len(rows):,} of {n:,} image points: all {len(flagged):,} with a residual beyond "
-        f"{FLAG:g} σ and a random sample of the others (seed {SEED}); all control and check points, and the tie points "
-        "of these image points. The tables in the folder hold all."
+        f"The moving drawings hold {len(rows):,} of {n:,} image points: {_share(flagged, ratio > FLAG)} with a "
+        f"residual beyond {FLAG:g} σ and a random sample of the others (seed {SEED}), and the tie points of these "
+        "image points. The tables in the folder hold all."
     )
     return rows, words
+
+
+def chosen_points(result: Result) -> tuple[Mask, str]:
+    """Points (N,) that may be in the page, and a sentence on control and check points that are not."""
+    known, axes = np.flatnonzero(_is_known(result)), ("east", "north", "up")
+    out, most = np.ones(len(result.points), bool), BUDGET // 2 // POINT_BYTES
+    if len(known) <= most:
+        return out, ""
+    differences, sigma, own = (
+        result.points.numbers(*(name.format(axis) for axis in axes))[known]
+        for name in ("difference_{}_m", "sigma_{}_m", "own_sigma_{}_m")
+    )
+    ratio = np.nan_to_num(np.abs(differences) / np.sqrt(sigma**2 + own**2)).max(axis=1)
+    rows, flagged = _flagged_first(ratio > FLAG, ratio, most, most)
+    out[np.delete(known, rows)] = False
+    return out, (
+        f"Of {len(known):,} control and check points they hold {len(rows):,}: {_share(flagged, ratio > FLAG)} with a "
+        f"difference beyond {FLAG:g} σ and a random sample of the others."
+    )
+
+
+def _is_known(result: Result) -> Mask:
+    """Control and check points (N,)."""
+    return np.fromiter((word in ROLES[:2] for word in result.points.words["role"]), bool, len(result.points))
+
+
+def _flagged_first(flagged: Mask, ratio: Array, most: int, room: int) -> tuple[Index, int]:
+    """Rows, and how many are flagged: the largest flagged ones (at most ``most``), then others up to ``room``."""
+    worst, others = np.flatnonzero(flagged), np.flatnonzero(~flagged)
+    worst = worst[np.argsort(-ratio[worst], kind="stable")][:most]
+    left = min(max(room - len(worst), 0), len(others))
+    sample = np.random.default_rng(SEED).choice(others, left, replace=False)
+    return np.sort(np.append(worst, sample)), len(worst)
+
+
+def _share(kept: int, flagged: Mask) -> str:
+    """Words on the number of flagged ones."""
+    n = int(np.count_nonzero(flagged))
+    return f"all {n:,}" if kept == n else f"the largest {kept:,} of {n:,}"
 
 
 def _kilometres(lon_lat_deg: Array, centre: Array) -> Array:

@@ -111,6 +111,9 @@ def test_large_blocks_keep_what_is_flagged(result: Result, monkeypatch: pytest.M
     figures = {**table.columns, "w_line": table.figures["w_line"].copy()}
     figures["w_line"][[3, 50, 90]] = [4.0, -3.5, 9.0]
     planted = with_columns(result, "residuals", figures)
+    bytes_of_points = 94 * payload.RAY_BYTES + len(planted.points) * payload.POINT_BYTES
+    data = {**payload.payload(planted).data, "images": []}  # type: ignore[union-attr]
+    assert len(payload.Payload(data, "").json()) < bytes_of_points + 2000  # names of the columns
     monkeypatch.setattr(payload, "LIMIT", 20)
     rows, words = payload.chosen_rays(planted)
     assert {3, 50, 90} <= set(rows.tolist()) and len(rows) == 20 == len(set(rows.tolist()))
@@ -123,6 +126,16 @@ def test_large_blocks_keep_what_is_flagged(result: Result, monkeypatch: pytest.M
     assert (roles.count("control"), roles.count("check")) == (37, 10)
     monkeypatch.setattr(payload, "LIMIT", 2)
     assert payload.chosen_rays(planted)[0].tolist() == [3, 50, 90]
+    # 23 of 47 control and check points, and two image points, fit into these bytes
+    monkeypatch.setattr(payload, "BUDGET", 2 * 23 * payload.POINT_BYTES)
+    monkeypatch.setattr(payload, "RAY_BYTES", 10 * payload.POINT_BYTES)
+    rows, words = payload.chosen_rays(planted)
+    assert rows.tolist() == [3, 90] and "the largest 2 of 3 with a residual beyond 3 σ" in words
+    kept, words = payload.chosen_points(planted)
+    known = np.array([role != "tie" for role in planted.points.words["role"]])
+    assert (kept & known).sum() == 23 and "Of 47 control and check points they hold 23" in words
+    drawn = json.loads(elements(render(planted))[0][1])
+    assert drawn["points"]["role"]["n"] <= 23 + 2 and drawn["rays"]["line"]["n"] <= 2
 
 
 @pytest.mark.behaviour
