@@ -118,13 +118,21 @@ def summary(records: list[Record]) -> list[str]:
     def expected(some: list[Record]) -> float:
         return sum(r["predicted"] * len(r["codes"]) for r in some)
 
+    def away(some: list[Record]) -> float:
+        """Number found minus predicted, in standard deviations of both."""
+        spread = sum(
+            p * (1.0 - p) * n * (1.0 + n / DRAWS) for p, n in ((r["predicted"], len(r["codes"])) for r in some)
+        )
+        return (sum(map(seen, some)) - expected(some)) / max(spread, 1e-9) ** 0.5
+
     return [
         f"- Power of at least {CERTAIN} predicted: {len(certain)} cells; {sum(map(seen, certain))} of {runs(certain)} "
         f"runs end with a doubt or worse, in {often} cells at least {100 * WANTED:.0f} %.",
         f"- Power between {UNSEEN} and {CERTAIN}: {len(between)} cells; predicted {expected(between):.0f} runs with a "
-        f"doubt, found {sum(map(seen, between))} of {runs(between)}.",
+        f"doubt, found {sum(map(seen, between))} of {runs(between)} ({away(between):+.1f} standard deviations).",
         f"- Power below {UNSEEN}: {len(unseen)} cells. Such a mistake cannot be seen here; predicted "
-        f"{expected(unseen):.0f} runs with a doubt, found {sum(map(seen, unseen))} of {runs(unseen)}. "
+        f"{expected(unseen):.0f} runs with a doubt, found {sum(map(seen, unseen))} of {runs(unseen)} ({away(unseen):+.1f} standard "
+        "deviations: the linear prediction is slightly low). "
         "[Likely causes](causes.md#what-cannot-be-seen-here) states what is assumed.",
         f"- Of {len(wanted)} cells with a power of at least {CERTAIN} and a cause in the list, {good} name the "
         f"mistake or its class first in at least {100 * NAMED:.0f} % of the doubts.",
@@ -184,9 +192,9 @@ def page(detection: Record, alarms: Record) -> str:
         f"{len(MISTAKES)} kinds of mistakes, each of three sizes in three blocks: {cells} cells. Blocks, mistakes and "
         "sizes (`benchmarks/mistakes.py`) were written down before the first run. A run draws orientation, image "
         "points and ground coordinates of a perfect block from the sigmas of the adjustment, plants the mistake, and "
-        f"adjusts with default options. **{least} to {most} runs of each cell** were made, {done} adjustments. "
-        f"{ALL_RUNS} per cell are intended; `python -m benchmarks.detection --workers N` adds what is missing, in "
-        f"about {hours:.1f} hours of processor time ({RUN_S:g} s a run, the mean of 30 cells drawn at random).",
+        f"adjusts with default options. **{least if least == most else f'{least} to {most}'} runs of each cell** were "
+        f"made, {done} adjustments. `python -m benchmarks.detection --workers N` repeats nothing and adds what is "
+        f"missing of {ALL_RUNS} runs of each cell; all take about {hours:.1f} hours of processor time.",
         markdown([["block", "contents"], *([name, words] for name, words in BLOCKS.items())]),
         "Predicted power: the doubts of the [verdict](verdict.md), computed by separate code "
         f"(`benchmarks/linear_doubts.py`) in the linear model at the truth, in {DRAWS} draws. Residuals are $-R (e + "
@@ -208,9 +216,8 @@ def page(detection: Record, alarms: Record) -> str:
         "of the doubts. Where only a share of a table is wrong, no single cause of the list holds for it.",
         *badly_named(records),
         "## False alarms",
-        f"Perfect blocks of ten kinds; {ALL_ALARMS} runs of each are intended, {total} were made in all, in "
-        f"{clean / 60.0:.0f} minutes of a busy machine "
-        "(`python -m benchmarks.false_alarms` adds what is missing). Exit "
+        f"Perfect blocks of ten kinds; {total} runs in all, in {clean / 60.0:.0f} minutes of a busy machine "
+        f"(`python -m benchmarks.false_alarms` adds what is missing of {ALL_ALARMS} runs of each kind). Exit "
         'code 4 is allowed in 2 % of each kind; the shares of all doubts sum to 0.65 %. "At most": upper limit of '
         "the share, which a larger one would undercut in 5 % of such studies.",
         markdown([["kind", "runs", "exit 4", "share", "at most", "doubts"], *alarm_rows(kinds)]),
