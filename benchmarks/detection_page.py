@@ -131,8 +131,8 @@ def summary(records: list[Record]) -> list[str]:
         f"- Power between {UNSEEN} and {CERTAIN}: {len(between)} cells; predicted {expected(between):.0f} runs with a "
         f"doubt, found {sum(map(seen, between))} of {runs(between)} ({away(between):+.1f} standard deviations).",
         f"- Power below {UNSEEN}: {len(unseen)} cells. Such a mistake cannot be seen here; predicted "
-        f"{expected(unseen):.0f} runs with a doubt, found {sum(map(seen, unseen))} of {runs(unseen)} ({away(unseen):+.1f} standard "
-        "deviations: the linear prediction is slightly low). "
+        f"{expected(unseen):.0f} runs with a doubt, found {sum(map(seen, unseen))} of {runs(unseen)} "
+        f"({away(unseen):+.1f} standard deviations: the linear prediction is slightly low). "
         "[Likely causes](causes.md#what-cannot-be-seen-here) states what is assumed.",
         f"- Of {len(wanted)} cells with a power of at least {CERTAIN} and a cause in the list, {good} name the "
         f"mistake or its class first in at least {100 * NAMED:.0f} % of the doubts.",

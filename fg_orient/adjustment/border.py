@@ -22,9 +22,10 @@ from fg_orient.adjustment.border_matrix import BorderMatrix, Followed, triangle
 from fg_orient.adjustment.cofactors import Part, order_by_point, parts_of
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.reduced_choice import FULL_BORDER, Pattern
 from fg_orient.adjustment.rows import linearised, summed
 from fg_orient.adjustment.schur import SchurBackend
-from fg_orient.adjustment.schur_reduced import FULL_LIMIT, Pattern, full_matrix
+from fg_orient.adjustment.schur_reduced import full_matrix
 from fg_orient.model.block import ExtraObservation
 from fg_orient.model.options import Datum
 
@@ -284,4 +285,4 @@ class Border(BorderMatrix):
 
 def small_enough(problem: Problem) -> bool:
     """Whether the matrix of the border is formed as a whole."""
-    return problem.n_free_unknowns + 3 * len(problem.named_points()) <= FULL_LIMIT
+    return problem.n_free_unknowns + 3 * len(problem.named_points()) <= FULL_BORDER

@@ -64,7 +64,7 @@ def cofactors_of_points(problem: Problem, state: State, index: Index, blocks: Ca
     if not len(wanted):
         return out
     order = order_by_point(problem)
-    pairs, block = _pairs(problem, order)
+    pairs, block = pairs_of_images(problem, order)
     q, size = blocks(pairs), np.diff(problem.first)
     for part in parts_of(problem, state, index[wanted], order):
         q_points, free = np.empty((len(part.points), 3, 3)), np.ones(len(part.points), np.int64)
@@ -143,7 +143,7 @@ def cofactors_of_rays(
     ``datum``: all are transformed to it.
     """
     n, order = len(problem.observations), order_by_point(problem)
-    pairs, block = _pairs(problem, order)
+    pairs, block = pairs_of_images(problem, order)
     q, size = blocks(pairs), np.diff(problem.first)
     images, place = q[np.diagonal(block)], places_of_images(problem)
     images = images if datum is None else datum.elements(images, place, place)
@@ -302,7 +302,7 @@ def blocks_of_images(problem: Problem, joint: Callable[[tuple[int, ...]], Array]
     return out
 
 
-def _pairs(problem: Problem, order: Index) -> tuple[Index, Index]:
+def pairs_of_images(problem: Problem, order: Index) -> tuple[Index, Index]:
     """Pairs of images (B, 2) with a common unknown point, row <= column, also of equal images; places (M, M)."""
     order = order[problem.active[problem.observations.point[order]]]
     image, point = problem.observations.image[order], problem.observations.point[order]

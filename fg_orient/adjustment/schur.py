@@ -21,6 +21,7 @@ from factors.arrays import Array
 from factors.conditions.control import POINT
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State, schur_possible
+from fg_orient.adjustment.reduced_choice import Choice
 from fg_orient.adjustment.robust import Weighing, together, two_ray_rows
 from fg_orient.adjustment.runtime import Index, Workers
 from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
@@ -155,6 +156,11 @@ class SchurSystem(Blended):
         if self._backend.buffers.owner is not self._name:
             self._fill()
         return self._backend.buffers
+
+    @property
+    def choice(self) -> Choice | None:
+        """Method for the reduced system, and its prediction."""
+        return self._backend.reduced.choice
 
     def release(self) -> None:
         """Free the arrays of this linearisation, 0.1 kB for each image point; they are computed again at need."""

@@ -1,4 +1,4 @@
-"""Solution of the reduced camera system: LAPACK's Cholesky factor of the full or banded matrix, or GTSAM on its blocks.
+"""Solution of the reduced camera system: LAPACK's Cholesky factor, GTSAM on its blocks, or conjugate gradients.
 
 The blocks (B, k, k) of the upper triangle are in the order of ``Pattern.block_row``. The unknowns of image i are
 ``first[i]`` to ``first[i + 1]``. GTSAM eliminates a graph of one HessianFactor per image and one per pair of images
@@ -8,15 +8,15 @@ that share points; its ordering is computed once.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
 from factors.arrays import Array
-from fg_orient.kernels.batch_matrix import add_shared, fill_lower
+from fg_orient.adjustment.reduced_choice import LARGEST_FULL, Choice, Order, Pattern, choose, narrowest
+from fg_orient.kernels.batch_matrix import add_shared, fill_lower, times_blocks
 
 if TYPE_CHECKING:
     import gtsam
@@ -29,31 +29,16 @@ Index = npt.NDArray[np.int64]
 #: Limit of the condition number of the reduced system, scaled to a unit diagonal. Above it there is no covariance: the
 #: relative rounding error of a cofactor, a few eps cond, exceeds 1e-3.
 CONDITION_LIMIT: Final = 1e13
-#: A band of up to this share of the matrix is used. LAPACK's banded and full factorisations and GTSAM took 1.7, 2.1
-#: and 3.3 ms for 432 unknowns with a band of 0.62; 6.4, 14.5 and 20 ms for 972 with 0.39; 40, 204 and 92 ms for 2700
-#: with 0.22 (measured, blocks of 4 x 4, 6 x 6 and 10 x 10 scenes).
-BANDED: Final = 0.65
-#: Elements of the largest band: 0.24 GB.
-BAND_LIMIT: Final = 30_000_000
-#: Without a band, the full matrix is used up to DENSE_LIMIT unknowns, and up to FULL_LIMIT unless fewer than SPARSE of
-#: the blocks exist: then GTSAM solves the system. A full matrix of FULL_LIMIT unknowns takes 0.5 GB; GTSAM needs six
-#: times LAPACK's time for it (measured at 3060).
-DENSE_LIMIT: Final = 1000
-FULL_LIMIT: Final = 8000
-SPARSE: Final = 1.0 / 3.0
-REDUCED: Final = ("auto", "dense", "banded", "graph")
+#: Columns of a band that are solved for a covariance; of more the whole inverse is formed.
+COLUMNS: Final = 1000
+REDUCED: Final = ("auto", "dense", "banded", "graph", "iterative")
+#: Relative residual at which conjugate gradients end, and most steps.
+RESIDUAL: Final = 1e-10
+MOST_STEPS: Final = 2000
 
 
 class Singular(RuntimeError):
     """The reduced camera system is not positive definite."""
-
-
-class Pattern(NamedTuple):
-    """Blocks of a reduced system: unknowns (M,) of each image; images (B,) of each block, row <= column."""
-
-    size: Index
-    block_row: Index
-    block_column: Index
 
 
 class Reduced(Protocol):
@@ -152,7 +137,7 @@ class LapackReduced:
             raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
         index = np.concatenate([np.arange(self._first[k], self._first[k + 1]) for k in images])
         index = index if self._ties is None else self._ties.of[index]
-        if self._banded and (len(images) < len(self._first) - 1 or len(index) > DENSE_LIMIT):
+        if self._banded and (len(images) < len(self._first) - 1 or len(index) > COLUMNS):
             place = np.empty(len(self._scale), np.int64)
             place[self._order.unknowns] = np.arange(len(place))
             right = np.zeros((len(self._scale), len(index)), order="F")
@@ -204,41 +189,6 @@ def inverse_norm(solve: Callable[[Array], Array], n: int) -> float:
         x = np.zeros(n)
         x[j] = 1.0
     return estimate
-
-
-@dataclass(frozen=True)
-class Order:
-    """An order of the images: first unknown (M,) of each image, and all unknowns (u,).
-
-    ``band`` is the number of elements of a column of the lower triangle below the diagonal.
-    """
-
-    place: Index
-    unknowns: Index
-    band: int
-
-
-def narrowest(pattern: Pattern, first: Bounds) -> Order:
-    """Order of the images with the narrower band: as given, or reversed Cuthill-McKee (George & Liu 1981)."""
-    images = len(pattern.size)
-    if len(pattern.block_row) == images * (images + 1) // 2:  # all images share points: the order has no effect
-        return Order(first[:-1].astype(np.int64), np.arange(first[-1]), int(first[-1]) - 1)
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import reverse_cuthill_mckee
-
-    links = coo_array((np.ones(len(pattern.block_row)), (pattern.block_row, pattern.block_column)), (images, images))
-    orders = []
-    for order in (np.arange(images), reverse_cuthill_mckee((links + links.T).tocsr(), symmetric_mode=True)):
-        place = np.empty(images, np.int64)
-        place[order] = np.concatenate([[0], np.cumsum(pattern.size[order])[:-1]])
-        begin = np.minimum(place[pattern.block_row], place[pattern.block_column])
-        end = np.maximum(
-            place[pattern.block_row] + pattern.size[pattern.block_row],
-            place[pattern.block_column] + pattern.size[pattern.block_column],
-        )
-        unknowns = np.concatenate([np.arange(first[k], first[k + 1]) for k in order])
-        orders.append(Order(place, unknowns, int((end - begin).max(initial=1)) - 1))
-    return min(orders, key=lambda o: o.band)
 
 
 class GraphReduced:
@@ -293,6 +243,72 @@ class GraphReduced:
         return np.block([[np.asarray(joint.at(a, b)) for b in images] for a in images])
 
 
+class IterativeReduced:
+    """Preconditioned conjugate gradients on the blocks, where a factor of the matrix would take too long.
+
+    The preconditioner is the diagonal blocks (block Jacobi; Hestenes & Stiefel 1952, Agarwal et al. 2010). Parameters
+    as for :class:`LapackReduced`.
+
+    Raises
+    ------
+    Singular
+        A diagonal block is not positive definite.
+    """
+
+    def __init__(self, pattern: Pattern, first: Bounds, blocks: Array, diagonal: float) -> None:
+        # a copy: the next linearisation overwrites the blocks before a covariance is wanted
+        self._pattern, self._first, self._blocks, self._shift = pattern, first, blocks.copy(), diagonal
+        self._k, self._dense = blocks.shape[1], cast("LapackReduced | None", None)
+        self._used = np.arange(self._k) < pattern.size[:, None]
+        own = pattern.block_row == pattern.block_column
+        self._diagonal = np.where(self._used, diagonal, 1.0)  # shorter blocks end with a unit matrix
+        diagonals = blocks[own] + self._diagonal[pattern.block_row[own], :, None] * np.eye(self._k)
+        try:
+            factors = np.linalg.cholesky(diagonals)
+        except np.linalg.LinAlgError:
+            raise Singular("an unknown of an image is in no observation") from None
+        half = np.linalg.inv(factors)
+        self._inverse = np.empty_like(diagonals)
+        self._inverse[pattern.block_row[own]] = np.swapaxes(half, 1, 2) @ half
+
+    def solve(self, gradient: Array) -> Array:
+        """See :class:`Reduced`; ends where the residual is :data:`RESIDUAL` of the first, in the preconditioned norm.
+
+        RuntimeError: more than :data:`MOST_STEPS` steps.
+        """
+        right = np.zeros(self._used.shape)
+        right[self._used] = -gradient
+        x, residual, product = np.zeros_like(right), right, np.empty_like(right)
+        scaled = self._preconditioned(residual)
+        direction, size = scaled, float(np.vdot(residual, scaled))
+        enough = RESIDUAL**2 * size
+        for _ in range(MOST_STEPS):
+            if size <= enough:
+                return np.asarray(x[self._used])
+            times_blocks(self._pattern.block_row, self._pattern.block_column, self._blocks, direction, product)
+            product += self._diagonal * direction
+            curvature = float(np.vdot(direction, product))
+            if not curvature > 0.0:
+                raise Singular("the reduced camera system is not positive definite")
+            x, residual = x + size / curvature * direction, residual - size / curvature * product
+            scaled = self._preconditioned(residual)
+            size, before = float(np.vdot(residual, scaled)), size
+            direction = scaled + size / before * direction
+        raise Singular(f"conjugate gradients of the reduced system do not converge in {MOST_STEPS} steps")
+
+    def _preconditioned(self, x: Array) -> Array:
+        return np.asarray(np.einsum("nij,nj->ni", self._inverse, x))
+
+    def covariance(self, images: tuple[int, ...]) -> Array:
+        """See :class:`Reduced`; from a full factor, which is formed now, where it fits into the memory."""
+        if self._dense is None:
+            unknowns = int(self._first[-1])
+            if unknowns > LARGEST_FULL:
+                raise Singular(f"the covariance of {unknowns} image unknowns would take {8e-9 * unknowns**2:.0f} GB")
+            self._dense = LapackReduced(self._pattern, self._first, self._blocks, self._shift)
+        return self._dense.covariance(images)
+
+
 def elimination_order(pattern: Pattern) -> gtsam.Ordering:
     """COLAMD order of the images by the pattern of the blocks."""
     import gtsam
@@ -314,18 +330,22 @@ class ReducedSystems:
     pattern : Pattern
     first : (M + 1,) int array
     kind : str
-        "dense": LAPACK on the full matrix; "banded": on its band; "graph": GTSAM on its blocks; "auto": by size.
+        "dense": LAPACK on the full matrix; "banded": on its band; "graph": GTSAM on its blocks; "iterative": conjugate
+        gradients; "auto": by predicted work and memory (``fg_orient.adjustment.reduced_choice``).
     ties : Ties, optional
         Unknowns shared by images; the matrix is then full.
     """
 
     def __init__(self, pattern: Pattern, first: Bounds, kind: str = "auto", ties: Ties | None = None) -> None:
         self.pattern, self._first, self._ties, self._ordering = pattern, first, ties, None
+        #: Prediction of the chosen method; None where the kind was given.
+        self.choice: Choice | None = None
         if ties is not None:
             self.kind = "dense"
             return
         self._order = narrowest(pattern, first)
-        self.kind = _suitable(pattern, int(first[-1]), self._order.band) if kind == "auto" else kind
+        self.choice = choose(pattern, self._order.band) if kind == "auto" else None
+        self.kind = kind if self.choice is None else self.choice.kind
         self._ordering = elimination_order(pattern) if self.kind == "graph" else None
 
     def __call__(self, blocks: Array, diagonal: float, added: Array | None = None) -> Reduced:
@@ -334,14 +354,7 @@ class ReducedSystems:
             return LapackReduced(self.pattern, self._first, blocks, diagonal, ties=self._ties, added=added)
         if self._ordering is not None:
             return GraphReduced(self.pattern, self._first, blocks, diagonal, self._ordering)
+        if self.kind == "iterative":
+            return IterativeReduced(self.pattern, self._first, blocks, diagonal)
         order = self._order if self.kind == "banded" else None
         return LapackReduced(self.pattern, self._first, blocks, diagonal, order)
-
-
-def _suitable(pattern: Pattern, unknowns: int, band: int) -> str:
-    """Fastest kind of solution for a pattern."""
-    if band <= BANDED * unknowns and (band + 1) * unknowns <= BAND_LIMIT:
-        return "banded"
-    images = len(pattern.size)
-    share = 2.0 * len(pattern.block_row) / (images * (images + 1))
-    return "graph" if unknowns > FULL_LIMIT or (unknowns > DENSE_LIMIT and share < SPARSE) else "dense"

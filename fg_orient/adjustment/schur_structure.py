@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.reduced_choice import Pattern
 from fg_orient.adjustment.rows import groups
-from fg_orient.adjustment.schur_reduced import Pattern
 from fg_orient.kernels import batch_sort
 from fg_orient.kernels.batch import Columns, batch
 from fg_orient.kernels.batch_pairs import widen

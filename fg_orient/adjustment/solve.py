@@ -37,6 +37,7 @@ from fg_orient.adjustment.loop import (
     LoopResult,
 )
 from fg_orient.adjustment.problem import Problem, State, schur_possible
+from fg_orient.adjustment.reduced_choice import is_wide
 from fg_orient.adjustment.resection import METHODS, resection_start
 from fg_orient.adjustment.robust import (
     A_PRIORI,
@@ -301,6 +302,8 @@ def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:
     if schur is not None:
         job.backend = "schur"
         return _run_schur(job, schur)
+    if job.backend == "graph" and job.options.backend == "auto" and not images_first(job.problem):
+        job.backend = "schur" if eliminates_points(job.problem) and is_wide(job.problem) else job.backend
     run = {"dense": _run_dense, "schur": _run_schur, "graph": _run_graph}[job.backend]
     if job.backend == "graph" and images_first(job.problem):
         try:

@@ -158,3 +158,27 @@ def add_shared(
                 out[r, c] += blocks[b, p, q]
                 if i != j:
                     out[c, r] += blocks[b, p, q]
+
+
+@threaded
+def times_blocks(row: Index, column: Index, blocks: Array, x: Array, out: Array) -> None:
+    """Write the product of a symmetric matrix with a vector; the diagonal blocks are complete.
+
+    Parameters
+    ----------
+    row, column : (B,) int arrays
+        Places of the blocks (B, k, k) of the upper triangle.
+    x, out : (M, k) arrays
+    """
+    k = blocks.shape[1]
+    out[:] = 0.0
+    for b in range(len(row)):
+        i, j = row[b], column[b]
+        for a in range(k):
+            total, factor = 0.0, x[i, a]
+            for c in range(k):
+                total += blocks[b, a, c] * x[j, c]
+            out[i, a] += total
+            if i != j:
+                for c in range(k):
+                    out[j, c] += blocks[b, a, c] * factor

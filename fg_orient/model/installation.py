@@ -26,7 +26,7 @@ COMPUTING: Final = ("gtsam", "numpy", "scipy", "numba")
 #: All that fg_orient needs.
 REQUIRED: Final = (
     *COMPUTING, "llvmlite", "pyproj", "pyerfa", "lxml", "pydantic", "typer", "rich", "jinja2", "markupsafe",
-    "threadpoolctl",
+    "threadpoolctl", "orjson",
 )  # fmt: skip
 #: Those of the extras.
 OPTIONAL: Final = ("rasterio", "pyogrio", "shapely", "pandas", "matplotlib", "dask")

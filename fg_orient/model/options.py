@@ -108,7 +108,8 @@ class Options(Checked):
     backend: Backend = option(
         "auto", ADJUSTMENT,
         "Least-squares engine: GTSAM's optimisers on a factor graph (graph), our own loop on arrays (schur), full "
-        "matrices (dense). auto: graph, but schur for a free datum; dense: up to 2000 unknowns.",
+        "matrices (dense). auto: graph, but schur for a free datum and where its reduced system of many images is "
+        "solved in a third of the time; dense: up to 2000 unknowns.",
     )
     solver: str | None = option(
         None, ADJUSTMENT,

@@ -53,6 +53,8 @@ def conclude(
         estimate.linear.release()
         return_memory(len(compiled.observations))
     examined = doubts.Examined([])
+    linear = estimate.linear if estimate.backend == "schur" else None
+    choice = linear.choice if isinstance(linear, SchurSystem) else None
     if assessment.status is not Status.NOT_CONVERGED:
         examined = doubts.of_solution(compiled, estimate, ground, cofactors, accuracy.check)
         findings += examined.findings
@@ -72,7 +74,7 @@ def conclude(
         sigma0_interval=assessment.interval, log=estimate.log, iterations=estimate.iterations,
         residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, block_view=block_view,
         accuracy=accuracy, cofactors=cofactors, sigmas=examined.sigmas, unavailable=unavailable, findings=ordered,
-        weights=estimate.weights, resumed_at=estimate.resumed_at, supposed=supposed,
+        reduced_system=choice, weights=estimate.weights, resumed_at=estimate.resumed_at, supposed=supposed,
         seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, working_clock() - start),
     )  # fmt: skip
 

@@ -16,6 +16,7 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.memory import Need
+from fg_orient.adjustment.reduced_choice import Choice
 from fg_orient.model.errors import Finding, InputError, NoSolutionError
 from fg_orient.model.options import USUAL_GROUPS
 from fg_orient.orientation.adjusted import AdjustmentResult
@@ -98,6 +99,8 @@ class Solution(AdjustmentResult):
         Stated sigmas of groups of observations beside the estimated ones, where the observations are tested.
     supposed : Supposed or None
         Most likely mistake, until an adjustment without it has confirmed it or not.
+    reduced_system : Choice or None
+        Of the Schur backend: method for the reduced system of the images, predicted operations and bytes.
     """
 
     verdict: Finding
@@ -120,6 +123,7 @@ class Solution(AdjustmentResult):
     snooping: Search | None = None
     sigmas: tuple[StatedSigma, ...] = ()
     supposed: Supposed | None = None
+    reduced_system: Choice | None = None
 
     @property
     def scale(self) -> float:

@@ -156,7 +156,7 @@ def summary(solution: Solution) -> dict[str, Any]:
         The keys of ``result.json``; numbers may be nan, which :mod:`fg_orient.result.plain`
         turns into null.
     """
-    problem, options = solution.problem, solution.block.options
+    problem, options, choice = solution.problem, solution.block.options, solution.reduced_system
     n, iterations = len(problem.observations), solution.iterations
     work = n * (iterations - solution.resumed_at)
     return {
@@ -166,6 +166,13 @@ def summary(solution: Solution) -> dict[str, Any]:
         **as_record([*solution.findings, *solution.unavailable, *_missing(solution)]),
         "backend": solution.backend,
         "solver": solution.solver or None,
+        "reduced_system": None
+        if choice is None
+        else {
+            "method": choice.kind,
+            "predicted_operations": choice.work,
+            "predicted_bytes": choice.memory,
+        },
         **_choices(options),
         "iterations": iterations,
         "n_image_points": n,

@@ -118,7 +118,7 @@ def test_steps_equal_those_of_full_matrices(datum: str, loss: str) -> None:
 
 @pytest.mark.behaviour
 def test_too_many_unknowns_for_one_matrix_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fg_orient.adjustment.border.FULL_LIMIT", 60)
+    monkeypatch.setattr("fg_orient.adjustment.border.FULL_BORDER", 60)
     with pytest.raises(fg.InputError) as caught:
         fg.adjust(figure(), backend="schur")
     (problem,) = caught.value.problems

@@ -17,17 +17,18 @@ from hypothesis import strategies as st
 import fg_orient as fg
 from factors._contract import NotFiniteError
 from factors.conditions.control import CONTROL_POINT
-from fg_orient.adjustment import schur_reduced, schur_structure
+from fg_orient.adjustment import reduced_choice, schur_reduced, schur_structure
 from fg_orient.adjustment.cofactors import ReducedCofactors
 from fg_orient.adjustment.dense import DenseBackend, assemble
 from fg_orient.adjustment.explicit import ExplicitBackend
 from fg_orient.adjustment.irls import find_loss
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.adjustment.reduced_choice import Pattern
 from fg_orient.adjustment.robust import scaled
 from fg_orient.adjustment.runtime import Workers
 from fg_orient.adjustment.schur import SchurBackend, SchurSystem
-from fg_orient.adjustment.schur_reduced import Pattern, Singular
+from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import solve, suitable_backend
 from fg_orient.model.block import Block, ExtraObservation, Image, ImagePoints
 from fg_orient.model.names import Role
@@ -199,7 +200,7 @@ def test_dogleg_inside_a_small_region_equals_the_one_by_numpy() -> None:
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("reduced", ["dense", "banded", "graph"])
+@pytest.mark.parametrize("reduced", ["dense", "banded", "graph", "iterative"])
 @pytest.mark.parametrize("name", BLOCKS)
 def test_cofactors_equal_the_dense_inverse(name: str, reduced: str) -> None:
     """Images, points, and a joint block in an order of its own, against numpy's inverse of J^T J."""
@@ -250,7 +251,7 @@ def test_same_bits_for_one_and_two_threads(divided: bool, request: pytest.Fixtur
     structure = SchurBackend(problem).structure
     assert np.diff(structure.block_begin).max() > 4
     assert {tile.kept for tile in structure.tiles} == ({True, False} if divided else {True})
-    for reduced in ("dense", "banded", "graph"):
+    for reduced in ("dense", "banded", "graph", "iterative"):
         ends = []
         for threads in (1, 2, 3):
             backend = SchurBackend(problem, threads=threads, reduced=reduced)
@@ -381,23 +382,64 @@ def test_workers_cover_the_range_once() -> None:
         assert costly[-1][1] == 3
 
 
+def pattern_of(images: int, pairs: list[tuple[int, int]], unknowns: int = 9) -> Pattern:
+    """Images with so many unknowns, linked in pairs."""
+    row, column = np.array([*((k, k) for k in range(images)), *sorted(pairs)]).T
+    return Pattern(np.full(images, unknowns), row, column)
+
+
+def choice(pattern: Pattern) -> str:
+    first = np.concatenate([[0], np.cumsum(pattern.size)])
+    return reduced_choice.choose(pattern, reduced_choice.narrowest(pattern, first).band).kind
+
+
 @pytest.mark.behaviour
-def test_reduced_systems_are_solved_by_what_suits_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By band, unknowns and the share of images that see common points."""
-    problem = compile_problem(with_options(grid(2, 3, 60), eop_set=15))  # 6 images, 108 unknowns
-    pattern = SchurBackend(problem).structure.pattern
-    share, band = len(pattern.block_row) / 21.0, schur_reduced.narrowest(pattern, problem.first).band
-    for full, dense, sparse, banded, limit, expected in (
-        (3000, 1000, 1.0, 0.0, 10**6, "dense"), (107, 1000, 0.0, 0.0, 10**6, "graph"),
-        (3000, 107, share, 0.0, 10**6, "dense"), (3000, 107, share + 0.01, 0.0, 10**6, "graph"),
-        (3000, 108, 1.0, 0.0, 10**6, "dense"), (3000, 1000, 1.0, band / 108, 10**6, "banded"),
-        (3000, 1000, 1.0, (band - 1) / 108, 10**6, "dense"), (3000, 1000, 1.0, 1.0, 108 * band, "dense"),
-    ):  # fmt: skip
-        for name, value in (
-            ("FULL_LIMIT", full), ("DENSE_LIMIT", dense), ("SPARSE", sparse), ("BANDED", banded), ("BAND_LIMIT", limit),
-        ):  # fmt: skip
-            monkeypatch.setattr(schur_reduced, name, value)
-        assert SchurBackend(problem).reduced.kind == expected
+def test_reduced_systems_are_solved_by_what_suits_them() -> None:
+    """A strip by its band, a full system by a full factor, a wide one without order by conjugate gradients."""
+    every = [(i, j) for i in range(200) for j in range(i + 1, 200)]
+    assert choice(pattern_of(200, every)) == "dense"
+    assert choice(pattern_of(2000, [(k, k + 1) for k in range(1999)])) == "banded"
+    rng = np.random.default_rng(0)
+    mixed = {tuple(sorted(pair)) for pair in rng.integers(0, 700, (200_000, 2)).tolist() if pair[0] != pair[1]}
+    assert choice(pattern_of(700, list(mixed), 12)) == "iterative"
+    star = [(0, k) for k in range(1, 400)]  # each image shares points with one: no narrow band, no fill
+    assert choice(pattern_of(400, star)) == "graph"
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize(("images", "share"), [(1, 0.0), (9, 0.3), (70, 0.05), (130, 0.02), (65, 1.0), (40, 0.0)])
+def test_degrees_of_the_elimination_are_those_of_sets(images: int, share: float) -> None:
+    """Images linked in pairs at random; eliminated one after the other with sets of neighbours."""
+    rng = np.random.default_rng(images)
+    pairs = [(i, j) for i in range(images) for j in range(i + 1, images) if rng.random() < share]
+    near = {k: {j for pair in pairs for j in pair if k in pair and j != k} for k in range(images)}
+    expected = []
+    while near:
+        k = min(near, key=lambda k: (len(near[k]), k))
+        expected.append(len(near[k]))
+        own = near.pop(k)
+        for j in own:
+            near[j] = (near[j] | own) - {j, k}
+    found = reduced_choice.elimination_degrees(pattern_of(images, pairs)) if pairs or images == 1 else None
+    assert found is None or found.tolist() == expected
+
+
+@pytest.mark.oracle
+def test_conjugate_gradients_step_as_a_factor_does() -> None:
+    """Damped and undamped, images with different numbers of unknowns, a whole adjustment; too few steps are refused."""
+    problem = compile_problem(with_options(mixed_size(), eop_set=15))
+    state, kinds = problem.start, ("dense", "iterative")
+    for damping in (0.0, 0.3):
+        steps = [SchurBackend(problem, reduced=kind).linearise(state).solve(damping) for kind in kinds]
+        assert np.abs(steps[1].image - steps[0].image).max() < 1e-7 * np.abs(steps[0].image).max()
+        # linear in the residual at which the steps end
+        assert steps[1].predicted_error == pytest.approx(steps[0].predicted_error, rel=schur_reduced.RESIDUAL)
+    ends = [OPTIMIZERS["gauss-newton"](SchurBackend(problem, reduced=kind), state, 50) for kind in kinds]
+    assert np.abs(ends[1].state.image - ends[0].state.image).max() < 1e-9
+    assert ends[1].error == pytest.approx(ends[0].error, rel=1e-12)
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Singular, match="do not converge in 3 steps"):
+        patch.setattr(schur_reduced, "MOST_STEPS", 3)
+        SchurBackend(problem, reduced="iterative").linearise(state).solve(0.0)
 
 
 @pytest.mark.oracle
@@ -419,7 +461,7 @@ def test_a_strip_of_images_has_a_narrow_band_in_any_order() -> None:
     pattern = Pattern(size, row, column)
     systems = schur_reduced.ReducedSystems(pattern, first)
     assert systems.kind == "banded"
-    assert schur_reduced.narrowest(pattern, first).band <= 23
+    assert reduced_choice.narrowest(pattern, first).band <= 23
     reduced, right = systems(root, 2.0), rng.normal(size=first[-1])
     full += 2.0 * np.eye(len(full))
     assert reduced.solve(right) == pytest.approx(-np.linalg.solve(full, right), rel=1e-10, abs=1e-12)

@@ -21,8 +21,9 @@ from fg_orient.adjustment.parts.pool import Pool
 from fg_orient.adjustment.parts.system import PartedState, PartedStep, PartedSystem
 from fg_orient.adjustment.parts.tasks import At, Partial
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.reduced_choice import Pattern
 from fg_orient.adjustment.robust import Robust
-from fg_orient.adjustment.schur_reduced import Pattern, Reduced, ReducedSystems
+from fg_orient.adjustment.schur_reduced import Reduced, ReducedSystems
 from fg_orient.adjustment.schur_stages import half_extras
 
 

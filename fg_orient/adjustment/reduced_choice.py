@@ -1,0 +1,176 @@
+"""Choice of the method for a reduced camera system, by predicted work and memory from the sparsity of its blocks.
+
+Work is counted in floating-point operations of LAPACK's Cholesky factorisation. GTSAM takes six times as long for the
+same number (measured: 3060 unknowns, full). Conjugate gradients read all blocks in each step: 10 GB/s, while LAPACK
+does 45 GFlop/s (one thread). The fill of the sparse factor is counted by a symbolic elimination with least degree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.cofactors import order_by_point, pairs_of_images
+from fg_orient.adjustment.problem import Problem, schur_possible
+
+Bounds = npt.NDArray[np.intp]
+Index = npt.NDArray[np.int64]
+
+#: Elements of the largest band: 0.24 GB. Unknowns of the largest full matrix: 1.8 GB.
+BAND_LIMIT: Final = 30_000_000
+LARGEST_FULL: Final = 15_000
+#: Unknowns of the largest full matrix of a border: 0.5 GB.
+FULL_BORDER: Final = 8000
+#: Time of GTSAM over that of LAPACK for the same operations, and its time for each image in these operations.
+GTSAM: Final = 6.0
+GTSAM_IMAGE: Final = 1e6
+#: Time of LAPACK's banded factorisation over that of the full one for the same operations (measured: 432 to 2700
+#: unknowns).
+BANDED: Final = 1.4
+#: Steps of conjugate gradients that are expected for each link on the way from one image to the farthest one, and
+#: LAPACK's operations in the time in which a byte is read.
+STEPS: Final = 40
+PER_BYTE: Final = 4.5
+#: Factor methods are preferred up to this ratio of work: they give the covariance.
+PREFERRED: Final = 2.0
+#: Unknowns from which on conjugate gradients may be chosen: their steps depend on the condition, a factor does not.
+ITERATIVE: Final = 4000
+#: Image unknowns from which on the Schur backend replaces the graph by default, if it is so many times faster.
+WIDE: Final = 1500
+FASTER: Final = 3.0
+#: Images up to which the fill of a sparse factor is counted.
+COUNTED: Final = 5000
+
+
+class Pattern(NamedTuple):
+    """Blocks of a reduced system: unknowns (M,) of each image; images (B,) of each block, row <= column."""
+
+    size: Index
+    block_row: Index
+    block_column: Index
+
+
+@dataclass(frozen=True)
+class Order:
+    """An order of the images: first unknown (M,) of each image, and all unknowns (u,).
+
+    ``band`` is the number of elements of a column of the lower triangle below the diagonal.
+    """
+
+    place: Index
+    unknowns: Index
+    band: int
+
+
+def narrowest(pattern: Pattern, first: Bounds) -> Order:
+    """Order of the images with the narrower band: as given, or reversed Cuthill-McKee (George & Liu 1981)."""
+    images = len(pattern.size)
+    if len(pattern.block_row) == images * (images + 1) // 2:  # all images share points: the order has no effect
+        return Order(first[:-1].astype(np.int64), np.arange(first[-1]), int(first[-1]) - 1)
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    links = coo_array((np.ones(len(pattern.block_row)), (pattern.block_row, pattern.block_column)), (images, images))
+    orders = []
+    for order in (np.arange(images), reverse_cuthill_mckee((links + links.T).tocsr(), symmetric_mode=True)):
+        place = np.empty(images, np.int64)
+        place[order] = np.concatenate([[0], np.cumsum(pattern.size[order])[:-1]])
+        begin = np.minimum(place[pattern.block_row], place[pattern.block_column])
+        end = np.maximum(
+            place[pattern.block_row] + pattern.size[pattern.block_row],
+            place[pattern.block_column] + pattern.size[pattern.block_column],
+        )
+        unknowns = np.concatenate([np.arange(first[k], first[k + 1]) for k in order])
+        orders.append(Order(place, unknowns, int((end - begin).max(initial=1)) - 1))
+    return min(orders, key=lambda o: o.band)
+
+
+class Choice(NamedTuple):
+    """Method for a reduced system, its predicted work (operations of LAPACK) and memory (bytes)."""
+
+    kind: str
+    work: float
+    memory: float
+
+
+def predictions(pattern: Pattern, band: int) -> list[Choice]:
+    """Methods that are possible for a pattern whose best order has this band.
+
+    Parameters
+    ----------
+    pattern : Pattern
+    band : int
+        Elements of a column of the lower triangle below the diagonal.
+    """
+    u, b, k = float(pattern.size.sum()), float(band), float(pattern.size.max(initial=1))
+    stored = 8.0 * k**2 * len(pattern.block_row)
+    out = []
+    if (b + 1.0) * u <= BAND_LIMIT and b < u - 1.0:
+        out.append(Choice("banded", BANDED * (u * b**2 - 2.0 / 3.0 * b**3 + u * b), 8.0 * u * (b + 1.0)))
+    if u <= LARGEST_FULL:
+        out.append(Choice("dense", u**3 / 3.0, 8.0 * u**2))
+    if u > ITERATIVE:
+        work = PREFERRED * STEPS * farthest(pattern) * stored * PER_BYTE
+        out.append(Choice("iterative", work, stored))
+    if len(pattern.size) <= COUNTED:
+        degrees = elimination_degrees(pattern).astype(float)
+        work = GTSAM * k**3 * float(np.sum(1.0 / 3.0 + degrees + degrees**2)) + GTSAM_IMAGE * len(degrees)
+        out.append(Choice("graph", work, 8.0 * k**2 * float(np.sum(1.0 + degrees))))
+    return out or [Choice("graph", np.inf, np.inf)]
+
+
+def choose(pattern: Pattern, band: int) -> Choice:
+    """Method with the least predicted work; see :func:`predictions`."""
+    return min(predictions(pattern, band), key=lambda one: one.work)
+
+
+def is_wide(problem: Problem) -> bool:
+    """Whether LAPACK or conjugate gradients solve the reduced system in much less time than GTSAM's elimination."""
+    if problem.n_free_unknowns < WIDE or problem.ties is not None or not schur_possible(problem.block):
+        return False
+    pairs, _ = pairs_of_images(problem, order_by_point(problem))
+    pattern = Pattern(np.diff(problem.first).astype(np.int64), pairs[:, 0], pairs[:, 1])
+    work = {one.kind: one.work for one in predictions(pattern, narrowest(pattern, problem.first).band)}
+    return min(work.values()) < work.get("graph", np.inf) / FASTER
+
+
+def farthest(pattern: Pattern) -> int:
+    """Links on the shortest way from the first image to the farthest one that it is linked with."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
+
+    images = len(pattern.size)
+    links = coo_array((np.ones(len(pattern.block_row)), (pattern.block_row, pattern.block_column)), (images, images))
+    way = dijkstra(links.tocsr(), directed=False, unweighted=True, indices=np.zeros(1, np.int64))
+    return int(way[np.isfinite(way)].max(initial=1.0))
+
+
+def elimination_degrees(pattern: Pattern) -> Index:
+    """Number (M,) of images that remain linked to each image when it is eliminated, those of least degree first."""
+    images = len(pattern.size)
+    if len(pattern.block_row) == images * (images + 1) // 2:
+        return np.arange(images)[::-1].astype(np.int64)
+    links = np.zeros((images, images), bool)
+    links[pattern.block_row, pattern.block_column] = True
+    links |= links.T
+    np.fill_diagonal(links, False)
+    bits = np.packbits(links, axis=1)
+    bits = np.pad(bits, ((0, 0), (0, -bits.shape[1] % 8))).view(np.uint64)
+    single = np.packbits(np.eye(images, dtype=bool), axis=1)
+    single = np.pad(single, ((0, 0), (0, -single.shape[1] % 8))).view(np.uint64)
+    degree, out = np.bitwise_count(bits).sum(axis=1, dtype=np.int64), np.zeros(images, np.int64)
+    gone = np.iinfo(np.int64).max
+    for n in range(images):
+        k = int(np.argmin(degree))
+        out[n] = degree[k]
+        if degree[k] == images - n - 1:  # all others are linked with each other, too, or will be
+            out[n:] = np.arange(images - n)[::-1]
+            break
+        own, degree[k] = bits[k], gone
+        near = np.flatnonzero(np.unpackbits(own.view(np.uint8), count=images))
+        bits[near] = (bits[near] | own) & ~single[near] & ~single[k]
+        degree[near] = np.bitwise_count(bits[near]).sum(axis=1, dtype=np.int64)
+    return out
