@@ -56,9 +56,14 @@ def _solutions(study: Study, eop_set: int) -> dict[str, Array]:
 
 
 def _spread(values: dict[str, Array], columns: Index) -> float:
-    """Largest deviation from partial pivoting relative to it, unknown by unknown."""
+    """Largest deviation from partial pivoting relative to it, unknown by unknown; inf where that is exactly 0.
+
+    An unknown without effect is rounding, which may happen to be 0.
+    """
     reference = values[PIVOT][columns]
-    return max(float(np.abs(x[columns] / reference - 1.0).max()) for x in values.values())
+    away = [np.abs(x[columns] - reference) for x in values.values()]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return max(float(np.where(one > 0.0, one / np.abs(reference), 0.0).max()) for one in away)
 
 
 @claim("C8", "step 2 solves for rounding noise: sets 1, 15 alike by exact solvers but Cramer, velocities arbitrary")
