@@ -8,16 +8,17 @@ does 45 GFlop/s (one thread). The fill of the sparse factor is counted by a symb
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Index, Mask
 from fg_orient.adjustment.cofactors import order_by_point, pairs_of_images
 from fg_orient.adjustment.problem import Problem, schur_possible
 
-Bounds = npt.NDArray[np.intp]
-Index = npt.NDArray[np.int64]
+if TYPE_CHECKING:
+    from scipy.sparse import coo_array
 
 #: Elements of the largest band: 0.24 GB. Unknowns of the largest full matrix: 1.8 GB.
 BAND_LIMIT: Final = 30_000_000
@@ -52,6 +53,13 @@ class Pattern(NamedTuple):
     block_row: Index
     block_column: Index
 
+    def links(self) -> coo_array:
+        """Matrix (M, M) with a number other than 0 where two images have a block; its upper triangle."""
+        from scipy.sparse import coo_array
+
+        images = len(self.size)
+        return coo_array((np.ones(len(self.block_row)), (self.block_row, self.block_column)), (images, images))
+
 
 @dataclass(frozen=True)
 class Order:
@@ -65,16 +73,14 @@ class Order:
     band: int
 
 
-def narrowest(pattern: Pattern, first: Bounds) -> Order:
+def narrowest(pattern: Pattern, first: Index) -> Order:
     """Order of the images with the narrower band: as given, or reversed Cuthill-McKee (George & Liu 1981)."""
     images = len(pattern.size)
     if len(pattern.block_row) == images * (images + 1) // 2:  # all images share points: the order has no effect
         return Order(first[:-1].astype(np.int64), np.arange(first[-1]), int(first[-1]) - 1)
-    from scipy.sparse import coo_array
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-    links = coo_array((np.ones(len(pattern.block_row)), (pattern.block_row, pattern.block_column)), (images, images))
-    orders = []
+    links, orders = pattern.links(), []
     for order in (np.arange(images), reverse_cuthill_mckee((links + links.T).tocsr(), symmetric_mode=True)):
         place = np.empty(images, np.int64)
         place[order] = np.concatenate([[0], np.cumsum(pattern.size[order])[:-1]])
@@ -113,18 +119,22 @@ def predictions(pattern: Pattern, band: int) -> list[Choice]:
     if u <= LARGEST_FULL:
         out.append(Choice("dense", u**3 / 3.0, 8.0 * u**2))
     if u > ITERATIVE:
-        work = PREFERRED * STEPS * farthest(pattern) * stored * PER_BYTE
-        out.append(Choice("iterative", work, stored))
+        out.append(Choice("iterative", STEPS * farthest(pattern) * stored * PER_BYTE, stored))
     if len(pattern.size) <= COUNTED:
         degrees = elimination_degrees(pattern).astype(float)
         work = GTSAM * k**3 * float(np.sum(1.0 / 3.0 + degrees + degrees**2)) + GTSAM_IMAGE * len(degrees)
         out.append(Choice("graph", work, 8.0 * k**2 * float(np.sum(1.0 + degrees))))
-    return out or [Choice("graph", np.inf, np.inf)]
+    return out
 
 
 def choose(pattern: Pattern, band: int) -> Choice:
-    """Method with the least predicted work; see :func:`predictions`."""
-    return min(predictions(pattern, band), key=lambda one: one.work)
+    """Method with the least predicted work, factors preferred; see :func:`predictions`."""
+    return min(predictions(pattern, band), key=_rank)
+
+
+def _rank(one: Choice) -> float:
+    """Work, more for the method without a factor."""
+    return one.work * (PREFERRED if one.kind == "iterative" else 1.0)
 
 
 def is_wide(problem: Problem) -> bool:
@@ -133,18 +143,15 @@ def is_wide(problem: Problem) -> bool:
         return False
     pairs, _ = pairs_of_images(problem, order_by_point(problem))
     pattern = Pattern(np.diff(problem.first).astype(np.int64), pairs[:, 0], pairs[:, 1])
-    work = {one.kind: one.work for one in predictions(pattern, narrowest(pattern, problem.first).band)}
+    work = {one.kind: _rank(one) for one in predictions(pattern, narrowest(pattern, problem.first).band)}
     return min(work.values()) < work.get("graph", np.inf) / FASTER
 
 
 def farthest(pattern: Pattern) -> int:
     """Links on the shortest way from the first image to the farthest one that it is linked with."""
-    from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
 
-    images = len(pattern.size)
-    links = coo_array((np.ones(len(pattern.block_row)), (pattern.block_row, pattern.block_column)), (images, images))
-    way = dijkstra(links.tocsr(), directed=False, unweighted=True, indices=np.zeros(1, np.int64))
+    way = dijkstra(pattern.links().tocsr(), directed=False, unweighted=True, indices=np.zeros(1, np.int64))
     return int(way[np.isfinite(way)].max(initial=1.0))
 
 
@@ -152,15 +159,10 @@ def elimination_degrees(pattern: Pattern) -> Index:
     """Number (M,) of images that remain linked to each image when it is eliminated, those of least degree first."""
     images = len(pattern.size)
     if len(pattern.block_row) == images * (images + 1) // 2:
-        return np.arange(images)[::-1].astype(np.int64)
-    links = np.zeros((images, images), bool)
-    links[pattern.block_row, pattern.block_column] = True
-    links |= links.T
-    np.fill_diagonal(links, False)
-    bits = np.packbits(links, axis=1)
-    bits = np.pad(bits, ((0, 0), (0, -bits.shape[1] % 8))).view(np.uint64)
-    single = np.packbits(np.eye(images, dtype=bool), axis=1)
-    single = np.pad(single, ((0, 0), (0, -single.shape[1] % 8))).view(np.uint64)
+        return np.arange(images)[::-1]
+    upper = pattern.links().toarray() != 0.0
+    bits = _packed((upper | upper.T) & ~np.eye(images, dtype=bool))
+    single = _packed(np.eye(images, dtype=bool))
     degree, out = np.bitwise_count(bits).sum(axis=1, dtype=np.int64), np.zeros(images, np.int64)
     gone = np.iinfo(np.int64).max
     for n in range(images):
@@ -174,3 +176,9 @@ def elimination_degrees(pattern: Pattern) -> Index:
         bits[near] = (bits[near] | own) & ~single[near] & ~single[k]
         degree[near] = np.bitwise_count(bits[near]).sum(axis=1, dtype=np.int64)
     return out
+
+
+def _packed(mask: Mask) -> npt.NDArray[np.uint64]:
+    """Rows of a mask (n, m) as bits, in words of 64."""
+    bits = np.packbits(mask, axis=1)
+    return np.pad(bits, ((0, 0), (0, -bits.shape[1] % 8))).view(np.uint64)

@@ -8,13 +8,12 @@ that share points; its ordering is computed once.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final, Protocol, cast
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack
 
-from factors.arrays import Array
+from factors.arrays import Array, Index
 from fg_orient.adjustment.reduced_choice import LARGEST_FULL, Choice, Order, Pattern, choose, narrowest
 from fg_orient.kernels.batch_matrix import add_shared, fill_lower, times_blocks
 
@@ -22,9 +21,6 @@ if TYPE_CHECKING:
     import gtsam
 
     from fg_orient.adjustment.ties import Ties
-
-Bounds = npt.NDArray[np.intp]
-Index = npt.NDArray[np.int64]
 
 #: Limit of the condition number of the reduced system, scaled to a unit diagonal. Above it there is no covariance: the
 #: relative rounding error of a cofactor, a few eps cond, exceeds 1e-3.
@@ -83,7 +79,7 @@ class LapackReduced:
     """
 
     def __init__(
-        self, pattern: Pattern, first: Bounds, blocks: Array, diagonal: float, order: Order | None = None,
+        self, pattern: Pattern, first: Index, blocks: Array, diagonal: float, order: Order | None = None,
         ties: Ties | None = None, added: Array | None = None,
     ) -> None:  # fmt: skip
         self._first, self._ties, self._banded = first, ties, order is not None
@@ -167,7 +163,7 @@ class LapackReduced:
         return self._condition
 
 
-def full_matrix(pattern: Pattern, first: Bounds, blocks: Array, ties: Ties | None) -> Array:
+def full_matrix(pattern: Pattern, first: Index, blocks: Array, ties: Ties | None) -> Array:
     """Symmetric matrix (z, z) of the free unknowns from the blocks: ``T^T S T`` where images share unknowns."""
     of = np.arange(first[-1]) if ties is None else ties.of
     n = len(of) if ties is None else len(ties)
@@ -195,7 +191,7 @@ class GraphReduced:
     """A GTSAM graph over the images; parameters as for :class:`LapackReduced`, and the elimination order."""
 
     def __init__(
-        self, pattern: Pattern, first: Bounds, blocks: Array, diagonal: float, ordering: gtsam.Ordering
+        self, pattern: Pattern, first: Index, blocks: Array, diagonal: float, ordering: gtsam.Ordering
     ) -> None:
         import gtsam
 
@@ -255,10 +251,11 @@ class IterativeReduced:
         A diagonal block is not positive definite.
     """
 
-    def __init__(self, pattern: Pattern, first: Bounds, blocks: Array, diagonal: float) -> None:
+    def __init__(self, pattern: Pattern, first: Index, blocks: Array, diagonal: float) -> None:
         # a copy: the next linearisation overwrites the blocks before a covariance is wanted
         self._pattern, self._first, self._blocks, self._shift = pattern, first, blocks.copy(), diagonal
-        self._k, self._dense = blocks.shape[1], cast("LapackReduced | None", None)
+        self._k = blocks.shape[1]
+        self._dense: LapackReduced | None = None
         self._used = np.arange(self._k) < pattern.size[:, None]
         own = pattern.block_row == pattern.block_column
         self._diagonal = np.where(self._used, diagonal, 1.0)  # shorter blocks end with a unit matrix
@@ -336,7 +333,7 @@ class ReducedSystems:
         Unknowns shared by images; the matrix is then full.
     """
 
-    def __init__(self, pattern: Pattern, first: Bounds, kind: str = "auto", ties: Ties | None = None) -> None:
+    def __init__(self, pattern: Pattern, first: Index, kind: str = "auto", ties: Ties | None = None) -> None:
         self.pattern, self._first, self._ties, self._ordering = pattern, first, ties, None
         #: Prediction of the chosen method; None where the kind was given.
         self.choice: Choice | None = None

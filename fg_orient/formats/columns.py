@@ -23,7 +23,8 @@ ROWS: Final = 20_000
 #: Characters that make a table irregular: quotes, and what ``strip`` removes from ASCII text.
 IRREGULAR: Final = '"\t\v\f\x1c\x1d\x1e\x1f '
 _COMMA, _LINE_END, _COMMENT = b",\n#"
-_OF_NUMBERS: Final = b"0123456789eE+.-,"
+#: Of texts that consist of these characters, ``float`` accepts exactly those that are numbers in a table.
+OF_NUMBERS: Final = b"0123456789eE+.-"
 
 
 class Cells(Sequence[str]):
@@ -71,7 +72,7 @@ class Cells(Sequence[str]):
     def finite(self, rows: Mask | None = None) -> Array | None:
         """Cells, or those of some ``rows`` (n,), as finite numbers; None if one is not written as JSON writes them."""
         text = self._joined(rows)
-        if text.translate(None, _OF_NUMBERS):
+        if text.translate(None, OF_NUMBERS + b","):
             return None
         try:
             values = np.array(orjson.loads(b"[" + text[:-1] + b"]"), np.float64)

@@ -19,15 +19,13 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array, Index, Mask
-from fg_orient.formats.columns import Cells, regular
+from fg_orient.formats.columns import OF_NUMBERS, Cells, regular
 from fg_orient.formats.faults import MAX_FAULTS, Faults, did_you_mean
 from fg_orient.formats.text_files import delimited, read_text
 
 #: Texts that are read as numbers, and numbers with a decimal comma.
 NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 DECIMAL_COMMA: Final = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
-#: Of texts that consist of these characters, ``float`` accepts exactly those that match :data:`NUMBER`.
-_OF_NUMBERS: Final = b"0123456789eE+.-"
 
 
 @dataclass(frozen=True)
@@ -172,7 +170,7 @@ def _number_fault(text: str) -> str:
 
 def finite(cells: Sequence[str]) -> Array | None:
     """All texts as finite numbers (n,); None if one is not a number."""
-    if "".join(cells).encode().translate(None, _OF_NUMBERS):
+    if "".join(cells).encode().translate(None, OF_NUMBERS):
         return None
     try:
         values = np.fromiter(map(float, cells), np.float64, len(cells))

@@ -215,8 +215,8 @@ class Options(Checked):
     )
     statistics: StatisticsChoice = option(
         "auto", TESTS,
-        "Reliability of every observation; auto: up to 200 000 image points. full: redundancy numbers, reliability and "
-        "normalised residuals in the results of a run; basic: without them.",
+        "Reliability of every observation; auto: up to 2 000 000 image points. full: redundancy numbers, reliability "
+        "and normalised residuals in the results of a run; basic: without them.",
         iterates=False,
     )
     memory_limit_gb: float | None = option(

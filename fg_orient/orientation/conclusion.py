@@ -49,12 +49,12 @@ def conclude(
     accuracy = _assess(compiled, ground, located, on_earth)
     assessment = verdict.assess_solution(compiled, estimate, unavailable)
     findings = [*verdict.findings(compiled, estimate, assessment, observability, block_view, accuracy)]
-    if isinstance(estimate.linear, SchurSystem):  # the statistics need its memory
-        estimate.linear.release()
-        return_memory(len(compiled.observations))
+    choice = None
+    if isinstance(estimate.linear, SchurSystem):
+        choice = estimate.linear.choice if estimate.backend == "schur" else None
+        estimate.linear.release()  # the statistics need its memory
+    return_memory(len(compiled.observations))
     examined = doubts.Examined([])
-    linear = estimate.linear if estimate.backend == "schur" else None
-    choice = linear.choice if isinstance(linear, SchurSystem) else None
     if assessment.status is not Status.NOT_CONVERGED:
         examined = doubts.of_solution(compiled, estimate, ground, cofactors, accuracy.check)
         findings += examined.findings

@@ -278,7 +278,6 @@ class _Run:
         compiled, estimate = hold(compiled, estimate, lambda p, begin, n: self._solved(p, None, begin, n))
         compiled, estimate = to_inner_datum(compiled, estimate, solve) if inner else (compiled, estimate)
         compiled, estimate = released(compiled, estimate)
-        return_memory(len(compiled.observations))
         self._report("statistics", len(compiled.observations))
         solution = conclude(compiled, observability, block_view, estimate, structure)
         return_memory(len(compiled.observations))

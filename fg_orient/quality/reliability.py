@@ -138,7 +138,7 @@ def reliability(cofactors: ResidualCofactors, *, alpha: float = ALPHA, power: fl
 
     def some(k: slice) -> list[Array]:
         of_rays = rays.points[o.point[k]]
-        found = _reliability(np.eye(2) - rays.fitted[k], cofactors.v_image[k], sigma[k], rays.response[k], of_rays,
+        found = _reliability(cofactors.some_images(k), cofactors.v_image[k], sigma[k], rays.response[k], of_rays,
                              rays.on_image[k], alpha, power)  # fmt: skip
         return [getattr(found, f.name) for f in fields(found)]
 
@@ -162,7 +162,7 @@ def unseen_shifts(known: ResidualCofactors) -> Array:
     problem, o, rays = known.problem, known.problem.observations, known.rays
     some, limit = [], UNSEEN / np.sqrt(noncentrality(dimension=2))
     for part in parts_of_rows(len(o)):
-        size, axes = np.linalg.eigh(np.eye(2) - rays.fitted[part])
+        size, axes = np.linalg.eigh(known.some_images(part))
         axis, point = axes[:, :, :1], o.point[part]
         moved = rays.response[part] @ axis  # of a whitened error of length 1
         effect = _in_own_sigmas(rays.points[point], moved)[:, 0]

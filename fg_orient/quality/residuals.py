@@ -35,7 +35,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array, Index
-from fg_orient.adjustment.cofactors import RayCofactors, inverse_roots
+from fg_orient.adjustment.cofactors import CHUNK, RayCofactors, inverse_roots
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows, linearised, residuals
@@ -52,8 +52,6 @@ from fg_orient.quality.elimination import (
 )
 from fg_orient.quality.hypotheses import CHECKED
 
-#: Rows of which temporary arrays are in memory at once.
-CHUNK: Final = 16_000
 #: Elements of the matrices W_j of all groups up to which they are formed: 0.5 GB each kind; 4 groups, 4000 unknowns.
 LARGEST: Final = 2**26
 #: Unknowns over those of a point up to which the rows of the point are a full matrix.
@@ -117,7 +115,11 @@ class ResidualCofactors:
     @property
     def image(self) -> Array:
         """Cofactors (n, 2, 2) of the residuals of each image point."""
-        return np.asarray(np.eye(2) - self.rays.fitted)
+        return self.some_images(slice(None))
+
+    def some_images(self, rows: slice) -> Array:
+        """Cofactors of the residuals of some image points."""
+        return np.asarray(np.eye(2) - self.rays.fitted[rows])
 
     @property
     def control(self) -> Array:

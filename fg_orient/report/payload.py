@@ -76,12 +76,12 @@ def payload(result: Result) -> Payload | None:
     located = np.isfinite(result.points.figures["lon_deg"])
     if not located.any():
         return None
-    rays, words = chosen_rays(result)
     kept, more = chosen_points(result)
+    rays, words = chosen_rays(result, kept)
     words = " ".join(filter(None, (words, more)))
     place = {name: k for k, name in enumerate(result.points.words["id"])}
     of_ray = np.fromiter((place[result.residuals.words["id"][k]] for k in rays.tolist()), np.intp, len(rays))
-    role = np.array([ROLES.index(word) if word in ROLES else 2 for word in result.points.words["role"]])
+    role = _role_numbers(result)
     if words:  # tie points without an image point in the page are left out
         seen = np.zeros(len(located), bool)
         seen[of_ray] = True
@@ -109,9 +109,12 @@ def payload(result: Result) -> Payload | None:
     return Payload(data, words)
 
 
-def chosen_rays(result: Result) -> tuple[Index, str]:
-    """Rows of the image points in the page, and a sentence on those that are not; flagged ones before others."""
-    n, known = len(result.residuals), int(np.count_nonzero(chosen_points(result)[0] & _is_known(result)))
+def chosen_rays(result: Result, points: Mask) -> tuple[Index, str]:
+    """Rows of the image points in the page, and a sentence on those that are not; flagged ones before others.
+
+    ``points`` (N,): those of :func:`chosen_points`.
+    """
+    n, known = len(result.residuals), int(np.count_nonzero(points & (_role_numbers(result) < 2)))
     if n <= LIMIT and n * RAY_BYTES + len(result.points) * POINT_BYTES <= BUDGET:
         return np.arange(n), ""
     most = max(BUDGET - known * POINT_BYTES, 0) // (RAY_BYTES + POINT_BYTES)
@@ -127,7 +130,7 @@ def chosen_rays(result: Result) -> tuple[Index, str]:
 
 def chosen_points(result: Result) -> tuple[Mask, str]:
     """Points (N,) that may be in the page, and a sentence on control and check points that are not."""
-    known, axes = np.flatnonzero(_is_known(result)), ("east", "north", "up")
+    known, axes = np.flatnonzero(_role_numbers(result) < 2), ("east", "north", "up")
     out, most = np.ones(len(result.points), bool), BUDGET // 2 // POINT_BYTES
     if len(known) <= most:
         return out, ""
@@ -144,9 +147,10 @@ def chosen_points(result: Result) -> tuple[Mask, str]:
     )
 
 
-def _is_known(result: Result) -> Mask:
-    """Control and check points (N,)."""
-    return np.fromiter((word in ROLES[:2] for word in result.points.words["role"]), bool, len(result.points))
+def _role_numbers(result: Result) -> Index:
+    """Position in :data:`ROLES` of the role of each point (N,)."""
+    number = {word: k for k, word in enumerate(ROLES)}
+    return np.array([number.get(word, 2) for word in result.points.words["role"]], np.intp)
 
 
 def _flagged_first(flagged: Mask, ratio: Array, most: int, room: int) -> tuple[Index, int]:

@@ -115,9 +115,9 @@ def test_large_blocks_keep_what_is_flagged(result: Result, monkeypatch: pytest.M
     data = {**payload.payload(planted).data, "images": []}  # type: ignore[union-attr]
     assert len(payload.Payload(data, "").json()) < bytes_of_points + 2000  # names of the columns
     monkeypatch.setattr(payload, "LIMIT", 20)
-    rows, words = payload.chosen_rays(planted)
+    rows, words = payload.chosen_rays(planted, payload.chosen_points(planted)[0])
     assert {3, 50, 90} <= set(rows.tolist()) and len(rows) == 20 == len(set(rows.tolist()))
-    assert rows.tolist() == payload.chosen_rays(planted)[0].tolist()
+    assert rows.tolist() == payload.chosen_rays(planted, payload.chosen_points(planted)[0])[0].tolist()
     assert "20 of 94 image points: all 3 with a residual beyond 3 σ" in words and "seed 1" in words
     page = render(planted)
     drawn = json.loads(elements(page)[0][1])
@@ -125,11 +125,11 @@ def test_large_blocks_keep_what_is_flagged(result: Result, monkeypatch: pytest.M
     roles = [drawn["roles"][k] for k in unpacked(drawn["points"]["role"]).astype(int)]
     assert (roles.count("control"), roles.count("check")) == (37, 10)
     monkeypatch.setattr(payload, "LIMIT", 2)
-    assert payload.chosen_rays(planted)[0].tolist() == [3, 50, 90]
+    assert payload.chosen_rays(planted, payload.chosen_points(planted)[0])[0].tolist() == [3, 50, 90]
     # 23 of 47 control and check points, and two image points, fit into these bytes
     monkeypatch.setattr(payload, "BUDGET", 2 * 23 * payload.POINT_BYTES)
     monkeypatch.setattr(payload, "RAY_BYTES", 10 * payload.POINT_BYTES)
-    rows, words = payload.chosen_rays(planted)
+    rows, words = payload.chosen_rays(planted, payload.chosen_points(planted)[0])
     assert rows.tolist() == [3, 90] and "the largest 2 of 3 with a residual beyond 3 σ" in words
     kept, words = payload.chosen_points(planted)
     known = np.array([role != "tie" for role in planted.points.words["role"]])
