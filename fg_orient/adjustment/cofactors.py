@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 #: Image points whose Jacobians are in memory at once.
-CHUNK: Final = 16_000
+CHUNK: Final = 8_000
 #: Image unknowns up to which one matrix of all their cofactors is formed: 0.3 GB.
 WHOLE_LIMIT: Final = 6000
 #: Image points up to which "auto" gives statistics of every observation.
@@ -84,8 +84,8 @@ class RayCofactors:
     ----------
     points : (N, 3, 3) array
         Cofactors of the ground points, m^2; zero for points that are not unknowns.
-    fitted : (n, 2, 2) array
-        Cofactors of the adjusted image points, ``A N^-1 A^T``.
+    residual : (n, 2, 2) array
+        Cofactors of the residuals, ``I - A N^-1 A^T``.
     response : (n, 3, 2) array
         Effect of an error of an image point on its ground point, m: rows of ``N^-1 A^T``.
     on_image : (n, 2) array
@@ -96,7 +96,7 @@ class RayCofactors:
     """
 
     points: Array
-    fitted: Array
+    residual: Array
     response: Array
     on_image: Array
     images: Array
@@ -168,7 +168,8 @@ def cofactors_of_rays(
             q_points = datum.elements(q_points, at, at)
             response -= datum.motions[of_ray] @ np.swapaxes(moved, 1, 2)
             effect -= moved @ np.swapaxes((roots @ datum.motions[place])[part.image], 1, 2)
-        out.points[part.points], out.fitted[part.rows], out.response[part.rows] = q_points, fitted, response
+        out.points[part.points], out.response[part.rows] = q_points, response
+        out.residual[part.rows] = np.eye(2) - fitted
         out.on_image[part.rows] = np.linalg.norm(effect, axis=2)
     return out
 
@@ -205,7 +206,7 @@ def rays_of_star(problem: Problem, state: State, star: Star) -> RayCofactors:
         fitted[rows] = by_image.reshape(m, 2, size) @ on_image_unknowns.reshape(m, 2, size).transpose(0, 2, 1)
         fitted[rows] += by_ground @ on_ground
         on_image[rows] = np.linalg.norm(on_image_unknowns @ roots[k, :size, :size].T, axis=1).reshape(m, 2)
-    return RayCofactors(points, fitted, response, on_image, star.images)
+    return RayCofactors(points, np.eye(2) - fitted, response, on_image, star.images)
 
 
 def inverse_roots(q: Array, size: Index) -> Array:

@@ -220,7 +220,7 @@ def _prepared(problem: Problem, extra: ConstraintObservation, sigma: Array) -> C
 
 
 def _with_extra(problem: Problem, extra: Iterable[ExtraObservation]) -> Problem:
-    return replace(problem, block=replace(problem.block, extra=tuple(extra)))
+    return replace(problem, block=replace(problem.block, extra=tuple(extra))) if extra else problem
 
 
 def linear_rows(problem: Problem, state: State) -> tuple[Array, Array, list[str]]:

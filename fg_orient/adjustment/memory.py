@@ -1,8 +1,10 @@
 """Memory required by an adjustment, estimated before it is allocated, and available memory.
 
-The estimate includes the arrays of the problem, the backend and the statistics; a run above the limit is refused with
-both values. Constants per image point are measured at 1e6 image points. The arrays of the dense backend and the reduced
-matrix are counted. The estimate does not include the block, which is in memory already.
+The estimate includes the arrays of the problem and the larger of those of the backend and those of statistics and
+results, which follow when the backend is released. If only the statistics of every observation exceed the limit, they
+are left out; otherwise the run is refused with both values. Constants per image point are measured at 1e6 image points.
+The arrays of the dense backend and the reduced matrix are counted. The estimate does not include the block, which is in
+memory already.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -20,7 +22,8 @@ from factors.cameras import pushbroom
 from fg_orient.adjustment.cofactors import CHUNK, WHOLE_LIMIT, full_statistics
 from fg_orient.adjustment.images_first import Sizes, each_of_one_image
 from fg_orient.adjustment.rows import image_models
-from fg_orient.adjustment.schur_structure import ALL_KEPT, LEAST_CHUNKS
+from fg_orient.adjustment.schur_stages import COPIED
+from fg_orient.adjustment.schur_structure import LEAST_CHUNKS
 from fg_orient.adjustment.solve import points_are_eliminated, suitable_backend
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import Finding, InputError, finding
@@ -33,9 +36,9 @@ SHARE: Final = 0.8
 #: tree; start values and results (cofactors, tables, report).
 SCHUR: Final = 400
 EXPLICIT: Final = 13_000
-RESULTS: Final = 400
+RESULTS: Final = 300
 #: Bytes per image point of the statistics of every observation, and of Jacobians that are in memory at once.
-STATISTICS: Final = 700
+STATISTICS: Final = 300
 STATISTICS_CHUNK: Final = 300
 #: Image points up to which the cofactors of groups of observations are computed in every adjustment, and bytes of each.
 EXACT_RAYS: Final = 3000
@@ -58,11 +61,15 @@ _OWN_GROUPS: Final = Path("/proc/self/cgroup")
 
 @dataclass(frozen=True)
 class Need:
-    """Estimated bytes of an adjustment with a backend, and its limit (None: unknown)."""
+    """Estimated bytes of an adjustment with a backend, and its limit (None: unknown).
+
+    ``statistics_left_out``: those of every observation, which the options leave to the program, would exceed the limit.
+    """
 
     backend: str
     needed: int
     allowed: int | None
+    statistics_left_out: bool = False
 
     @property
     def fits(self) -> bool:
@@ -71,7 +78,8 @@ class Need:
 
     def as_dict(self) -> dict[str, object]:
         """For the record of a result."""
-        return {"backend": self.backend, "needed_bytes": self.needed, "allowed_bytes": self.allowed}
+        return {"backend": self.backend, "needed_bytes": self.needed, "allowed_bytes": self.allowed,
+                "statistics_left_out": self.statistics_left_out}  # fmt: skip
 
     def problem(self, name: str) -> Finding:
         """Error for a block of this name that does not fit."""
@@ -101,7 +109,7 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
     sizes = [len(model.parameters) for model in models]
     n, u = len(block.observations), sum(sizes)
     records = 8 * (pushbroom.RECORD.size + options.curve_intervals)
-    common = n * (2 * records + 48) + len(block.points.ids) * 8 * PER_POINT
+    common = n * (records + 48) + len(block.points.ids) * 8 * PER_POINT
     backend = suitable_backend(block)
     border = _images_first(block, models) if backend == "graph" else None
     if border is not None:
@@ -111,10 +119,10 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
     working = _working(backend, block, n, u, max(sizes))
     if backend == "schur" and elsewhere:
         working -= n * SCHUR
-    elif backend != "dense" and n <= ALL_KEPT:  # small blocks have a second copy of their records
+    elif backend != "dense" and n <= COPIED:  # small blocks have a second copy of their records
         working += n * records
-    working += _statistics(len(block.images), n, max(sizes)) if full_statistics(options, n, u) else 0
-    return Need(backend, int(FIXED + common + working + n * RESULTS), allowed_bytes(options.memory_limit_gb))
+    after = n * RESULTS + (_statistics(len(block.images), n, max(sizes)) if full_statistics(options, n, u) else 0)
+    return Need(backend, int(FIXED + common + max(working, after)), allowed_bytes(options.memory_limit_gb))
 
 
 def _statistics(images: int, n: int, widest: int) -> float:
@@ -158,12 +166,22 @@ def _working(backend: str, block: Block, n: int, u: int, widest: int) -> float:
     return 8 * (3 * rows * unknowns + 2 * unknowns**2)  # Jacobian, scaled copy, factorisation; cofactors
 
 
-def require_memory(block: Block, *, elsewhere: bool = False) -> Need:
-    """Estimate the memory of a block; raise InputError if it is above the limit."""
+def reduced(block: Block, *, elsewhere: bool = False) -> tuple[Need, Block]:
+    """Estimate the memory of a block; without statistics of every observation if the options allow it and it helps."""
     need = need_of(block, elsewhere=elsewhere)
+    if need.fits or block.options.statistics != "auto":
+        return need, block
+    less = replace(block, options=replace(block.options, statistics="basic"))
+    smaller = need_of(less, elsewhere=elsewhere)
+    return (replace(smaller, statistics_left_out=True), less) if smaller.fits else (need, block)
+
+
+def within_memory(block: Block, *, elsewhere: bool = False) -> tuple[Need, Block]:
+    """Memory of a block and what can be adjusted, see :func:`reduced`; raise InputError if it is above the limit."""
+    need, block = reduced(block, elsewhere=elsewhere)
     if not need.fits:
         raise InputError(need.problem(block.name))
-    return need
+    return need, block
 
 
 def allowed_bytes(limit_gb: float | None) -> int | None:

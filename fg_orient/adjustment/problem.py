@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Final
 
 import numpy as np
@@ -19,7 +19,8 @@ from factors.arrays import Array
 from factors.conditions.control import POINT
 from factors.geometry import ellipsoid
 from fg_orient import geodesy
-from fg_orient.adjustment.rows import image_models, local_origin, residuals, whitened_records
+from fg_orient.adjustment.recomputed import computed_by, recomputed
+from fg_orient.adjustment.rows import image_models, local_origin, require_finite, residuals, whitened_records
 from fg_orient.adjustment.ties import Ties, ties_of
 from fg_orient.model.block import Block, ExtraObservation, ImagePoints
 from fg_orient.model.errors import InputError
@@ -61,6 +62,7 @@ class ExtraArgument:
     constant: Array | None = None
 
 
+@recomputed("records")
 @dataclass(frozen=True)
 class Problem:
     """Least-squares problem for a backend.
@@ -301,10 +303,10 @@ class Problem:
         """Corrections of all images: ``Correction``, or RPC compensation (6,) px."""
         return [model.correction(self.unknowns(state, k)) for k, model in enumerate(self.models)]
 
-    def pixel_residuals(self, state: State) -> Array:
-        """Residuals v = adjusted - observed (n, 2): line, sample in pixels."""
-        o = self.observations
-        return residuals(self, state) * np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
+    def pixel_residuals(self, state: State, whitened: Array | None = None) -> Array:
+        """Residuals v = adjusted - observed (n, 2): line, sample in pixels; from whitened ones, if they are known."""
+        o, v = self.observations, residuals(self, state) if whitened is None else whitened
+        return v * np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
 
 
 def compile_problem(block: Block, like: Problem | None = None) -> Problem:
@@ -340,7 +342,7 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
     observations = block.observations if keep.all() else block.observations.take(keep)
     if not len(observations):
         raise InputError.of("block.no_rays", file=block.name, place="image points", value=0)
-    _require_finite(block, observations, control_rows)
+    require_finite(block, observations, control_rows)
     if not block.georeferenced and any(image.sensor.georeferenced for image in block.images):
         raise InputError.of("frame.mixed", file=block.name, place="images")
     origin = local_origin(block.images)
@@ -359,12 +361,23 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
     active = part & ~(is_control & known.fixed)
     observed = active & is_control
     records = _records(models, observations, start_ecef, origin, same, like)
-    widest = max(len(model.parameters) for model in models)
-    start = State(np.zeros((len(models), widest)), np.where(part[:, None], start_ecef - origin, np.nan))
-    return Problem(
+    image = np.zeros((len(models), max(len(model.parameters) for model in models)))
+    start = State(image, np.where(part[:, None], start_ecef - origin, np.nan))
+    out = Problem(
         block, models, observations, records, origin, start, active, observed,
         _control_records(block, start_ecef, origin, observed),
     )  # fmt: skip
+    if like is None:
+        computed_by(out, "records", partial(_records_again, models, observations, start_ecef, origin))
+    return out
+
+
+def _records_again(
+    models: Sequence[ImageModel], observations: ImagePoints, ground_m: Array, origin_m: Array,
+    rows: npt.NDArray[np.intp] | None,
+) -> Array:  # fmt: skip
+    """Whitened records of some image points, or of all."""
+    return whitened_records(models, observations if rows is None else observations.take(rows), ground_m, origin_m)
 
 
 def unchanged_rows(like: Problem, block: Block, observations: ImagePoints) -> npt.NDArray[np.intp]:
@@ -402,22 +415,6 @@ def _records(
     out = np.zeros((len(same), max(made.shape[1], like.records.shape[1])))
     out[old, : like.records.shape[1]], out[new, : made.shape[1]] = like.records[same[old]], made
     return out
-
-
-def _require_finite(block: Block, observations: ImagePoints, control: npt.NDArray[np.intp]) -> None:
-    """Raise InputError for the first point with invalid pixels, coordinates or sigmas."""
-    pixels = np.stack([observations.line, observations.sample], axis=1)
-    sigmas = np.stack([observations.sigma_line_px, observations.sigma_sample_px], axis=1)
-    bad = observations.point[~(np.isfinite(pixels) & np.isfinite(sigmas) & (sigmas > 0.0)).all(axis=1)]
-    known = block.points.known
-    sigma_m = known.sigma_enu_m[control]
-    with np.errstate(invalid="ignore"):
-        weighted = (np.isfinite(sigma_m) & (sigma_m > 0.0)).all(axis=1)
-    usable = (known.fixed[control] | weighted) & np.isfinite(known.ecef_m[control]).all(axis=1)
-    bad = np.concatenate([bad, control[~usable]])
-    if len(bad):
-        point = block.points.ids[int(bad[0])]
-        raise InputError.of("block.not_finite", file=block.name, place=f"point {point}", value=f"{len(bad)} value(s)")
 
 
 def schur_possible(block: Block) -> bool:

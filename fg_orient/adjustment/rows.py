@@ -13,13 +13,14 @@ import numpy.typing as npt
 
 from factors._contract import NotFiniteError, check_blocks
 from factors.arrays import Array, Index
+from fg_orient.adjustment.recomputed import some_rows
 from fg_orient.kernels.batch import batch
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.base import ImageModel
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.problem import Problem, State
-    from fg_orient.model.block import Image, ImagePoints, Options
+    from fg_orient.model.block import Block, Image, ImagePoints, Options
     from fg_orient.sensors.base import ImageModel
 
 
@@ -72,7 +73,7 @@ def image_rows(problem: Problem, state: State, k: int, rows: Index, *, jacobian:
     """
     model, n = problem.models[k], len(rows)
     ground = np.ascontiguousarray(state.ground[problem.observations.point[rows]])
-    x, records = problem.unknowns(state, k), problem.records[rows]
+    x, records = problem.unknowns(state, k), some_rows(problem, "records", rows)
     kernel, columns = batch(model.equation, model.parameters.setup, records)
     basis, own = columns.values(records), np.arange(n, dtype=np.int32)
     wide = np.zeros((1, basis.shape[1] * columns.n_components))
@@ -123,9 +124,11 @@ def linearised(problem: Problem, state: State, rows: Index | None = None) -> Row
 def _evaluate(problem: Problem, state: State, rows: Index | None, out: Rows, *, want: bool) -> None:
     """Write the residuals of image points and, if wanted, their Jacobians; images of one equation together."""
     o, row = problem.observations, np.arange(len(out.residual), dtype=np.int32)
-    image, point, records = o.image, o.point, problem.records
-    if rows is not None:
-        image, point, records = image[rows], point[rows], records[rows]
+    image, point = o.image, o.point
+    if rows is None:
+        records = problem.records
+    else:
+        image, point, records = image[rows], point[rows], some_rows(problem, "records", rows)
     own = groups(problem.models)
     number = np.zeros(problem.n_images, np.intp)
     for g, images in enumerate(own):
@@ -195,6 +198,22 @@ def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel,
 def local_origin(images: Sequence[Image]) -> npt.NDArray[np.float64]:
     """Origin (3,) of the ground unknowns, ECEF m: mean of the image centres on the ground."""
     return np.asarray(np.mean([image.sensor.centre_m for image in images], axis=0))
+
+
+def require_finite(block: Block, observations: ImagePoints, control: Index) -> None:
+    """Raise InputError for the first point with invalid pixels, coordinates or sigmas."""
+    pixels = np.stack([observations.line, observations.sample], axis=1)
+    sigmas = np.stack([observations.sigma_line_px, observations.sigma_sample_px], axis=1)
+    bad = observations.point[~(np.isfinite(pixels) & np.isfinite(sigmas) & (sigmas > 0.0)).all(axis=1)]
+    known = block.points.known
+    sigma_m = known.sigma_enu_m[control]
+    with np.errstate(invalid="ignore"):
+        weighted = (np.isfinite(sigma_m) & (sigma_m > 0.0)).all(axis=1)
+    usable = (known.fixed[control] | weighted) & np.isfinite(known.ecef_m[control]).all(axis=1)
+    bad = np.concatenate([bad, control[~usable]])
+    if len(bad):
+        point = block.points.ids[int(bad[0])]
+        raise InputError.of("block.not_finite", file=block.name, place=f"point {point}", value=f"{len(bad)} value(s)")
 
 
 def groups(models: Sequence[ImageModel]) -> list[list[int]]:

@@ -165,6 +165,7 @@ class SchurSystem(Blended):
     def release(self) -> None:
         """Free the arrays of this linearisation, 0.1 kB for each image point; they are computed again at need."""
         self._backend.buffers = Buffers(self.structure, self._backend.problem.control_records)
+        self._backend.stages.release()
 
     def rows(self, tile: Tile) -> TileRows:
         """Whitened, weighted rows of a tile; rows that are not kept are overwritten by the next tile."""

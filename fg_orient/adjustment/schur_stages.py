@@ -18,13 +18,16 @@ from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import refuse
 from fg_orient.adjustment.schur_reduced import Singular
-from fg_orient.adjustment.schur_structure import ALL_KEPT, Structure, Tile
+from fg_orient.adjustment.schur_structure import Structure, Tile
 from fg_orient.kernels.batch_pairs import pair_blocks
 from fg_orient.kernels.batch_points import back_substitute, point_blocks, scale_rows
 from fg_orient.kernels.vectors import SLACK, padded
 
 #: Bytes of a cache line.
 CACHE_LINE: Final = 64
+#: Image points up to which the records are copied in the order of the points, 0.3 kB each: in the order of the input
+#: they cost 40 ns more per image point and iteration.
+COPIED: Final = 100_000
 
 
 @dataclass(frozen=True)
@@ -114,12 +117,19 @@ class Stages:
 
     def __init__(self, problem: Problem, structure: Structure) -> None:
         self.problem, self.structure = problem, structure
-        # records in the order of the input cost 40 ns more per image point and iteration (measured at 1e5)
-        self._records, self._row = problem.records, structure.row
-        if len(structure.row) <= ALL_KEPT:
-            self._records, self._row = problem.records[structure.row], np.arange(len(structure.row), dtype=np.int32)
+        self._own = len(structure.row) <= COPIED
+        self._row = np.arange(len(structure.row), dtype=np.int32) if self._own else structure.row
         largest = max((t.points[1] - t.points[0] for t in structure.tiles), default=0)
         self._all = np.arange(largest, dtype=np.int32)
+
+    @cached_property
+    def _records(self) -> Array:
+        """Records that belong to ``_row``."""
+        return self.problem.records[self.structure.row] if self._own else self.problem.records
+
+    def release(self) -> None:
+        """Free the records; they are copied again at need."""
+        self.__dict__.pop("_records", None)
 
     def rows(self, lo: int, hi: int, rows: TileRows, state: State, wide: Array, want: bool) -> None:
         """Write the residuals of image points lo to hi, all of one tile, and, if wanted, their Jacobians.
@@ -128,14 +138,14 @@ class Stages:
         residual or Jacobian that is not finite.
         """
         s, (start, end) = self.structure, rows.tile.points
-        at = slice(start, end)
+        at, records = slice(start, end), self._records
         for group in s.groups:
             members, part = self._all, (lo - start, hi - start)
             if group.members is not None:
                 first, end_of_part = np.searchsorted(group.members, (lo, hi))
                 members, part = group.members[first:end_of_part] - np.int32(start), (0, int(end_of_part - first))
             a = group.rows(
-                *part, members, self._records, self._row[at], s.image[at], s.point[at], group.columns.setup,
+                *part, members, records, self._row[at], s.image[at], s.point[at], group.columns.setup,
                 group.n_basis, s.basis[at], wide, state.ground, rows.value, rows.d_image, rows.d_ground, want,
             )  # fmt: skip
             if a >= 0:

@@ -43,9 +43,9 @@ def validate(
         impossible = _impossible(block, project)
         problems += impossible
         if not impossible:
-            from fg_orient.adjustment.memory import need_of
+            from fg_orient.adjustment.memory import reduced
 
-            need = need_of(block)
+            need, _ = reduced(block)
             problems += [] if need.fits else [need.problem(str(project))]
     errors = [p for p in problems if p.severity == "failure"]
     remarks = [p for p in problems if p.severity != "failure"]

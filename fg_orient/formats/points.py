@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -183,8 +184,7 @@ class PointFile:
 
     def withheld(self, ids: Sequence[str]) -> WithheldCoordinates:
         """Seal the coordinates of these check points until they are opened."""
-        wanted = tuple(ids)
-        return WithheldCoordinates(wanted, lambda: self.opened(wanted))
+        return WithheldCoordinates(tuple(ids), partial(self.opened, tuple(ids)))
 
 
 def read_points(path: Path, crs: str, faults: Faults, scenes: Sequence[Scene] = ()) -> PointFile | None:

@@ -30,17 +30,31 @@ t_quantile = _of_arrays(special.stdtrit)
 #: Fisher's F: arguments degrees of freedom above and below, probability; F.
 f_quantile = _of_arrays(special.fdtri)
 f_tail = _of_arrays(special.fdtrc)
-#: Beta distribution: arguments a, b, x; probability. The limit is accurate for small probabilities.
-beta_probability = _of_arrays(special.betainc)
+#: Beta distribution: arguments a, b, probability. The limit is accurate for small probabilities.
 beta_quantile = _of_arrays(special.betaincinv)
 beta_limit = _of_arrays(special.betainccinv)
-#: Chi-square: arguments degrees of freedom, x; probability. Quantile and limit are accurate for small probabilities.
+#: Chi-square: arguments degrees of freedom, x or probability. Quantile and limit are accurate for small probabilities.
 chi_square_probability = _of_arrays(special.chdtr)
-chi_square_tail = _of_arrays(special.chdtrc)
 chi_square_quantile = _of_arrays(lambda freedom, probability: 2.0 * special.gammaincinv(0.5 * freedom, probability))
 chi_square_limit = _of_arrays(special.chdtri)
 #: Probability of an amount of Student's t beyond that of t: arguments degrees of freedom, t > 0.
 t_two_sided = _of_arrays(lambda freedom, t: 2.0 * special.stdtr(freedom, -t))
+
+
+def chi_square_tail(freedom: npt.ArrayLike, x: npt.ArrayLike) -> Array:
+    """Tail of chi-square; for two degrees of freedom, those of image points, ``exp(-x / 2)``: a tenth of the time."""
+    freedom, x = np.broadcast_arrays(np.asarray(freedom, np.float64), np.asarray(x, np.float64))
+    out, other = np.asarray(np.exp(-0.5 * np.maximum(x, 0.0))), freedom != 2.0
+    out[other] = special.chdtrc(freedom[other], x[other])
+    return out
+
+
+def beta_probability(a: npt.ArrayLike, b: npt.ArrayLike, x: npt.ArrayLike) -> Array:
+    """Probability of the beta distribution; for b = 1, that of image points, ``x^a``."""
+    a, b, x = np.broadcast_arrays(*(np.asarray(one, np.float64) for one in (a, b, x)))
+    out, other = np.asarray(np.power(x, a)), b != 1.0
+    out[other] = special.betainc(a[other], b[other], x[other])
+    return out
 
 
 def normal_within(x: npt.ArrayLike, sigma: float) -> Array:

@@ -41,6 +41,7 @@ def conclude(
     start = working_clock()
     weighted = compiled if estimate.weights is None else weighted_problem(compiled, estimate.weights)
     cofactors, unavailable = cofactors_at(weighted, estimate)
+    return_memory(len(compiled.observations))
     located = _located_afterwards(compiled, estimate.state)
     ground = estimate.state.ground + compiled.origin_m
     if located is not None:
@@ -65,14 +66,15 @@ def conclude(
         findings.append(finding("solution.check_not_located", n=len(names), points=names))
     accept = compiled.block.options.accept
     status, reason, ordered = verdict.decided(assessment, estimate.end, findings, accept)
+    whitened = None if examined.residuals is None else examined.residuals.v_image
     ordered, supposed = causes.added(ordered, compiled, estimate, on_earth, examined, accuracy.check)
     return Solution(
         problem=compiled, status=status, verdict=reason, end=estimate.end, residuals=examined.residuals,
-        tests=examined.tests,
+        residuals_px=compiled.pixel_residuals(estimate.state, whitened), tests=examined.tests,
         backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,
         state=estimate.state, ground_m=ground, chi2=estimate.chi2,
         sigma0_interval=assessment.interval, log=estimate.log, iterations=estimate.iterations,
-        residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, block_view=block_view,
+        observability=observability, block_view=block_view,
         accuracy=accuracy, cofactors=cofactors, sigmas=examined.sigmas, unavailable=unavailable, findings=ordered,
         reduced_system=choice, weights=estimate.weights, resumed_at=estimate.resumed_at, supposed=supposed,
         seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, working_clock() - start),

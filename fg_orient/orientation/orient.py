@@ -15,7 +15,7 @@ from factors._preparation import preparing_seconds, working_clock
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.constraints import has_constraints, hold, released, tightened
 from fg_orient.adjustment.loop import Callback
-from fg_orient.adjustment.memory import require_memory
+from fg_orient.adjustment.memory import within_memory
 from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.runtime import return_memory
@@ -199,6 +199,7 @@ def _compiled(block: Block) -> tuple[Problem, tuple[ImageObservability, ...], Bl
     if inner and block_view.null is not None:
         compiled = with_minimal_datum(compiled, block_view.null)
     held = vendor_datum.with_vendor_datum(compiled) if block.options.datum == "vendor" else compiled
+    return_memory(len(compiled.observations))
     return held, observability, block_view, working_clock() - start
 
 
@@ -266,7 +267,8 @@ class _Run:
 
     def once(self, block: Block, begin: State | None = None) -> Solution:
         """Adjust a block once with its options, from a state if given."""
-        memory = require_memory(block, elsewhere=self.execution is not None and self.execution.cluster is not None)
+        elsewhere = self.execution is not None and self.execution.cluster is not None
+        memory, block = within_memory(block, elsewhere=elsewhere)
         prepared = preparing_seconds()
         self._report("structure", len(block.observations))
         inner = block.options.datum == "inner"

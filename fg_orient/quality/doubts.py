@@ -15,6 +15,8 @@ import numpy as np
 
 from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.recomputed import release
+from fg_orient.adjustment.runtime import MANY_ROWS, return_memory
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.distributions import chi_square_tail, sidak
 from fg_orient.model.errors import DECISIVE, Finding, InputError, finding
@@ -75,6 +77,10 @@ def of_solution(
     if not gives_statistics(problem, cofactors):
         return Examined(out)
     residuals = ResidualCofactors(problem, estimate.state, cofactors)
+    residuals.compute()
+    if len(problem.observations) >= MANY_ROWS and not options.snoop:  # the next round copies them
+        release(problem, "records")
+    return_memory(len(problem.observations))
     tests = outlier_tests(residuals, estimate.chi2, level=options.outlier_level, test=options.outlier_test,
                           control=options.multiple_testing)  # fmt: skip
     gross = gross_errors(tests, options.accept)

@@ -62,9 +62,25 @@ def can_be_tested(d: npt.ArrayLike, redundancy: float | Array, test: str) -> Mas
     return np.asarray((d > 0) & ((d <= redundancy) if test == "baarda" else (d < redundancy)))
 
 
+def eigen(q: Array) -> tuple[Array, Array]:
+    """Eigenvalues (..., k), ascending, and eigenvectors (..., k, k) in columns, of symmetric matrices (..., k, k).
+
+    Of two rows in closed form, as Jacobi's rotation: LAPACK takes 0.5 us for each of these matrices.
+    """
+    if q.shape[-1] != 2:
+        return np.linalg.eigh(q)
+    a, b, c = q[..., 0, 0], q[..., 0, 1], q[..., 1, 1]
+    middle, apart = 0.5 * (a + c), np.hypot(0.5 * (a - c), b)
+    angle = 0.5 * np.arctan2(2.0 * b, a - c)  # of the eigenvector of the larger eigenvalue
+    x, y = np.cos(angle), np.sin(angle)
+    axes = np.empty(q.shape)
+    axes[..., 0, 0], axes[..., 1, 0], axes[..., 0, 1], axes[..., 1, 1] = -y, x, x, y
+    return np.stack([middle - apart, middle + apart], axis=-1), axes
+
+
 def quadratic(v: Array, q: Array) -> tuple[Array, Index, Array]:
     """``v^T Q^+ v`` (n,), the rank d of Q (n,) and ``Q^+ v`` (n, k), of v (n, k) with cofactors Q (n, k, k)."""
-    size, axes = np.linalg.eigh(q)
+    size, axes = eigen(q)
     checked = size > CHECKED
     along = np.einsum("...ka,...k->...a", axes, v)
     share = np.where(checked, along / np.where(checked, size, 1.0), 0.0)
@@ -120,6 +136,12 @@ def limits(level: npt.ArrayLike, d: Index, redundancy: float | Array, test: str)
 
     For d = 1 Pope's limit is ``sqrt(f) t / sqrt(f - 1 + t^2)``, t Student's quantile of f - 1 degrees of freedom.
     """
+    if np.ndim(level) == np.ndim(redundancy) == 0 and np.size(d):
+        return _limits(level, np.arange(1, np.max(d) + 1), redundancy, test)[np.asarray(d) - 1]
+    return _limits(level, d, redundancy, test)
+
+
+def _limits(level: npt.ArrayLike, d: Index, redundancy: float | Array, test: str) -> Array:
     if test == "baarda":
         value: Array = chi_square_limit(d, level)
     else:

@@ -7,10 +7,14 @@ from dataclasses import dataclass
 from typing import overload
 
 import numpy as np
+import numpy.typing as npt
 
-from factors.arrays import Array, Index
+from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem
 from fg_orient.quality import hypotheses
+
+#: Places and small numbers of all suspects, in half of the memory.
+Small = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -117,16 +121,16 @@ class OutlierTests(Sequence[GroupTest]):
     n_tested: int
     parts: tuple[str, ...]
     units: tuple[str, ...]
-    part: Index
-    point: Index
-    row: Index
-    dimension: Index
+    part: Small
+    point: Small
+    row: Small
+    dimension: Small
     quadratic: Array
     statistic: Array
     critical: Array
     probability: Array
     error: Array
-    of_class: Index
+    of_class: Small
 
     def __len__(self) -> int:
         return len(self.part)

@@ -86,9 +86,10 @@ def assess_suspects(
     first = np.arange(len(t))
     first[tested] = classes[of_class[tested]]
     order = np.lexsort((row < 0, -t[first], np.where(tested, probability[first], np.inf)))
+    in_part, of_point, at, rank, group = (values[order].astype(np.int32) for values in (part, point, row, d, of_class))
     return OutlierTests(
-        problem, test, control, level, each, len(classes), parts, units, part[order], point[order], row[order],
-        d[order], t[order], statistic[order], critical[order], probability[order], error[order], of_class[order],
+        problem, test, control, level, each, len(classes), parts, units, in_part, of_point, at, rank,
+        t[order], statistic[order], critical[order], probability[order], error[order], group,
     )  # fmt: skip
 
 

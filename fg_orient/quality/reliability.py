@@ -25,6 +25,7 @@ import numpy as np
 from factors.arrays import Array, Mask
 from fg_orient.model.distributions import chi_square_limit, chi_square_noncentrality
 from fg_orient.model.errors import InputError
+from fg_orient.quality.hypotheses import eigen
 from fg_orient.quality.residuals import ResidualCofactors, by_parts, parts_of_rows
 
 #: Baarda's usual choice: probabilities of a false alarm, and of detecting the minimal detectable bias.
@@ -138,7 +139,7 @@ def reliability(cofactors: ResidualCofactors, *, alpha: float = ALPHA, power: fl
 
     def some(k: slice) -> list[Array]:
         of_rays = rays.points[o.point[k]]
-        found = _reliability(cofactors.some_images(k), cofactors.v_image[k], sigma[k], rays.response[k], of_rays,
+        found = _reliability(cofactors.image[k], cofactors.v_image[k], sigma[k], rays.response[k], of_rays,
                              rays.on_image[k], alpha, power)  # fmt: skip
         return [getattr(found, f.name) for f in fields(found)]
 
@@ -162,7 +163,7 @@ def unseen_shifts(known: ResidualCofactors) -> Array:
     problem, o, rays = known.problem, known.problem.observations, known.rays
     some, limit = [], UNSEEN / np.sqrt(noncentrality(dimension=2))
     for part in parts_of_rows(len(o)):
-        size, axes = np.linalg.eigh(known.some_images(part))
+        size, axes = eigen(known.image[part])
         axis, point = axes[:, :, :1], o.point[part]
         moved = rays.response[part] @ axis  # of a whitened error of length 1
         effect = _in_own_sigmas(rays.points[point], moved)[:, 0]
@@ -191,11 +192,11 @@ def _reliability(
     """
     d = q.shape[1]
     r = np.einsum("nii->ni", q).copy()
-    size, axes = np.linalg.eigh(q)
+    size, axes = eigen(q)
     known = np.where(r > ROUNDING, r, np.nan)
     bias = np.sqrt(noncentrality(alpha, power) / known)
     together = np.einsum("ni,nij,nj->nij", 1.0 / sigma, q, 1.0 / sigma)  # in the unit of the coordinates
-    spread = np.linalg.eigvalsh(together)
+    spread = eigen(together)[0]
     checked = size[:, 0] > ROUNDING
     group = noncentrality(alpha, power, d)
     least, most = (np.where(np.isfinite(s) & (s > 0.0), s, np.nan) for s in (spread[:, 0], spread[:, -1]))

@@ -92,6 +92,10 @@ class ResidualCofactors:
     state: State
     cofactors: Cofactors
 
+    def compute(self) -> None:
+        """Compute residuals and cofactors of the image points: nothing needs their records any more."""
+        _ = self.v_image, self.rays
+
     @cached_property
     def v_image(self) -> Array:
         """Residuals (n, 2) of the image points, in the order of ``problem.observations``."""
@@ -115,11 +119,7 @@ class ResidualCofactors:
     @property
     def image(self) -> Array:
         """Cofactors (n, 2, 2) of the residuals of each image point."""
-        return self.some_images(slice(None))
-
-    def some_images(self, rows: slice) -> Array:
-        """Cofactors of the residuals of some image points."""
-        return np.asarray(np.eye(2) - self.rays.fitted[rows])
+        return self.rays.residual
 
     @property
     def control(self) -> Array:
@@ -171,7 +171,7 @@ class ResidualCofactors:
                 columns = np.r_[first[at] : first[at + 1], first[-1] : first[-1] + 3]
                 design = np.concatenate([d_image, d_ground], axis=2)
                 effect = q[:, columns] @ np.swapaxes(design, 1, 2)
-                rays.fitted[rows] = design @ effect[:, columns]
+                rays.residual[rows] = np.eye(2) - design @ effect[:, columns]
                 rays.response[rows] = effect[:, -3:]
                 root = inverse_roots(rays.images[k : k + 1], np.diff(first[at : at + 2]))[0, : d_image.shape[2]]
                 own = root[:, : len(root)] @ effect[:, first[at] : first[at + 1]]

@@ -103,7 +103,11 @@ def suspects(known: ResidualCofactors, kind: Kind = "groups") -> list[Suspects]:
     rows = n + 3 * np.arange(len(given))[:, None] + np.arange(3)
     control = (given, np.full(len(given), -1), rows, known.v_control, known.control)
     # the residuals are adjusted minus observed
-    pixel = -np.eye(2) / np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)[:, None]
+    sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
+    if len(o) and (sigma == sigma[0]).all():  # one matrix for all
+        pixel = np.broadcast_to(-np.eye(2) / sigma[0], (len(o), 2, 2))
+    else:
+        pixel = -np.eye(2) / sigma[:, None]
     metre = -np.eye(3) * np.linalg.norm(known.control_rows, axis=2)[:, None]
     east, north, up = problem.axis_names
     if kind == "coordinates":

@@ -10,6 +10,7 @@ import numpy as np
 from factors.arrays import Array, Index
 from fg_orient.adjustment.cofactors import AUTO_LIMIT
 from fg_orient.adjustment.constraints import has_constraints
+from fg_orient.adjustment.memory import GB
 from fg_orient.model.errors import Finding, finding
 from fg_orient.quality.covariance import gives_statistics
 from fg_orient.quality.reliability import CHECKABLE, UNSEEN, noncentrality
@@ -48,6 +49,8 @@ def unavailable(solution: Solution, *figures: str) -> Finding | None:
         return finding("absent.covariance", figures=figures)
     if gives_statistics(problem, solution.cofactors):
         return None
+    if solution.memory is not None and solution.memory.statistics_left_out:
+        return finding("absent.memory", figures=figures, allowed=f"{(solution.memory.allowed or 0) / GB:.3g} GB")
     if chosen == "basic":
         return finding("absent.basic", figures=figures)
     return finding("absent.large", figures=figures, limit=AUTO_LIMIT)

@@ -63,13 +63,15 @@ def nearest_points(centre_m: Array, direction: Array, point: Index, n_points: in
     convergence_deg : (n_points,) array
         Largest angle between any two rays of the point; 0 for parallel rays and for fewer than two rays.
     """
-    normal = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-    n = np.zeros((n_points, 3, 3))
-    b = np.zeros((n_points, 3))
+    n, b = np.empty((n_points, 3, 3)), np.empty((n_points, 3))
     count = np.bincount(point, minlength=n_points)
     reference = centre_m.mean(axis=0)
-    np.add.at(n, point, normal)
-    np.add.at(b, point, np.einsum("nij,nj->ni", normal, centre_m - reference))
+    from_reference = centre_m - reference
+    along = np.einsum("ni,ni->n", direction, from_reference)
+    for i in range(3):  # sums of I - u u^T and of (I - u u^T) c, element by element: no matrix of each ray
+        b[:, i] = np.bincount(point, from_reference[:, i] - direction[:, i] * along, n_points)
+        for j in range(i, 3):
+            n[:, i, j] = n[:, j, i] = (i == j) * count - np.bincount(point, direction[:, i] * direction[:, j], n_points)
     out = np.full((n_points, 3), np.nan)
     spread = _largest_angles_deg(direction, point, count)
     good = np.flatnonzero(spread > MIN_CONVERGENCE_DEG)

@@ -66,7 +66,7 @@ class BlockOptions:
 
     rows: int = option(2, BLOCK, "Rows of scenes.", within=(1, 20))
     columns: int = option(2, BLOCK, "Columns of scenes.", within=(1, 20))
-    points: int = option(400, BLOCK, "Ground points, each seen twice or more.", within=(LEAST_CONTROL, 1_000_000))
+    points: int = option(400, BLOCK, "Ground points, each seen twice or more.", within=(LEAST_CONTROL, 10_000_000))
     seed: int = option(1, NOISE, _SEED, within=(0, math.inf))
     spacing_m: float = option(28e3, BLOCK, "Distance of neighbouring scenes.", within=(1e3, 40e3), unit="m")
     roll_deg: float = option(12.0, BLOCK, "Mirror angle, to both sides in turn.", within=(1.0, 27.0), unit="deg")

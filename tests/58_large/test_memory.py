@@ -58,6 +58,23 @@ def test_refused_before_anything_is_compiled(block: Block, monkeypatch: pytest.M
 
 
 @pytest.mark.behaviour
+def test_statistics_are_left_out_where_only_they_exceed_the_limit(tmp_path: Path) -> None:
+    """The coordinates are the same, and the record names what is missing, why and the remedy."""
+    project = simulate_block(tmp_path / "block", BlockOptions(points=900))
+    full, basic = (
+        in_process("adjust", project, "--statistics", kind, "--out", tmp_path / kind, "--json").json
+        for kind in ("auto", "basic")
+    )
+    needed = [record["memory"]["needed_bytes"] for record in (full, basic)]
+    limit = 0.5e-9 * sum(needed)
+    assert needed[1] < 0.8 * needed[0] and full["reliability"] is not None
+    less = in_process("adjust", project, "--memory-limit-gb", limit, "--out", tmp_path / "less", "--json").json
+    assert less["reliability"] is None and less["memory"]["statistics_left_out"] and less["sigma0"] == full["sigma0"]
+    assert [w for w in less["warnings"] if "memory limit" in w and "redundancy numbers" in w]
+    assert "memory limit of" in (tmp_path / "less" / "report.html").read_text("utf-8")
+
+
+@pytest.mark.behaviour
 def test_commands_tell_the_need_and_refuse(tmp_path: Path) -> None:
     project = simulate_block(tmp_path / "block", BlockOptions(points=60))
     told = in_process("validate", project, "--json").json["memory"]
