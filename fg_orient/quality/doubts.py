@@ -111,8 +111,8 @@ def gross_errors(tests: OutlierTests, accept: Sequence[str] = ()) -> list[Findin
     (Baarda's test of this observation alone) is not a doubt, although it is large relative to a small sigma0.
     """
     level, d = BUDGET["gross_error"], tests.dimension
-    unlikely = (d > 0) & (tests.probability <= sidak(level, max(tests.n_tested, 1)))
-    above = np.flatnonzero(unlikely & (chi_square_tail(np.maximum(d, 1), np.nan_to_num(tests.quadratic)) <= ALPHA))
+    unlikely = np.flatnonzero((d > 0) & (tests.probability <= sidak(level, max(tests.n_tested, 1))))
+    above = unlikely[chi_square_tail(d[unlikely], tests.quadratic[unlikely]) <= ALPHA]
     first = np.sort(np.unique(tests.of_class[above], return_index=True)[1])
     out: list[Finding] = []
     for rank, k in enumerate(above[first].tolist()):

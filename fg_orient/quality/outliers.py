@@ -105,7 +105,7 @@ def _classes(point: Index, d: Index, t: Array, tested: Mask) -> tuple[Index, Ind
     """
     of_class = np.full(len(t), -1, np.intp)
     order = np.flatnonzero(tested)
-    order = order[np.lexsort((t[order], d[order], point[order]))]
+    order = order[np.lexsort((t[order], point[order] * (d.max(initial=0) + 1) + d[order]))]
     if not len(order):
         return order, of_class
     after, before = order[1:], order[:-1]

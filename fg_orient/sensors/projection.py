@@ -89,17 +89,16 @@ def pixel_derivative(
 
 
 class Linearised(NamedTuple):
-    """Records (N, 34) of pixels, their conditions (N, 2) and the derivative (N, 2, 2) by line and sample."""
+    """Records (N, 34) of pixels, and the derivative (N, 2, 2) of their conditions by line and sample."""
 
     records: Array
-    value: Array
     slope: Array
 
 
 def linearised(
     sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction
 ) -> Linearised:
-    """Evaluate conditions and their derivative at pixels inside the image."""
+    """Give records of pixels inside the image and the derivative of their conditions."""
     if len(line) > AT_ONCE:
         parts = [slice(lo, lo + AT_ONCE) for lo in range(0, len(line), AT_ONCE)]
         found = [linearised(sensor, line[k], sample[k], ground_m[k], correction) for k in parts]
@@ -112,15 +111,15 @@ def linearised(
     psi_x, psi_y = sensor.look_angles(sample)
     thrice = np.tile(sample, 3), (np.tile(psi_x, 3), np.tile(psi_y, 3))
     records = sensor.records_of(states, *thrice, ground, small_angle=small)
-    f = _conditions(records, ground, correction).reshape(3, n, 2)
-    by_line = (f[2] - f[1]) / (after - before)[:, None]
+    f_before, f_after = _conditions(records[n:], ground[n:], correction).reshape(2, n, 2)
+    by_line = (f_after - f_before) / (after - before)[:, None]
     if sensor.bends_light:  # the mounting depends on the sample
         here, other = states.first(n), ((s, sensor.look_angles(s)) for s in (low, high))
         there = [sensor.records_of(here, *one, ground_m, small_angle=small) for one in other]
         f_low, f_high = (_conditions(part, ground_m, correction) for part in there)
     else:  # F_y = f1/f3 - tan psi_y, F_x = f2/f3 + tan psi_x: the rest does not depend on the sample
         f_low, f_high = (_tangents(sensor, s, correction) for s in (low, high))
-    return Linearised(records[:n], f[0], np.stack([by_line, (f_high - f_low) / (high - low)[:, None]], axis=2))
+    return Linearised(records[:n], np.stack([by_line, (f_high - f_low) / (high - low)[:, None]], axis=2))
 
 
 def _tangents(sensor: PushbroomSensor, sample: Array, correction: Correction) -> Array:
@@ -147,7 +146,8 @@ def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) ->
                   np.clip(at[1], sensor.first_sample - 0.5, sensor.last_sample + 0.5))  # fmt: skip
         # less than a pixel away the derivative is nearly the same: each step is still a thousandth of the last
         if (previous > SAME_SLOPE_PX).any():
-            _, f, slope[todo] = linearised(sensor, *inside, ground_m[todo], correction)
+            records, slope[todo] = linearised(sensor, *inside, ground_m[todo], correction)
+            f = _conditions(records, ground_m[todo], correction)
         else:
             f = conditions(sensor, *inside, ground_m[todo], correction)
         step = np.stack(inside, axis=1) - np.stack(at, axis=1) - np.linalg.solve(slope[todo], f[:, :, None])[:, :, 0]

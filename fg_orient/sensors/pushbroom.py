@@ -367,7 +367,7 @@ class PushbroomModel(ImageModel):
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
         """Whiten with ``-S^-1 J^-1``, J = dF/d(line, sample) of the metadata orientation."""
         metadata = Correction(small_angle=self.small_angle)
-        out, _, j = projection.linearised(self.sensor, points.line, points.sample, ground_m, metadata)
+        out, j = projection.linearised(self.sensor, points.line, points.sample, ground_m, metadata)
         out[:, RECORD.reference] -= origin_m
         sigma = np.stack([points.sigma_line_px, points.sigma_sample_px], axis=1)
         out[:, RECORD.whitening] = (-np.linalg.inv(j) / sigma[:, :, None]).reshape(-1, 4)
