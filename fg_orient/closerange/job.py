@@ -28,8 +28,7 @@ from fg_orient.formats.closerange import read_photos
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.errors import Finding, InputError, as_record, finding
 from fg_orient.model.installation import stamp
-from fg_orient.rectification.record import write_rows
-from fg_orient.result.plain import dumps, of_axes, plain
+from fg_orient.result.plain import dumps, of_axes, plain, write_records
 
 Record = dict[str, Any]
 T = TypeVar("T")
@@ -297,7 +296,7 @@ def finished(
         with staged_folder(out, overwrite=output.overwrite, contents=CONTENTS) as folder, writing(out):
             (folder / RECORD_FILE).write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
             (folder / REPORT_FILE).write_text(page, encoding="utf-8")
-            write_rows(folder / "points.csv", record.get("points") or photo_rows(record))
+            write_records(folder / "points.csv", record.get("points") or photo_rows(record))
             if photos:
                 (folder / "photos.toml").write_text("schema = 1\n\n" + "\n".join(photos), encoding="utf-8")
     if report is not None:

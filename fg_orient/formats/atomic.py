@@ -20,7 +20,9 @@ from fg_orient.model.errors import InputError
 
 
 @contextlib.contextmanager
-def staged_file(path: str | os.PathLike[str], *, place: str = "", suffix: str = "") -> Iterator[Path]:
+def staged_file(
+    path: str | os.PathLike[str], *, place: str = "", suffix: str = "", durable: bool = False
+) -> Iterator[Path]:
     """Hidden sibling of a file, renamed to the file if the block ends without an exception, else removed.
 
     Parameters
@@ -31,6 +33,8 @@ def staged_file(path: str | os.PathLike[str], *, place: str = "", suffix: str = 
         Option that named it, for messages.
     suffix : str
         End of the hidden name, for writers that depend on it.
+    durable : bool
+        Wait until the data are on the disk: the file then survives a power cut.
 
     Raises
     ------
@@ -42,6 +46,9 @@ def staged_file(path: str | os.PathLike[str], *, place: str = "", suffix: str = 
     try:
         with writing(path, option="", place=place):
             yield temporary
+            if durable:
+                with temporary.open("rb") as stream:
+                    os.fsync(stream.fileno())
             temporary.replace(target)
     except BaseException:
         with contextlib.suppress(OSError):
@@ -52,15 +59,14 @@ def staged_file(path: str | os.PathLike[str], *, place: str = "", suffix: str = 
 def write_bytes(path: str | os.PathLike[str], data: bytes, *, durable: bool = True) -> None:
     """Write a file atomically; an existing file is replaced.
 
-    ``durable`` waits until the data are on the disk: the file then survives a power cut. An InputError (folder missing,
-    no permission, disk full) leaves no part of the file.
+    ``durable``: see :func:`staged_file`. An InputError (folder missing, no permission, disk full) leaves no part of
+    the file.
     """
-    with staged_file(path) as temporary:
-        with temporary.open("xb") as stream:  # never through a foreign link
-            stream.write(data)
-            stream.flush()
-            if durable:
-                os.fsync(stream.fileno())
+    with (
+        staged_file(path, durable=durable) as temporary,
+        temporary.open("xb") as stream,
+    ):  # never through a foreign link
+        stream.write(data)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

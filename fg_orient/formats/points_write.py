@@ -1,21 +1,21 @@
 """Writers of point tables, observation tables and project files in our own formats.
 
-Numbers are written with the fewest digits that read back to the same double. Files are written whole or not at all
-(:mod:`fg_orient.formats.atomic`). All writers raise ValueError if an id or comment could not be read back or lengths
-differ, and InputError if the file cannot be written.
+Files are written whole or not at all (:mod:`fg_orient.formats.atomic`), tables in the form that the end of their name
+says (:mod:`fg_orient.formats.table_write`). All writers raise ValueError if an id or comment could not be read back or
+lengths differ, and InputError if the file cannot be written.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from factors.arrays import Array, Mask
 from fg_orient.formats.atomic import write_lines
-from fg_orient.formats.columns import rows_of_numbers
 from fg_orient.formats.points import COLUMNS, FIXED, SIGMA_COLUMNS
+from fg_orient.formats.table_write import Column, comment_lines, save_table
 from fg_orient.formats.toml import entries
 from fg_orient.geodesy import COORDINATE_COLUMNS, Kind
 from fg_orient.model.block import Options
@@ -54,12 +54,14 @@ def write_points(
     comments : sequence of str
         Lines before the header, after ``#``.
     """
-    constant = [False] * len(ids) if fixed is None else np.asarray(fixed, bool).tolist()
-    header = ("id", "role", *COORDINATE_COLUMNS[kind], *SIGMA_COLUMNS)
+    _require_readable(ids)
     words = {role: str(Role(role)) for role in set(roles)}
-    xyz, sigma = rows_of_numbers(_triples(coordinates)), rows_of_numbers(_triples(sigma_enu_m))
-    sigma = [",".join([FIXED] * 3) if fixed else text for text, fixed in zip(sigma, constant, strict=True)]
-    _write(path, header, (_texts(ids), list(map(words.__getitem__, roles)), xyz, sigma), comments)
+    sigmas: list[Column] = list(_triples(sigma_enu_m).T)
+    if fixed is not None and np.any(fixed):
+        sigmas = [np.where(fixed, np.array(FIXED, object), column) for column in sigmas]
+    columns = {"id": ids, "role": [words[role] for role in roles]}
+    columns |= zip(COORDINATE_COLUMNS[kind], _triples(coordinates).T, strict=True)
+    save_table(path, {**columns, **dict(zip(SIGMA_COLUMNS, sigmas, strict=True))}, comments)
 
 
 def write_observations(
@@ -85,8 +87,10 @@ def write_observations(
     comments : sequence of str
         Lines before the header, after ``#``.
     """
-    numbers = np.hstack([pixels, np.broadcast_to(sigma_px, np.shape(pixels))])
-    _write(path, COLUMNS, (_texts(image_ids), _texts(point_ids), rows_of_numbers(numbers)), comments)
+    _require_readable(image_ids)
+    _require_readable(point_ids)
+    numbers = np.hstack([pixels, np.broadcast_to(sigma_px, np.shape(pixels))]).astype(float)
+    save_table(path, dict(zip(COLUMNS, (image_ids, point_ids, *numbers.T), strict=True)), comments)
 
 
 def write_project(
@@ -120,7 +124,7 @@ def write_project(
     comments : sequence of str
         First lines, after ``#``.
     """
-    lines = [*_comments(comments), *entries({"schema": 1, "name": name})]
+    lines = [*comment_lines(comments), *entries({"schema": 1, "name": name})]
     tables: list[tuple[str, Mapping[str, object]]] = [
         *(("[[images]]", {"id": image, "metadata": metadata}) for image, metadata in images),
         ("[points]", {"file": points, "crs": crs}), ("[observations]", {"file": observations}),
@@ -132,31 +136,11 @@ def write_project(
     write_lines(path, lines)
 
 
-# --- text ----------------------------------------------------------------------------------------
-
-
-def _write(path: str | Path, header: Sequence[str], columns: Iterable[Sequence[str]], comments: Sequence[str]) -> None:
-    lines = [*_comments(comments), ",".join(header), *map(",".join, zip(*columns, strict=True))]
-    write_lines(path, lines)
-
-
-def _comments(comments: Sequence[str]) -> list[str]:
-    if any("\n" in line or "\r" in line for line in comments):
-        raise ValueError("a comment must fit one line")
-    return [f"# {line}" for line in comments]
-
-
-def _text(name: str) -> str:
-    """Cell of an id; in quotes if a reader or a spreadsheet would misinterpret it."""
-    if not name or name != name.strip() or any(mark in name for mark in "\n\r\0"):
-        raise ValueError(f"the id {name!r} cannot be written: it is empty, or has outer blanks or line breaks")
-    return '"' + name.replace('"', '""') + '"' if any(mark in name for mark in ',"#') or name[0] in "=@" else name
-
-
-def _texts(names: Sequence[str]) -> list[str]:
-    """Cells of ids."""
-    known = {name: _text(name) for name in set(names)}
-    return list(map(known.__getitem__, names))
+def _require_readable(names: Sequence[str]) -> None:
+    """Raise ValueError for an id that a reader would change or refuse."""
+    for name in set(names):
+        if not name or name != name.strip() or any(mark in name for mark in "\n\r\0"):
+            raise ValueError(f"the id {name!r} cannot be written: it is empty, or has outer blanks or line breaks")
 
 
 def _triples(values: Array) -> Array:

@@ -23,7 +23,7 @@ from fg_orient.rectification.points import DIRECTIONS, PointFit
 from fg_orient.report.chart import INKS, Chart, large, mapped, round_down
 from fg_orient.report.svg import svg
 from fg_orient.report.words import printable, scientific
-from fg_orient.result.plain import dumps, table_of_rows
+from fg_orient.result.plain import dumps, write_records
 
 SCHEMA: Final = 1
 #: Condition number of the scaled design beyond which the points hardly determine a transformation: 50 times the median
@@ -213,13 +213,8 @@ def write_folder(folder: Path, fitted: PointFit, record: dict[str, Any]) -> None
     (folder / "result.json").write_text(dumps(kept, indent=1) + "\n", encoding="utf-8")
     (folder / "residuals.svg").write_text(residual_file(record) + "\n", encoding="utf-8")
     (folder / "report.html").write_text(_report(kept), encoding="utf-8")
-    write_rows(folder / "points.csv", record["points"])
-    write_rows(folder / "coefficients.csv", record["coefficients"])
-
-
-def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Write a CSV table of rows with the same keys; None and what is not finite are empty cells."""
-    table_of_rows(tuple(next(iter(rows))), [tuple(row.values()) for row in rows]).write(path)
+    write_records(folder / "points.csv", record["points"])
+    write_records(folder / "coefficients.csv", record["coefficients"])
 
 
 def _report(record: dict[str, Any]) -> str:

@@ -10,30 +10,23 @@ import csv
 import itertools
 import json
 import math
-import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.arrays import Array, Index
-from fg_orient.formats.columns import ROWS, rows_of_numbers
-
-#: Values of a column: an array of numbers, or a sequence of text.
-Column = npt.NDArray[Any] | Sequence[Any]
+from fg_orient.formats.columns import ROWS
+from fg_orient.formats.table_write import Column, write_table
 
 #: Columns of text; all others hold numbers.
 WORDS: Final = frozenset((
     "id", "role", "image", "parameter", "component", "unit", "sigma_scale", "per_line_unit", "shared", "quantity",
     "part", "test", "inseparable", "left_out_with_it",
 ))  # fmt: skip
-#: Columns of whole numbers, with empty cells.
-WHOLE: Final = frozenset(("degree", "n_rays", "round", "dimension", "readmitted"))
-_QUOTED: Final = re.compile('[,"\r\n]')
 
 
 def plain(value: Any) -> Any:
@@ -101,32 +94,9 @@ class Table:
         place = {word: k for k, word in enumerate(words)}
         return np.fromiter(map(place.__getitem__, self.words[name]), np.intp, len(self))
 
-    def text(self) -> Iterator[str]:
-        """Parts of the text of a CSV file."""
-        yield ",".join(map(_quoted, self.columns)) + "\n"
-        for start in range(0, len(self), ROWS):
-            cells = list(self._cells(slice(start, start + ROWS)))
-            yield "\n".join(map(",".join, zip(*cells, strict=True))) + "\n"
-
-    def _cells(self, part: slice) -> Iterator[Sequence[str]]:
-        """Texts of some rows: of each column, or of neighbouring columns of numbers together."""
-        run = list[Array]()
-        for name, values in self.columns.items():
-            cells = values[part]
-            if name not in WHOLE and _are_numbers(cells):
-                run.append(np.asarray(cells, np.float64))
-                continue
-            if run:
-                yield rows_of_numbers(np.stack(run, axis=1))
-                run = []
-            yield _texts(cells, name in WHOLE)
-        if run:
-            yield rows_of_numbers(np.stack(run, axis=1))
-
     def write(self, path: Path) -> None:
-        """Write a CSV file."""
-        with path.open("w", encoding="utf-8", newline="") as stream:
-            stream.writelines(self.text())
+        """Write the table in the form that the end of the file name says."""
+        write_table(path, self.columns)
 
 
 def table_of_rows(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
@@ -140,33 +110,13 @@ def of_axes(name: str, axes: Iterable[str], values: Array) -> dict[str, Array]:
 
 
 def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write rows as a CSV file."""
+    """Write a table of rows."""
     table_of_rows(names, rows).write(path)
 
 
-def _are_numbers(cells: Column) -> bool:
-    """Whether all cells are floating-point numbers."""
-    if isinstance(cells, np.ndarray) and cells.dtype.kind != "O":
-        return cells.dtype.kind == "f"
-    return all(isinstance(cell, float) for cell in cells)
-
-
-def _texts(values: Column, whole: bool = False) -> Sequence[str]:
-    """Cells of a column of text, whole numbers or truth values."""
-    items = values.tolist() if isinstance(values, np.ndarray) else values
-    texts = [item if isinstance(item, str) else _cell(item, whole) for item in items]
-    return list(map(_quoted, texts)) if _QUOTED.search("".join(texts)) else texts
-
-
-def _cell(value: Any, whole: bool = False) -> str:
-    """Text of one value; empty for none, words of JSON for truth values."""
-    if not isinstance(value, float):
-        return "" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
-    return "" if not math.isfinite(value) else str(int(value)) if whole else repr(float(value))
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace('"', '""') + '"' if _QUOTED.search(text) else text
+def write_records(path: Path, records: Sequence[Mapping[str, Any]]) -> None:
+    """Write a table of records with the same keys."""
+    write_rows(path, tuple(records[0]), (tuple(record.values()) for record in records))
 
 
 def read_table(path: Path, *required: str) -> Table:

@@ -21,10 +21,11 @@ import numpy.typing as npt
 
 from factors.arrays import Array, Index
 from fg_orient.formats.atomic import RESULT
+from fg_orient.formats.table_write import WHOLE
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Status
 from fg_orient.result.joint import JointCofactors
-from fg_orient.result.plain import WHOLE, Table, dumps, plain, read_table, table_of_rows
+from fg_orient.result.plain import Table, dumps, plain, read_table, table_of_rows
 
 if TYPE_CHECKING:
     import pandas

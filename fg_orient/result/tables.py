@@ -27,9 +27,10 @@ import numpy.typing as npt
 
 from factors.arrays import Array, Index, Mask
 from factors.geometry import ellipsoid
+from fg_orient.formats.table_write import Column
 from fg_orient.quality.accuracy import PointDifferences
 from fg_orient.result import statistics
-from fg_orient.result.plain import Column, Table, of_axes, table_of_rows
+from fg_orient.result.plain import Table, of_axes, table_of_rows
 from fg_orient.result.record import START_POINTS, TABLES
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ never reads. The folder is written completely or not at all.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, write_text, writing
-from fg_orient.formats.columns import rows_of_numbers
 from fg_orient.formats.dimap_write import write_dimap1
 from fg_orient.formats.points_write import write_observations, write_points, write_project
+from fg_orient.formats.table_write import write_table
 from fg_orient.model.names import COMPONENTS
 from fg_orient.model.parameters import UNITS, parameter_name
+from fg_orient.result.plain import write_rows
 from fg_orient.sensors.correction import Correction
 
 if TYPE_CHECKING:
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 
     from fg_orient.model.names import Progress
     from fg_orient.simulate.simulation import Simulation
-
-Rows = Sequence[Sequence[str]]
 
 PROJECT_FILE = "project.toml"
 CAMERA_FILE: Final = "camera.toml"
@@ -138,32 +137,27 @@ def _write_images(folder: Path, simulation: Simulation, progress: Progress | Non
 
 def _write_truth(folder: Path, simulation: Simulation, values: dict[str, Any]) -> None:
     truth = simulation.truth
-    numbers = rows_of_numbers(np.hstack([truth.lon_lat_height, truth.ecef_m]))
-    rows = list(zip(truth.point_ids, map(str, simulation.ground.roles), numbers, strict=True))
-    write_text(folder / "points.csv", _csv(["id", "role", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m"], rows))
-    header = ["image", "parameter", "component", "degree", "unit", "value_per_tau"]
+    names = ("lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m")
+    numbers = zip(names, (*truth.lon_lat_height.T, *truth.ecef_m.T), strict=True)
+    write_table(folder / "points.csv", {"id": truth.point_ids, "role": simulation.ground.roles, **dict(numbers)})
     eop = [row for image in zip(truth.image_ids, truth.corrections, strict=True) for row in _orientation(*image)]
-    write_text(folder / "eop.csv", _csv(header, eop))
+    write_rows(folder / "eop.csv", ("image", "parameter", "component", "degree", "unit", "value_per_tau"), eop)
     write_text(folder / "options.json", json.dumps(values, indent=2, sort_keys=True) + "\n")
 
 
-def _orientation(image: str, correction: Any) -> Rows:
+def _orientation(image: str, correction: Any) -> list[tuple[object, ...]]:
     """True minus metadata of one image.
 
     Pushbroom image: all 27 coefficients, then the look polynomial (per s^degree), if any. Other images: :data:`OTHERS`.
     """
     if not isinstance(correction, Correction):
         named = zip(OTHERS[len(correction)].items(), correction.tolist(), strict=False)
-        return [[image, name, name, "", unit, repr(value)] for (name, unit), value in named]
-    rows = list[list[str]]()
+        return [(image, name, name, None, unit, value) for (name, unit), value in named]
+    rows = list[tuple[object, ...]]()
     for c, (name, unit) in enumerate(zip(COMPONENTS, UNITS, strict=True)):
         for k in range(3):
-            rows.append([image, parameter_name(3 * c + k), name, str(k), unit, repr(float(correction.eop[c, k]))])
+            rows.append((image, parameter_name(3 * c + k), name, k, unit, float(correction.eop[c, k])))
     for axis, coefficients in zip("xy", correction.look, strict=True):
         for k, value in enumerate(coefficients.tolist()):
-            rows.append([image, f"psi_{axis}_s{k}", f"psi_{axis}", str(k), "rad", repr(value)])
+            rows.append((image, f"psi_{axis}_s{k}", f"psi_{axis}", k, "rad", value))
     return rows
-
-
-def _csv(header: list[str], rows: Rows) -> str:
-    return "\n".join(",".join(cells) for cells in [header, *rows]) + "\n"

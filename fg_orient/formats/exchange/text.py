@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final, Literal, NoReturn
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -20,14 +20,12 @@ import numpy.typing as npt
 from factors.arrays import Array, Index
 from fg_orient.formats.atomic import writing
 from fg_orient.formats.faults import Faults
+from fg_orient.formats.table_write import quoted
 from fg_orient.formats.tables import Row, finite, number
 from fg_orient.formats.text_files import delimited, read_text
 from fg_orient.model.errors import Finding, InputError, finding
 
 Separator = Literal["comma", "blank", "either"]
-
-#: First characters of a cell that spreadsheets interpret as a formula.
-_FORMULA: Final = ("=", "+", "-", "@")
 
 
 def cells_of(path: Path, faults: Faults, separator: Separator) -> list[tuple[int, list[str]]]:
@@ -122,13 +120,7 @@ def digits(value: float) -> str:
 
 def row_of(cells: Iterable[str]) -> str:
     """Line of a file with commas; cells that a reader or a spreadsheet would misread are quoted."""
-    return ",".join(map(_quoted, cells))
-
-
-def _quoted(cell: str) -> str:
-    is_number = cell.lstrip("+-").replace(".", "", 1).replace("e", "", 1).replace("-", "", 1).isdigit()
-    odd = any(c in cell for c in ',"#') or (cell.startswith(_FORMULA) and not is_number)
-    return '"' + cell.replace('"', '""') + '"' if odd else cell
+    return ",".join(map(quoted, cells))
 
 
 def require_plain(names: Iterable[str], what: str, path: Path) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -12,7 +10,7 @@ from typing import Any, Final
 
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
 from fg_orient.model.installation import versions
-from fg_orient.result.plain import dumps, plain
+from fg_orient.result.plain import dumps, plain, write_records, write_rows
 from fg_orient.studies.published.tables import require_source
 from fg_orient.studies.reproduce.html import render
 from fg_orient.studies.reproduce.reproduction import Callback, Reproduction, reproduce
@@ -66,9 +64,10 @@ def as_record(result: Reproduction) -> dict[str, Any]:
 
 def _write(folder: Path, result: Reproduction, command: Sequence[str]) -> None:
     rows = [row.as_dict() for row in result.rows]
-    _table(folder / "cells.csv", list(rows[0]), rows)
+    write_records(folder / "cells.csv", rows)
     claims = [asdict(c) | {"low": c.interval[0], "high": c.interval[1]} for c in result.claims]
-    _table(folder / "claims.csv", ["id", "passed", "of", "low", "high", "met", "text", "reason"], claims)
+    columns = ("id", "passed", "of", "low", "high", "met", "text", "reason")
+    write_rows(folder / "claims.csv", columns, ([claim[name] for name in columns] for claim in claims))
     record = {
         "schema": SCHEMA_VERSION,
         "source": result.source.name,
@@ -95,13 +94,3 @@ def _write(folder: Path, result: Reproduction, command: Sequence[str]) -> None:
     }
     (folder / "result.json").write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
     (folder / "report.html").write_text(render(result, record), encoding="utf-8")
-
-
-def _table(path: Path, columns: list[str], rows: list[dict[str, Any]]) -> None:
-    """Write a CSV table; nan is an empty cell."""
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        out = csv.writer(stream, lineterminator="\n")
-        out.writerow(columns)
-        for row in rows:
-            values = (row[name] for name in columns)
-            out.writerow(["" if isinstance(v, float) and math.isnan(v) else v for v in values])

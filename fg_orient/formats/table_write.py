@@ -1,0 +1,119 @@
+"""The writer of tables: columns of text and numbers to the form that the end of the file name says.
+
+In CSV, numbers have the fewest digits that read back to the same double. What is not finite is an empty cell.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.arrays import Array
+from fg_orient.formats.atomic import staged_file
+from fg_orient.formats.columns import ROWS, rows_of_numbers
+
+#: Values of a column: an array of numbers, or a sequence of text, numbers, truth values and None.
+Column = npt.NDArray[Any] | Sequence[Any]
+#: Columns of whole numbers, with empty cells.
+WHOLE: Final = frozenset(("degree", "n_rays", "round", "dimension", "readmitted"))
+#: Cells, joined by NUL, among which one may need quotes; first characters that spreadsheets take for a formula.
+_ODD: Final = re.compile('[,"#\r\n]|(?:^|\0)[=+@-]')
+_FORMULA: Final = re.compile(r"[=@]|[+-](?![0-9.]+(?:e[+-]?[0-9]+)?$)")
+
+
+def write_table(path: Path, columns: Mapping[str, Column], comments: Sequence[str] = ()) -> None:
+    """Write a table.
+
+    Parameters
+    ----------
+    path : Path
+    columns : mapping
+        Name to values, in the order of the file, all of one length.
+    comments : sequence of str
+        Lines before the header, after ``#``.
+
+    Raises
+    ------
+    ValueError
+        Columns of different lengths, or a comment of several lines.
+    """
+    if len(set(map(len, columns.values()))) > 1:
+        raise ValueError("the columns have different lengths")
+    head = [f"{line}\n" for line in comment_lines(comments)]
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        stream.writelines(head)
+        stream.writelines(_csv(columns))
+
+
+def save_table(path: str | Path, columns: Mapping[str, Column], comments: Sequence[str] = ()) -> None:
+    """Write a table as :func:`write_table` does, whole or not at all; InputError if the file cannot be written."""
+    with staged_file(path, suffix=Path(path).suffix, durable=True) as temporary:
+        write_table(temporary, columns, comments)
+
+
+def comment_lines(comments: Sequence[str]) -> list[str]:
+    """Comments as lines of a text file; ValueError for a comment of several lines."""
+    if any("\n" in line or "\r" in line for line in comments):
+        raise ValueError("a comment must fit one line")
+    return [f"# {line}" for line in comments]
+
+
+def _csv(columns: Mapping[str, Column]) -> Iterator[str]:
+    """Parts of the text: header and rows."""
+    yield ",".join(map(quoted, columns)) + "\n"
+    for start in range(0, len(next(iter(columns.values()))), ROWS):
+        cells = list(_cells(columns, slice(start, start + ROWS)))
+        yield "\n".join(map(",".join, zip(*cells, strict=True))) + "\n"
+
+
+def _cells(columns: Mapping[str, Column], part: slice) -> Iterator[Sequence[str]]:
+    """Texts of some rows: of each column, or of neighbouring columns of numbers together."""
+    run = list[Array]()
+    for name, values in columns.items():
+        cells = values[part]
+        if name not in WHOLE and are_numbers(cells):
+            run.append(np.asarray(cells, np.float64))
+            continue
+        if run:
+            yield rows_of_numbers(np.stack(run, axis=1))
+            run = []
+        yield _quoted(texts(cells, name in WHOLE))
+    if run:
+        yield rows_of_numbers(np.stack(run, axis=1))
+
+
+def are_numbers(cells: Column) -> bool:
+    """Whether all cells are floating-point numbers."""
+    if isinstance(cells, np.ndarray) and cells.dtype.kind != "O":
+        return cells.dtype.kind == "f"
+    return all(isinstance(cell, float) for cell in cells)
+
+
+def texts(values: Column, whole: bool = False) -> list[str]:
+    """Texts of the values of a column of text, whole numbers or truth values."""
+    items = values.tolist() if isinstance(values, np.ndarray) else values
+    return [item if isinstance(item, str) else _text(item, whole) for item in items]
+
+
+def _text(value: Any, whole: bool = False) -> str:
+    """Text of one value; empty for none, words of JSON for truth values."""
+    if not isinstance(value, float):
+        return "" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+    return "" if not math.isfinite(value) else str(int(value)) if whole else repr(float(value))
+
+
+def _quoted(cells: list[str]) -> list[str]:
+    return list(map(quoted, cells)) if _ODD.search("\0".join(cells)) else cells
+
+
+def quoted(cell: str) -> str:
+    """Text of a cell of CSV; in quotes if a reader or a spreadsheet would misinterpret it."""
+    if not _ODD.search(cell) or not (_FORMULA.match(cell) or any(mark in cell for mark in ',"#\r\n')):
+        return cell
+    return '"' + cell.replace('"', '""') + '"'
