@@ -9,11 +9,8 @@ memory already.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -27,11 +24,10 @@ from fg_orient.adjustment.schur_structure import LEAST_CHUNKS
 from fg_orient.adjustment.solve import points_are_eliminated, suitable_backend
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.machine import GB, allowed_bytes
 from fg_orient.model.names import Role
 from fg_orient.sensors.base import ImageModel
 
-#: Default limit as share of the available memory.
-SHARE: Final = 0.8
 #: Bytes per image point: arrays of eliminated points; explicit factors of GTSAM with values, linear graph and Bayes
 #: tree; start values and results (cofactors, tables, report).
 SCHUR: Final = 400
@@ -53,10 +49,6 @@ MATRICES: Final = 60_000_000
 FIXED: Final = 500_000
 #: Numbers per ground point in problem, state and results.
 PER_POINT: Final = 60
-GB: Final = 1e9
-_MEMINFO: Final = Path("/proc/meminfo")
-_GROUPS: Final = Path("/sys/fs/cgroup")
-_OWN_GROUPS: Final = Path("/proc/self/cgroup")
 
 
 @dataclass(frozen=True)
@@ -182,64 +174,3 @@ def within_memory(block: Block, *, elsewhere: bool = False) -> tuple[Need, Block
     if not need.fits:
         raise InputError(need.problem(block.name))
     return need, block
-
-
-def allowed_bytes(limit_gb: float | None) -> int | None:
-    """The given limit, or 80 % of the available memory; None if unknown."""
-    if limit_gb is not None:
-        return int(limit_gb * GB)
-    available = available_bytes()
-    return None if available is None else int(SHARE * available)
-
-
-def available_bytes() -> int | None:
-    """Memory that this process can still allocate, by the system and the control groups."""
-    return min([*_of_system(), *_of_group()], default=None)
-
-
-def _of_system() -> Iterator[int]:
-    """``MemAvailable`` of Linux; for other systems the free pages."""
-    try:
-        rows = dict(line.split(":", 1) for line in _MEMINFO.read_text("ascii").splitlines() if ":" in line)
-        yield 1024 * int(rows["MemAvailable"].split()[0])
-    except (OSError, KeyError, ValueError):
-        names = getattr(os, "sysconf_names", {})
-        if "SC_AVPHYS_PAGES" in names and "SC_PAGE_SIZE" in names:
-            yield os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-
-
-def _of_group() -> Iterator[int]:
-    """Free memory in the control groups of this process (versions 2 and 1), including reclaimable file memory.
-
-    The limit of an unlimited group is a word or a very large number.
-    """
-    for limit, usage, reclaimable, folder in _group_files():
-        try:
-            most, used = (int((folder / name).read_text("ascii")) for name in (limit, usage))
-        except (OSError, ValueError):
-            continue
-        free = 0
-        with suppress(OSError, ValueError):
-            lines = (folder / "memory.stat").read_text("ascii").splitlines()
-            free = sum(int(line.split()[1]) for line in lines if line.startswith(f"{reclaimable} "))
-        if most < np.iinfo(np.int64).max // 2:
-            yield max(most - used + free, 0)
-
-
-def _group_files() -> Iterator[tuple[str, str, str, Path]]:
-    """Names of limit, use and reclaimable part, and folder, from the group of this process up to the root."""
-    two = ("memory.max", "memory.current", "inactive_file")
-    one = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
-    try:
-        groups = _OWN_GROUPS.read_text("ascii").split()
-    except (OSError, ValueError):
-        groups = []
-    for group in [*groups, "0::/", "1:memory:/"]:
-        _, controllers, place = group.split(":", 2)
-        if controllers and "memory" not in controllers.split(","):
-            continue
-        root = _GROUPS / "memory" if controllers else _GROUPS
-        own = root / place.lstrip("/")
-        for folder in (own, *own.parents):
-            if folder.is_relative_to(root):
-                yield (*(one if controllers else two), folder)

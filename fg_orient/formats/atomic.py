@@ -64,8 +64,8 @@ def write_bytes(path: str | os.PathLike[str], data: bytes, *, durable: bool = Tr
     """
     with (
         staged_file(path, durable=durable) as temporary,
-        temporary.open("xb") as stream,
-    ):  # never through a foreign link
+        temporary.open("xb") as stream,  # never through a foreign link
+    ):
         stream.write(data)
 
 

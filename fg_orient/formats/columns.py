@@ -1,21 +1,22 @@
-"""Cells of a large CSV table by columns, without a string for each cell; rows of numbers as text.
+"""Cells of a large table by columns, without a string for each cell; rows of numbers as text.
 
-A table is regular if it is ASCII without quotes and blanks, comments stand before the header only, and every record has
-as many cells as the header. Cells are then slices of its bytes between separators. A column of numbers is read by
+A CSV table is regular if it is ASCII without quotes and blanks, comments stand before the header only, and every record
+has as many cells as the header. Cells are then slices of its bytes between separators. A column of numbers is read by
 orjson, ten times faster than by ``float``. Any other table is read line by line (``fg_orient.formats.tables``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
+from itertools import compress
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import orjson
 
-from factors.arrays import Array, Mask
+from factors.arrays import Array, Index, Mask
 
 #: Cells whose bytes are gathered at once: 2 MB. Rows that are text at once.
 CHUNK: Final = 200_000
@@ -28,7 +29,50 @@ OF_NUMBERS: Final = b"0123456789eE+.-"
 
 
 class Cells(Sequence[str]):
-    """Cells of a column: bytes ``first`` (n,) up to ``last`` (n,) of ``data``."""
+    """Cells of a column: texts."""
+
+    def __init__(self, texts: Sequence[str]) -> None:
+        self._given = texts
+
+    @cached_property
+    def _texts(self) -> Sequence[str]:
+        return self._given
+
+    def __len__(self) -> int:
+        return len(self._texts)
+
+    def __getitem__(self, k: Any) -> Any:
+        return self._texts[k]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._texts)
+
+    def are(self, text: str) -> Mask:
+        """Cells (n,) that are this text."""
+        return np.fromiter((cell == text for cell in self), bool, len(self))
+
+    def finite(self, rows: Mask | None = None) -> Array | None:
+        """Cells, or those of some ``rows`` (n,), as finite numbers; None if one is not a number."""
+        return finite(self._texts if rows is None else list(compress(self, rows.tolist())))
+
+    def positions(self, place: Mapping[str, int]) -> Index:
+        """Value (n,) of each cell in a dictionary; KeyError if one is missing."""
+        return np.fromiter(map(place.__getitem__, self), np.intp, len(self))
+
+
+def finite(cells: Sequence[str]) -> Array | None:
+    """All texts as finite numbers (n,); None if one is not a number."""
+    if "".join(cells).encode().translate(None, OF_NUMBERS):
+        return None
+    try:
+        values = np.fromiter(map(float, cells), np.float64, len(cells))
+    except ValueError:
+        return None
+    return values if np.isfinite(values).all() else None
+
+
+class SlicedCells(Cells):
+    """Cells that are bytes ``first`` (n,) up to ``last`` (n,) of ``data``."""
 
     def __init__(self, data: npt.NDArray[np.uint8], first: npt.NDArray[Any], last: npt.NDArray[Any]) -> None:
         self._data, self._first, self._last = data, first, last
@@ -40,9 +84,6 @@ class Cells(Sequence[str]):
         if isinstance(k, slice):
             return self._texts[k]
         return self._data[self._first[k] : self._last[k]].tobytes().decode("ascii")
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._texts)
 
     @cached_property
     def _texts(self) -> list[str]:
@@ -62,7 +103,7 @@ class Cells(Sequence[str]):
         return b"".join(parts)
 
     def are(self, text: str) -> Mask:
-        """Cells (n,) that are this text."""
+        """See :class:`Cells`."""
         out = self._last - self._first == len(text)
         at = np.flatnonzero(out)
         wanted = np.frombuffer(text.encode("utf-8"), np.uint8)
@@ -70,15 +111,78 @@ class Cells(Sequence[str]):
         return np.asarray(out)
 
     def finite(self, rows: Mask | None = None) -> Array | None:
-        """Cells, or those of some ``rows`` (n,), as finite numbers; None if one is not written as JSON writes them."""
+        """See :class:`Cells`."""
         text = self._joined(rows)
         if text.translate(None, OF_NUMBERS + b","):
             return None
         try:
             values = np.array(orjson.loads(b"[" + text[:-1] + b"]"), np.float64)
-        except (orjson.JSONDecodeError, OverflowError):
-            return None
+        except (orjson.JSONDecodeError, OverflowError):  # a number that is not written as JSON writes it
+            return super().finite(rows)
         return values if np.isfinite(values).all() else None
+
+
+class CodedCells(Cells):
+    """Cells that repeat the texts ``distinct``, by their positions ``codes`` (n,)."""
+
+    def __init__(self, distinct: Sequence[str], codes: npt.NDArray[Any]) -> None:
+        self._distinct, self._codes = distinct, codes
+
+    def __len__(self) -> int:
+        return len(self._codes)
+
+    def __getitem__(self, k: Any) -> Any:
+        return self._texts[k] if isinstance(k, slice) else self._distinct[self._codes[k]]
+
+    @cached_property
+    def _texts(self) -> list[str]:
+        return list(map(self._distinct.__getitem__, self._codes.tolist()))
+
+    def are(self, text: str) -> Mask:
+        """See :class:`Cells`."""
+        return np.asarray(np.array([one == text for one in self._distinct], bool)[self._codes])
+
+    def finite(self, rows: Mask | None = None) -> Array | None:
+        """See :class:`Cells`."""
+        codes = self._codes if rows is None else self._codes[rows]
+        used, place = np.unique(codes, return_inverse=True)
+        values = finite([self._distinct[k] for k in used])
+        return None if values is None else values[place]
+
+    def positions(self, place: Mapping[str, int]) -> Index:
+        """See :class:`Cells`."""
+        used, codes = np.unique(self._codes, return_inverse=True)
+        return np.array([place[self._distinct[k]] for k in used.tolist()], np.intp)[codes]
+
+
+class NumberCells(Cells):
+    """Cells that are numbers (n,); those that are ``empty`` (n,) have no text."""
+
+    def __init__(self, values: npt.NDArray[Any], empty: Mask) -> None:
+        self._values, self._empty = values, empty
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __getitem__(self, k: Any) -> Any:
+        return self._texts[k] if isinstance(k, slice) else "" if self._empty[k] else repr(self._values[k].item())
+
+    @cached_property
+    def _texts(self) -> list[str]:
+        pairs = zip(self._values.tolist(), self._empty.tolist(), strict=True)
+        return ["" if empty else repr(value) for value, empty in pairs]
+
+    def are(self, text: str) -> Mask:
+        """See :class:`Cells`."""
+        if not text:
+            return self._empty
+        return np.zeros(len(self), bool) if finite([text]) is None else super().are(text)
+
+    def finite(self, rows: Mask | None = None) -> Array | None:
+        """See :class:`Cells`."""
+        values, empty = (self._values, self._empty) if rows is None else (self._values[rows], self._empty[rows])
+        values = values.astype(np.float64)
+        return None if empty.any() or not np.isfinite(values).all() else values
 
 
 class Regular(NamedTuple):
@@ -86,7 +190,7 @@ class Regular(NamedTuple):
 
     line: int
     header: list[str]
-    columns: list[Cells]
+    columns: list[SlicedCells]
 
 
 def regular(text: str, longest: int) -> Regular | None:
@@ -118,7 +222,7 @@ def regular(text: str, longest: int) -> Regular | None:
             or np.isin(starts, (_COMMENT, _COMMA, _LINE_END)).any() or np.diff(of_line).max() > longest):  # fmt: skip
         return None
     first = np.concatenate([of_line[:-1, None], last[:, :-1]], axis=1, dtype=last.dtype) + last.dtype.type(1)
-    return Regular(line, header.split(","), [Cells(data, first[:, k], last[:, k]) for k in range(width)])
+    return Regular(line, header.split(","), [SlicedCells(data, first[:, k], last[:, k]) for k in range(width)])
 
 
 def rows_of_numbers(values: Array) -> list[str]:

@@ -113,8 +113,8 @@ def _require_whole(survey: Survey, faults: Faults) -> None:
         ("height", np.isnan(survey.coordinates[:, 2]), "height_m = METRES"),
         ("standard deviation", np.isnan(survey.sigma_enu_m).any(axis=1) & ~survey.fixed, "sigma_m = [E, N, U]"),
     ):
-        for k in np.flatnonzero(known & lacking):
-            line = f"line {survey.lines[k]}, " if survey.lines[k] else ""
+        for k in np.flatnonzero(known & lacking).tolist():
+            line = f"{survey.place(k)}, " if survey.lines[k] else ""
             faults.add("project.lacks", place=f"{line}point {survey.ids[k]}", what=what, entry=f"{entry} to [points]")
 
 

@@ -66,7 +66,7 @@ def parse_points(path: Path, crs: str, faults: Faults) -> Survey | None:
     sigma, fixed = _sigmas(table, _are(roles, Role.CHECK), measured)
     table.report(faults)
     known_roles = tuple(role or Role.TIE for role in roles)
-    return Survey(crs, ids, known_roles, given, sigma, fixed, lines=table.lines)
+    return Survey(crs, ids, known_roles, given, sigma, fixed, lines=table.lines, unit=table.unit)
 
 
 def _are(roles: Sequence[Role | None], wanted: Role | None) -> Mask:
@@ -140,7 +140,7 @@ def located(survey: Survey, faults: Faults) -> tuple[Coordinates, Operation | No
     if len(rows):
         try:
             ecef[rows], operation = to_ecef_with_operation(
-                survey.crs, *survey.coordinates[rows].T, labels=[f"line {k}" for k in survey.lines[rows]],
+                survey.crs, *survey.coordinates[rows].T, labels=[survey.place(k) for k in rows.tolist()],
                 deciding=_are(survey.roles, Role.CONTROL)[rows],
             )  # fmt: skip
         except InputError as error:
@@ -193,7 +193,7 @@ def read_points(path: Path, crs: str, faults: Faults, scenes: Sequence[Scene] = 
     Parameters
     ----------
     path : Path
-        CSV file: ``id, role``, three coordinate columns, three sigma columns.
+        Table: ``id, role``, three coordinate columns, three sigma columns.
     crs : str
         EPSG code of the coordinates.
     faults : Faults
@@ -228,7 +228,7 @@ def point_file(
         return None
     digest = sha256_of(*files)
     coordinates, operation = located(survey, faults)
-    check_positions(scenes, survey.crs, survey.coordinates, coordinates.ecef_m, survey.lines, faults)
+    check_positions(scenes, survey.crs, survey.coordinates, coordinates.ecef_m, survey.place, faults)
 
     def opened(wanted: tuple[str, ...]) -> Coordinates:
         noted = Faults(str(files[0]))
@@ -245,8 +245,8 @@ def point_file(
 
 
 def _remarks(file: str, survey: Survey, operation: Operation | None) -> tuple[Finding, ...]:
-    sigma, lines = survey.sigma_enu_m, survey.lines
-    remarks = [*sigma_remarks("remark.sigma_ground", file, sigma, PLAUSIBLE_SIGMA_M, lambda k: f"line {lines[k]}")]
+    sigma = survey.sigma_enu_m
+    remarks = [*sigma_remarks("remark.sigma_ground", file, sigma, PLAUSIBLE_SIGMA_M, survey.place)]
     if operation is not None and operation.missing_grids:
         accuracy = "an unknown accuracy" if np.isnan(operation.accuracy_m) else f"{operation.accuracy_m:g} m"
         fields = {"accuracy": accuracy, "grids": ", ".join(operation.missing_grids)}
@@ -280,7 +280,7 @@ def read_observations(
     Parameters
     ----------
     path : Path
-        CSV file with the columns ``image, id, line, sample, sigma_line_px, sigma_sample_px``.
+        Table with the columns ``image, id, line, sample, sigma_line_px, sigma_sample_px``.
     sizes : mapping of str to (n_lines, n_samples) or None, or None
         The images in the order of the block; None where the size is unknown (the pixel
         range is then not checked); None instead of the mapping if the images are unknown.

@@ -9,12 +9,11 @@ tolerates both.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.arrays import Array, Mask
 from fg_orient.formats.faults import Faults
@@ -42,7 +41,7 @@ class Scene:
 
 
 def check_positions(
-    scenes: Sequence[Scene], crs: str, given: Array, ecef_m: Array, lines: npt.NDArray[np.int64], faults: Faults
+    scenes: Sequence[Scene], crs: str, given: Array, ecef_m: Array, place: Callable[[int], str], faults: Faults
 ) -> None:
     """Note points far from every image; or that two columns are exchanged, if the exchange moves most into images.
 
@@ -54,8 +53,8 @@ def check_positions(
         CRS of ``given``.
     given, ecef_m : (n, 3) array
         Coordinates as in the file and in ECEF m; nan rows are skipped.
-    lines : (n,) int array
-        Line of each point in its file.
+    place : callable
+        Place of point k in its file.
     faults : Faults
         Receives the faults.
     """
@@ -71,7 +70,7 @@ def check_positions(
         first, second = COORDINATE_COLUMNS[kind][:2]
         example = " ".join(f"{v:.10g}" for v in given[far[exchanged]][0, :2])
         faults.add(
-            "points.swapped", place=f"line {lines[far[exchanged][0]]}, columns {first} and {second}", value=example,
+            "points.swapped", place=f"{place(int(far[exchanged][0]))}, columns {first} and {second}", value=example,
             first=first, second=second, count=int(exchanged.sum()), total=len(rows),
         )  # fmt: skip
         far = far[~exchanged]
@@ -79,7 +78,7 @@ def check_positions(
         nearest = min(scenes, key=lambda scene: float(np.linalg.norm(ecef_m[k] - scene.centre_m)))
         distance = float(np.linalg.norm(ecef_m[k] - nearest.centre_m))
         faults.add(
-            "points.far", place=f"line {lines[k]}", value=" ".join(f"{v:.10g}" for v in given[k]),
+            "points.far", place=place(int(k)), value=" ".join(f"{v:.10g}" for v in given[k]),
             distance_km=distance / 1e3, size_km=nearest.diagonal_m / 1e3, image=nearest.image,
         )  # fmt: skip
 

@@ -20,6 +20,13 @@ from fg_orient.formats.columns import ROWS, rows_of_numbers
 
 #: Values of a column: an array of numbers, or a sequence of text, numbers, truth values and None.
 Column = npt.NDArray[Any] | Sequence[Any]
+#: Ends of the names of binary files.
+BINARY: Final = (".parquet", ".feather", ".arrow")
+#: Columns of text; all others hold numbers.
+WORDS: Final = frozenset((
+    "id", "role", "image", "photo", "strip", "parameter", "component", "unit", "sigma_scale", "per_line_unit", "shared",
+    "quantity", "part", "test", "inseparable", "left_out_with_it",
+))  # fmt: skip
 #: Columns of whole numbers, with empty cells.
 WHOLE: Final = frozenset(("degree", "n_rays", "round", "dimension", "readmitted"))
 #: Cells, joined by NUL, among which one may need quotes; first characters that spreadsheets take for a formula.
@@ -45,10 +52,20 @@ def write_table(path: Path, columns: Mapping[str, Column], comments: Sequence[st
     """
     if len(set(map(len, columns.values()))) > 1:
         raise ValueError("the columns have different lengths")
+    if is_binary(path):
+        from fg_orient.formats.arrow import write_binary
+
+        write_binary(path, columns, comments)
+        return
     head = [f"{line}\n" for line in comment_lines(comments)]
     with path.open("w", encoding="utf-8", newline="") as stream:
         stream.writelines(head)
         stream.writelines(_csv(columns))
+
+
+def is_binary(path: Path) -> bool:
+    """Whether the file name ends as those of Parquet and Arrow files do."""
+    return path.suffix.lower() in BINARY
 
 
 def save_table(path: str | Path, columns: Mapping[str, Column], comments: Sequence[str] = ()) -> None:

@@ -1,7 +1,8 @@
-"""CSV tables, read strictly: every cell is text until a number is read from it.
+"""Tables, read strictly: every cell is text until a number is read from it.
 
-A table is UTF-8 (a byte order mark is fine) with commas, one header line that names the columns, and one record per
-line. Lines starting with ``#`` and blank lines are skipped. Ids stay text: ``01`` is not ``1``.
+A CSV table is UTF-8 (a byte order mark is fine) with commas, one header line that names the columns, and one record per
+line. Lines starting with ``#`` and blank lines are skipped. Ids stay text: ``01`` is not ``1``. The columns of Parquet
+and Arrow files (``fg_orient.formats.arrow``) go through the same checks.
 """
 
 from __future__ import annotations
@@ -9,9 +10,8 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
-from itertools import compress
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,8 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array, Index, Mask
-from fg_orient.formats.columns import OF_NUMBERS, Cells, regular
+from fg_orient.formats.columns import Cells, regular
 from fg_orient.formats.faults import MAX_FAULTS, Faults, did_you_mean
+from fg_orient.formats.table_write import is_binary
 from fg_orient.formats.text_files import delimited, read_text
 
 #: Texts that are read as numbers, and numbers with a decimal comma.
@@ -30,14 +31,15 @@ DECIMAL_COMMA: Final = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
 
 @dataclass(frozen=True)
 class Row:
-    """One record: its line number in the file (1-based) and the text of its cells by column."""
+    """One record: its line (or row) in the file, from 1, and the text of its cells by column."""
 
     line: int
     cells: dict[str, str]
+    unit: str = "line"
 
     def place(self, column: str = "") -> str:
         """Place of this record, or of one of its cells, for messages."""
-        return f"line {self.line}, column {column}" if column else f"line {self.line}"
+        return f"{self.unit} {self.line}, column {column}" if column else f"{self.unit} {self.line}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,18 +49,24 @@ class Table:
     Parameters
     ----------
     columns : tuple of str
-    cells : dict of str to sequence of str
+    cells : dict of str to Cells
         Text of the records in file order, by column.
     lines : (n,) int array
-        Line number of each record in the file, from 1.
+        Line of each record in the file, from 1.
     file : str
         Name of the file, for messages.
+    header : str
+        Place of the names of the columns, for messages.
+    unit : str
+        "line"; "row" of a file without lines.
     """
 
     columns: tuple[str, ...]
-    cells: dict[str, Sequence[str]]
+    cells: dict[str, Cells]
     lines: npt.NDArray[np.int64]
     file: str
+    header: str = "line 1"
+    unit: str = "line"
     _refused: list[tuple[Index, str, str, dict[str, Any]]] = field(default_factory=list)
 
     def __len__(self) -> int:
@@ -66,32 +74,27 @@ class Table:
 
     def row(self, k: int) -> Row:
         """One record."""
-        return Row(int(self.lines[k]), {name: self.cells[name][k] for name in self.columns})
+        return Row(int(self.lines[k]), {name: self.cells[name][k] for name in self.columns}, self.unit)
 
     def where(self, column: str, text: str) -> Mask:
         """Records (n,) whose cell is this text."""
-        cells = self.cells[column]
-        if isinstance(cells, Cells):
-            return cells.are(text)
-        return np.fromiter((cell == text for cell in cells), bool, len(self))
+        return self.cells[column].are(text)
 
     def numbers(self, *columns: str, rows: Mask | None = None) -> Array:
         """Columns as finite numbers (n, k); nan where a cell, then refused, is not a number, and in other ``rows``."""
         out = np.full((len(self), len(columns)), np.nan)
         wanted = np.ones(len(self), bool) if rows is None else rows
         for j, name in enumerate(columns):
-            of_column = self.cells[name]
-            values = of_column.finite(rows) if isinstance(of_column, Cells) else None
-            if values is None:
-                cells = of_column if rows is None else list(compress(of_column, rows.tolist()))
-                values = finite(cells)
+            values = self.cells[name].finite(rows)
             if values is None:
                 codes = np.array([_number_fault(cell) for cell in self.cells[name]])
                 for code in sorted(set(codes[wanted].tolist()) - {""}):
                     self.refuse(
                         wanted & (codes == code), code, name, value=lambda row, name=name: repr(row.cells[name])
                     )
-                values = np.array([np.nan if _number_fault(cell) else float(cell) for cell in cells])
+                values = np.array([
+                    np.nan if code else float(cell) for cell, code in zip(self.cells[name], codes, strict=True)
+                ])[wanted]  # fmt: skip
             out[wanted, j] = values
         return out
 
@@ -102,7 +105,7 @@ class Table:
         """
         cells, place = self.cells[column], {name: k for k, name in enumerate(known or ())}
         try:
-            return np.fromiter(map(place.__getitem__, cells), np.intp, len(cells))
+            return cells.positions(place)
         except KeyError:
             out = np.array([place.setdefault(cell, len(place)) for cell in cells], np.intp)
         if known is not None:
@@ -122,12 +125,13 @@ class Table:
             self._refused.append((rows, code, column, {"value": lambda row: row.cells[column], **fields}))
 
     def refuse_repeated(self, keys: Sequence[Hashable] | Index, code: str, column: str, **fields: Any) -> None:
-        """Refuse records whose key an earlier record has; field ``first`` is the line of that record."""
+        """Refuse records whose key an earlier record has; field ``first`` is the place of that record."""
         distinct = np.diff(np.sort(keys)).all() if isinstance(keys, np.ndarray) else len(set(keys)) == len(keys)
         if not distinct:
             place: dict[Hashable, int] = {}
             first = np.array([place.setdefault(key, k) for k, key in enumerate(keys)])
-            self.refuse(first < np.arange(len(keys)), code, column, first=self.lines[first], **fields)
+            places = np.array([f"{self.unit} {line}" for line in self.lines[first].tolist()])
+            self.refuse(first < np.arange(len(keys)), code, column, first=places, **fields)
 
     def report(self, faults: Faults) -> None:
         """Note the refused records in the order of their lines."""
@@ -168,17 +172,6 @@ def _number_fault(text: str) -> str:
     return "table.number_too_large" if math.isinf(float(text)) else ""
 
 
-def finite(cells: Sequence[str]) -> Array | None:
-    """All texts as finite numbers (n,); None if one is not a number."""
-    if "".join(cells).encode().translate(None, OF_NUMBERS):
-        return None
-    try:
-        values = np.fromiter(map(float, cells), np.float64, len(cells))
-    except ValueError:
-        return None
-    return values if np.isfinite(values).all() else None
-
-
 # --- files ------------------------------------------------------------------------------------------
 
 #: A longer line than this is not a record of ours.
@@ -188,12 +181,12 @@ _ODD_STARTS: Final = frozenset(("", "#", " ", "\t", ","))
 
 
 def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> Table | None:
-    """Read a CSV file that has the columns of one of several layouts.
+    """Read a table that has the columns of one of several layouts.
 
     Parameters
     ----------
     path : Path
-        The file.
+        The file; its name ends with .parquet, .feather or .arrow, or it is CSV.
     columns : sequence of sequences of str
         The allowed layouts, each a complete set of column names; their order in the file is free.
     faults : Faults
@@ -204,34 +197,81 @@ def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> 
     Table or None
         None if the file as a whole is unusable. Records with a wrong number of cells are left out, and noted.
     """
+    extra = "leave it out" if is_binary(path) else "put remarks into lines that begin with #"
+
+    def check(place: str, names: Sequence[str]) -> None:
+        _check_names(place, names, columns, extra, faults)
+
+    table = read_columns(path, faults, check, columns[0])
+    if table is not None and not len(table) and not faults:
+        faults.add("table.no_records", place=table.header)
+    return table
+
+
+def read_columns(
+    path: Path, faults: Faults, check: Callable[[str, Sequence[str]], None], wanted: Sequence[str]
+) -> Table | None:
+    """Read a table whose columns pass a check.
+
+    Parameters
+    ----------
+    path, faults
+        See :func:`read_table`; records are not required.
+    check : callable
+        Called with the place and the names of the columns before the records are read; notes faults.
+    wanted : sequence of str
+        Columns that the message about an empty file names.
+
+    Returns
+    -------
+    Table or None
+        See :func:`read_table`.
+    """
+    if is_binary(path):
+        from fg_orient.formats.arrow import HEADER, read_binary
+
+        found = read_binary(path, faults, check)
+        if found is None:
+            return None
+        n = len(next(iter(found.values()), ()))
+        return Table(tuple(found), found, np.arange(1, n + 1), str(path), HEADER, "row")
     text = read_text(path, faults)
     if text is None:
         return None
     table = regular(text, MAX_LINE)
     if table is not None:
-        names = _header(table.line, table.header, columns, faults)
-        if names is None:
+        if _refused(table.line, table.header, check, faults):
             return None
         lines_of = table.line + 1 + np.arange(len(table.columns[0]))
-        return Table(names, dict(zip(names, table.columns, strict=True)), lines_of, str(path))
+        cells: dict[str, Cells] = dict(zip(table.header, table.columns, strict=True))
+        return Table(tuple(cells), cells, lines_of, str(path), f"line {table.line}")
     numbers, lines = _lines(text, faults)
     headers = ((n, delimited(n, line, faults)) for n, line in zip(numbers, lines, strict=True))
-    first, cells = next(((n, cells) for n, cells in headers if cells is not None), (0, None))
-    if cells is None:
-        faults.add("table.empty", place="line 1", columns=", ".join(columns[0]))
-        return None
-    names = _header(first, cells, columns, faults)
+    first, names = next(((n, cells) for n, cells in headers if cells is not None), (0, None))
     if names is None:
+        faults.add("table.empty", place="line 1", columns=", ".join(wanted))
+        return None
+    if _refused(first, names, check, faults):
         return None
     start = numbers.index(first) + 1
     kept, by_column = _records(numbers[start:], lines[start:], names, faults)
-    if not kept and not faults:
-        faults.add("table.no_records", place=f"line {first}")
-    return Table(names, by_column, np.array(kept, np.int64), str(path))
+    return Table(tuple(names), by_column, np.array(kept, np.int64), str(path), f"line {first}")
+
+
+def _refused(
+    line: int, names: Sequence[str], check: Callable[[str, Sequence[str]], None], faults: Faults
+) -> bool:  # fmt: skip
+    """Whether the header of a CSV file is unusable; its faults are noted."""
+    before = len(faults.problems)
+    if len(names) == 1 and any(mark in names[0] for mark in ";\t|"):
+        faults.add("table.delimiter", place=f"line {line}", value=names[0])
+    else:
+        check(f"line {line}", names)
+    return len(faults.problems) > before
 
 
 def require_table(path: Path, layouts: Sequence[Sequence[str]]) -> Table:
-    """Read a CSV file as :func:`read_table` does; InputError with its faults if it is unusable."""
+    """Read a table as :func:`read_table` does; InputError with its faults if it is unusable."""
     faults = Faults(str(path))
     table = read_table(path, layouts, faults)
     faults.raise_if_any()
@@ -240,7 +280,7 @@ def require_table(path: Path, layouts: Sequence[Sequence[str]]) -> Table:
 
 
 def read_numbers(path: Path, layouts: Sequence[Sequence[str]], words: Sequence[str] = ()) -> tuple[Array, Table]:
-    """Read numbers of a CSV file.
+    """Read numbers of a table.
 
     Parameters
     ----------
@@ -284,33 +324,35 @@ def _lines(text: str, faults: Faults) -> tuple[list[int], list[str]]:
 
 
 def _records(
-    numbers: list[int], lines: list[str], names: tuple[str, ...], faults: Faults
-) -> tuple[list[int], dict[str, Sequence[str]]]:
+    numbers: list[int], lines: list[str], names: Sequence[str], faults: Faults
+) -> tuple[list[int], dict[str, Cells]]:
     """Line numbers and cells by column of the records; those with a wrong number of cells are left out, and noted."""
     width = len(names)
     split = {n: delimited(n, line, faults, width) for n, line in zip(numbers, lines, strict=True)}
     rows = {n: cells for n, cells in split.items() if cells is not None}
-    return list(rows), {name: [cells[k] for cells in rows.values()] for k, name in enumerate(names)}
+    return list(rows), {name: Cells([cells[k] for cells in rows.values()]) for k, name in enumerate(names)}
 
 
-def _header(line: int, cells: list[str], layouts: Sequence[Sequence[str]], faults: Faults) -> tuple[str, ...] | None:
-    """Column names, checked against the layouts; None if they fit none of them."""
-    place = f"line {line}"
-    if len(cells) == 1 and any(mark in cells[0] for mark in ";\t|"):
-        faults.add("table.delimiter", place=place, value=cells[0])
-        return None
-    before = len(faults.problems)
-    for name in sorted({name for name in cells if cells.count(name) > 1}):
-        faults.add("table.column_twice", place=place, value=name or "an unnamed column")
-    layout = max(layouts, key=lambda one: len(set(one) & set(cells)))
+def _check_names(
+    place: str, names: Sequence[str], layouts: Sequence[Sequence[str]], extra: str, faults: Faults
+) -> None:
+    """Note names of columns that do not fit the layouts; ``extra``: what to do with an unknown column."""
+    note_repeated(place, names, faults)
+    layout = max(layouts, key=lambda one: len(set(one) & set(names)))
     everything = sorted({name for one in layouts for name in one})
-    for name in dict.fromkeys(cells):
+    for name in dict.fromkeys(names):
         if name and name not in everything:
-            faults.add("table.column_unknown", place=place, value=name, hint=did_you_mean(name, everything))
+            hint = f"{did_you_mean(name, everything)}; {extra}"
+            faults.add("table.column_unknown", place=place, value=name, hint=hint)
         elif name and name not in layout:
             faults.add("table.column_foreign", place=place, value=name, columns=", ".join(layout))
-    misspelt = [match for name in cells for match in difflib.get_close_matches(name, layout, n=1)]
+    misspelt = [match for name in names for match in difflib.get_close_matches(name, layout, n=1)]
     for name in layout:
-        if name not in cells and name not in misspelt:
+        if name not in names and name not in misspelt:
             faults.add("table.column_missing", place=place, value=name, columns=", ".join(layout))
-    return None if len(faults.problems) > before else tuple(cells)
+
+
+def note_repeated(place: str, names: Sequence[str], faults: Faults) -> None:
+    """Note each name that several columns have."""
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        faults.add("table.column_twice", place=place, value=name or "an unnamed column")

@@ -22,6 +22,9 @@ def read_text(path: Path, faults: Faults) -> str | None:
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         faults.add("table.utf16", place="line 1")
         return None
+    if data.startswith((b"PAR1", b"ARROW1")):
+        faults.add("table.other_form", value="Parquet or Arrow")
+        return None
     if b"\0" in data:
         faults.add("table.nul", place=f"line {data[: data.index(0)].count(10) + 1}")
         return None

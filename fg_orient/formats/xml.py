@@ -22,8 +22,9 @@ import numpy as np
 from lxml import etree
 
 from factors.arrays import Array
+from fg_orient.formats.columns import finite
 from fg_orient.formats.registry import read_bytes
-from fg_orient.formats.tables import DECIMAL_COMMA, NUMBER, finite
+from fg_orient.formats.tables import DECIMAL_COMMA, NUMBER
 from fg_orient.model.errors import InputError
 
 #: No quantity of a metadata file is larger; beyond it squares overflow.

@@ -22,11 +22,12 @@ from factors.arrays import Array
 from fg_orient.formats.atomic import require_free_files, staged_file, write_text
 from fg_orient.formats.exchange.gis import GPKG_OPTIONS
 from fg_orient.formats.gdal import plain_case
+from fg_orient.formats.table_write import WORDS
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.errors import InputError
 from fg_orient.report.chart import round_down
 from fg_orient.report.maps import KM_PER_DEGREE, shrink_at
-from fg_orient.result.plain import WORDS, Table, plain
+from fg_orient.result.plain import Table, plain
 from fg_orient.result.record import Result, read_result
 from fg_orient.sensors.viewing import polygon_geometry
 

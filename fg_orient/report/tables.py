@@ -189,10 +189,7 @@ def _truth_group(name: str, ratio: Array) -> dict[str, Any]:
 
 
 def _read_truth(path: Path, *columns: str) -> Table:
-    try:
-        return read_table(path, *columns)
-    except ValueError as error:
-        raise InputError.of("report.no_truth", file=path, value=error) from None
+    return read_table(path, *columns, code="report.no_truth")
 
 
 def _prior_scale(result: Result, table: Table) -> Array:

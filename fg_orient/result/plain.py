@@ -1,4 +1,4 @@
-"""Plain values as files: strict JSON, and CSV tables that are written and read column by column.
+"""Plain values as files: strict JSON, and tables that are written and read column by column.
 
 Numbers have the fewest digits that read back to the same double. What is not finite is null in JSON and an empty cell
 in a table; the warnings of a record say why (``fg_orient.result.summary``).
@@ -6,27 +6,21 @@ in a table; the warnings of a record say why (``fg_orient.result.summary``).
 
 from __future__ import annotations
 
-import csv
-import itertools
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from factors.arrays import Array, Index
-from fg_orient.formats.columns import ROWS
-from fg_orient.formats.table_write import Column, write_table
-
-#: Columns of text; all others hold numbers.
-WORDS: Final = frozenset((
-    "id", "role", "image", "parameter", "component", "unit", "sigma_scale", "per_line_unit", "shared", "quantity",
-    "part", "test", "inseparable", "left_out_with_it",
-))  # fmt: skip
+from fg_orient.formats.faults import Faults
+from fg_orient.formats.table_write import WORDS, Column, write_table
+from fg_orient.formats.tables import note_repeated, read_columns
+from fg_orient.model.errors import InputError
 
 
 def plain(value: Any) -> Any:
@@ -119,32 +113,35 @@ def write_records(path: Path, records: Sequence[Mapping[str, Any]]) -> None:
     write_rows(path, tuple(records[0]), (tuple(record.values()) for record in records))
 
 
-def read_table(path: Path, *required: str) -> Table:
-    """Read a CSV table of ours; lines that start with # are comments.
+def read_table(path: Path, *required: str, code: str = "report.damaged") -> Table:
+    """Read a table of ours.
 
     Parameters
     ----------
     path : Path
     *required : str
         Columns that the table must have.
+    code : str
+        Message if the table cannot be read.
 
     Raises
     ------
-    ValueError
-        Rows of different lengths, a cell that is not a number, or a missing column.
+    InputError
+        The first fault of the file: it is missing or damaged, a column is missing, a cell is not a number.
     """
-    with path.open(encoding="utf-8", newline="") as stream:
-        rows = csv.reader(line for line in stream if not line.startswith("#"))
-        names = next(rows, [])
-        if missing := set(required) - set(names):
-            raise ValueError(f"no column {min(missing)}")
-        parts: list[list[Column]] = [[[] if name in WORDS else np.zeros(0)] for name in names]
-        while part := list(itertools.islice(rows, ROWS)):
-            if any(len(row) != len(names) for row in part):
-                raise ValueError(f"a line without {len(names)} cells")
-            for name, column, cells in zip(names, parts, zip(*part, strict=True), strict=True):
-                column.append(cells if name in WORDS else np.array([float(c) if c else math.nan for c in cells]))
-    return Table({
-        name: list(itertools.chain(*column)) if name in WORDS else np.concatenate(column)
-        for name, column in zip(names, parts, strict=True)
-    })  # fmt: skip
+
+    def check(place: str, names: Sequence[str]) -> None:
+        note_repeated(place, names, faults)
+        for name in sorted(set(required) - set(names)):
+            faults.add("table.column_missing", place=place, value=name, columns=", ".join(required))
+
+    faults, columns = Faults(str(path)), dict[str, Column]()
+    table = read_columns(path, faults, check, required)
+    if table is not None and not faults:
+        for name, cells in table.cells.items():
+            columns[name] = list(cells) if name in WORDS else table.numbers(name, rows=~cells.are(""))[:, 0]
+        table.report(faults)
+    for one in faults.problems[:1]:
+        value = " ".join(filter(None, (one.message, one.value)))
+        raise InputError.of(code, file=path, place=one.place, value=value)
+    return Table(columns)

@@ -6,7 +6,6 @@ A run makes it from a solution (``fg_orient.result.summary.result_of``), writes 
 
 from __future__ import annotations
 
-import csv
 import json
 import zipfile
 from collections.abc import Mapping
@@ -323,7 +322,7 @@ def read_any_result(folder: Path) -> Result:
             with np.load(folder / file, allow_pickle=False) as stored:
                 joint = JointCofactors.of_arrays(stored)
         return Result(result.record, tables, iterations, arrays, files, joint)
-    except (OSError, ValueError, KeyError, csv.Error, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise InputError.of("report.damaged", file=folder / file, value=error) from None
 
 

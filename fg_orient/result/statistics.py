@@ -10,9 +10,9 @@ import numpy as np
 from factors.arrays import Array, Index
 from fg_orient.adjustment.cofactors import AUTO_LIMIT
 from fg_orient.adjustment.constraints import has_constraints
-from fg_orient.adjustment.memory import GB
 from fg_orient.formats.table_write import Column
 from fg_orient.model.errors import Finding, finding
+from fg_orient.model.machine import GB
 from fg_orient.quality.covariance import gives_statistics
 from fg_orient.quality.reliability import CHECKABLE, UNSEEN, noncentrality
 from fg_orient.quality.unseen import unseen_mistakes

@@ -12,9 +12,11 @@ import pytest
 
 from tests.support.command import in_process
 
-HEAVY = ("gtsam", "numba", "scipy", "pandas", "matplotlib", "rasterio", "pyproj", "erfa", "lxml", "pydantic")
+HEAVY = ("gtsam", "numba", "scipy", "pandas", "pyarrow", "matplotlib", "rasterio", "pyproj", "erfa", "lxml", "pydantic")
 #: Modules that no command below needs: a plot or a raster is not asked for.
-OPTIONAL = ("pandas", "matplotlib", "rasterio", "shapely", "pyogrio", "dask", "scipy.stats", "scipy.interpolate")
+OPTIONAL = (
+    "pandas", "pyarrow", "matplotlib", "rasterio", "shapely", "pyogrio", "dask", "scipy.stats", "scipy.interpolate",
+)  # fmt: skip
 #: Parts of scipy that take as long to load as an adjustment to compute, for tasks that most blocks do not have.
 SCIPY = ("scipy.optimize", "scipy.spatial")
 #: Name -> words of the command, and modules that it must do without.

@@ -20,6 +20,7 @@ from fg_orient.formats import columns, tables
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.points import COLUMNS, read_observations, read_points
 from fg_orient.model.block import Block
+from fg_orient.model.errors import InputError
 from fg_orient.orientation.orient import adjust
 from fg_orient.result.plain import Table, read_table
 from fg_orient.simulate.block import BlockOptions, grid_block
@@ -71,7 +72,7 @@ def test_table_longer_than_a_chunk_reads_back(tmp_path: Path, monkeypatch: pytes
     assert table.words["id"] == ids and len(table) == 40
     np.testing.assert_array_equal(table.figures["x_m"], values)
     (tmp_path / "t.csv").write_text("id,x_m\na,1\nb\n")
-    with pytest.raises(ValueError, match="2 cells"):
+    with pytest.raises(InputError, match=r"line 3: .* each of the 2 columns 1 cells"):
         read_table(tmp_path / "t.csv")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fg_orient.adjustment import memory
+from fg_orient.model import machine
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.orientation import orient
@@ -93,26 +93,26 @@ def test_commands_tell_the_need_and_refuse(tmp_path: Path) -> None:
 def test_available_memory_is_that_of_system_and_control_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     information = tmp_path / "meminfo"
     information.write_text("MemTotal: 9000 kB\nMemAvailable:    4000 kB\n")
-    monkeypatch.setattr(memory, "_MEMINFO", information)
-    monkeypatch.setattr(memory, "_GROUPS", tmp_path)
-    monkeypatch.setattr(memory, "_OWN_GROUPS", tmp_path / "groups")
-    assert memory.available_bytes() == 4000 * 1024
+    monkeypatch.setattr(machine, "_MEMINFO", information)
+    monkeypatch.setattr(machine, "_GROUPS", tmp_path)
+    monkeypatch.setattr(machine, "_OWN_GROUPS", tmp_path / "groups")
+    assert machine.available_bytes() == 4000 * 1024
     (tmp_path / "memory.max").write_text("max\n")
     (tmp_path / "memory.current").write_text("500000\n")
-    assert memory.available_bytes() == 4000 * 1024
+    assert machine.available_bytes() == 4000 * 1024
     (tmp_path / "memory.max").write_text("2500000\n")
-    assert memory.available_bytes() == 2_000_000
+    assert machine.available_bytes() == 2_000_000
     (tmp_path / "memory.stat").write_text("anon 400000\ninactive_file 100000\n")
-    assert memory.available_bytes() == 2_100_000, "memory of files can be given up"
+    assert machine.available_bytes() == 2_100_000, "memory of files can be given up"
     (tmp_path / "own" / "inner").mkdir(parents=True)
     (tmp_path / "groups").write_text("3:cpu:/else\n0::/own/inner\n")
     (tmp_path / "own" / "memory.max").write_text("1000000\n")
     (tmp_path / "own" / "memory.current").write_text("1\n")
-    assert memory.available_bytes() == 999_999, "the group above the own one has the narrowest limit"
+    assert machine.available_bytes() == 999_999, "the group above the own one has the narrowest limit"
     (tmp_path / "own" / "memory.max").unlink()
     (tmp_path / "memory.stat").unlink()
-    assert memory.allowed_bytes(None) == 1_600_000 and memory.allowed_bytes(3.0) == 3_000_000_000
+    assert machine.allowed_bytes(None) == 1_600_000 and machine.allowed_bytes(3.0) == 3_000_000_000
     information.unlink()
     (tmp_path / "memory.max").unlink()
-    found = memory.available_bytes()
+    found = machine.available_bytes()
     assert found is None or found > 0

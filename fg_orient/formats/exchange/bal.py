@@ -29,12 +29,12 @@ from scipy.spatial.transform import Rotation
 from factors.arrays import Array, Index
 from factors.cameras import frame_camera
 from fg_orient.formats.atomic import require_free_files, write_bytes
+from fg_orient.formats.columns import finite
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import read_packed, whole
 from fg_orient.formats.exchange.ties import model_format, model_survey
 from fg_orient.formats.frame_model import FrameModel, Pose, frame_block
 from fg_orient.formats.registry import Format, Settings
-from fg_orient.formats.tables import finite
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.block import Block, Source
 from fg_orient.model.errors import Finding, InputError, finding

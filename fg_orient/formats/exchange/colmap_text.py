@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from factors.arrays import Array, Index
 from fg_orient.formats.atomic import require_free_files, write_lines
+from fg_orient.formats.columns import finite
 from fg_orient.formats.exchange.text import TextLines, make_folder, positions, require_once, whole
 from fg_orient.formats.exchange.ties import model_format
 from fg_orient.formats.frame_model import FrameModel, Pose
-from fg_orient.formats.tables import finite
 from fg_orient.model.errors import InputError, finding
 from fg_orient.sensors.conventions import CONVENTIONS, Image, interior_parameters
 from fg_orient.sensors.frame import IDEAL_TO_MEASURED

@@ -238,7 +238,8 @@ def check_ground(survey: Survey, file: str, scenes: Sequence[Scene] = ()) -> tup
     faults.raise_if_any()
     if scenes and len(rows):
         given = np.where(np.isnan(survey.coordinates), 0.0, survey.coordinates)[rows]
-        check_positions(scenes, survey.crs, given, to_ecef(survey.crs, *given.T), survey.lines[rows], faults)
+        place = lambda k: survey.place(int(rows[k]))  # noqa: E731
+        check_positions(scenes, survey.crs, given, to_ecef(survey.crs, *given.T), place, faults)
         faults.raise_if_any()
     return remarks
 
@@ -246,7 +247,7 @@ def check_ground(survey: Survey, file: str, scenes: Sequence[Scene] = ()) -> tup
 def _check_ranges(survey: Survey, rows: Index, faults: Faults) -> None:
     for k in rows:
         lon, lat = survey.coordinates[k, :2]
-        place = f"line {survey.lines[k]}, point {survey.ids[k]}"
+        place = f"{survey.place(k)}, point {survey.ids[k]}"
         if abs(lat) > 90.0:
             code = "interchange.swapped_range" if abs(lon) <= 90.0 and abs(lat) <= 180.0 else "points.latitude"
             faults.add(code, place=place, value=f"{lat:.10g}")
@@ -261,7 +262,7 @@ def _check_area(survey: Survey, rows: Index, faults: Faults) -> tuple[Finding, .
     outside = ~_in_area(survey.crs, first, second, area)
     if area is None or 2 * outside.sum() <= len(rows):
         return ()
-    place, value = f"line {survey.lines[rows[0]]}, point {survey.ids[rows[0]]}", f"{first[0]:.10g} {second[0]:.10g}"
+    place, value = f"{survey.place(int(rows[0]))}, point {survey.ids[rows[0]]}", f"{first[0]:.10g} {second[0]:.10g}"
     if _in_area(survey.crs, second, first, area).sum() > outside.sum() // 2:
         faults.add("interchange.swapped", place=place, value=value, crs=survey.crs)
         return ()

@@ -15,11 +15,12 @@ from typing import Final
 import numpy as np
 
 from fg_orient.formats.atomic import write_lines
+from fg_orient.formats.columns import finite
 from fg_orient.formats.exchange.survey import Gathering, Survey
 from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, require_plain
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.registry import Format, Holds, Settings
-from fg_orient.formats.tables import Row, finite
+from fg_orient.formats.tables import Row
 from fg_orient.model.errors import InputError, finding
 from fg_orient.model.names import Role
 

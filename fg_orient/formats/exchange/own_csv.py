@@ -1,4 +1,7 @@
-"""Our own tables: ground points and image observations, as a project names them (docs/file-formats.md)."""
+"""Our own tables: ground points and image observations, as a project names them (docs/file-formats.md).
+
+The end of the file name says the form: .csv, .parquet, .feather or .arrow. The format "csv" has all of them.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,14 @@ from typing import Final
 
 import numpy as np
 
+from fg_orient.formats.arrow import comments_of
 from fg_orient.formats.exchange.survey import Survey, decided_crs
 from fg_orient.formats.exchange.text import stated_in
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.points import COLUMNS, located, parse_points, read_observations
 from fg_orient.formats.points_write import write_observations, write_points
 from fg_orient.formats.registry import Format, Holds, Settings
+from fg_orient.formats.table_write import BINARY, is_binary
 from fg_orient.formats.tables import read_table
 from fg_orient.geodesy import crs_kind
 from fg_orient.model.errors import InputError
@@ -24,8 +29,10 @@ _CRS: Final = re.compile(r"^#\s*crs\s*[:=]\s*(\S+)\s*$", re.MULTILINE | re.IGNOR
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     """Read one or two tables; a comment ``# crs: EPSG:n`` or the settings state the CRS of the points."""
-    crs, notes = decided_crs(stated_in(paths[0], _CRS), settings.crs, paths[0])
     faults = Faults(str(paths[0]))
+    comments = comments_of(paths[0], faults) if is_binary(paths[0]) else None
+    faults.raise_if_any()
+    crs, notes = decided_crs(stated_in(paths[0], _CRS, comments), settings.crs, paths[0])
     points = parse_points(paths[0], crs, faults)
     if points is not None:
         located(points, faults)
@@ -59,8 +66,8 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
 
 FORMAT = Format(
     name="csv",
-    title="fg_orient tables",
-    suffixes=(".csv",),
+    title="fg_orient tables (CSV, Parquet, Arrow)",
+    suffixes=(".csv", *BINARY),
     files=("points", "observations"),
     first_pixel=(0.0, 0.0),
     pixel_axes="line, sample (pixels)",

@@ -30,13 +30,13 @@ from typing import Final
 import numpy as np
 
 from factors.arrays import Array
+from fg_orient.formats.columns import finite
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import TextLines, positions, require_once
 from fg_orient.formats.exchange.ties import model_survey, tie_survey
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.frame_model import FrameModel, Pose
 from fg_orient.formats.registry import Format, Holds, Settings
-from fg_orient.formats.tables import finite
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role

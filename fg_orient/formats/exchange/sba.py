@@ -19,13 +19,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from factors.arrays import Array
+from fg_orient.formats.columns import finite
 from fg_orient.formats.exchange.bal import sizes_of
 from fg_orient.formats.exchange.text import TextLines
 from fg_orient.formats.exchange.ties import model_format
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.frame_model import FrameModel, Pose
 from fg_orient.formats.registry import Settings
-from fg_orient.formats.tables import finite
 from fg_orient.model.errors import InputError, finding
 from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL
 from fg_orient.sensors.interior import Interior

@@ -56,6 +56,8 @@ class Survey:
         Image points: positions in ``images`` and ``ids``, pixels and sigmas (nan where unknown).
     lines : (n,) int array
         Line of each ground point in its file, for messages; 0 where there is none.
+    unit : str
+        "line"; "row" of a file without lines.
     notes : tuple of Finding
         Remarks of the reader for the user.
     """
@@ -70,10 +72,15 @@ class Survey:
     observed: ImagePoints = field(default_factory=no_image_points)
     lines: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
     notes: tuple[Finding, ...] = ()
+    unit: str = "line"
 
     def __post_init__(self) -> None:
         if not len(self.lines):
             object.__setattr__(self, "lines", np.zeros(len(self.ids), np.int64))
+
+    def place(self, k: int) -> str:
+        """Place of a ground point in its file, for messages."""
+        return f"{self.unit} {self.lines[k]}"
 
     @property
     def located(self) -> Mask:
@@ -152,7 +159,7 @@ class Gathering:
             self.faults.add("points.id_missing", place=f"line {line}")
         elif name in self._point:
             first = self._ground[self._point[name]][4]
-            self.faults.add("points.id_twice", place=f"line {line}", value=name, first=first)
+            self.faults.add("points.id_twice", place=f"line {line}", value=name, first=f"line {first}")
         else:
             self._point[name] = len(self._ground)
             self._ground.append((role, coordinates, sigma, fixed, line))
@@ -181,7 +188,9 @@ class Gathering:
         key = self._image.setdefault(image, len(self._image)), self._point[name]
         if key in self._measured:
             first = self._measured[key][2]
-            self.faults.add("observations.twice", place=f"line {line}", value=f"{name} in {image}", first=first)
+            self.faults.add(
+                "observations.twice", place=f"line {line}", value=f"{name} in {image}", first=f"line {first}"
+            )
         else:
             self._measured[key] = ((line_px, sample_px), sigma, line)
 

@@ -19,9 +19,10 @@ import numpy.typing as npt
 
 from factors.arrays import Array, Index
 from fg_orient.formats.atomic import writing
+from fg_orient.formats.columns import finite
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.table_write import quoted
-from fg_orient.formats.tables import Row, finite, number
+from fg_orient.formats.tables import Row, number
 from fg_orient.formats.text_files import delimited, read_text
 from fg_orient.model.errors import Finding, InputError, finding
 
@@ -83,10 +84,13 @@ def read_rows(
             faults.add("interchange.cell_count", place=f"line {n}", value=f"{len(cells)} cells", expected=expected)
 
 
-def stated_in(path: Path, pattern: re.Pattern[str]) -> str:
-    """First group of the first match of a pattern in a text file, "" without a match; InputError if unreadable."""
+def stated_in(path: Path, pattern: re.Pattern[str], text: str | None = None) -> str:
+    """First group of the first match of a pattern in a text file, "" without a match; InputError if unreadable.
+
+    ``text`` replaces that of the file.
+    """
     faults = Faults(str(path))
-    match = pattern.search(read_text(path, faults) or "")
+    match = pattern.search((read_text(path, faults) if text is None else text) or "")
     faults.raise_if_any()
     return match[1] if match else ""
 

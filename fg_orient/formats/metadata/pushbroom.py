@@ -16,9 +16,10 @@ from pydantic import Field
 from factors.arrays import Array
 from factors.geometry import orbital
 from factors.geometry.interpolation import sign_aligned
+from fg_orient.formats.columns import finite
 from fg_orient.formats.registry import Format
 from fg_orient.formats.schema import Number, Positive, Switch, Table, Text, read_toml
-from fg_orient.formats.tables import finite, read_numbers
+from fg_orient.formats.tables import read_numbers
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.earth_rotation import DAY_S, EarthOrientation, EarthRotation, neglected
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation

@@ -117,7 +117,7 @@ closerange.printed_sigma: a published standard deviation is a number above 0
     -> correct it, or leave the cell empty
 closerange.printed_digits: the number of significant digits is a whole number from 1 to {limit}
     -> correct it, or leave the cell empty
-closerange.printed_twice: line {first} has this name
+closerange.printed_twice: {first} has this name
     -> give each value one row
 closerange.printed_name: the result has no values of these names; {hint}
     -> use the names of the result: m0, camera all c, photo NAME X0, point ID x_m, camera all k1/k2 (correlation)

@@ -156,6 +156,20 @@ table.nul: the file holds NUL bytes and is no text
 table.not_utf8: the file is not UTF-8, perhaps Latin-1
 project.encoding: the project file is not UTF-8
     -> save it as UTF-8 text
+table.other_form: the name does not say which form the file has
+    -> end the name of text with .csv, of Parquet with .parquet, of Arrow and Feather version 2 with .arrow or .feather
+table.damaged: the file is damaged or incomplete
+    -> write it again, or give the table as CSV
+table.no_pyarrow: Parquet and Arrow files need pyarrow
+    -> install the extra: pip install 'fg-orient[arrow]', or use CSV
+table.version: the table has another version than {version}
+    -> update fg_orient, or give the table as CSV
+table.memory: {rows} rows of {columns} columns need more memory than {allowed}
+    -> use a machine with more memory, or give less rows
+table.column_type: the type of the column cannot be used
+    -> write {expected}
+table.text: the text has line breaks, NUL or more than {limit} characters
+    -> correct the text
 table.empty: the file holds no header line
     -> begin with a line that names the columns: {columns}
 table.no_records: no records follow the header
@@ -169,7 +183,7 @@ table.delimiter: the columns are not separated by commas
 table.column_twice: two columns have the same name
     -> keep one of them
 table.column_unknown: unknown column
-    -> {hint}; put remarks into lines that begin with #
+    -> {hint}
 table.column_foreign: the column does not belong with the others
     -> the columns are {columns}
 table.column_missing: a column is missing
@@ -190,7 +204,7 @@ points.sigma_axes: sigmas along the axes of the CRS are not supported
     -> give sigma_east_m, sigma_north_m, sigma_up_m at the point
 points.id_missing: the point has no id
     -> give every point an id
-points.id_twice: the id is used twice, first on line {first}
+points.id_twice: the id is used twice, first on {first}
     -> give every point its own id
 points.role: unknown role
     -> write control, check or tie
@@ -221,7 +235,7 @@ observations.image_unknown: the project has no such image
 observations.point_unknown: the point file has no such id
 project.unknown_key: unknown entry
     -> {hint}
-observations.twice: the point is measured twice in this image, first on line {first}
+observations.twice: the point is measured twice in this image, first on {first}
     -> keep one measurement
 observations.outside: the pixel lies outside image {image}
     -> {axis} runs from -0.5 to {last:g}; (0, 0) is the centre of the first pixel

@@ -1,0 +1,299 @@
+"""Tables in Parquet files and Arrow files (Feather version 2), by pyarrow: the extra "arrow".
+
+Columns become cells as those of a CSV file do, so that both go through the same checks: a null is an empty cell, text
+may be encoded by a dictionary, numbers may be integers, floating-point or decimal. A file is bounded before it is read,
+by the rows and sizes that its footer states. It is read by row groups.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.arrays import Mask
+from fg_orient.formats.columns import Cells, CodedCells, NumberCells
+from fg_orient.formats.faults import Faults
+from fg_orient.formats.table_write import WHOLE, WORDS, Column, are_numbers, comment_lines, texts
+from fg_orient.model.errors import InputError
+from fg_orient.model.machine import GB, allowed_bytes
+
+#: Notes the faults of the names of columns, given their place.
+Check = Callable[[str, Sequence[str]], None]
+#: Place of the names of columns in messages.
+HEADER: Final = "the columns"
+#: First bytes of the files.
+MARKS: Final = {".parquet": b"PAR1", ".feather": b"ARROW1", ".arrow": b"ARROW1"}
+#: Metadata of a file: version of the columns, and comments as lines of CSV.
+SCHEMA: Final = b"fg_orient.schema"
+COMMENTS: Final = b"fg_orient.comments"
+VERSION: Final = b"1"
+#: Rows that are compressed, and can be read, at once.
+ROW_GROUP: Final = 250_000
+#: Bytes of a cell in memory, at least.
+PER_CELL: Final = 16
+#: Characters of a text at most; texts that no cell of CSV can have.
+LONGEST: Final = 10_000
+_ODD: Final = re.compile(rf"[\n\r\0]|[^\t]{{{LONGEST + 1}}}")
+#: Kinds of columns that are numbers in numpy.
+NUMBERS: Final = ("whole", "number")
+
+
+class _Opened(NamedTuple):
+    """An open file: schema, rows, bytes of the columns, share of the largest row group, number and reader of these."""
+
+    schema: Any
+    n_rows: int
+    n_bytes: int
+    largest: float
+    n_groups: int
+    group: Callable[[int], Any]
+
+
+class _Part(NamedTuple):
+    """Some cells of a column: numbers and a mask of the empty ones, or positions of texts in ``distinct``."""
+
+    values: npt.NDArray[Any]
+    empty: Mask
+    distinct: dict[str, int] | None
+
+
+def library(file: object) -> Any:
+    """Import pyarrow; InputError for ``file``, which needs it, if it is not installed."""
+    try:
+        import pyarrow
+        import pyarrow.ipc
+        import pyarrow.parquet
+    except ImportError as error:
+        raise InputError.of("table.no_pyarrow", file=file) from error
+    return pyarrow
+
+
+# --- reading ----------------------------------------------------------------------------------------
+
+
+def read_binary(path: Path, faults: Faults, check: Check) -> dict[str, Cells] | None:
+    """Read all columns as cells.
+
+    Parameters
+    ----------
+    path, faults, check
+        See :func:`fg_orient.formats.tables.read_columns`.
+
+    Returns
+    -------
+    dict or None
+        None, with the faults noted, if the file is unusable.
+    """
+    found = list(_parts(path, faults, check, whole=True))
+    return None if faults else {name: _cells([part[name] for part in found]) for name in found[0]}
+
+
+def row_groups(path: Path, faults: Faults, check: Check) -> Iterator[dict[str, Cells]]:
+    """Columns of one row group after the other, as of :func:`read_binary`, for tables larger than the memory.
+
+    It ends, with the faults noted, where the file is unusable.
+    """
+    for part in _parts(path, faults, check, whole=False):
+        yield {name: _cells([column]) for name, column in part.items()}
+
+
+def comments_of(path: Path, faults: Faults) -> str:
+    """Comments in the metadata of a file, as lines of CSV; none, with the fault noted, if it is unusable."""
+    if _begins_well(path, faults):
+        with _noting(path, faults) as pa:
+            return str((_opened(pa, path).schema.metadata or {}).get(COMMENTS, b"").decode("utf-8"))
+    return ""
+
+
+def _begins_well(path: Path, faults: Faults) -> bool:
+    """Whether the file exists and begins as its name says; else the fault is noted."""
+    mark = MARKS[path.suffix.lower()]
+    try:
+        with path.open("rb") as stream:
+            found = stream.read(len(mark))
+    except FileNotFoundError:
+        faults.add("table.missing_file")
+        return False
+    except OSError as error:
+        faults.add("table.unreadable", value=error.strerror or type(error).__name__)
+        return False
+    if found != mark:
+        faults.add("table.other_form", value=f"it does not begin with {mark.decode()}")
+    return found == mark
+
+
+@contextmanager
+def _noting(path: Path, faults: Faults) -> Iterator[Any]:
+    """Give pyarrow; its errors become faults of the file."""
+    pa = library(path)
+    try:
+        yield pa
+    except (pa.ArrowException, OSError, ValueError, OverflowError, MemoryError) as error:
+        faults.add("table.damaged", value=str(error) or type(error).__name__)
+
+
+def _opened(pa: Any, path: Path) -> _Opened:
+    """Open a file. Text of Parquet stays encoded by a dictionary, which bounds its size in memory."""
+    if path.suffix.lower() == ".parquet":
+        meta = pa.parquet.read_metadata(path)
+        schema = meta.schema.to_arrow_schema()
+        names = [one.name for one in schema if _kind(pa, one.type) == "text"]
+        file = pa.parquet.ParquetFile(path, metadata=meta, read_dictionary=names, pre_buffer=False)
+        groups = [meta.row_group(k) for k in range(meta.num_row_groups)]
+        rows = [group.num_rows for group in groups]
+        if min(rows, default=0) < 0 or sum(rows) != meta.num_rows:
+            raise ValueError("the numbers of rows are wrong")
+        size = sum(group.column(j).total_uncompressed_size for group in groups for j in range(group.num_columns))
+        largest = max(rows, default=0) / max(meta.num_rows, 1)
+        read = partial(file.read_row_group, use_threads=False)
+        return _Opened(schema, meta.num_rows, size, largest, len(rows), read)
+    reader = pa.ipc.open_file(pa.OSFile(str(path)), options=pa.ipc.IpcReadOptions(use_threads=False))
+    n_groups, size = reader.num_record_batches, path.stat().st_size
+    return _Opened(reader.schema, reader.count_rows(), size, 1 / max(n_groups, 1), n_groups, reader.get_batch)
+
+
+def _parts(path: Path, faults: Faults, check: Check, *, whole: bool) -> Iterator[dict[str, _Part]]:
+    """Columns of each row group, at least one; ``whole``: all of them will be in memory at once."""
+    if not _begins_well(path, faults):
+        return
+    with _noting(path, faults) as pa:
+        file = _opened(pa, path)
+        kinds = [(one.name, _kind(pa, one.type)) for one in file.schema]
+        _check_schema(file, kinds, check, faults)
+        need = (file.n_bytes + file.n_rows * len(kinds) * PER_CELL) * (1.0 if whole else file.largest)
+        allowed = allowed_bytes(None)
+        if allowed is not None and need > allowed:
+            faults.add("table.memory", value=f"{need / GB:.3g} GB", rows=file.n_rows, columns=len(kinds),
+                       allowed=f"{allowed / GB:.3g} GB")  # fmt: skip
+        known = {name: dict[str, int]() for name, _ in kinds}
+        first = 1
+        for k in range(max(file.n_groups, 1)):
+            if faults:
+                return
+            group = file.group(k) if file.n_groups else file.schema.empty_table()
+            group.validate(full=True)
+            part = dict[str, _Part]()
+            for (name, kind), column in zip(kinds, group.columns, strict=True):
+                part[name] = _numbers(pa, column) if kind in NUMBERS else _texts(pa, column, known[name])
+                _check_texts(name, part[name], first, faults)
+            first += group.num_rows
+            yield part
+
+
+def _check_schema(file: _Opened, kinds: Sequence[tuple[str, str]], check: Check, faults: Faults) -> None:
+    """Note an unknown version, names that do not fit, and types of columns that are neither text nor numbers."""
+    version = (file.schema.metadata or {}).get(SCHEMA, VERSION)
+    if version != VERSION:
+        faults.add("table.version", value=version.decode("utf-8", "replace"), version=VERSION.decode())
+    check(HEADER, [name for name, _ in kinds])
+    for one, (name, kind) in zip(file.schema, kinds, strict=True):
+        if not kind or (name in WORDS and kind in ("number", "decimal")):
+            expected = "text or whole numbers" if name in WORDS else "numbers, floating-point, whole or decimal"
+            faults.add("table.column_type", place=f"column {name}", value=one.type, expected=expected)
+
+
+def _kind(pa: Any, type_: Any) -> str:
+    """Kind of the cells of a column: text, whole, number, decimal, none (all null), "" (unusable)."""
+    types = pa.types
+    if types.is_dictionary(type_):
+        type_ = type_.value_type
+    tests = {
+        "text": (types.is_string, types.is_large_string, types.is_string_view), "whole": (types.is_integer,),
+        "number": (types.is_floating,), "decimal": (types.is_decimal,), "none": (types.is_null,),
+    }  # fmt: skip
+    return next((kind for kind, own in tests.items() if any(test(type_) for test in own)), "")
+
+
+def _numbers(pa: Any, column: Any) -> _Part:
+    """Cells of a column of numbers of pyarrow."""
+    values, empty = [np.zeros(0, np.int64)], [np.zeros(0, bool)]
+    for one in _chunks(pa, column):
+        plain = one.dictionary_decode() if pa.types.is_dictionary(one.type) else one
+        empty.append(plain.is_null().to_numpy(zero_copy_only=False))
+        numbers = plain.fill_null(0).to_numpy(zero_copy_only=False)
+        values.append(numbers.astype(np.float64) if numbers.dtype.kind == "f" else numbers)
+    return _Part(np.concatenate(values[1:] or values), np.concatenate(empty), None)
+
+
+def _texts(pa: Any, column: Any, known: dict[str, int]) -> _Part:
+    """Cells of a column of text; ``known``: positions of its texts in the file so far, new ones are added.
+
+    A decimal number is a text first, so that it is rounded once.
+    """
+    codes = [np.zeros(0, np.int64)]
+    for one in _chunks(pa, column):
+        if pa.types.is_dictionary(one.type) and pa.types.is_decimal(one.type.value_type):
+            one = one.dictionary_decode()
+        coded = one if pa.types.is_dictionary(one.type) else one.cast(pa.string()).dictionary_encode()
+        found = [(text or "").strip() for text in coded.dictionary.to_pylist()]
+        place = np.array([known.setdefault(text, len(known)) for text in (*found, "")])
+        codes.append(place[coded.indices.fill_null(len(found)).to_numpy(zero_copy_only=False)])
+    return _Part(np.concatenate(codes), np.zeros(0, bool), known)
+
+
+def _chunks(pa: Any, column: Any) -> Sequence[Any]:
+    chunks: Sequence[Any] = column.chunks if isinstance(column, pa.ChunkedArray) else [column]
+    return chunks
+
+
+def _check_texts(name: str, part: _Part, first: int, faults: Faults) -> None:
+    """Note the first text that no cell of CSV could have; ``first``: number of the first row."""
+    known = list(part.distinct or ())
+    if not _ODD.search("\t".join(known)):
+        return
+    wrong = [k for k, text in enumerate(known) if _ODD.search(text)]
+    for k in np.flatnonzero(np.isin(part.values, wrong))[:1].tolist():
+        value = repr(known[part.values[k]])
+        faults.add("table.text", place=f"row {first + k}, column {name}", value=value, limit=LONGEST)
+
+
+def _cells(column: Sequence[_Part]) -> Cells:
+    """Cells of the parts of a column."""
+    values = np.concatenate([part.values for part in column])
+    distinct = column[0].distinct
+    if distinct is not None:
+        return CodedCells(list(distinct), values)
+    return NumberCells(values, np.concatenate([part.empty for part in column]))
+
+
+# --- writing ----------------------------------------------------------------------------------------
+
+
+def write_binary(path: Path, columns: Mapping[str, Column], comments: Sequence[str]) -> None:
+    """Write a table as Parquet or Arrow by the end of the file name; see ``table_write.write_table``."""
+    pa = library(path)
+    arrays = {name: _array(pa, name, values) for name, values in columns.items()}
+    metadata = {SCHEMA: VERSION, COMMENTS: "\n".join(comment_lines(comments)).encode("utf-8")}
+    table = pa.table(arrays).replace_schema_metadata(metadata)
+    if path.suffix.lower() == ".parquet":
+        repeated = [name for name, one in arrays.items() if pa.types.is_dictionary(one.type)]
+        pa.parquet.write_table(table, path, compression="zstd", use_dictionary=repeated, row_group_size=ROW_GROUP)
+        return
+    options = pa.ipc.IpcWriteOptions(compression="zstd", use_threads=False)
+    with pa.OSFile(str(path), "wb") as sink, pa.ipc.new_file(sink, table.schema, options=options) as writer:
+        writer.write_table(table, max_chunksize=ROW_GROUP)
+
+
+def _array(pa: Any, name: str, values: Column) -> Any:
+    """Array of pyarrow: float64, int64, booleans or text; null where CSV has an empty cell."""
+    if name not in WORDS | WHOLE and are_numbers(values):
+        numbers = np.asarray(values, np.float64)
+        return pa.array(numbers, mask=~np.isfinite(numbers))
+    items = values.tolist() if isinstance(values, np.ndarray) else values
+    given = [None if item == "" or (isinstance(item, float) and not math.isfinite(item)) else item for item in items]
+    types = {type(item) for item in given} - {type(None)}
+    if name in WHOLE or (types == {int} and name not in WORDS):
+        return pa.array([None if item is None else int(item) for item in given], pa.int64())
+    if types == {bool}:
+        return pa.array(given, pa.bool_())
+    text = pa.array([None if item == "" else item for item in texts(values)], pa.string())
+    encoded = text.dictionary_encode()
+    return encoded if 2 * len(encoded.dictionary) <= len(text) else text
