@@ -8,10 +8,11 @@ by the rows and sizes that its footer states. It is read by row groups.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -37,11 +38,13 @@ COMMENTS: Final = b"fg_orient.comments"
 VERSION: Final = b"1"
 #: Rows that are compressed, and can be read, at once.
 ROW_GROUP: Final = 250_000
+#: Bytes of the different texts of a row group up to which they are written once.
+DICTIONARY: Final = 16_000_000
 #: Bytes of a cell in memory, at least.
 PER_CELL: Final = 16
-#: Characters of a text at most; texts that no cell of CSV can have.
+#: Characters of a text at most, and those that none can have.
 LONGEST: Final = 10_000
-_ODD: Final = re.compile(rf"[\n\r\0]|[^\t]{{{LONGEST + 1}}}")
+BREAKS: Final = "\n\r\0"
 #: Kinds of columns that are numbers in numpy.
 NUMBERS: Final = ("whole", "number")
 
@@ -63,6 +66,23 @@ class _Part(NamedTuple):
     values: npt.NDArray[Any]
     empty: Mask
     distinct: dict[str, int] | None
+
+
+@dataclass
+class _Known:
+    """Texts of a column by their positions; the last dictionary of pyarrow, which row groups may share."""
+
+    texts: dict[str, int]
+    _dictionary: Any = None
+    _positions: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    def positions(self, dictionary: Any) -> npt.NDArray[np.int64]:
+        """Positions of the texts of a dictionary, then that of an empty cell."""
+        if self._dictionary is None or not dictionary.equals(self._dictionary):
+            found = [(text or "").strip() for text in dictionary.to_pylist()]
+            self._dictionary = dictionary
+            self._positions = np.array([self.texts.setdefault(text, len(self.texts)) for text in (*found, "")])
+        return self._positions
 
 
 def library(file: object) -> Any:
@@ -146,12 +166,14 @@ def _opened(pa: Any, path: Path) -> _Opened:
         meta = pa.parquet.read_metadata(path)
         schema = meta.schema.to_arrow_schema()
         names = [one.name for one in schema if _kind(pa, one.type) == "text"]
-        file = pa.parquet.ParquetFile(path, metadata=meta, read_dictionary=names, pre_buffer=False)
+        file = pa.parquet.ParquetFile(
+            path, metadata=meta, read_dictionary=names, pre_buffer=False, page_checksum_verification=True
+        )  # fmt: skip
         groups = [meta.row_group(k) for k in range(meta.num_row_groups)]
         rows = [group.num_rows for group in groups]
         if min(rows, default=0) < 0 or sum(rows) != meta.num_rows:
             raise ValueError("the numbers of rows are wrong")
-        size = sum(group.column(j).total_uncompressed_size for group in groups for j in range(group.num_columns))
+        size = sum(group.total_byte_size for group in groups)
         largest = max(rows, default=0) / max(meta.num_rows, 1)
         read = partial(file.read_row_group, use_threads=False)
         return _Opened(schema, meta.num_rows, size, largest, len(rows), read)
@@ -173,7 +195,7 @@ def _parts(path: Path, faults: Faults, check: Check, *, whole: bool) -> Iterator
         if allowed is not None and need > allowed:
             faults.add("table.memory", value=f"{need / GB:.3g} GB", rows=file.n_rows, columns=len(kinds),
                        allowed=f"{allowed / GB:.3g} GB")  # fmt: skip
-        known = {name: dict[str, int]() for name, _ in kinds}
+        known = {name: _Known({}) for name, _ in kinds}
         first = 1
         for k in range(max(file.n_groups, 1)):
             if faults:
@@ -182,8 +204,9 @@ def _parts(path: Path, faults: Faults, check: Check, *, whole: bool) -> Iterator
             group.validate(full=True)
             part = dict[str, _Part]()
             for (name, kind), column in zip(kinds, group.columns, strict=True):
+                before = len(known[name].texts)
                 part[name] = _numbers(pa, column) if kind in NUMBERS else _texts(pa, column, known[name])
-                _check_texts(name, part[name], first, faults)
+                _check_texts(name, part[name], before, first, faults)
             first += group.num_rows
             yield part
 
@@ -223,8 +246,8 @@ def _numbers(pa: Any, column: Any) -> _Part:
     return _Part(np.concatenate(values[1:] or values), np.concatenate(empty), None)
 
 
-def _texts(pa: Any, column: Any, known: dict[str, int]) -> _Part:
-    """Cells of a column of text; ``known``: positions of its texts in the file so far, new ones are added.
+def _texts(pa: Any, column: Any, known: _Known) -> _Part:
+    """Cells of a column of text; ``known``: its texts in the file so far, new ones are added.
 
     A decimal number is a text first, so that it is rounded once.
     """
@@ -233,10 +256,9 @@ def _texts(pa: Any, column: Any, known: dict[str, int]) -> _Part:
         if pa.types.is_dictionary(one.type) and pa.types.is_decimal(one.type.value_type):
             one = one.dictionary_decode()
         coded = one if pa.types.is_dictionary(one.type) else one.cast(pa.string()).dictionary_encode()
-        found = [(text or "").strip() for text in coded.dictionary.to_pylist()]
-        place = np.array([known.setdefault(text, len(known)) for text in (*found, "")])
-        codes.append(place[coded.indices.fill_null(len(found)).to_numpy(zero_copy_only=False)])
-    return _Part(np.concatenate(codes), np.zeros(0, bool), known)
+        place = known.positions(coded.dictionary)
+        codes.append(place[coded.indices.fill_null(len(place) - 1).to_numpy(zero_copy_only=False)])
+    return _Part(np.concatenate(codes), np.zeros(0, bool), known.texts)
 
 
 def _chunks(pa: Any, column: Any) -> Sequence[Any]:
@@ -244,14 +266,18 @@ def _chunks(pa: Any, column: Any) -> Sequence[Any]:
     return chunks
 
 
-def _check_texts(name: str, part: _Part, first: int, faults: Faults) -> None:
-    """Note the first text that no cell of CSV could have; ``first``: number of the first row."""
-    known = list(part.distinct or ())
-    if not _ODD.search("\t".join(known)):
+def _check_texts(name: str, part: _Part, before: int, first: int, faults: Faults) -> None:
+    """Note the first new text that no cell of CSV could have.
+
+    ``before``: number of texts that are not new; ``first``: number of the first row.
+    """
+    new = list(islice(part.distinct or (), before, None))
+    joined = "".join(new)
+    if max(map(len, new), default=0) <= LONGEST and not any(mark in joined for mark in BREAKS):
         return
-    wrong = [k for k, text in enumerate(known) if _ODD.search(text)]
-    for k in np.flatnonzero(np.isin(part.values, wrong))[:1].tolist():
-        value = repr(known[part.values[k]])
+    wrong = [k for k, text in enumerate(new) if len(text) > LONGEST or any(mark in text for mark in BREAKS)]
+    for k in np.flatnonzero(np.isin(part.values - before, wrong))[:1].tolist():
+        value = repr(new[part.values[k] - before])
         faults.add("table.text", place=f"row {first + k}, column {name}", value=value, limit=LONGEST)
 
 
@@ -274,9 +300,15 @@ def write_binary(path: Path, columns: Mapping[str, Column], comments: Sequence[s
     metadata = {SCHEMA: VERSION, COMMENTS: "\n".join(comment_lines(comments)).encode("utf-8")}
     table = pa.table(arrays).replace_schema_metadata(metadata)
     if path.suffix.lower() == ".parquet":
-        repeated = [name for name, one in arrays.items() if pa.types.is_dictionary(one.type)]
-        pa.parquet.write_table(table, path, compression="zstd", use_dictionary=repeated, row_group_size=ROW_GROUP)
+        words = [name for name, one in arrays.items() if pa.types.is_string(one.type)]
+        pa.parquet.write_table(
+            table, path, compression="zstd", row_group_size=ROW_GROUP, use_dictionary=words,
+            dictionary_pagesize_limit=DICTIONARY, write_page_checksum=True,
+        )  # fmt: skip
         return
+    for k, one in enumerate(arrays.values()):
+        if pa.types.is_string(one.type):
+            table = table.set_column(k, table.schema[k].name, one.dictionary_encode())
     options = pa.ipc.IpcWriteOptions(compression="zstd", use_threads=False)
     with pa.OSFile(str(path), "wb") as sink, pa.ipc.new_file(sink, table.schema, options=options) as writer:
         writer.write_table(table, max_chunksize=ROW_GROUP)
@@ -284,16 +316,16 @@ def write_binary(path: Path, columns: Mapping[str, Column], comments: Sequence[s
 
 def _array(pa: Any, name: str, values: Column) -> Any:
     """Array of pyarrow: float64, int64, booleans or text; null where CSV has an empty cell."""
-    if name not in WORDS | WHOLE and are_numbers(values):
+    if name not in WORDS and name not in WHOLE and are_numbers(values):
         numbers = np.asarray(values, np.float64)
         return pa.array(numbers, mask=~np.isfinite(numbers))
+    if name in WORDS:
+        return pa.array([item or None for item in texts(values)], pa.string())
     items = values.tolist() if isinstance(values, np.ndarray) else values
     given = [None if item == "" or (isinstance(item, float) and not math.isfinite(item)) else item for item in items]
     types = {type(item) for item in given} - {type(None)}
-    if name in WHOLE or (types == {int} and name not in WORDS):
+    if name in WHOLE or types == {int}:
         return pa.array([None if item is None else int(item) for item in given], pa.int64())
     if types == {bool}:
         return pa.array(given, pa.bool_())
-    text = pa.array([None if item == "" else item for item in texts(values)], pa.string())
-    encoded = text.dictionary_encode()
-    return encoded if 2 * len(encoded.dictionary) <= len(text) else text
+    return pa.array([item or None for item in texts(values)], pa.string())

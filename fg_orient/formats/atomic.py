@@ -14,9 +14,10 @@ import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePath
-from typing import Final
+from typing import Final, get_args
 
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import TableForm
 
 
 @contextlib.contextmanager
@@ -108,12 +109,18 @@ class Contents:
         return ""
 
 
+def in_all_forms(*tables: str) -> tuple[str, ...]:
+    """Names of the files of tables in the forms of the option ``tables``."""
+    return tuple(f"{table}.{form}" for table in tables for form in get_args(TableForm))
+
+
+#: Tables of a result folder.
+RESULT_TABLES: Final = in_all_forms("eop", "points", "residuals", "accuracy", "outliers", "start_points")
 #: Result folder of ``adjust``.
 RESULT: Final = Contents(
     "result.json",
-    ("result.json", "eop.csv", "points.csv", "residuals.csv", "accuracy.csv", "outliers.csv", "iterations.jsonl",
-     "arrays.npz", "covariance.npz", "start_points.csv", "report.html", "rpc/*_RPC.TXT", "figures/*.svg",
-     "figures/*.pdf", "figures/captions.md"),
+    ("result.json", *RESULT_TABLES, "iterations.jsonl", "arrays.npz", "covariance.npz", "report.html", "rpc/*_RPC.TXT",
+     "figures/*.svg", "figures/*.pdf", "figures/captions.md"),
 )  # fmt: skip
 
 

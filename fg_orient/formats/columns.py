@@ -145,14 +145,27 @@ class CodedCells(Cells):
     def finite(self, rows: Mask | None = None) -> Array | None:
         """See :class:`Cells`."""
         codes = self._codes if rows is None else self._codes[rows]
-        used, place = np.unique(codes, return_inverse=True)
-        values = finite([self._distinct[k] for k in used])
-        return None if values is None else values[place]
+        used = self._used(codes)
+        values = finite(list(map(self._distinct.__getitem__, used.tolist())))
+        return None if values is None else np.asarray(self._spread(used, values)[codes])
 
     def positions(self, place: Mapping[str, int]) -> Index:
         """See :class:`Cells`."""
-        used, codes = np.unique(self._codes, return_inverse=True)
-        return np.array([place[self._distinct[k]] for k in used.tolist()], np.intp)[codes]
+        used = self._used(self._codes)
+        texts = map(self._distinct.__getitem__, used.tolist())
+        return np.asarray(
+            self._spread(used, np.fromiter(map(place.__getitem__, texts), np.intp, len(used)))[self._codes]
+        )
+
+    def _used(self, codes: npt.NDArray[Any]) -> Index:
+        """Texts among which the codes are."""
+        return np.flatnonzero(np.bincount(codes, minlength=len(self._distinct)))
+
+    def _spread(self, used: Index, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Values of some texts as an array of all texts."""
+        out = np.zeros(len(self._distinct), values.dtype)
+        out[used] = values
+        return out
 
 
 class NumberCells(Cells):

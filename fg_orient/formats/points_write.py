@@ -7,8 +7,10 @@ lengths differ, and InputError if the file cannot be written.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -22,6 +24,7 @@ from fg_orient.model.block import Options
 from fg_orient.model.declaration import declared
 from fg_orient.model.names import Role
 
+_BREAK: Final = re.compile("[\n\r\0]")
 __all__ = ["write_observations", "write_points", "write_project"]
 
 
@@ -139,7 +142,7 @@ def write_project(
 def _require_readable(names: Sequence[str]) -> None:
     """Raise ValueError for an id that a reader would change or refuse."""
     for name in set(names):
-        if not name or name != name.strip() or any(mark in name for mark in "\n\r\0"):
+        if not name or name != name.strip() or _BREAK.search(name):
             raise ValueError(f"the id {name!r} cannot be written: it is empty, or has outer blanks or line breaks")
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array
-from fg_orient.formats.atomic import staged_file
+from fg_orient.formats.atomic import in_all_forms, staged_file
 from fg_orient.formats.columns import ROWS, rows_of_numbers
 
 #: Values of a column: an array of numbers, or a sequence of text, numbers, truth values and None.
@@ -66,6 +66,20 @@ def write_table(path: Path, columns: Mapping[str, Column], comments: Sequence[st
 def is_binary(path: Path) -> bool:
     """Whether the file name ends as those of Parquet and Arrow files do."""
     return path.suffix.lower() in BINARY
+
+
+def require_writer(path: Path) -> None:
+    """Raise InputError if the package that writes files with this name is not installed; call it before computing."""
+    if is_binary(path):
+        from fg_orient.formats.arrow import library
+
+        library(path)
+
+
+def table_file(folder: Path, table: str) -> Path:
+    """File of a table in a folder, in the form that it has there; the CSV file if there is none."""
+    files = [folder / name for name in in_all_forms(table)]
+    return next((file for file in files if file.is_file()), files[0])
 
 
 def save_table(path: str | Path, columns: Mapping[str, Column], comments: Sequence[str] = ()) -> None:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 #: Coordinates beyond this (m, mm or pixels) have a resolution of more than 1e-4 in double precision.
 LARGEST: Final = 1e12
 #: Standard deviations and focal lengths below this do not occur in measurements, in any unit.
 SMALLEST: Final = 1e-12
+#: Forms of the tables of a result or a simulated block: the ends of their names; and the usual one.
+TableForm = Literal["csv", "parquet", "arrow"]
+TABLE_FORM: Final = "csv"
 #: Callback of long work: steps done, steps in all, name of this step.
 Progress = Callable[[int, int, str], None]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from fg_orient.model.declaration import Checked, Group, Names, Three, documented, option
-from fg_orient.model.names import ALL_SETS, EOP_SETS
+from fg_orient.model.names import ALL_SETS, EOP_SETS, TABLE_FORM, TableForm
 
 CheckPoints = Literal["use", "exclude"]
 RpcCompensation = Literal["shift", "shift_drift", "affine"]
@@ -31,6 +31,7 @@ PRIORS: Final = Group("Prior standard deviations", "orientation")
 ADJUSTMENT: Final = Group("Adjustment", "adjustment")
 ROBUST: Final = Group("Robust adjustment", "adjustment", "robust.md")
 TESTS: Final = Group("Gross errors and statistics", "adjustment", "outliers.md")
+RESULTS: Final = Group("Result folder", "adjustment", "results.md")
 
 
 @documented
@@ -217,6 +218,12 @@ class Options(Checked):
         "auto", TESTS,
         "Reliability of every observation; auto: up to 2 000 000 image points. full: redundancy numbers, reliability "
         "and normalised residuals in the results of a run; basic: without them.",
+        iterates=False,
+    )
+    tables: TableForm = option(
+        TABLE_FORM, RESULTS,
+        "Form of the tables of the result folder. parquet and arrow need pyarrow (extra `arrow`): they keep the types "
+        "of the columns, are smaller, and are read faster.",
         iterates=False,
     )
     memory_limit_gb: float | None = option(

@@ -12,9 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
+from fg_orient.formats.atomic import RESULT_TABLES
+from fg_orient.formats.table_write import is_binary
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.installation import versions
 from fg_orient.orientation.run import run_project
+from fg_orient.result.plain import read_table
 from fg_orient.result.provenance import relative, sha256_of
 from fg_orient.result.record import RESULT_FILE
 
@@ -29,10 +34,8 @@ Record = dict[str, Any]
 OCCASION: Final = (
     "seconds", "memory", "us_per_observation_iteration", "resumed_at_iteration", "out", "provenance",
 )  # fmt: skip
-#: Tables that are compared byte by byte.
-TABLES: Final = (
-    "eop.csv", "points.csv", "residuals.csv", "accuracy.csv", "outliers.csv", "start_points.csv", "rpc/*_RPC.TXT",
-)  # fmt: skip
+#: Files of both results that are compared.
+TABLES: Final = (*RESULT_TABLES, "rpc/*_RPC.TXT")
 
 
 @dataclass(frozen=True)
@@ -246,10 +249,16 @@ def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def compare_tables(then: Path, now: Path) -> dict[str, bool]:
-    """Compare the tables of two result folders byte by byte; a missing table differs."""
+    """Compare the tables of two result folders, texts byte by byte, others bit by bit; a missing table differs."""
     names = {p.relative_to(folder).as_posix() for folder in (then, now) for t in TABLES for p in folder.glob(t)}
-    return {name: _bytes(then / name) == _bytes(now / name) is not None for name in sorted(names)}
+    return {name: _content(then / name) == _content(now / name) is not None for name in sorted(names)}
 
 
-def _bytes(path: Path) -> bytes | None:
-    return path.read_bytes() if path.is_file() else None
+def _content(path: Path) -> object:
+    """Bytes of a text; names and values of another table, whose bytes depend on the version of pyarrow."""
+    if not path.is_file():
+        return None
+    if not is_binary(path):
+        return path.read_bytes()
+    columns = read_table(path).columns.items()
+    return [(name, v.tobytes() if isinstance(v, np.ndarray) else v) for name, v in columns]

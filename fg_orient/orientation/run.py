@@ -17,6 +17,7 @@ from fg_orient.adjustment.runtime import return_memory
 from fg_orient.adjustment.stages import require_possible
 from fg_orient.formats.atomic import require_free, staged_folder, writing
 from fg_orient.formats.project import read_project
+from fg_orient.formats.table_write import require_writer
 from fg_orient.model.errors import InputError, NoSolutionError, RankDeficientError
 from fg_orient.orientation.orient import Stage, adjust
 from fg_orient.quality.deficiency import Evidence
@@ -91,7 +92,7 @@ def run_project(
     Raises
     ------
     InputError
-        The project or the output folder is unusable.
+        The project or the output folder is unusable, or the package that writes the tables is missing.
     """
     begin = time.perf_counter()
     require_free(Path(out), overwrite=overwrite)
@@ -101,6 +102,7 @@ def run_project(
     prepared, mark = preparing_seconds(), working_clock()
     block = read_project(project, **dict(options or {}))
     require_possible_options(block, project, options or {})
+    require_writer(Path(out) / f"points.{block.options.tables}")
     if check is not None:
         check(block)
     return_memory(len(block.observations))

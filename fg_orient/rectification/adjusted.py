@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from fg_orient.formats.table_write import table_file
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Status
@@ -20,7 +21,7 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:
     Parameters
     ----------
     folder : Path
-        Result folder: ``eop.csv`` and ``result.json``.
+        Result folder: table ``eop`` and ``result.json``.
     sensor : Sensor
         Of this image.
     image : str
@@ -40,7 +41,7 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:
         options = record["provenance"]["options"]
         small_angle, n_curves = bool(options["small_angle"]), int(options.get("curve_intervals", 0))
         files = _files(record)
-        eop = read_table(folder / "eop.csv")
+        eop = read_table(table_file(folder, "eop"))
         values: dict[str, dict[str, float]] = {name: {} for name in files}
         columns = (eop.words["image"], eop.words["parameter"], eop.figures["value_per_tau"].tolist())
         for image_id, parameter, value in zip(*columns, strict=True):

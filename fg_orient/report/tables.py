@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from factors.arrays import Array
+from fg_orient.formats.table_write import table_file
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.distributions import normal_probability
 from fg_orient.model.errors import InputError
@@ -152,7 +153,7 @@ def compare_truth(result: Result, truth: Path) -> dict[str, Any]:
     ----------
     result : Result
     truth : Path
-        Folder with ``eop.csv`` and ``points.csv``.
+        Folder with the tables ``eop`` and ``points``.
 
     Returns
     -------
@@ -166,12 +167,14 @@ def compare_truth(result: Result, truth: Path) -> dict[str, Any]:
     InputError
         The folder contains no truth, or that of another project.
     """
-    for name in ("eop.csv", "points.csv"):
-        if not (truth / name).is_file():
-            raise InputError.of("report.no_truth", file=truth, option="truth", value=f"no {name}")
-    table = _read_truth(truth / "eop.csv", "image", "parameter", "value_per_tau")
-    eop = _compare_eop(result, table, str(truth / "eop.csv"))
-    points, normalised = _compare_points(result, _read_truth(truth / "points.csv"), str(truth / "points.csv"))
+    of_eop, of_points = (table_file(truth, name) for name in ("eop", "points"))
+    for file in (of_eop, of_points):
+        if not file.is_file():
+            raise InputError.of("report.no_truth", file=truth, option="truth", value=f"no {file.name}")
+    table = read_table(of_eop, "image", "parameter", "value_per_tau", code="report.no_truth")
+    eop = _compare_eop(result, table, str(of_eop))
+    table = read_table(of_points, "id", "lon_deg", "lat_deg", "height_m", code="report.no_truth")
+    points, normalised = _compare_points(result, table, str(of_points))
     of_images: dict[str, list[float]] = {}
     for row in eop:
         of_images.setdefault(row["image"], []).append(row["normalised"])
@@ -186,10 +189,6 @@ def _truth_group(name: str, ratio: Array) -> dict[str, Any]:
     ratio = ratio[np.isfinite(ratio)]
     rms, largest = (float(np.sqrt(np.mean(ratio**2))), float(np.abs(ratio).max())) if len(ratio) else (None, None)
     return {"name": name, "n": len(ratio), "rms_normalised": rms, "max_normalised": largest}
-
-
-def _read_truth(path: Path, *columns: str) -> Table:
-    return read_table(path, *columns, code="report.no_truth")
 
 
 def _prior_scale(result: Result, table: Table) -> Array:

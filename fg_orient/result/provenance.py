@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from fg_orient.formats.atomic import in_all_forms
 from fg_orient.model.installation import versions
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from fg_orient.sensors.correction import HeightSurface
 
 #: Files of an earlier result that an adjustment starts from.
-EARLIER: Final = ("result.json", "eop.csv", "points.csv", "covariance.npz")
+EARLIER: Final = ("result.json", *in_all_forms("eop", "points"), "covariance.npz")
 
 
 def provenance(block: Block, folder: Path, command: Sequence[str]) -> dict[str, Any]:

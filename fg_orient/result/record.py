@@ -20,9 +20,9 @@ import numpy.typing as npt
 
 from factors.arrays import Array, Index
 from fg_orient.formats.atomic import RESULT
-from fg_orient.formats.table_write import WHOLE
+from fg_orient.formats.table_write import WHOLE, table_file
 from fg_orient.model.errors import InputError
-from fg_orient.model.names import Status
+from fg_orient.model.names import TABLE_FORM, Status
 from fg_orient.result.joint import JointCofactors
 from fg_orient.result.plain import Table, dumps, plain, read_table, table_of_rows
 
@@ -100,6 +100,11 @@ class Result:
                 for name, value in figures.items() if name.startswith(_ACCURACY)]  # fmt: skip
         return table_of_rows(("role", "quantity", "value"), rows)
 
+    def file(self, table: str) -> str:
+        """Name of the file of a table in the result folder; the option ``tables`` decides on its form."""
+        options = self.record.get("provenance", {}).get("options", {})
+        return f"{table}.{options.get('tables', TABLE_FORM)}"
+
     @property
     def adjusted(self) -> bool:
         """Whether the unknowns were determined; else there are no coordinates and no orientation."""
@@ -161,7 +166,7 @@ class Result:
         """Write all files but the page into an existing folder."""
         tables = {**self.tables, "accuracy": self.accuracy} if self.adjusted else self.tables
         for name, table in tables.items():
-            table.write(folder / f"{name}.csv")
+            table.write(folder / self.file(name))
         if self.adjusted:
             lines = (dumps(iteration) + "\n" for iteration in self.iterations)
             (folder / ITERATIONS_FILE).write_text("".join(lines), encoding="utf-8")
@@ -307,10 +312,10 @@ def read_any_result(folder: Path) -> Result:
     """
     result = Result(read_record(folder), {})
     names = [name for name in TABLES if (name == START_POINTS) != result.adjusted]
-    names += ["outliers"] if (folder / "outliers.csv").is_file() else []
+    names += ["outliers"] if table_file(folder, "outliers").is_file() else []
     file = ""
     try:
-        tables = {name: read_table(folder / (file := f"{name}.csv"), *TABLES.get(name, ())) for name in names}
+        tables = {name: read_table(table_file(folder, name), *TABLES.get(name, ())) for name in names}
         if not result.adjusted:
             return Result(result.record, tables)
         lines = (folder / (file := ITERATIONS_FILE)).read_text("utf-8").splitlines()

@@ -1,8 +1,8 @@
 """Writer of a simulated block in the real file formats, with its truth.
 
-Metadata of each image (DIMAP 1.1, RPC, frame files), ``points.csv``, ``observations.csv``, ``project.toml``; in
-``truth/`` the error-free ``points.csv``, ``eop.csv`` (true minus metadata) and ``options.json``, which the adjustment
-never reads. The folder is written completely or not at all.
+Metadata of each image (DIMAP 1.1, RPC, frame files), tables ``points`` and ``observations``, ``project.toml``; in
+``truth/`` the error-free ``points``, ``eop`` (true minus metadata) and ``options.json``, which the adjustment never
+reads. The folder is written completely or not at all.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fg_orient.formats.atomic import Contents, require_free, staged_folder, write_text, writing
+from fg_orient.formats.atomic import Contents, in_all_forms, require_free, staged_folder, write_text, writing
 from fg_orient.formats.dimap_write import write_dimap1
 from fg_orient.formats.points_write import write_observations, write_points, write_project
-from fg_orient.formats.table_write import write_table
-from fg_orient.model.names import COMPONENTS
+from fg_orient.formats.table_write import require_writer, write_table
+from fg_orient.model.names import COMPONENTS, TABLE_FORM
 from fg_orient.model.parameters import UNITS, parameter_name
 from fg_orient.result.plain import write_rows
 from fg_orient.sensors.correction import Correction
@@ -35,8 +35,8 @@ CAMERA_FILE: Final = "camera.toml"
 #: Only a folder that a simulation wrote may be replaced: a real project has no ``truth/options.json``.
 CONTENTS: Final = Contents(
     "truth/options.json",
-    (PROJECT_FILE, "points.csv", "observations.csv", "*.DIM", "truth/points.csv", "truth/eop.csv",
-     "truth/options.json", "*.tif", "*_RPC.TXT", CAMERA_FILE, "frame*.toml"),
+    (PROJECT_FILE, *in_all_forms("points", "observations", "truth/points", "truth/eop"), "*.DIM", "truth/options.json",
+     "*.tif", "*_RPC.TXT", CAMERA_FILE, "frame*.toml"),
 )  # fmt: skip
 #: Names and units of the simulated corrections of RPC and frame images, by the number of all unknowns of such an image.
 OTHERS: Final = {
@@ -82,34 +82,39 @@ def simulate_to(
     """
     target = Path(out)
     require_free(target, overwrite=overwrite, contents=CONTENTS)
+    form = getattr(options, "tables", TABLE_FORM)
+    require_writer(target / f"points.{form}")
     simulation, values = draw(), {"command": command, **asdict(options)}
     with staged_folder(target, overwrite=overwrite, contents=CONTENTS) as folder:
-        _write_block(folder, simulation, values, progress)
+        _write_block(folder, simulation, values, form, progress)
         with writing(target):
             (folder / "truth").mkdir()
-        _write_truth(folder / "truth", simulation, values)
+        _write_truth(folder / "truth", simulation, values, form)
         if more is not None:
             more(folder, simulation)
     return target / PROJECT_FILE
 
 
-def _write_block(folder: Path, simulation: Simulation, values: dict[str, Any], progress: Progress | None) -> None:
+def _write_block(
+    folder: Path, simulation: Simulation, values: dict[str, Any], form: str, progress: Progress | None
+) -> None:
     made = [f"simulated by fg_orient: {values['command']}", f"options: {json.dumps(values, sort_keys=True)}"]
     images = _write_images(folder, simulation, progress)
     ground, truth = simulation.ground, simulation.truth
     known = ground.known[:, None]
     write_points(
-        folder / "points.csv", ground.ids, ground.roles, np.where(known, ground.measured, np.nan),
+        folder / f"points.{form}", ground.ids, ground.roles, np.where(known, ground.measured, np.nan),
         np.where(known, ground.sigma_enu_m, np.nan),
         comments=[*made, "measured values: WGS84, ellipsoidal heights; sigmas at the point", "crs: EPSG:4979"],
     )  # fmt: skip
     write_observations(
-        folder / "observations.csv", [truth.image_ids[k] for k in simulation.image],
+        folder / f"observations.{form}", [truth.image_ids[k] for k in simulation.image],
         [ground.ids[j] for j in simulation.point], simulation.observed, simulation.sigma_px,
         comments=[*made, "(0, 0) is the centre of the first pixel"],
     )  # fmt: skip
     write_project(
-        folder / PROJECT_FILE, name=simulation.name, images=images, options=simulation.options, comments=made
+        folder / PROJECT_FILE, name=simulation.name, images=images, points=f"points.{form}",
+        observations=f"observations.{form}", options=simulation.options, comments=made,
     )  # fmt: skip
 
 
@@ -135,13 +140,13 @@ def _write_images(folder: Path, simulation: Simulation, progress: Progress | Non
     return list(zip(simulation.truth.image_ids, files, strict=True))
 
 
-def _write_truth(folder: Path, simulation: Simulation, values: dict[str, Any]) -> None:
+def _write_truth(folder: Path, simulation: Simulation, values: dict[str, Any], form: str) -> None:
     truth = simulation.truth
     names = ("lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m")
     numbers = zip(names, (*truth.lon_lat_height.T, *truth.ecef_m.T), strict=True)
-    write_table(folder / "points.csv", {"id": truth.point_ids, "role": simulation.ground.roles, **dict(numbers)})
+    write_table(folder / f"points.{form}", {"id": truth.point_ids, "role": simulation.ground.roles, **dict(numbers)})
     eop = [row for image in zip(truth.image_ids, truth.corrections, strict=True) for row in _orientation(*image)]
-    write_rows(folder / "eop.csv", ("image", "parameter", "component", "degree", "unit", "value_per_tau"), eop)
+    write_rows(folder / f"eop.{form}", ("image", "parameter", "component", "degree", "unit", "value_per_tau"), eop)
     write_text(folder / "options.json", json.dumps(values, indent=2, sort_keys=True) + "\n")
 
 

@@ -9,6 +9,7 @@ from typing import Final, Literal
 
 from fg_orient.model.declaration import Checked, Group, Three, documented, option, require_allowed
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import TABLE_FORM, TableForm
 
 PointSet = Literal["H-0", "H-10", "H-20", "H-30", "H-40", "G-A", "G-B", "G-C"]
 Errors = Literal["constant", "prior", "none"]
@@ -75,6 +76,9 @@ class BlockOptions:
     image_noise_px: float = option(0.3, NOISE, _IMAGE_NOISE, within=(0.0, 30.0), unit="px")
     errors: Errors = option("prior", ORIENTATION, "Errors of the metadata's orientation, see `ZonguldakOptions`.")
     ground_noise_m: Three = option((0.5, 0.5, 0.5), NOISE, _GROUND_NOISE, within=(0.0, 100.0), unit="m")
+    tables: TableForm = option(
+        TABLE_FORM, BLOCK, "Form of the tables. parquet and arrow need pyarrow (extra `arrow`) and suit large blocks."
+    )
     max_height_m: float = option(500.0, BLOCK, "Heights are uniform from 0 to this.", within=(0.0, 8000.0), unit="m")
 
     def __post_init__(self) -> None:

@@ -102,7 +102,7 @@ OPTIONS = [
         optimizer="dogleg", max_iterations=7, check_points="exclude", datum="priors", rpc_compensation="affine",
         rpc_shift_sigma_px=3.5, rpc_linear_sigma_px=0.25, memory_limit_gb=1.5,
         loss="tls", gnc=True, inlier_probability=0.975, robust_start="lts", robust_scale="mad",
-        statistics="full", image_unknowns=("x_0", "roll_1"),
+        statistics="full", tables="parquet", image_unknowns=("x_0", "roll_1"),
         variance_components=("image", "height"), snoop=True, snoop_kind="points",
         outlier_test="pope", outlier_level=0.01, multiple_testing="holm", look_shared=True, curve_intervals=4,
         curve_position_sigma_m=2.5, curve_attitude_sigma_rad=3e-6, accept=("gross_error:point 12<=20", "sigma0"),
