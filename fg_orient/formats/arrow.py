@@ -57,7 +57,7 @@ class _Opened(NamedTuple):
     n_bytes: int
     largest: float
     n_groups: int
-    group: Callable[[int], Any]
+    read: Callable[[Sequence[int]], Any]
 
 
 class _Part(NamedTuple):
@@ -113,7 +113,7 @@ def read_binary(path: Path, faults: Faults, check: Check) -> dict[str, Cells] | 
         None, with the faults noted, if the file is unusable.
     """
     found = list(_parts(path, faults, check, whole=True))
-    return None if faults else {name: _cells([part[name] for part in found]) for name in found[0]}
+    return None if faults else _cells(found[0])
 
 
 def row_groups(path: Path, faults: Faults, check: Check) -> Iterator[dict[str, Cells]]:
@@ -121,8 +121,7 @@ def row_groups(path: Path, faults: Faults, check: Check) -> Iterator[dict[str, C
 
     It ends, with the faults noted, where the file is unusable.
     """
-    for part in _parts(path, faults, check, whole=False):
-        yield {name: _cells([column]) for name, column in part.items()}
+    yield from map(_cells, _parts(path, faults, check, whole=False))
 
 
 def comments_of(path: Path, faults: Faults) -> str:
@@ -175,15 +174,18 @@ def _opened(pa: Any, path: Path) -> _Opened:
             raise ValueError("the numbers of rows are wrong")
         size = sum(group.total_byte_size for group in groups)
         largest = max(rows, default=0) / max(meta.num_rows, 1)
-        read = partial(file.read_row_group, use_threads=False)
+        read = partial(file.read_row_groups, use_threads=False)
         return _Opened(schema, meta.num_rows, size, largest, len(rows), read)
     reader = pa.ipc.open_file(pa.OSFile(str(path)), options=pa.ipc.IpcReadOptions(use_threads=False))
     n_groups, size = reader.num_record_batches, path.stat().st_size
-    return _Opened(reader.schema, reader.count_rows(), size, 1 / max(n_groups, 1), n_groups, reader.get_batch)
+    return _Opened(
+        reader.schema, reader.count_rows(), size, 1 / max(n_groups, 1), n_groups,
+        lambda groups: pa.Table.from_batches(map(reader.get_batch, groups), reader.schema),
+    )  # fmt: skip
 
 
 def _parts(path: Path, faults: Faults, check: Check, *, whole: bool) -> Iterator[dict[str, _Part]]:
-    """Columns of each row group, at least one; ``whole``: all of them will be in memory at once."""
+    """Columns of each row group, at least one; ``whole``: of all row groups at once."""
     if not _begins_well(path, faults):
         return
     with _noting(path, faults) as pa:
@@ -197,10 +199,11 @@ def _parts(path: Path, faults: Faults, check: Check, *, whole: bool) -> Iterator
                        allowed=f"{allowed / GB:.3g} GB")  # fmt: skip
         known = {name: _Known({}) for name, _ in kinds}
         first = 1
-        for k in range(max(file.n_groups, 1)):
+        every = list(range(file.n_groups))
+        for groups in [every] if whole or not every else [[k] for k in every]:
             if faults:
                 return
-            group = file.group(k) if file.n_groups else file.schema.empty_table()
+            group = file.read(groups).unify_dictionaries() if groups else file.schema.empty_table()
             group.validate(full=True)
             part = dict[str, _Part]()
             for (name, kind), column in zip(kinds, group.columns, strict=True):
@@ -238,7 +241,7 @@ def _kind(pa: Any, type_: Any) -> str:
 def _numbers(pa: Any, column: Any) -> _Part:
     """Cells of a column of numbers of pyarrow."""
     values, empty = [np.zeros(0, np.int64)], [np.zeros(0, bool)]
-    for one in _chunks(pa, column):
+    for one in column.chunks:
         plain = one.dictionary_decode() if pa.types.is_dictionary(one.type) else one
         empty.append(plain.is_null().to_numpy(zero_copy_only=False))
         numbers = plain.fill_null(0).to_numpy(zero_copy_only=False)
@@ -252,18 +255,13 @@ def _texts(pa: Any, column: Any, known: _Known) -> _Part:
     A decimal number is a text first, so that it is rounded once.
     """
     codes = [np.zeros(0, np.int64)]
-    for one in _chunks(pa, column):
+    for one in column.chunks:
         if pa.types.is_dictionary(one.type) and pa.types.is_decimal(one.type.value_type):
             one = one.dictionary_decode()
         coded = one if pa.types.is_dictionary(one.type) else one.cast(pa.string()).dictionary_encode()
         place = known.positions(coded.dictionary)
         codes.append(place[coded.indices.fill_null(len(place) - 1).to_numpy(zero_copy_only=False)])
     return _Part(np.concatenate(codes), np.zeros(0, bool), known.texts)
-
-
-def _chunks(pa: Any, column: Any) -> Sequence[Any]:
-    chunks: Sequence[Any] = column.chunks if isinstance(column, pa.ChunkedArray) else [column]
-    return chunks
 
 
 def _check_texts(name: str, part: _Part, before: int, first: int, faults: Faults) -> None:
@@ -281,13 +279,12 @@ def _check_texts(name: str, part: _Part, before: int, first: int, faults: Faults
         faults.add("table.text", place=f"row {first + k}, column {name}", value=value, limit=LONGEST)
 
 
-def _cells(column: Sequence[_Part]) -> Cells:
-    """Cells of the parts of a column."""
-    values = np.concatenate([part.values for part in column])
-    distinct = column[0].distinct
-    if distinct is not None:
-        return CodedCells(list(distinct), values)
-    return NumberCells(values, np.concatenate([part.empty for part in column]))
+def _cells(part: Mapping[str, _Part]) -> dict[str, Cells]:
+    """Cells by column."""
+    return {
+        name: NumberCells(values, empty) if distinct is None else CodedCells(list(distinct), values)
+        for name, (values, empty, distinct) in part.items()
+    }
 
 
 # --- writing ----------------------------------------------------------------------------------------
