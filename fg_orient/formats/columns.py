@@ -18,8 +18,9 @@ import orjson
 
 from factors.arrays import Array, Index, Mask
 
-#: Cells whose bytes are gathered at once: 2 MB. Rows that are text at once.
+#: Cells whose bytes are gathered at once: 2 MB. Bytes that are searched at once. Rows that are text at once.
 CHUNK: Final = 200_000
+BLOCK: Final = 16_000_000
 ROWS: Final = 20_000
 #: Characters that make a table irregular: quotes, and what ``strip`` removes from ASCII text.
 IRREGULAR: Final = '"\t\v\f\x1c\x1d\x1e\x1f '
@@ -72,18 +73,18 @@ def finite(cells: Sequence[str]) -> Array | None:
 
 
 class SlicedCells(Cells):
-    """Cells that are bytes ``first`` (n,) up to ``last`` (n,) of ``data``."""
+    """Cells that are the bytes of ``data`` between the separators at ``before`` (n,) and ``last`` (n,)."""
 
-    def __init__(self, data: npt.NDArray[np.uint8], first: npt.NDArray[Any], last: npt.NDArray[Any]) -> None:
-        self._data, self._first, self._last = data, first, last
+    def __init__(self, data: npt.NDArray[np.uint8], before: npt.NDArray[Any], last: npt.NDArray[Any]) -> None:
+        self._data, self._before, self._last = data, before, last
 
     def __len__(self) -> int:
-        return len(self._first)
+        return len(self._last)
 
     def __getitem__(self, k: Any) -> Any:
         if isinstance(k, slice):
             return self._texts[k]
-        return self._data[self._first[k] : self._last[k]].tobytes().decode("ascii")
+        return self._data[self._before[k] + 1 : self._last[k]].tobytes().decode("ascii")
 
     @cached_property
     def _texts(self) -> list[str]:
@@ -91,23 +92,23 @@ class SlicedCells(Cells):
 
     def _joined(self, rows: Mask | None) -> bytes:
         """Cells one after the other, a comma after each."""
-        first, last = (self._first, self._last) if rows is None else (self._first[rows], self._last[rows])
+        before, last = (self._before, self._last) if rows is None else (self._before[rows], self._last[rows])
         parts = list[bytes]()
-        for begin in range(0, len(first), CHUNK):
-            low, high = first[begin : begin + CHUNK], last[begin : begin + CHUNK]
-            size = high - low + 1  # with the separator
+        for begin in range(0, len(last), CHUNK):
+            low, high = before[begin : begin + CHUNK], last[begin : begin + CHUNK]
+            size = high - low  # with the separator
             end = np.cumsum(size)
-            out = self._data[np.repeat(low - (end - size), size) + np.arange(end[-1])]
+            out = self._data[np.repeat(low + 1 - (end - size), size) + np.arange(end[-1])]
             out[end - 1] = _COMMA
             parts.append(out.tobytes())
         return b"".join(parts)
 
     def are(self, text: str) -> Mask:
         """See :class:`Cells`."""
-        out = self._last - self._first == len(text)
+        out = self._last - self._before == len(text) + 1
         at = np.flatnonzero(out)
         wanted = np.frombuffer(text.encode("utf-8"), np.uint8)
-        out[at] = (self._data[self._first[at][:, None] + np.arange(len(text))] == wanted).all(axis=1)
+        out[at] = (self._data[self._before[at][:, None] + 1 + np.arange(len(text))] == wanted).all(axis=1)
         return np.asarray(out)
 
     def finite(self, rows: Mask | None = None) -> Array | None:
@@ -223,19 +224,30 @@ def regular(text: str, longest: int) -> Regular | None:
     odd = any(mark in header or text.find(mark, begin) >= 0 for mark in IRREGULAR)
     if stop == begin or odd or header.endswith(",") or not text.isascii():
         return None
-    data = np.frombuffer(f"{text[begin:stop]}\n".encode("ascii"), np.uint8)
-    width, ends = header.count(",") + 1, np.flatnonzero((data == _COMMA) | (data == _LINE_END))
+    whole = text.encode("ascii")
+    data = np.frombuffer(whole if stop < len(whole) else whole + b"\n", np.uint8)[begin : stop + 1]
+    width, ends = header.count(",") + 1, _ends(data)
     if len(ends) % width:
         return None
-    last = ends.astype(np.int32 if len(data) < np.iinfo(np.int32).max else np.int64).reshape(-1, width)
+    last = ends.reshape(-1, width)
     of_line = np.concatenate([[-1], last[:, -1]])
     starts = data[of_line[:-1] + 1]
     # a line that begins with a comma may be blank
     if ((data[last[:, -1]] != _LINE_END).any() or (data[last[:, :-1]] == _LINE_END).any()
             or np.isin(starts, (_COMMENT, _COMMA, _LINE_END)).any() or np.diff(of_line).max() > longest):  # fmt: skip
         return None
-    first = np.concatenate([of_line[:-1, None], last[:, :-1]], axis=1, dtype=last.dtype) + last.dtype.type(1)
-    return Regular(line, header.split(","), [SlicedCells(data, first[:, k], last[:, k]) for k in range(width)])
+    before = [of_line[:-1].astype(last.dtype), *last.T]
+    return Regular(line, header.split(","), [SlicedCells(data, before[k], last[:, k]) for k in range(width)])
+
+
+def _ends(data: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
+    """Places of the separators."""
+    kind = np.int32 if len(data) < np.iinfo(np.int32).max else np.int64
+    places = [np.zeros(0, kind)]
+    for k in range(0, len(data), BLOCK):
+        part = data[k : k + BLOCK]
+        places.append((np.flatnonzero((part == _COMMA) | (part == _LINE_END)) + k).astype(kind))
+    return np.concatenate(places)
 
 
 def rows_of_numbers(values: Array) -> list[str]:

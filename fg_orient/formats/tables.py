@@ -240,6 +240,7 @@ def read_columns(
         return None
     table = regular(text, MAX_LINE)
     if table is not None:
+        del text  # its bytes are in the columns
         if _refused(table.line, table.header, check, faults):
             return None
         lines_of = table.line + 1 + np.arange(len(table.columns[0]))
