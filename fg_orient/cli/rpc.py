@@ -155,13 +155,14 @@ def fit(
     The exit code is 4 if a denominator is near zero or the points do not determine the coefficients.
     """
     from fg_orient.formats.atomic import require_free_files
+    from fg_orient.formats.table_write import is_binary
     from fg_orient.rpc.files import target_of
 
     if out is not None:
         target_of(to, out)
     require_free_files(out, overwrite=overwrite)
     of_form = {name: value for name, value in options.items() if name in ("degree", "denominators", "seed")}
-    is_points = source.suffix.lower() == ".csv"
+    is_points = source.suffix.lower() == ".csv" or is_binary(source)
     chosen = FitOptions(**(options if is_points else of_form))
     if is_points:
         _refuse(source, {"heights": heights, "grid": grid, "result": result}, "control points")

@@ -23,6 +23,7 @@ from factors.arrays import Mask
 from fg_orient.formats.columns import Cells, CodedCells, NumberCells
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.table_write import WHOLE, WORDS, Column, are_numbers, comment_lines, texts
+from fg_orient.formats.text_files import read_data
 from fg_orient.model.errors import InputError
 from fg_orient.model.machine import GB, allowed_bytes
 
@@ -135,16 +136,8 @@ def comments_of(path: Path, faults: Faults) -> str:
 def _begins_well(path: Path, faults: Faults) -> bool:
     """Whether the file exists and begins as its name says; else the fault is noted."""
     mark = MARKS[path.suffix.lower()]
-    try:
-        with path.open("rb") as stream:
-            found = stream.read(len(mark))
-    except FileNotFoundError:
-        faults.add("table.missing_file")
-        return False
-    except OSError as error:
-        faults.add("table.unreadable", value=error.strerror or type(error).__name__)
-        return False
-    if found != mark:
+    found = read_data(path, faults, len(mark))
+    if found not in (mark, None):
         faults.add("table.other_form", value=f"it does not begin with {mark.decode()}")
     return found == mark
 

@@ -9,15 +9,22 @@ from pathlib import Path
 from fg_orient.formats.faults import Faults
 
 
-def read_text(path: Path, faults: Faults) -> str | None:
-    """Text of a UTF-8 file without byte order mark, with LF as line end; None, with the fault noted, if unusable."""
+def read_data(path: Path, faults: Faults, size: int = -1) -> bytes | None:
+    """Bytes of a file, or the first ones; None, with the fault noted, if it cannot be read."""
     try:
-        data = path.read_bytes()
+        with path.open("rb") as stream:
+            return stream.read(size)
     except FileNotFoundError:
         faults.add("table.missing_file")
-        return None
     except OSError as error:
         faults.add("table.unreadable", value=error.strerror or type(error).__name__)
+    return None
+
+
+def read_text(path: Path, faults: Faults) -> str | None:
+    """Text of a UTF-8 file without byte order mark, with LF as line end; None, with the fault noted, if unusable."""
+    data = read_data(path, faults)
+    if data is None:
         return None
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         faults.add("table.utf16", place="line 1")
