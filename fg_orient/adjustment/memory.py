@@ -161,7 +161,7 @@ def _working(backend: str, block: Block, n: int, u: int, widest: int) -> float:
 def reduced(block: Block, *, elsewhere: bool = False) -> tuple[Need, Block]:
     """Estimate the memory of a block; without statistics of every observation if the options allow it and it helps."""
     need = need_of(block, elsewhere=elsewhere)
-    if need.fits or block.options.statistics != "auto":
+    if need.fits or block.options.statistics != "auto" or block.options.snoop:  # a search needs them
         return need, block
     less = replace(block, options=replace(block.options, statistics="basic"))
     smaller = need_of(less, elsewhere=elsewhere)

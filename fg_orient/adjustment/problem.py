@@ -386,17 +386,21 @@ def unchanged_rows(like: Problem, block: Block, observations: ImagePoints) -> np
     A search for gross errors compiles a block again for each excluded observation. Start value and whitening of an
     image point depend only on its sensor, and on all rays and the known coordinates of its ground point.
     """
-    columns = [
+    columns = np.concatenate([
         np.stack([o.image, o.point, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px], axis=1)
         for o in (like.observations, observations)
-    ]
-    kinds, kind = np.unique(np.concatenate(columns), axis=0, return_inverse=True)
-    before, now = np.split(kind.ravel(), [len(columns[0])])
-    other = np.bincount(before, minlength=len(kinds)) != np.bincount(now, minlength=len(kinds))
+    ])  # fmt: skip
+    order = np.lexsort(columns.T)
+    new_kind = np.concatenate([[True], (np.diff(columns[order], axis=0) != 0.0).any(axis=1)])
+    kind = np.empty(len(order), np.intp)
+    kind[order] = np.cumsum(new_kind) - 1
+    before, now = np.split(kind, [len(like.observations)])
+    n = int(new_kind.sum())
+    other = np.bincount(before, minlength=n) != np.bincount(now, minlength=n)
     old, new = like.block.points.known.ecef_m, block.points.known.ecef_m
     changed = ~((old == new) | (np.isnan(old) & np.isnan(new))).all(axis=1)
-    changed[kinds[other, 1].astype(np.intp)] = True
-    row = np.full(len(kinds), -1, np.intp)
+    changed[columns[order[new_kind], 1][other].astype(np.intp)] = True
+    row = np.full(n, -1, np.intp)
     row[before] = np.arange(len(before))
     return np.where(changed[observations.point], -1, row[now])
 

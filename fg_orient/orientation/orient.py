@@ -15,7 +15,7 @@ from factors._preparation import preparing_seconds, working_clock
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.constraints import has_constraints, hold, released, tightened
 from fg_orient.adjustment.loop import Callback
-from fg_orient.adjustment.memory import within_memory
+from fg_orient.adjustment.memory import Need, within_memory
 from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.runtime import return_memory
@@ -49,6 +49,8 @@ if TYPE_CHECKING:
 
 #: Function of a graph and start values that gives the values of a solution.
 Optimizer = Callable[["gtsam.NonlinearFactorGraph", "gtsam.Values"], "gtsam.Values"]
+#: Observability of images and block.
+View = tuple[tuple[ImageObservability, ...], BlockObservability]
 #: Called at each stage of the work with its name and the number of image points.
 Stage = Callable[[str, int], None]
 
@@ -166,10 +168,10 @@ def adjust(
 
         return adjust_with_components(block, run.once, begin)
 
+    several = block.options.variance_components or block.options.datum in ("inner", "vendor") or has_constraints(block)
+
     def next_round(block: Block, begin: State, like: Problem) -> AdjustmentResult:
-        if block.options.variance_components or block.options.datum in ("inner", "vendor") or has_constraints(block):
-            return runner(block, begin)
-        return run.again(block, like, begin)
+        return runner(block, begin) if several else run.again(block, like, begin)
 
     runner = run_with_components if block.options.variance_components else run.once
     alone = replace(run, callback=None, stage=None, checkpoint=None, begin=None)
@@ -182,25 +184,32 @@ def adjust(
     from fg_orient.orientation.outlier_search import require_possible_search, search
 
     require_possible_search(block)
-    solution = runner(block, None)
-    end, record = search(block, solution, next_round)
-    whole = end.whole(solution.seconds.jit) if isinstance(end, Again) else end
+    (memory, block), prepared = run.within_memory(block), preparing_seconds()
+    first = runner(block, None) if several else run.first(block)
+    jit = preparing_seconds() - prepared
+    end, record = search(block, first, next_round)
+    whole = end.whole(jit) if isinstance(end, SearchRound) else end
     assert isinstance(whole, Solution)
     findings = doubts.with_accepted([*record.findings(), *whole.findings], block.options.accept)
-    return completed(replace(whole, snooping=record, findings=tuple(findings), memory=solution.memory))
+    return completed(replace(whole, snooping=record, findings=tuple(findings), memory=memory))
 
 
-def _compiled(block: Block) -> tuple[Problem, tuple[ImageObservability, ...], BlockObservability | None, float]:
+def _compiled(block: Block) -> tuple[Problem, tuple[ImageObservability, ...], BlockObservability, float]:
     """Compiled block with the datum of its options, observability of images and block, and seconds."""
     start, inner = working_clock(), block.options.datum == "inner"
     compiled = compiled_problem(without_priors(block) if inner else block)
-    observability = judge_observability(compiled)
-    block_view = refuse_deficient(compiled, observability)
+    observability, block_view = _view(compiled)
     if inner and block_view.null is not None:
         compiled = with_minimal_datum(compiled, block_view.null)
     held = vendor_datum.with_vendor_datum(compiled) if block.options.datum == "vendor" else compiled
     return_memory(len(compiled.observations))
     return held, observability, block_view, working_clock() - start
+
+
+def _view(compiled: Problem) -> View:
+    """Observability of images and block; RankDeficientError without it."""
+    observability = judge_observability(compiled)
+    return observability, refuse_deficient(compiled, observability)
 
 
 def factor_graph(block: Block, points: Literal["eliminated", "explicit"] = "eliminated") -> FactorGraph:
@@ -267,9 +276,7 @@ class _Run:
 
     def once(self, block: Block, begin: State | None = None) -> Solution:
         """Adjust a block once with its options, from a state if given."""
-        elsewhere = self.execution is not None and self.execution.cluster is not None
-        memory, block = within_memory(block, elsewhere=elsewhere)
-        prepared = preparing_seconds()
+        (memory, block), prepared = self.within_memory(block), preparing_seconds()
         self._report("structure", len(block.observations))
         inner = block.options.datum == "inner"
         compiled, observability, block_view, structure = _compiled(block)
@@ -289,23 +296,38 @@ class _Run:
             solution = replace(solution, findings=tuple(findings))
         return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=preparing_seconds() - prepared))
 
-    def again(self, block: Block, like: Problem, begin: State) -> Again:
+    def within_memory(self, block: Block) -> tuple[Need, Block]:
+        """See ``fg_orient.adjustment.memory.within_memory``."""
+        return within_memory(block, elsewhere=self.execution is not None and self.execution.cluster is not None)
+
+    def first(self, block: Block) -> SearchRound:
+        """Adjust a block for the first time in a search."""
+        self._report("structure", len(block.observations))
+        compiled, observability, block_view, structure = _compiled(block)
+        begin = None if self.begin is None else self.begin(compiled)
+        estimate = self._solved(compiled, self.checkpoint, begin)
+        return replace(self._round(compiled, estimate, structure), view=(observability, block_view))
+
+    def again(self, block: Block, like: Problem, begin: State) -> SearchRound:
         """Adjust a block that differs in some observations from the block of ``like``, from a state near the solution.
 
-        Only the values that the choice of the next excluded observation requires are computed.
+        Only the values that the choice of the next excluded observations requires are computed.
         """
         start = working_clock()
         self._report("structure", len(block.observations))
         compiled = compiled_problem(block, like)
         require_determined(compiled)
         structure = working_clock() - start
-        estimate = self._solved(compiled, None, begin)
+        return self._round(compiled, self._solved(compiled, None, begin), structure)
+
+    def _round(self, compiled: Problem, estimate: Estimate, structure_s: float) -> SearchRound:
+        """Round of a search."""
         self._report("statistics", len(compiled.observations))
         cofactors, unavailable = cofactors_at(compiled, estimate)
-        return Again(
+        return SearchRound(
             problem=compiled, status=verdict.assess_solution(compiled, estimate, unavailable).status,
             state=estimate.state, chi2=estimate.chi2, cofactors=cofactors, unavailable=unavailable, estimate=estimate,
-            structure_s=structure,
+            structure_s=structure_s,
         )  # fmt: skip
 
     def _report(self, name: str, count: int) -> None:
@@ -327,15 +349,15 @@ class _Run:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Again(AdjustmentResult):
-    """A round of a search; ``whole`` completes the last round."""
+class SearchRound(AdjustmentResult):
+    """A round of a search; ``whole`` completes the last round. ``view``: observability, if it is known."""
 
     estimate: Estimate
     structure_s: float
+    view: View | None = None
 
     def whole(self, jit_s: float) -> Solution:
-        """Complete this round to a solution; observability is assessed only now."""
-        observability = judge_observability(self.problem)
-        block_view = refuse_deficient(self.problem, observability)
+        """Complete this round to a solution."""
+        observability, block_view = self.view or _view(self.problem)
         solution = conclude(self.problem, observability, block_view, self.estimate, self.structure_s)
         return replace(solution, seconds=replace(solution.seconds, jit=jit_s))

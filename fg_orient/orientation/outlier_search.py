@@ -1,8 +1,8 @@
 """Data snooping in a block: observations of an adjustment for the loop of ``fg_orient.quality.rejection``.
 
-After each adjustment every excluded observation is predicted from the others with its covariance. It is readmitted if
-it fits at the level at which it was excluded. The given block keeps all observations; the record names each excluded
-observation with its test.
+After each adjustment every excluded observation is predicted from the others with its covariance. Those that fit at
+the level at which they were excluded are readmitted, the most probable first, as long as each fits with those before
+it. The given block keeps all observations; the record names each excluded observation with its test.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from fg_orient.model.block import Block
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.model.names import Role, Status
 from fg_orient.orientation.adjusted import AdjustmentResult
+from fg_orient.quality.cofactors import Cofactors
 from fg_orient.quality.freedom import least_freedom
 from fg_orient.quality.observation_groups import groups_of, scaled
 from fg_orient.quality.outlier_records import GroupTest
-from fg_orient.quality.prediction import ConsistencyTest, Suspect, prediction
+from fg_orient.quality.prediction import ConsistencyTest, Excluded, Misclosures, fitting_together, misclosures
 from fg_orient.quality.rejection import MOST, ExcludedObservation, Rejection, Round, Search, reject
 from fg_orient.quality.successive import Exclusion, successive
 from fg_orient.quality.variance_components import VarianceComponents
@@ -32,8 +33,8 @@ from fg_orient.sensors import initial
 #: Adjusts a block from a state and the problem of the last round, which differs in some observations.
 Run = Callable[[Block, State, Problem], AdjustmentResult]
 
-#: Largest number of observations that a round excludes.
-ROUND: Final = 50
+#: Largest number of observations that a round excludes or readmits.
+ROUND: Final[int] = 1000
 #: Place of the finding that ended a search.
 GIVEN_UP: Final = "snooping was given up"
 
@@ -66,7 +67,7 @@ def search(block: Block, first: AdjustmentResult, run: Run) -> tuple[AdjustmentR
     """
     rounds = _Rounds(block, first)
     end = reject(
-        first, lambda out, last: run(rounds.block(out), rounds.state(out, last.state), last.problem), rounds.worst,
+        first, lambda out, last: run(*rounds.start(out, last.state), last.problem), rounds.worst,
         max(1, int(MOST * len(first.problem.observations))), returning=rounds.returning,
         impossible=(InputError, NoSolutionError),
     )  # fmt: skip
@@ -108,86 +109,101 @@ class _Rounds:
     def __init__(self, block: Block, first: AdjustmentResult) -> None:
         self._block, self._full = block, first.problem
         self._place = np.cumsum(participates(block)) - 1  # rows of the block among those of the full problem
-        self._rows: list[list[int]] = [[] for _ in block.points.ids]
-        for row, j in enumerate(block.observations.point.tolist()):
-            self._rows[j].append(row)
+        point = block.observations.point
+        self._order = np.argsort(point, kind="stable")  # rows of each point together, ascending
+        self._first = np.concatenate([[0], np.cumsum(np.bincount(point, minlength=len(block.points.ids)))])
         self._rounds: list[Round] = []
 
-    def returning(self, solution: AdjustmentResult, out: Sequence[_Removal]) -> list[float]:
-        """Test an adjustment; return the probability of each excluded observation, 0 if it does not fit."""
+    def returning(
+        self, solution: AdjustmentResult, out: Sequence[_Removal], may: Sequence[_Removal]
+    ) -> Sequence[_Removal]:
+        """Test an adjustment; return the excluded observations that fit together."""
         self._tests = tests = solution.outlier_tests(kind=self._block.options.snoop_kind)
         self._rounds.append(Round(
             len(self._rounds) + 1, solution.sigma0, solution.redundancy, tests.n_tested, tests.n_suspicious,
         ))  # fmt: skip
-        if solution.status is Status.NOT_CONVERGED:
-            return [0.0] * len(out)
-        self._predict(solution, out)
+        if solution.status is Status.NOT_CONVERGED or solution.cofactors is None or not out:
+            return ()
+        known = self._predict(solution, solution.cofactors, out)
         # of rivals one returns only where another one does not fit
-        return [r.probability if all(not rival.probability for rival in r.rivals) else 0.0 for r in out]
+        fitting = [r for r in may if r.probability and not any(rival.probability for rival in r.rivals)]
+        fitting.sort(key=lambda r: -r.probability)
+        fitting = list({r.point: r for r in reversed(fitting)}.values())[::-1]  # one of each point
+        fitting = fitting[: 1 if solution.components is not None else ROUND]
+        if len(fitting) < 2:
+            return fitting
+        together = fitting_together(
+            [known[id(r)] for r in fitting], [r.test.level for r in fitting], solution.problem, solution.cofactors,
+            solution.chi2, self._block.options.outlier_test,
+        )  # fmt: skip
+        return [fitting[k] for k in together]
 
     def worst(self, solution: AdjustmentResult, out: Sequence[_Removal]) -> list[_Removal]:
         """Observations of the adjustment tested last that are to be excluded, the worst first."""
         if solution.status is Status.NOT_CONVERGED:
             return []
-        most = 1 if solution.components is not None else ROUND
-        found = successive(
-            solution.residual_cofactors, self._tests, solution.chi2, self._block.options.snoop_kind, most
-        )  # fmt: skip
+        found = [Exclusion(0, self._tests[0])] if self._tests.n_suspicious else []
+        if solution.components is None:
+            found = successive(
+                solution.residual_cofactors, self._tests, solution.chi2, self._block.options.snoop_kind, ROUND
+            )
         kept, before = self._kept(out)
+        taking_part = kept[participates(before)]
+        of_point = _by_point(out)
         removals = list[_Removal]()
         for one in found:
-            removals.append(self._removal(one, kept, before, [*out, *removals]))
+            point, row = int(self._tests.point[one.place]), int(self._tests.row[one.place])
+            mine = of_point.setdefault(point, [])
+            rows = taking_part[[row]].tolist() if row >= 0 else []
+            if self._tests.parts[self._tests.part[one.place]] == "point":
+                rows = self._staying(point, mine)
+            control = row < 0 and before.points.roles[point] is Role.CONTROL
+            removal = _Removal(point, tuple(rows), control, one.test)
+            after = {*self._staying(point, [*mine, removal]), *rows}
+            gone = [row for row in self._staying(point, mine) if row not in after]
+            removals.append(replace(removal, with_it=tuple(self._name(row) for row in gone)))
+            mine.append(removals[-1])
+        together = dict[int, list[_Removal]]()
         for removal, one in zip(removals, found, strict=True):
-            removal.rivals = tuple(
-                r for r, other in zip(removals, found, strict=True) if other.number == one.number and r is not removal
-            )
+            together.setdefault(one.number, []).append(removal)
+        for rivals in together.values():
+            for removal in rivals:
+                removal.rivals = tuple(r for r in rivals if r is not removal)
         return removals
-
-    def _removal(self, one: Exclusion, kept: Index, before: Block, out: Sequence[_Removal]) -> _Removal:
-        """Observations to be excluded for a test of the block ``before``, whose image points are ``kept``."""
-        tests, still = self._tests, self._kept(out)[0]
-        point, row = int(tests.point[one.place]), int(tests.row[one.place])
-        taking_part = kept[participates(before)]
-        rows = taking_part[[row]] if row >= 0 else taking_part[:0]
-        if tests.parts[tests.part[one.place]] == "point":
-            rows = kept[before.observations.point == point]
-        control = row < 0 and before.points.roles[point] is Role.CONTROL
-        removal = _Removal(point, tuple(rows.tolist()), control, one.test)
-        after, _ = self._kept([*out, removal])
-        gone = np.setdiff1d(still, np.concatenate([after, rows]))
-        return replace(removal, with_it=tuple(self._name(r) for r in gone.tolist()))
 
     def _name(self, row: int) -> str:
         """Name an image point of the given block."""
         o = self._block.observations
         return f"point {self._block.points.ids[o.point[row]]} in image {self._block.images[o.image[row]].id}"
 
-    def _predict(self, solution: AdjustmentResult, out: Sequence[_Removal]) -> None:
-        """Test all excluded observations against the others."""
-        if solution.cofactors is None or not out:
-            return
-        components, full = solution.components, self._full
+    def _predict(
+        self, solution: AdjustmentResult, cofactors: Cofactors, out: Sequence[_Removal]
+    ) -> dict[int, Misclosures]:
+        """Test all excluded observations against the others; misclosures of those that are tested, by their id."""
+        components, full, test = solution.components, self._full, self._block.options.outlier_test
         if components is not None:  # excluded observations have the present sigmas of their group
             full = compile_problem(rescaled(self._block, self._full, components))
+        of_point, tested, excluded = _by_point(out), list[_Removal](), list[Excluded]()
         for removal in out:
-            j = removal.point
-            others = [r for r in out if r is not removal and r.point == j]
+            j, removal.fit = removal.point, None
+            others = [r for r in of_point[j] if r is not removal]
             stay = self._staying(j, [removal, *others])
             back = [row for row in self._staying(j, others) if row not in stay]
-            known = self._is_control(j, others) and self._full.observed[j]
             if not back and not removal.control:  # its rivals are out, too: nothing is left to test it
-                removal.fit = None
                 continue
+            known = self._is_control(j, others) and self._full.observed[j] and not solution.problem.observed[j]
             part = removal.test.part
-            suspect = Suspect(part, int(self._place[removal.rows[0]]) if part == "image" else -1)
-            fit = prediction(
-                full, solution.problem, solution.state, solution.cofactors, solution.chi2,
-                self._block.options.outlier_test, j, self._place[back].tolist(),
-                bool(known and not solution.problem.observed[j]), suspect,
-            )  # fmt: skip
+            row = int(self._place[removal.rows[0]]) if part == "image" else -1
+            tested.append(removal)
+            excluded.append(Excluded(j, tuple(self._place[back].tolist()), bool(known), part, row))
+        of = misclosures(full, solution.problem, solution.state, excluded)
+        for removal, one in zip(tested, of, strict=True):
+            removal.fit = ConsistencyTest(0.0, 0, None, None)
+            if one is not None:
+                removal.fit = one.consistency(cofactors, solution.chi2, solution.redundancy, test)
             if components is not None:
-                fit = fit.with_freedom(least_freedom(components), self._block.options.outlier_test)
-            removal.fit = fit
+                removal.fit = removal.fit.with_freedom(least_freedom(components), test)
+        return {id(removal): one for removal, one in zip(tested, of, strict=True) if one is not None}
 
     def _is_control(self, j: int, removals: Sequence[_Removal]) -> bool:
         """Whether a point keeps its coordinates without these of its observations."""
@@ -196,7 +212,7 @@ class _Rounds:
     def _staying(self, j: int, removals: Sequence[_Removal]) -> list[int]:
         """Remaining rows of the given block's image points of a point without these of its observations."""
         gone = {row for removal in removals for row in removal.rows}
-        rows = [row for row in self._rows[j] if row not in gone]
+        rows = [row for row in self._order[self._first[j] : self._first[j + 1]].tolist() if row not in gone]
         alone = len(rows) == 1 and not self._is_control(j, removals)
         return [] if alone else rows  # a single ray determines no point
 
@@ -207,24 +223,21 @@ class _Rounds:
         without = [removal.point for removal in removals if removal.control]
         if without:
             points = points.without_coordinates(np.isin(np.arange(len(points.ids)), without), Role.TIE)
-        for j in {removal.point for removal in removals}:
-            keep[self._rows[j]] = False
-            keep[self._staying(j, [r for r in removals if r.point == j])] = True
+        for j, mine in _by_point(removals).items():
+            keep[self._order[self._first[j] : self._first[j + 1]]] = False
+            keep[self._staying(j, mine)] = True
         return np.flatnonzero(keep), replace(self._block, points=points, observations=o.take(keep))
 
-    def block(self, out: Sequence[_Removal]) -> Block:
-        """The block without excluded observations."""
-        return self._kept(out)[1]
+    def start(self, out: Sequence[_Removal], last: State) -> tuple[Block, State]:
+        """The block without excluded observations, and the start of its adjustment.
 
-    def state(self, out: Sequence[_Removal], last: State) -> State:
-        """Start of the next adjustment: the end of the last; further points start as in the first adjustment.
-
-        Points outside the adjustment have no coordinates.
+        It starts at the end of the last; further points start as in the first adjustment. Points outside the adjustment
+        have no coordinates.
         """
+        block = self._kept(out)[1]
         ground = np.where(initial.missing_rows(last.ground)[:, None], self._full.start.ground, last.ground)
-        block = self.block(out)
         part = np.isin(np.arange(len(ground)), block.observations.point[participates(block)])
-        return State(last.image, np.where(part[:, None], ground, np.nan))
+        return block, State(last.image, np.where(part[:, None], ground, np.nan))
 
     def concluded(self, end: Rejection[AdjustmentResult, _Removal]) -> Search:
         """Record of the search."""
@@ -234,11 +247,11 @@ class _Rounds:
         single = np.setdiff1d(np.arange(len(o)), out)
         lost = [j for j in points.where(Role.CHECK) if j in o.point and j not in block.observations.point]
         changes = list(zip(self._rounds, end.changes, strict=True))
-        readmitted = {id(change.put_back): r.number for r, change in changes if change.put_back is not None}
+        readmitted = {id(one): r.number for r, change in changes for one in change.put_back}
         return Search(
             tuple(
                 replace(r, left_out="; ".join(one.test.name for one in c.left_out),
-                        put_back=c.put_back.test.name if c.put_back else "")
+                        put_back="; ".join(one.test.name for one in c.put_back))
                 for r, c in changes
             ),
             tuple(
@@ -248,6 +261,14 @@ class _Rounds:
             _given_up(end), tuple(self._name(r) for r in single.tolist()), tuple(points.ids[j] for j in lost),
             tuple(kept.tolist()),
         )  # fmt: skip
+
+
+def _by_point(removals: Sequence[_Removal]) -> dict[int, list[_Removal]]:
+    """Excluded observations of each ground point."""
+    out = dict[int, list[_Removal]]()
+    for removal in removals:
+        out.setdefault(removal.point, []).append(removal)
+    return out
 
 
 def _given_up(end: Rejection[AdjustmentResult, _Removal]) -> Finding | None:

@@ -14,7 +14,7 @@ combinations.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -69,66 +69,146 @@ class ConsistencyTest:
 
 
 @dataclass(frozen=True)
-class Suspect:
-    """Place of a suspected error: "image" with its row of the full problem, "position", "height" or "point"."""
+class Excluded:
+    """Excluded observations of one ground point, and the place of the suspected error among them.
 
+    Parameters
+    ----------
+    point : int
+    rows : tuple of int
+        Image points of the full problem, all of this ground point.
+    control : bool
+        Whether the measured coordinates of the point are excluded, too.
+    part : str
+        "image", "position", "height" or "point".
+    row : int
+        Image point of the full problem with the suspected error; -1 for other parts.
+    """
+
+    point: int
+    rows: tuple[int, ...]
+    control: bool
     part: str
     row: int = -1
 
 
-def prediction(
-    full: Problem, rest: Problem, state: State, cofactors: Cofactors, chi2: float, test: str,
-    point: int, rows: Sequence[int], control: bool, suspect: Suspect,
-) -> ConsistencyTest:  # fmt: skip
-    """Test a suspect among excluded observations of one ground point.
+@dataclass(frozen=True, eq=False)
+class Misclosures:
+    """Misclosures of excluded observations at the solution of the others, whitened.
+
+    Parameters
+    ----------
+    v : (m,) array
+    e : (m, k) array
+        Columns of the suspected error.
+    design : (m, u) array
+        Jacobian to the unknowns of ``images``, then of ``points``.
+    images, points : tuple of int
+    """
+
+    v: Array
+    e: Array
+    design: Array
+    images: tuple[int, ...]
+    points: tuple[int, ...]
+
+    def consistency(self, cofactors: Cofactors, chi2: float, redundancy: int, test: str) -> ConsistencyTest:
+        """Test with the adjustment of the others: its cofactors, v^T v and redundancy."""
+        q = cofactors.joint(self.images, self.points) if self.images else cofactors.point(self.points[0])
+        return _judged(self.v, self.e, np.eye(len(self.v)) + self.design @ q @ self.design.T, chi2, redundancy, test)
+
+
+def misclosures(full: Problem, rest: Problem, state: State, excluded: Sequence[Excluded]) -> list[Misclosures | None]:
+    """Misclosures of each group of excluded observations; None if they do not determine their ground point.
 
     Parameters
     ----------
     full : Problem
         With these observations; the same images, options and ground points as ``rest``.
-    rest, state, cofactors, chi2
+    rest, state
         Adjustment without these observations.
-    test : str
-        "baarda", "pope" or "t".
-    point : int
-    rows : sequence of int
-        Image points of ``full``, all of this ground point.
-    control : bool
-        Whether the measured coordinates of the point are among them.
-    suspect : Suspect
+    excluded : sequence of Excluded
     """
-    held = bool(rest.active[point] or not full.active[point])  # an unknown of the others, or a constant
-    x = (state if rest.active[point] else full.start).ground[point]
-    if not held:
-        place = _intersected(full, state, point, rows, control)
-        if place is None:
-            return ConsistencyTest(0.0, 0, None, None)
-        x = place
-    v, d_image, d_ground, images = _rows(full, state, point, x, rows, control)
-    e = _columns(full, point, rows, control, suspect)
-    e = e / np.linalg.norm(e, axis=0)  # before the projection, so that its length after it is the checked share
-    if rest.active[point]:
-        q = cofactors.joint(images, (point,)) if images else cofactors.point(point)
-        design = np.hstack([d_image, d_ground])
-    else:
-        q, design = cofactors.joint(images, ()), d_image
-        if not held:
-            left = np.linalg.qr(d_ground, mode="complete")[0][:, 3:].T
-            v, design, e = left @ v, left @ design, left @ e
-    return _judged(v, e, np.eye(len(v)) + design @ q @ design.T, chi2, rest.redundancy, test)
+    start = np.where(rest.active[:, None], state.ground, full.start.ground)
+    out: list[Misclosures | None] = [None] * len(excluded)
+    left = dict(enumerate(excluded))
+    while left:  # without the others a ground point has a different place in each of its groups
+        some = {k: left.pop(k) for k in {one.point: k for k, one in left.items()}.values()}
+        at = State(state.image, start.copy())
+        lost = {k for k, one in some.items() if full.active[one.point] and not rest.active[one.point]}
+        open_ = lost - _intersect(full, at, {k: some[k] for k in lost})
+        some = {k: one for k, one in some.items() if k not in open_}
+        for k, (v, d_image, d_ground, images) in zip(some, _rows(full, at, list(some.values())), strict=True):
+            e = _columns(full, some[k])
+            e = e / np.linalg.norm(e, axis=0)  # before the projection: its length after it is the checked share
+            points: tuple[int, ...] = ()
+            if rest.active[some[k].point]:
+                d_image, points = np.hstack([d_image, d_ground]), (some[k].point,)
+            elif k in lost:
+                free = np.linalg.qr(d_ground, mode="complete")[0][:, 3:].T
+                v, d_image, e = free @ v, free @ d_image, free @ e
+            out[k] = Misclosures(v, e, d_image, images, points)
+    return out
 
 
-def _columns(full: Problem, point: int, rows: Sequence[int], control: bool, suspect: Suspect) -> Array:
+def fitting_together(
+    groups: Sequence[Misclosures], levels: Sequence[float], rest: Problem, cofactors: Cofactors, chi2: float, test: str
+) -> list[int]:
+    """Places of the groups that are included one after the other, as each fits with those before it.
+
+    In the linear model of the adjustment without all of them. After the group a is included, the misclosures of the
+    others and their cofactors are ``v' = v - S_a S_aa^-1 v_a``, ``S' = S - S_a S_aa^-1 S_a^T``, and v^T v has
+    increased by ``v_a^T S_aa^-1 v_a``.
+
+    Parameters
+    ----------
+    groups : sequence of Misclosures
+        Of different ground points.
+    levels : sequence of float
+        A group fits if its probability is larger.
+    rest : Problem
+    cofactors, chi2
+        Of the adjustment of ``rest``.
+    test : str
+    """
+    if not groups:
+        return []
+    images = tuple(sorted({k for one in groups for k in one.images}))
+    points = tuple(j for one in groups for j in one.points)
+    sizes = dict(zip(images, np.diff(rest.first)[list(images)].tolist(), strict=True))
+    names = [(True, k, size) for k, size in sizes.items()] + [(False, j, 3) for j in points]
+    places = np.cumsum([0, *(size for _, _, size in names)])
+    columns = {(is_image, k): np.arange(size) + begin
+               for (is_image, k, size), begin in zip(names, places.tolist(), strict=False)}  # fmt: skip
+    first = np.cumsum([0, *(len(one.v) for one in groups)])
+    design, v = np.zeros((first[-1], places[-1])), np.concatenate([one.v for one in groups])
+    for begin, one in zip(first.tolist(), groups, strict=False):
+        mine = [columns[True, k] for k in one.images] + [columns[False, j] for j in one.points]
+        design[begin : begin + len(one.v), np.concatenate(mine)] = one.design
+    s = np.eye(len(v)) + design @ cofactors.joint(images, points) @ design.T
+    f, taken = rest.redundancy, list[int]()
+    for k, (one, level) in enumerate(zip(groups, levels, strict=True)):
+        own = slice(first[k], first[k + 1])
+        fit = _judged(v[own], one.e, s[own, own], chi2, f, test)
+        if (fit.probability or 0.0) > level:
+            taken.append(k)
+            gain = np.linalg.solve(s[own, own], s[own])
+            chi2, f = chi2 + float(v[own] @ np.linalg.solve(s[own, own], v[own])), f + len(one.v)
+            v, s = v - gain.T @ v[own], s - s[:, own] @ gain
+    return taken
+
+
+def _columns(full: Problem, one: Excluded) -> Array:
     """Columns E (m, k) of the suspected error in the rows of :func:`_rows`; their scale does not matter."""
-    whole = np.eye(2 * len(rows) + 3 * control)
-    if suspect.part == "point":
+    whole = np.eye(2 * len(one.rows) + 3 * one.control)
+    if one.part == "point":
         return whole
-    if suspect.part == "image":
-        return whole[:, [k for i, r in enumerate(rows) if r == suspect.row for k in (2 * i, 2 * i + 1)]]
-    axes = full.axes(full.control_records[None, point, POINT.place] + full.origin_m)[0]
+    if one.part == "image":
+        return whole[:, [k for i, r in enumerate(one.rows) if r == one.row for k in (2 * i, 2 * i + 1)]]
+    axes = full.axes(full.control_records[None, one.point, POINT.place] + full.origin_m)[0]
     out = np.zeros((len(whole), 3))
-    out[-3:] = full.control_weights(point) @ axes.T
-    return out[:, :2] if suspect.part == "position" else out[:, 2:]
+    out[-3:] = full.control_weights(one.point) @ axes.T
+    return out[:, :2] if one.part == "position" else out[:, 2:]
 
 
 def _judged(v: Array, e: Array, s: Array, chi2: float, redundancy: int, test: str) -> ConsistencyTest:
@@ -139,28 +219,33 @@ def _judged(v: Array, e: Array, s: Array, chi2: float, redundancy: int, test: st
 
 
 def _rows(
-    full: Problem, state: State, point: int, x: Array, rows: Sequence[int], control: bool
-) -> tuple[Array, Array, Array, tuple[int, ...]]:
-    """Whitened misclosures (m,) at a place of the ground point, Jacobians (m, u) and (m, 3), and the images of u."""
-    taken, ground = np.asarray(rows, np.intp), state.ground.copy()
-    ground[point] = x
-    rays = linearised(full, State(state.image, ground), taken)
-    j_image, _, images = side_by_side(full, full.observations.image[taken], rays.image)
-    v, j_ground = rays.residual.ravel(), rays.ground.reshape(-1, 3)
-    if control:
-        w = full.control_weights(point)
-        v = np.concatenate([v, w @ (x - full.control_records[point, POINT.place])])
-        j_image, j_ground = np.pad(j_image, ((0, 3), (0, 0))), np.vstack([j_ground, w])
-    return v, j_image, j_ground, images
+    full: Problem, at: State, excluded: Sequence[Excluded]
+) -> Iterator[tuple[Array, Array, Array, tuple[int, ...]]]:
+    """Whitened misclosures (m,), Jacobians (m, u) and (m, 3), and the images of u, of each group at a state."""
+    first = np.cumsum([0, *(len(one.rows) for one in excluded)])
+    taken = np.array([row for one in excluded for row in one.rows], np.intp)
+    rays = linearised(full, at, taken)
+    for one, begin, end in zip(excluded, first[:-1].tolist(), first[1:].tolist(), strict=True):
+        own = slice(begin, end)
+        j_image, _, images = side_by_side(full, full.observations.image[taken[own]], rays.image[own])
+        v, j_ground = rays.residual[own].ravel(), rays.ground[own].reshape(-1, 3)
+        if one.control:
+            w = full.control_weights(one.point)
+            v = np.concatenate([v, w @ (at.ground[one.point] - full.control_records[one.point, POINT.place])])
+            j_image, j_ground = np.pad(j_image, ((0, 3), (0, 0))), np.vstack([j_ground, w])
+        yield v, j_image, j_ground, images
 
 
-def _intersected(full: Problem, state: State, point: int, rows: Sequence[int], control: bool) -> Array | None:
-    """Ground point from these observations with fixed orientation, local m; None without convergence."""
-    x: Array = full.start.ground[point].copy()
+def _intersect(full: Problem, at: State, lost: dict[int, Excluded]) -> set[int]:
+    """Intersect ground points in ``at`` from their groups with fixed orientation; the groups that converge."""
+    left, done = dict(lost), set[int]()
     for _ in range(MAX_STEPS):
-        v, _, d_ground, _ = _rows(full, state, point, x, rows, control)
-        step = np.linalg.lstsq(d_ground, -v)[0]
-        x += step
-        if np.abs(step).max() < STEP_M:
-            return x
-    return None
+        if not left:
+            break
+        for (k, one), (v, _, d_ground, _) in zip(list(left.items()), _rows(full, at, list(left.values())), strict=True):
+            step = np.linalg.lstsq(d_ground, -v)[0]
+            at.ground[one.point] += step
+            if np.abs(step).max() < STEP_M:
+                done.add(k)
+                del left[k]
+    return done

@@ -5,9 +5,8 @@ Each domain supplies its fit and its tests, which may name several observations 
 (``fg_orient.quality.successive``); this loop decides which are left out or put back and when the search ends.
 
 An early choice among suspects may be wrong. After each fit the excluded observations are therefore predicted from the
-others, and the observation that fits best is put back before another one is left out. Each observation returns at most
-once. Every round but the last is one of at most three changes of an observation (out, back, out again), so the search
-ends.
+others, and those that fit are put back before another one is left out. Each observation returns at most once. Every
+round but the last is one of at most three changes of an observation (out, back, out again), so the search ends.
 
 The record of a search in an adjustment (``fg_orient.orientation.outlier_search``) is :class:`Search`.
 """
@@ -17,8 +16,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Generic, TypeVar
-
-import numpy as np
 
 from fg_orient.model.errors import Finding, finding
 
@@ -35,10 +32,10 @@ MOST: Final = 0.25
 
 @dataclass(frozen=True)
 class Change(Generic[T]):
-    """Observations that were left out, or the one that was put back, after a fit; nothing after the last fit."""
+    """Observations that were left out, or those that were put back, after a fit; nothing after the last fit."""
 
     left_out: tuple[T, ...] = ()
-    put_back: T | None = None
+    put_back: tuple[T, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -72,7 +69,7 @@ def reject(
     worst: Callable[[F, Sequence[T]], Sequence[T]],
     most: int,
     *,
-    returning: Callable[[F, Sequence[T]], Sequence[float]] = lambda _, out: [0.0] * len(out),
+    returning: Callable[[F, Sequence[T], Sequence[T]], Sequence[T]] = lambda *_: (),
     impossible: tuple[type[Exception], ...] = (),
 ) -> Rejection[F, T]:
     """Leave out the worst observation and fit again until nothing is suspicious.
@@ -89,30 +86,30 @@ def reject(
     most : int
         Maximum number of excluded observations.
     returning : callable, optional
-        For each excluded observation the probability of its test in the fit without it; 0 if it does not fit. Without
-        this function no observation returns.
+        Observations to put back together, given a fit, the excluded observations, and those of them that may return.
+        Without this function no observation returns.
     impossible : tuple of exception classes
-        Errors of a fit that the remaining observations do not determine. Of several exclusions all but the first are
-        then undone. If the fit is still impossible, the first is undone, too, and the search ends.
+        Errors of a fit that the remaining observations do not determine. Of several exclusions the second half is then
+        undone, and so on. If the fit is still impossible without the first alone, the search ends.
     """
     last, out, changes, returned = first, list[T](), list[Change[T]](), list[T]()
     while True:
-        probabilities = [0.0 if one in returned else p for one, p in zip(out, returning(last, out), strict=True)]
-        back = max(probabilities, default=0.0) > 0.0
+        back = tuple(returning(last, out, [one for one in out if one not in returned]))
         if back:
-            returned.append(out.pop(int(np.argmax(probabilities))))
-            changes.append(Change(put_back=returned[-1]))
+            out = [one for one in out if one not in back]
+            returned += back
+            changes.append(Change(put_back=back))
             last = fit(out, last)
             continue
         suspects, error = tuple(worst(last, out)), None
         if not suspects or len(out) >= most:
             return Rejection(last, (*changes, Change()), tuple(out), suspects[0] if suspects else None)
-        suspects = suspects[: most - len(out)]
-        for some in (suspects, suspects[:1])[: len(suspects)]:
+        some = suspects[: most - len(out)]
+        while some:
             try:
                 last = fit([*out, *some], last)
             except impossible as why:
-                error = why
+                error, some = why, some[: len(some) // 2]
             else:
                 out, error = [*out, *some], None
                 changes.append(Change(left_out=some))

@@ -15,10 +15,9 @@ less than 1 to 100. Nothing tells which one is wrong, so all go.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.arrays import Array, Index
 from fg_orient.adjustment.best_rays import RIVAL
@@ -31,8 +30,16 @@ from fg_orient.quality.outliers import SAME
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.suspects import Kind, suspects
 
-#: Suspects with the smallest probabilities that take part: matrices of twice this size.
-CANDIDATES: Final = 256
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+#: Suspects that take part, those with the smallest probabilities: at least, for each suspicious one (a gross error
+#: hides others), and at most.
+LEAST: Final = 256
+EACH: Final = 2
+MOST: Final = 4096
+#: Changes of the cofactors for which there is memory at first.
+FIRST: Final = 64
 #: Controls of multiple tests whose level of a single test does not depend on the other tests.
 FIXED_LEVEL: Final = ("none", "bonferroni", "sidak")
 
@@ -77,14 +84,16 @@ def successive(known: ResidualCofactors, tests: OutlierTests, chi2: float, kind:
     first = [Exclusion(0, tests[0])]
     problem = known.problem
     wide = problem.n_image_unknowns > WHOLE_LIMIT
-    if tests.control not in FIXED_LEVEL or most == 1 or kind == "points" or wide:
+    if tests.control not in FIXED_LEVEL or kind == "points" or wide:
         return first
-    e_v, q, scale, of = _candidates(known, tests, kind)
+    candidates = _Candidates(known, tests, kind)
+    of, scale = candidates.of_tests, candidates.scale
     rays = np.bincount(problem.observations.point, minlength=len(problem.active))
     f, out = float(problem.redundancy), list[Exclusion]()
     left = np.ones(len(of), bool)
     while len(out) < most:
-        t, d, error = _quadratics(e_v, q, left)
+        t, d, error = hypotheses.quadratic(candidates.v, candidates.own)
+        t, d = np.where(left, t, 0.0), np.where(left, d, 0)
         tested = left & hypotheses.can_be_tested(d, f, tests.test)
         p = np.ones(len(of))
         p[tested] = hypotheses.probabilities(t[tested], d[tested], chi2, f, tests.test)
@@ -109,12 +118,8 @@ def successive(known: ResidualCofactors, tests: OutlierTests, chi2: float, kind:
         # the whole observation goes: line and sample, or position and height
         gone = (tests.point[of] == point) & np.isin(tests.row[of], tests.row[of[going]])
         for i in np.flatnonzero(gone).tolist():
-            size, axes = np.linalg.eigh(q[i, :, i])
-            checked = size > hypotheses.CHECKED
-            inverse = (axes[:, checked] / size[checked]) @ axes[:, checked].T
-            chi2, f, left[i] = chi2 - float(e_v[i] @ inverse @ e_v[i]), f - int(checked.sum()), False
-            gain = q[:, :, i] @ inverse
-            e_v, q = e_v - gain @ e_v[i], q - np.einsum("iab,bjc->iajc", gain, q[i])
+            decrease, checked = candidates.leave_out(i)
+            chi2, f, left[i] = chi2 - decrease, f - checked, False
     return out or first
 
 
@@ -130,42 +135,94 @@ def _test(
     )  # fmt: skip
 
 
-def _quadratics(e_v: Array, q: Array, left: npt.NDArray[np.bool_]) -> tuple[Array, Index, Array]:
-    """T, d and estimated error of each suspect."""
-    own = q[np.arange(len(q)), :, np.arange(len(q))]
-    t, d, error = hypotheses.quadratic(e_v, own)
-    return np.where(left, t, 0.0), np.where(left, d, 0), error
+class _Candidates:
+    """Suspects from which one after the other is left out.
 
+    With the columns E of length 1 of all suspects, ``E^T Q E = B - A X A^T``: B between suspects of one ground point, A
+    the Jacobian to the unknowns of the images, X their cofactors. A suspect i is left out in its checked directions W,
+    ``W^T Q_ii W = I``. With ``b = B_i W``, ``a = W^T A_i`` and ``h = X a^T``, ``G = Q_i W = b - A h`` and::
 
-def _candidates(known: ResidualCofactors, tests: OutlierTests, kind: Kind) -> tuple[Array, Array, Array, Index]:
-    """``E^T v`` (n, 2), ``E^T Q E`` (n, 2, n, 2), lengths (n, 2) of E, and the place of each suspect among the tests.
+        v' = v - G G_i^T v_i,   Q' = Q - G G^T,   X' = X + h h^T,
+        B' = B - b M^-1 b^T,    A' = A - b M^-1 a,   M = W^T B_ii W
 
-    The columns of E have length 1; the second is zero, and its length nan, for an error of one coordinate.
+    B and A change only in the ground point of i.
+
+    Parameters
+    ----------
+    known, tests, kind
+        See :func:`successive`.
+
+    Attributes
+    ----------
+    of_tests : (n,) int array
+        Places among the tests.
+    v, scale : (n, 2) arrays
+        ``E^T v``, and the lengths of E before; the second is zero, its length nan, for an error of one coordinate.
+    own : (n, 2, 2) array
+        Cofactors of v of each suspect.
     """
-    problem, of = known.problem, np.arange(min(len(tests), CANDIDATES))
-    of = of[tests.dimension[of] > 0]
-    place = {
-        (s.part, int(j), int(r)): (s, k)
-        for s in suspects(known, kind) for k, (j, r) in enumerate(zip(s.point, s.row, strict=True))
-    }  # fmt: skip
-    parts = [place[tests.parts[tests.part[k]], int(tests.point[k]), int(tests.row[k])] for k in of.tolist()]
-    n, named = len(of), problem.named_points()
-    e_v, scale, q = np.zeros((n, 2)), np.full((n, 2), np.nan), np.zeros((n, 2, n, 2))
-    by_unknowns = np.zeros((n, 2, problem.n_free_unknowns + 3 * len(named)))
-    rays, points = linearised(problem, known.state), tests.point[of]
-    for group in eliminated_points(problem, rays, named, only=np.unique(points), groups=1):
-        for j, rows, columns, design, free in zip(
-            group.point, group.rows, group.columns, group.design, group.free, strict=True
-        ):
-            mine = np.flatnonzero(points == j)
-            e = np.zeros((len(mine), 2, len(rows)))
-            for own, i in enumerate(mine.tolist()):
-                s, k = parts[i]
-                length = np.linalg.norm(s.columns[k], axis=0)
-                e[own][: len(length), np.searchsorted(rows, s.rows[k])] = (s.columns[k] / length).T
-                e_v[i, : len(length)], scale[i, : len(length)] = s.v[k] @ (s.columns[k] / length), length
-            np.add.at(by_unknowns, (mine[:, None, None], np.arange(2)[:, None], columns), e @ design)
-            q[mine[:, None], :, mine[None]] = np.einsum("iar,rs,jbs->ijab", e, free, e)
-    flat = by_unknowns.reshape(2 * n, -1)
-    q -= (flat @ free_cofactors(problem, known.cofactors.joint, named) @ flat.T).reshape(q.shape)
-    return e_v, q, scale, of
+
+    def __init__(self, known: ResidualCofactors, tests: OutlierTests, kind: Kind) -> None:
+        from scipy.sparse import coo_array
+
+        problem, named = known.problem, known.problem.named_points()
+        of = np.arange(min(len(tests), MOST, max(LEAST, EACH * tests.n_suspicious)))
+        self.of_tests = of = of[tests.dimension[of] > 0]
+        n = len(of)
+        self.v, self.scale, self.own = np.zeros((n, 2)), np.full((n, 2), np.nan), np.zeros((n, 2, 2))
+        e, rows = np.zeros((n, 2, 3)), np.full((n, 3), -1)
+        for number, s in enumerate(suspects(known, kind)):
+            mine = np.flatnonzero(tests.part[of] == number)
+            key, value = (s.row, tests.row) if (s.row >= 0).any() else (s.point, tests.point)
+            k = np.searchsorted(key, value[of[mine]])  # suspects of a part are in ascending order
+            (r, d), length = s.columns.shape[1:], np.linalg.norm(s.columns[k], axis=1)
+            e[mine, :d, :r] = unit = np.swapaxes(s.columns[k] / length[:, None], 1, 2)
+            rows[mine, :r], self.scale[mine, :d] = s.rows[k], length
+            self.v[mine, :d] = np.einsum("ndr,nr->nd", unit, s.v[k])
+            self.own[mine, :d, :d] = unit @ s.q[k] @ np.swapaxes(unit, 1, 2)
+        points, self._of_point = np.unique(tests.point[of], return_inverse=True)
+        members = np.split(np.argsort(self._of_point, kind="stable"), np.cumsum(np.bincount(self._of_point))[:-1])
+        self._at = [(2 * mine[:, None] + np.arange(2)).ravel() for mine in members]
+        self._blocks = [np.zeros((0, 0))] * len(points)
+        rays, places, entries = linearised(problem, known.state), list[Index](), list[Array]()
+        for part in eliminated_points(problem, rays, named, only=points, groups=1):
+            numbers = np.searchsorted(points, part.point).tolist()
+            for j, own, columns, design, free in zip(
+                numbers, part.rows, part.columns, part.design, part.free, strict=True
+            ):
+                mine, at = members[j], self._at[j]
+                wide = (e[mine] @ (rows[mine][:, :, None] == own)).reshape(len(at), -1)
+                self._blocks[j] = wide @ free @ wide.T
+                places.append(np.stack([np.repeat(at, len(columns)), np.tile(columns, len(at))]))
+                entries.append((wide @ design).ravel())
+        self._cofactors = free_cofactors(problem, known.cofactors.joint, named)
+        shape = (2 * n, len(self._cofactors))
+        self._design: csr_array = coo_array((np.concatenate(entries), np.hstack(places)), shape=shape).tocsr()
+        self._more, self._used = np.empty((FIRST, len(self._cofactors))), 0
+
+    def leave_out(self, i: int) -> tuple[float, int]:
+        """Leave out a suspect; decrease of v^T v and of its degrees of freedom."""
+        size, axes = np.linalg.eigh(self.own[i])
+        checked = size > hypotheses.CHECKED
+        w, d = axes[:, checked] / np.sqrt(size[checked]), int(checked.sum())
+        at, block, data = self._at[self._of_point[i]], self._blocks[self._of_point[i]], self._design.data
+        begin, end = self._design.indptr[at], self._design.indptr[at + 1]
+        entry = begin[:, None] + np.arange(end[0] - begin[0])  # suspects of a ground point have the same columns
+        columns, mine = self._design.indices[entry[0]], np.flatnonzero(at // 2 == i)
+        a, b = w.T @ data[entry[mine]], block[:, mine] @ w
+        more = self._more[: self._used]
+        h = self._cofactors[columns].T @ a.T + more.T @ (more[:, columns] @ a.T)
+        gain = -(self._design @ h)
+        gain[at] += b
+        of_b = np.linalg.solve(w.T @ b[mine], b.T)
+        block -= b @ of_b
+        data[entry] -= of_b.T @ a
+        while self._used + d > len(self._more):
+            self._more = np.concatenate([self._more, np.empty_like(self._more)])
+        self._more[self._used : self._used + d] = h.T
+        self._used += d
+        along = w.T @ self.v[i]
+        self.v -= (gain @ along).reshape(-1, 2)
+        pairs = gain.reshape(len(self.v), 2, d)
+        self.own -= pairs @ np.swapaxes(pairs, 1, 2)
+        return float(along @ along), d

@@ -51,20 +51,20 @@ def test_no_more_than_allowed_go(most: int) -> None:
     assert found.fit == mean(found.out)
 
 
-def test_what_fits_best_comes_back_before_anything_goes_and_once_only() -> None:
+def test_what_fits_comes_back_before_anything_goes_and_once_only() -> None:
     asked: list[tuple[int, ...]] = []
 
-    def returning(_: float, out: Sequence[int]) -> list[float]:
+    def returning(_: float, out: Sequence[int], may: Sequence[int]) -> list[int]:
         asked.append(tuple(out))
-        return [{4: 0.2, 6: 0.4}[k] if len(out) == 2 else 0.0 for k in out]
+        return list(may) if len(out) == 2 else []
 
     found = rejected(returning=returning)
-    assert asked == [(), (4,), (4, 6), (4,), (4, 6), (6,), (6, 4)]
+    assert asked == [(), (4,), (4, 6), (), (4,), (4, 6)]
     assert found.changes == (
-        Change(left_out=(4,)), Change(left_out=(6,)), Change(put_back=6), Change(left_out=(6,)), Change(put_back=4),
-        Change(left_out=(4,)), Change(),
+        Change(left_out=(4,)), Change(left_out=(6,)), Change(put_back=(4, 6)), Change(left_out=(4,)),
+        Change(left_out=(6,)), Change(),
     )  # fmt: skip
-    assert found.out == (6, 4)
+    assert found.out == (4, 6)
 
 
 def test_the_last_one_is_taken_back_where_the_others_determine_no_fit() -> None:
@@ -100,6 +100,24 @@ def test_several_go_in_one_round_and_one_of_them_where_the_others_determine_no_f
     assert found.out == (4,) and found.worst == 6
 
 
+def test_half_of_several_go_until_the_others_determine_a_fit() -> None:
+    tried: list[tuple[int, ...]] = []
+
+    def fit(out: Sequence[int], _: float) -> float:
+        tried.append(tuple(out))
+        if 2 in out:
+            raise ArithmeticError("too few")
+        return mean(out)
+
+    def all_of_them(_: float, out: Sequence[int]) -> list[int]:
+        return [k for k in (4, 6, 2, 3, 1) if k not in out]
+
+    found = reject(mean([]), fit, all_of_them, 5, impossible=(ArithmeticError,))
+    assert tried == [(4, 6, 2, 3, 1), (4, 6), (4, 6, 2, 3, 1), (4, 6, 2)]
+    assert found.changes == (Change(left_out=(4, 6)), Change())
+    assert found.out == (4, 6) and found.worst == 2 and str(found.error) == "too few"
+
+
 def test_a_fit_that_fails_with_more_observations_is_an_error() -> None:
     calls = 0
 
@@ -111,4 +129,4 @@ def test_a_fit_that_fails_with_more_observations_is_an_error() -> None:
         return mean(out)
 
     with pytest.raises(ArithmeticError, match="not that"):
-        rejected(fit=fit, impossible=(ArithmeticError,), returning=lambda _, out: [1.0] * len(out))
+        rejected(fit=fit, impossible=(ArithmeticError,), returning=lambda _, out, may: may)

@@ -144,10 +144,10 @@ def test_what_an_intersection_takes_up_is_not_checked() -> None:
     assert cofactors is not None
     j = int(problem.observations.point[0])
     rest = replace(problem, active=problem.active & (np.arange(len(problem.active)) != j))
-    alone = prediction.prediction(
-        problem, rest, state, cofactors, solution.chi2, "t", j, [0], False, prediction.Suspect("image", 0)
-    )
-    assert (alone.dimension, alone.statistic) == (0, None)
+    alone = prediction.misclosures(problem, rest, state, [prediction.Excluded(j, (0,), False, "image", 0)])[0]
+    assert alone is not None
+    test = alone.consistency(cofactors, solution.chi2, rest.redundancy, "t")
+    assert (test.dimension, test.statistic) == (0, None)
 
 
 @pytest.mark.behaviour
