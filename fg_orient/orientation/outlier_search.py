@@ -24,7 +24,7 @@ from fg_orient.quality.cofactors import Cofactors
 from fg_orient.quality.freedom import least_freedom
 from fg_orient.quality.observation_groups import groups_of, scaled
 from fg_orient.quality.outlier_records import GroupTest
-from fg_orient.quality.prediction import ConsistencyTest, Excluded, Misclosures, fitting_together, misclosures
+from fg_orient.quality.prediction import ConsistencyTest, Excluded, Misclosures, consistency_in_turn, misclosures
 from fg_orient.quality.rejection import MOST, ExcludedObservation, Rejection, Round, Search, reject
 from fg_orient.quality.successive import Exclusion, successive
 from fg_orient.quality.variance_components import VarianceComponents
@@ -132,11 +132,11 @@ class _Rounds:
         fitting = fitting[: 1 if solution.components is not None else ROUND]
         if len(fitting) < 2:
             return fitting
-        together = fitting_together(
+        tests_of = consistency_in_turn(
             [known[id(r)] for r in fitting], [r.test.level for r in fitting], solution.problem, solution.cofactors,
             solution.chi2, self._block.options.outlier_test,
         )  # fmt: skip
-        return [fitting[k] for k in together]
+        return [r for r, fit in zip(fitting, tests_of, strict=True) if (fit.probability or 0.0) > r.test.level]
 
     def worst(self, solution: AdjustmentResult, out: Sequence[_Removal]) -> list[_Removal]:
         """Observations of the adjustment tested last that are to be excluded, the worst first."""

@@ -151,14 +151,13 @@ def misclosures(full: Problem, rest: Problem, state: State, excluded: Sequence[E
     return out
 
 
-def fitting_together(
+def consistency_in_turn(
     groups: Sequence[Misclosures], levels: Sequence[float], rest: Problem, cofactors: Cofactors, chi2: float, test: str
-) -> list[int]:
-    """Places of the groups that are included one after the other, as each fits with those before it.
+) -> list[ConsistencyTest]:
+    """Test groups one after the other, each with those before it that fit, in the linear model of one adjustment.
 
-    In the linear model of the adjustment without all of them. After the group a is included, the misclosures of the
-    others and their cofactors are ``v' = v - S_a S_aa^-1 v_a``, ``S' = S - S_a S_aa^-1 S_a^T``, and v^T v has
-    increased by ``v_a^T S_aa^-1 v_a``.
+    After group a is included, the misclosures of the others and their cofactors are ``v' = v - S_a S_aa^-1 v_a``,
+    ``S' = S - S_a S_aa^-1 S_a^T``, and v^T v has increased by ``v_a^T S_aa^-1 v_a``.
 
     Parameters
     ----------
@@ -171,8 +170,6 @@ def fitting_together(
         Of the adjustment of ``rest``.
     test : str
     """
-    if not groups:
-        return []
     images = tuple(sorted({k for one in groups for k in one.images}))
     points = tuple(j for one in groups for j in one.points)
     sizes = dict(zip(images, np.diff(rest.first)[list(images)].tolist(), strict=True))
@@ -186,16 +183,15 @@ def fitting_together(
         mine = [columns[True, k] for k in one.images] + [columns[False, j] for j in one.points]
         design[begin : begin + len(one.v), np.concatenate(mine)] = one.design
     s = np.eye(len(v)) + design @ cofactors.joint(images, points) @ design.T
-    f, taken = rest.redundancy, list[int]()
+    f, out = rest.redundancy, list[ConsistencyTest]()
     for k, (one, level) in enumerate(zip(groups, levels, strict=True)):
         own = slice(first[k], first[k + 1])
-        fit = _judged(v[own], one.e, s[own, own], chi2, f, test)
-        if (fit.probability or 0.0) > level:
-            taken.append(k)
+        out.append(_judged(v[own], one.e, s[own, own], chi2, f, test))
+        if (out[-1].probability or 0.0) > level:
             gain = np.linalg.solve(s[own, own], s[own])
             chi2, f = chi2 + float(v[own] @ np.linalg.solve(s[own, own], v[own])), f + len(one.v)
             v, s = v - gain.T @ v[own], s - s[:, own] @ gain
-    return taken
+    return out
 
 
 def _columns(full: Problem, one: Excluded) -> Array:

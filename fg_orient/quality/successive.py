@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 LEAST: Final = 256
 EACH: Final = 2
 MOST: Final = 4096
+#: Ratio of the gross errors of one round: second-order terms of the largest may look like an error below this share.
+LINEAR: Final = 50.0
 #: Changes of the cofactors for which there is memory at first.
 FIRST: Final = 64
 #: Controls of multiple tests whose level of a single test does not depend on the other tests.
@@ -89,7 +91,7 @@ def successive(known: ResidualCofactors, tests: OutlierTests, chi2: float, kind:
     candidates = _Candidates(known, tests, kind)
     of, scale = candidates.of_tests, candidates.scale
     rays = np.bincount(problem.observations.point, minlength=len(problem.active))
-    f, out = float(problem.redundancy), list[Exclusion]()
+    f, largest, out = float(problem.redundancy), 0.0, list[Exclusion]()
     left = np.ones(len(of), bool)
     while len(out) < most:
         t, d, error = hypotheses.quadratic(candidates.v, candidates.own)
@@ -98,7 +100,8 @@ def successive(known: ResidualCofactors, tests: OutlierTests, chi2: float, kind:
         p = np.ones(len(of))
         p[tested] = hypotheses.probabilities(t[tested], d[tested], chi2, f, tests.test)
         k = int(np.lexsort((tests.row[of] < 0, -t, np.where(tested, p, np.inf)))[0])
-        if not tested[k] or p[k] > tests.level_each:
+        largest = max(largest, float(t[k]))
+        if not tested[k] or p[k] > tests.level_each or LINEAR**2 * t[k] < largest:
             break
         same = tested & (tests.point[of] == tests.point[of[k]]) & (d == d[k]) & (t >= (1.0 - SAME) * t[k])
         k = int(np.lexsort((tests.row[of] < 0, ~same))[0])  # of inseparable ones an image point, the first
