@@ -114,7 +114,8 @@ class Misclosures:
 
     def consistency(self, cofactors: Cofactors, chi2: float, redundancy: int, test: str) -> ConsistencyTest:
         """Test with the adjustment of the others: its cofactors, v^T v and redundancy."""
-        q = cofactors.joint(self.images, self.points) if self.images else cofactors.point(self.points[0])
+        none = not self.images and not self.points  # coordinates of a point without rays
+        q = np.zeros((0, 0)) if none else cofactors.joint(self.images, self.points)
         return _judged(self.v, self.e, np.eye(len(self.v)) + self.design @ q @ self.design.T, chi2, redundancy, test)
 
 
@@ -172,7 +173,7 @@ def consistency_in_turn(
     """
     images = tuple(sorted({k for one in groups for k in one.images}))
     points = tuple(j for one in groups for j in one.points)
-    sizes = dict(zip(images, np.diff(rest.first)[list(images)].tolist(), strict=True))
+    sizes = dict(zip(images, np.diff(rest.first)[np.array(images, np.intp)].tolist(), strict=True))
     names = [(True, k, size) for k, size in sizes.items()] + [(False, j, 3) for j in points]
     places = np.cumsum([0, *(size for _, _, size in names)])
     columns = {(is_image, k): np.arange(size) + begin

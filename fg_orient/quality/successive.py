@@ -104,7 +104,8 @@ def successive(known: ResidualCofactors, tests: OutlierTests, chi2: float, kind:
         if not tested[k] or p[k] > tests.level_each or LINEAR**2 * t[k] < largest:
             break
         same = tested & (tests.point[of] == tests.point[of[k]]) & (d == d[k]) & (t >= (1.0 - SAME) * t[k])
-        k = int(np.lexsort((tests.row[of] < 0, ~same))[0])  # of inseparable ones an image point, the first
+        # of inseparable ones the first image point of the table, whatever the rounding
+        k = int(np.lexsort((tests.row[of], tests.row[of] < 0, ~same))[0])
         going, point = [k], tests.point[of[k]]
         if tests.row[of[k]] >= 0 and rays[point] > 2:
             factor = 1.0 if tests.test == "baarda" else (chi2 - float(t[k])) / (f - float(d[k]))

@@ -144,10 +144,11 @@ def test_what_an_intersection_takes_up_is_not_checked() -> None:
     assert cofactors is not None
     j = int(problem.observations.point[0])
     rest = replace(problem, active=problem.active & (np.arange(len(problem.active)) != j))
-    alone = prediction.misclosures(problem, rest, state, [prediction.Excluded(j, (0,), False, "image", 0)])[0]
-    assert alone is not None
-    test = alone.consistency(cofactors, solution.chi2, rest.redundancy, "t")
-    assert (test.dimension, test.statistic) == (0, None)
+    for excluded in (prediction.Excluded(j, (0,), False, "image", 0), prediction.Excluded(j, (), True, "height")):
+        alone = prediction.misclosures(problem, rest, state, [excluded])[0]
+        assert alone is not None
+        test = alone.consistency(cofactors, solution.chi2, rest.redundancy, "t")
+        assert (test.dimension, test.statistic) == (0, None)
 
 
 @pytest.mark.behaviour

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import cases
+import fg_orient as fg
+from benchmarks import cases, snooping
 from benchmarks.flat import FlatProblem
 from benchmarks.goals import GRAPH, MUST, PINHOLE, WISHED, Goal
 from benchmarks.hardware import Hardware, iteration_bound
@@ -180,3 +181,35 @@ def test_page_and_figure_are_made_of_the_results_file() -> None:
     repeats = {(r["problem"], r["size"], r["solver"], r["repeat"]) for r in results["records"]}
     assert len(repeats) == len(results["records"]), "one record per repeat"
     assert {"n_image_points", "n_observations", "redundancy"} <= set(results["records"][0])
+
+
+@pytest.mark.truth
+def test_planted_gross_errors_and_the_power_to_find_them(tmp_path: Path) -> None:
+    """Errors of the stated number and size; an error beyond all limits is not missed, one of nothing is."""
+    table = tmp_path / "observations.csv"
+    lines = ["# made here", "image,id,line,sample", *(f"a,{k},{k}.0,1.0" for k in range(20))]
+    table.write_text("\n".join(lines) + "\n", "utf-8")
+    errors = snooping.planted(table, 0.25)
+    after = [line.split(",") for line in table.read_text("utf-8").splitlines()[2:]]
+    moved = {(i, k): (float(line) - float(k), float(sample) - 1.0) for i, k, line, sample in after}
+    changed = {key: error for key, error in moved.items() if any(error)}
+    assert len(changed) == 5 and changed.keys() == errors.keys()
+    for key, error in errors.items():
+        assert changed[key] == pytest.approx(error, abs=1e-9)
+        assert 5.0 <= np.hypot(*error) <= 50.0
+    solution = fg.adjust(cases.spot_block("94"))
+    o, many = solution.problem.observations, int(np.argmax(solution.problem.observed))
+    key = solution.block.images[int(o.image[o.point == many][0])].id, solution.block.points.ids[many]
+    for size, missed in ((1000.0, 0.0), (0.0, 0.999)):
+        found = snooping.missed_probabilities(solution, {key: (size, size)}, 0.001)
+        assert found[key] == pytest.approx(missed, abs=1e-6)
+
+
+@pytest.mark.repository
+def test_recorded_searches_are_those_of_one_by_one_and_miss_what_theory_predicts() -> None:
+    results = json.loads(snooping.RESULTS.read_text("utf-8"))["cases"]
+    assert results.keys() == snooping.CASES.keys()
+    assert [found["same_as_one_by_one"] for found in results.values()] == [True, True, None]
+    for found in results.values():
+        assert abs(found["missed"] - found["predicted"]) <= found["half"]
+        assert found["false"] == found["control"] == 0
