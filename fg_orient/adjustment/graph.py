@@ -28,7 +28,7 @@ from fg_orient.adjustment.explicit import (
     point_key,
     vector_keys,
 )
-from fg_orient.adjustment.problem import Problem, State, schur_possible
+from fg_orient.adjustment.problem import Problem, State, no_point_is_named
 from fg_orient.adjustment.reduced_graph import GroupSums, ReducedGraph, free_unknowns
 from fg_orient.adjustment.robust import Robust
 from fg_orient.adjustment.schur import SchurSystem
@@ -146,7 +146,7 @@ class GraphBackend:
     def linearise(self, state: State) -> SchurSystem | Border | ExplicitSystem:
         """Linearise at a solution, for cofactors: arrays, or all rows where these do not determine the unknowns."""
         self.elimination.release()
-        if not schur_possible(self.problem.block):
+        if not no_point_is_named(self.problem.block):
             self.elimination.backend.buffers.release()
             with contextlib.suppress(Singular):
                 if self.robust is None and small_enough(self.problem):

@@ -421,8 +421,8 @@ def _records(
     return out
 
 
-def schur_possible(block: Block) -> bool:
-    """Whether all ground points of a block can be eliminated: no extra observation names one."""
+def no_point_is_named(block: Block) -> bool:
+    """Whether no extra observation names a ground point: all points can then be eliminated."""
     return all(name.startswith("image:") for extra in block.extra for name in extra.unknowns)
 
 

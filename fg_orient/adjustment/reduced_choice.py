@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from factors.arrays import Index, Mask
 from fg_orient.adjustment.cofactors import order_by_point, pairs_of_images
-from fg_orient.adjustment.problem import Problem, schur_possible
+from fg_orient.adjustment.problem import Problem, no_point_is_named
 
 if TYPE_CHECKING:
     from scipy.sparse import coo_array
@@ -139,7 +139,7 @@ def _rank(one: Choice) -> float:
 
 def is_wide(problem: Problem) -> bool:
     """Whether LAPACK or conjugate gradients solve the reduced system in much less time than GTSAM's elimination."""
-    if problem.n_free_unknowns < WIDE or problem.ties is not None or not schur_possible(problem.block):
+    if problem.n_free_unknowns < WIDE or problem.ties is not None or not no_point_is_named(problem.block):
         return False
     pairs, _ = pairs_of_images(problem, order_by_point(problem))
     pattern = Pattern(np.diff(problem.first).astype(np.int64), pairs[:, 0], pairs[:, 1])

@@ -20,7 +20,7 @@ import numpy as np
 from factors.arrays import Array
 from factors.conditions.control import POINT
 from fg_orient.adjustment.loop import share_at_radius
-from fg_orient.adjustment.problem import Problem, State, schur_possible
+from fg_orient.adjustment.problem import Problem, State, no_point_is_named
 from fg_orient.adjustment.reduced_choice import Choice
 from fg_orient.adjustment.robust import Weighing, together, two_ray_rows
 from fg_orient.adjustment.runtime import Index, Workers
@@ -339,7 +339,7 @@ class SchurBackend:
     def __init__(
         self, problem: Problem, threads: int | None = None, reduced: str = "auto", grouping: Grouping | None = None
     ) -> None:
-        if not schur_possible(problem.block):
+        if not no_point_is_named(problem.block):
             raise InputError.of("adjust.schur", option="backend", value="extra observations name ground points")
         if reduced not in REDUCED:
             raise ValueError(f"reduced = {reduced!r}: one of {', '.join(REDUCED)}")

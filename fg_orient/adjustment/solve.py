@@ -36,7 +36,7 @@ from fg_orient.adjustment.loop import (
     IterationRecord,
     LoopResult,
 )
-from fg_orient.adjustment.problem import Problem, State, schur_possible
+from fg_orient.adjustment.problem import Problem, State, no_point_is_named
 from fg_orient.adjustment.reduced_choice import is_wide
 from fg_orient.adjustment.resection import METHODS, resection_start
 from fg_orient.adjustment.robust import (
@@ -166,7 +166,7 @@ def suitable_backend(block: Block) -> Backend:
     options = block.options
     if options.backend != "auto":
         return options.backend
-    return "schur" if options.datum == "free" and schur_possible(block) else "graph"
+    return "schur" if options.datum == "free" and no_point_is_named(block) else "graph"
 
 
 def eliminates_points(problem: Problem) -> bool:
@@ -177,7 +177,7 @@ def eliminates_points(problem: Problem) -> bool:
     observations name would need weights of their own.
     """
     points = int(np.count_nonzero(np.bincount(problem.observations.point)))
-    all_of_them = schur_possible(problem.block)
+    all_of_them = no_point_is_named(problem.block)
     return points_are_eliminated(problem.block.options, all_of_them, len(problem.named_points()) < points)
 
 
@@ -344,7 +344,7 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
         estimate = solved(groups, None if last is None else last.state, record)
         return CycleResult(estimate.state, estimate.chi2)
 
-    on_arrays = plain.backend != "dense" and schur_possible(problem.block) and eliminates_points(own)
+    on_arrays = plain.backend != "dense" and no_point_is_named(problem.block) and eliminates_points(own)
     on_arrays &= plain.backend == "schur" or not images_first(own)
     cycles = reweight(
         cycles_on_arrays(own, record) if on_arrays else fit, lambda f: norms_at(problem, f.state),

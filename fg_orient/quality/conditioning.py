@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from fg_orient.adjustment.loop import IterationRecord
-from fg_orient.adjustment.problem import Problem, schur_possible
+from fg_orient.adjustment.problem import Problem, no_point_is_named
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.errors import Finding, finding
@@ -43,7 +43,7 @@ def condition(problem: Problem, estimate: Estimate) -> float | None:
         return linear.condition()
     if not isinstance(linear, SchurSystem):
         small = len(problem.observations) <= ELIMINATED_AGAIN and estimate.backend in ("graph", "dense")
-        if not small or estimate.weights is not None or not schur_possible(problem.block):
+        if not small or estimate.weights is not None or not no_point_is_named(problem.block):
             return None
         linear = SchurBackend(problem, threads=1).linearise(estimate.state)
     try:

@@ -184,7 +184,7 @@ class _Candidates:
             rows[mine, :r], self.scale[mine, :d] = s.rows[k], length
             self.v[mine, :d] = np.einsum("ndr,nr->nd", unit, s.v[k])
             self.own[mine, :d, :d] = unit @ s.q[k] @ np.swapaxes(unit, 1, 2)
-        points, self._of_point = np.unique(tests.point[of], return_inverse=True)
+        points, self._of_point = np.unique(tests.point[of].astype(np.intp), return_inverse=True)
         members = np.split(np.argsort(self._of_point, kind="stable"), np.cumsum(np.bincount(self._of_point))[:-1])
         self._at = [(2 * mine[:, None] + np.arange(2)).ravel() for mine in members]
         self._blocks = [np.zeros((0, 0))] * len(points)

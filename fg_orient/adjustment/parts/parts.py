@@ -21,7 +21,7 @@ import numpy.typing as npt
 from factors._contract import Equation, registered
 from factors.arrays import Array, Index
 from fg_orient import __version__
-from fg_orient.adjustment.problem import Problem, State, schur_possible
+from fg_orient.adjustment.problem import Problem, State, no_point_is_named
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
 from fg_orient.model.errors import InputError
@@ -49,7 +49,7 @@ def divide(problem: Problem, parts: int) -> list[Index]:
 
     InputError: more parts than ground points, or less than one; a block that the Schur backend refuses.
     """
-    if not schur_possible(problem.block):
+    if not no_point_is_named(problem.block):
         raise InputError.of("adjust.schur", option="parts", value="extra observations name ground points")
     o = problem.observations
     seen, rays = np.unique(o.point, return_counts=True)
