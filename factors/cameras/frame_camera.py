@@ -21,7 +21,6 @@ from typing import Any, Final
 import numpy as np
 
 from factors._contract import Array, compiled, inlined
-from factors._plain import plain
 from factors.geometry.rotations import Vector, cross, multiply, multiply_transposed
 from factors.records import Record
 
@@ -31,9 +30,6 @@ CAMERA: Final = Record(
 )  # fmt: skip
 #: Rotation vectors shorter than the root of this (rad^2) go through series: no cancellation, no division by zero.
 SMALL_ANGLE_SQUARED: Final = 1e-4
-#: Newton steps from a measured to an ideal direction; the last one must be below the tolerance.
-IDEAL_STEPS: Final = 30
-IDEAL_TOLERANCE: Final = 1e-13
 
 
 @compiled
@@ -157,43 +153,7 @@ def pixel(camera: Any, x: Any, y: Any) -> Any:
 
 
 @compiled
-def ideal_directions(camera: Array, line: Array, sample: Array) -> Array:
-    """Ideal directions X/Z, Y/Z of N pixels by Newton: (N, 2); nan where the distortion cannot be inverted."""
-    out = np.full((len(line), 2), np.nan)
-    for i in range(len(line)):
-        mx = (sample[i] - camera[CAMERA.sample]) / camera[CAMERA.focal]
-        my = (line[i] - camera[CAMERA.line]) / camera[CAMERA.focal]
-        x, y = mx, my
-        for _ in range(IDEAL_STEPS):
-            fx, fy = brown(camera, x, y)
-            a, b, d = brown_slopes(camera, x, y)
-            det = a * d - b * b
-            if not (det > 0.0 and a > 0.0):  # beyond the fold of the polynomial two directions share a pixel
-                break
-            ex, ey = mx - fx, my - fy
-            sx, sy = (d * ex - b * ey) / det, (a * ey - b * ex) / det
-            x, y = x + sx, y + sy
-            if abs(sx) + abs(sy) < IDEAL_TOLERANCE * (1.0 + abs(x) + abs(y)):
-                out[i, 0], out[i, 1] = x, y
-                break
-    return out
-
-
-def project(camera: Array, ground: Array) -> Array:
-    """Line, sample (px) and inverse depth (1/m) of N ground points (N, 3): (N, 3)."""
-    with np.errstate(all="ignore"):  # as compiled code does
-        x, y, inverse = plain(direction)(camera, *ground.T)
-        return np.stack([*plain(pixel)(camera, x, y), inverse], axis=1)
-
-
-@compiled
 def polynomial_arguments(c: Any, line: Any, sample: Any) -> Any:
     """Arguments x, y of a polynomial that corrects, from a measured pixel."""
     x, y = sample - c[CAMERA.sample], line - c[CAMERA.line]
     return x * (1.0 + c[CAMERA.aspect]) / c[CAMERA.unit], y / c[CAMERA.unit]
-
-
-def corrected_directions(c: Array, line: Array, sample: Array) -> Array:
-    """Ideal directions X/Z, Y/Z of N pixels by a polynomial that corrects: (N, 2)."""
-    x, y = plain(brown)(c, *plain(polynomial_arguments)(c, line, sample))
-    return np.stack([x * c[CAMERA.unit] / c[CAMERA.focal], y * c[CAMERA.unit] / c[CAMERA.focal]], axis=1)

@@ -3,7 +3,7 @@
 Maps::
 
     projection   (x, y) = (X/Z, s Y/Z), or of a fisheye lens theta_d/r (X/Z, s Y/Z) with r = tan theta and
-                 theta_d = theta (1 + f1 theta^2 + f2 theta^4 + f3 theta^6 + f4 theta^8)
+                 theta_d = theta (1 + f1 theta^2 + f2 theta^4 + f3 theta^6 + f4 theta^8); s = -1: lines count upwards
     corrections  D(x, y) = Brown(x, y) + (A y, B y) + sum a_j T_j(x, y)
     affinity     E(x, y) = ((1 + aspect) x + shear y, y)
 
@@ -12,7 +12,6 @@ Maps::
 
 (Kannala, Brandt 2006, as in OpenCV's fisheye model; ``frame_camera``, ``additional_parameters``, ``image_variants``;
 Ayhan 1996.) E belongs to the measured coordinates in both directions: Metashape's B1 = f aspect and B2 = f shear.
-s = -1 where lines are counted upwards.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from factors._plain import few_in_python
 from factors.cameras import additional_parameters as additional
 from factors.cameras import frame_camera
 from factors.cameras import image_variants as variants
-from factors.cameras.frame_camera import IDEAL_STEPS, IDEAL_TOLERANCE, brown, brown_slopes, direction
+from factors.cameras.frame_camera import brown, brown_slopes, direction
 from factors.records import Record
 
 #: Coefficients behind those of ``frame_camera``.
@@ -40,6 +39,9 @@ NAMES: Final = tuple(name for field in FURTHER.fields.values() for name in str(f
 #: and radius of the orthogonal polynomials in the unit of D.
 CONSTANTS: Final = Record(is_fisheye=1, sign=1, nominal=1, radius=1)
 CAMERA: Final = Record(**frame_camera.CAMERA.fields, **FURTHER.fields, **CONSTANTS.fields)
+#: Newton steps of an inverse; the last one must be below the tolerance.
+STEPS: Final = 30
+TOLERANCE: Final = 1e-13
 #: r^2 below which arctan(r)/r and its derivative are series.
 _SMALL: Final = 0.01
 _SERIES: Final = 9
@@ -122,14 +124,14 @@ def projected(c: Any, x: Any, y: Any) -> Any:
 def undistorted(c: Array, u: float, v: float) -> tuple[float, float]:
     """Coordinates x, y with D(x, y) = (u, v) by Newton; nan beyond the fold of D."""
     x, y = u, v
-    for _ in range(IDEAL_STEPS):
+    for _ in range(STEPS):
         at, (xx, xy, yx, yy) = distorted(c, x, y), slopes(c, x, y)
         det, ex, ey = xx * yy - xy * yx, u - at[0], v - at[1]
         if not (det > 0.0 and xx > 0.0):
             break
         sx, sy = (yy * ex - xy * ey) / det, (xx * ey - yx * ex) / det
         x, y = x + sx, y + sy
-        if abs(sx) + abs(sy) < IDEAL_TOLERANCE * (1.0 + abs(x) + abs(y)):
+        if abs(sx) + abs(sy) < TOLERANCE * (1.0 + abs(x) + abs(y)):
             return x, y
     return np.nan, np.nan
 
@@ -142,7 +144,7 @@ def unprojected(c: Array, x: float, y: float) -> tuple[float, float]:
     if c[CAMERA.is_fisheye] == 0.0 or target == 0.0:
         return x, y
     theta = target
-    for _ in range(IDEAL_STEPS):
+    for _ in range(STEPS):
         square, value, slope, power = theta * theta, 1.0, 1.0, 1.0
         for k in range(4):
             power *= square
@@ -152,7 +154,7 @@ def unprojected(c: Array, x: float, y: float) -> tuple[float, float]:
             break
         step = (target - theta * value) / slope
         theta += step
-        if abs(step) < IDEAL_TOLERANCE:
+        if abs(step) < TOLERANCE:
             factor = np.tan(theta) / target if 0.0 <= theta < 0.5 * np.pi else np.nan
             return factor * x, factor * y
     return np.nan, np.nan

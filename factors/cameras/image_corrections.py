@@ -35,18 +35,6 @@ def ideal(c: Any, x: Any, y: Any) -> Any:
     )
 
 
-@inlined
-def slopes(c: Any, x: Any, y: Any) -> Any:
-    """Derivatives x'_x, x'_y, y'_x, y'_y of :func:`ideal` with respect to the measured coordinates."""
-    r = x * x + y * y
-    radial = 1.0 + r * (c[AT.k1] + r * (c[AT.k2] + r * c[AT.k3]))
-    slope = 2.0 * (c[AT.k1] + r * (2.0 * c[AT.k2] + 3.0 * r * c[AT.k3]))
-    mixed = x * y * slope + 2.0 * (c[AT.p1] * y + c[AT.p2] * x)
-    along_x = radial + x * x * slope + 6.0 * c[AT.p1] * x + 2.0 * c[AT.p2] * y
-    along_y = radial + y * y * slope + 6.0 * c[AT.p2] * y + 2.0 * c[AT.p1] * x + c[AT.affinity_b]
-    return along_x, mixed + c[AT.affinity_a], mixed, along_y
-
-
 @compiled
 def terms(x: Any, y: Any) -> Any:
     """Derivatives of x' and y' with respect to the coefficients: array (2, 7)."""

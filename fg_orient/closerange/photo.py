@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from factors.arrays import Array
 from factors.cameras import additional_parameters as brown
+from factors.cameras import frame_corrections
 from factors.cameras import image_corrections as lens
 from factors.cameras import image_variants as variants
 from factors.records import Record
@@ -36,8 +37,6 @@ _ORDER: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 _DOWN: Final = np.diag([1.0, -1.0, 1.0])
 #: Camera axes from photogrammetric ones: X right, Y up, view along -Z.
 _BACK: Final = np.diag([1.0, -1.0, -1.0])
-_NEWTON: Final = 30
-_TOLERANCE: Final = 1e-12
 
 
 @dataclass(frozen=True)
@@ -153,7 +152,7 @@ class Photo:
         return np.asarray(lens.ideal_points(self.corrections, given - self.principal) + self.principal)
 
     def measured(self, ideal: Array) -> Array:
-        """Measured coordinates of ideal ones, by Newton.
+        """Measured coordinates of ideal ones.
 
         Parameters
         ----------
@@ -165,22 +164,11 @@ class Photo:
         NoSolutionError
             The corrections cannot be inverted at a point.
         """
-        wanted = ideal - self.principal
-        at = wanted.copy()
-        for _ in range(_NEWTON):
-            xx, xy, yx, yy = lens.slopes(self.corrections, at[:, 0], at[:, 1])
-            left = wanted - lens.ideal_points(self.corrections, at)
-            det = xx * yy - xy * yx
-            with np.errstate(all="ignore"):
-                step = np.column_stack([yy * left[:, 0] - xy * left[:, 1], xx * left[:, 1] - yx * left[:, 0]])
-                step = step / det[:, None]
-            at = at + step
-            # beyond the fold of the polynomial two points have the same ideal point
-            if not (np.isfinite(at).all() and (det > 0.0).all() and (xx > 0.0).all()):
-                break
-            if np.abs(step).max(initial=0.0) <= _TOLERANCE * (1.0 + np.abs(at).max(initial=0.0)):
-                return np.asarray(at + self.principal)
-        raise NoSolutionError.of("closerange.fold", place=self.name)
+        own = lens_of(self.corrections)
+        at = np.array([frame_corrections.undistorted(own, x, y) for x, y in (ideal - self.principal).tolist()])
+        if not np.isfinite(at).all():  # beyond the fold of the polynomial two points have the same ideal point
+            raise NoSolutionError.of("closerange.fold", place=self.name)
+        return np.asarray(at + self.principal)
 
     def project(self, ground_m: npt.ArrayLike) -> Array:
         """Measured image coordinates of ground points.
@@ -324,11 +312,19 @@ def profile(camera: Array, rim: float, names: Sequence[str], covariance: Array) 
 def _corrections(camera: Array, radius: Array, along: Array, rim: float) -> Array:
     """Corrections x, y (r, d, 2) at radii (r,) in directions (d, 2)."""
     at = radius[:, None, None] * along
-    flat = np.ascontiguousarray(at.reshape(-1, 2))
-    out = lens.ideal_points(np.ascontiguousarray(camera[CAMERA.lens]), flat) - flat
-    for k, (x, y) in enumerate(flat.tolist()):
-        browns, others = brown.terms(x, y, camera[CAMERA.c]), variants.terms(x, y, rim)
-        for terms, part in ((browns, camera[CAMERA.brown]), (others, camera[CAMERA.variants])):
-            if part.any():
-                out[k] += terms @ part
-    return np.asarray(out.reshape(at.shape))
+    further = camera[CAMERA.brown], camera[CAMERA.variants]
+    own = lens_of(camera[CAMERA.lens], *further, nominal=camera[CAMERA.c], radius=rim)
+    ideal = [frame_corrections.distorted(own, x, y) for x, y in at.reshape(-1, 2).tolist()]
+    return np.asarray(np.reshape(ideal, at.shape) - at)
+
+
+def lens_of(
+    corrections: Array, additional: npt.ArrayLike = 0.0, others: npt.ArrayLike = 0.0, *, nominal: float = 1.0,
+    radius: float = 1.0,
+) -> Array:  # fmt: skip
+    """Corrections as a camera of ``factors.cameras.frame_corrections``."""
+    of, out = frame_corrections.CAMERA, np.zeros(frame_corrections.CAMERA.size)
+    k1, k2, k3, p1, p2, *affinity = corrections.tolist()
+    out[of.distortion], out[of.affinity] = (k1, k2, k3, p2, p1), affinity
+    out[of.additional], out[of.variants], out[of.nominal], out[of.radius] = additional, others, nominal, radius
+    return out

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from factors.arrays import Array
+from factors.cameras import frame_corrections
 from factors.cameras.frame_extended import FRAME_EXTENDED
 from fg_orient.kernels.batch import batch
 from fg_orient.model.errors import InputError
@@ -191,7 +192,7 @@ def _fitted(
     hessian = _differences(lambda t: gradient(t, here), n)
     found = found - steps * np.linalg.solve(hessian, gradient(np.zeros(n), here))
     camera = two.interior(found, image).camera(np.eye(3), np.zeros(3))
-    pixels = camera.pixels(camera.corrected(), here)
+    pixels = frame_corrections.pixels(camera.corrected(), here)
     apart = np.hypot(pixels[:, 0] - line, pixels[:, 1] - sample)
     worst = int(np.argmax(apart))  # the first nan, if there is one
     if not np.isfinite(apart[worst]):

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array, Mask
-from factors.cameras import frame, frame_camera, frame_corrections, frame_extended
+from factors.cameras import frame_corrections, frame_extended
 from factors.cameras.frame import FRAME_COLLINEARITY, RECORD
 from factors.cameras.frame_camera import CAMERA
 from factors.cameras.frame_extended import FRAME_EXTENDED
@@ -163,20 +163,20 @@ class FrameCamera:
     @cached_property
     def record(self) -> Array:
         """Record of the equation, of pixel 0, 0, whitening 1 and origin 0."""
-        plain = {
-            "line": 0.0, "sample": 0.0, "a_line": 1.0, "a_sample": 1.0, "rotation": self.rotation.ravel(),
-            "centre": self.centre_m, "focal": self.focal_px, "principal": self.principal_px[::-1],
-            "distortion": self.distortion, "aspect": self.aspect,
-            "unit": self.unit_px if self.corrects_measured else 0.0,
-        }  # fmt: skip
-        if not self.is_extended:
-            return RECORD.pack(**plain)
+        return self._all if self.is_extended else self._all[: RECORD.size]
+
+    @cached_property
+    def _all(self) -> Array:
+        """Record of ``frame_extended``, which begins as that of ``frame``."""
         values = np.array([self.further.get(name, 0.0) for name in FURTHER])
         parts = np.split(values, np.cumsum([*frame_corrections.FURTHER.sizes.values()])[:-1])
         further = dict(zip(frame_corrections.FURTHER.fields, parts, strict=True))
         return frame_extended.RECORD.pack(
-            **plain, **further | {"shear": values[0]}, is_fisheye=self.is_fisheye, sign=-1.0 if self.lines_up else 1.0,
-            nominal=self.nominal_px or 1.0, radius=self.radius_px or 1.0, w12=0.0, power=self.is_condition,
+            line=0.0, sample=0.0, a_line=1.0, a_sample=1.0, rotation=self.rotation.ravel(), centre=self.centre_m,
+            focal=self.focal_px, principal=self.principal_px[::-1], distortion=self.distortion, aspect=self.aspect,
+            unit=self.unit_px if self.corrects_measured else 0.0, **further | {"shear": values[0]},
+            is_fisheye=self.is_fisheye, sign=-1.0 if self.lines_up else 1.0, nominal=self.nominal_px or 1.0,
+            radius=self.radius_px or 1.0, w12=0.0, power=self.is_condition,
         )  # fmt: skip
 
     @property
@@ -185,35 +185,14 @@ class FrameCamera:
         return self.model == MEASURED_TO_IDEAL
 
     def corrected(self, correction: npt.ArrayLike | None = None) -> Array:
-        """Camera (31,) of ``factors.cameras.frame_camera``, with further coefficients of ``frame_corrections``.
+        """Camera of ``factors.cameras.frame_corrections``, which gives its pixels and directions.
 
         ``correction`` (k,): in physical units, in the order of :data:`fg_orient.sensors.frame_unknowns.NAMES`, of all
         or of the first unknowns.
         """
         x = np.zeros(0) if correction is None else np.array(correction, dtype=float)
         codes = np.stack([np.arange(len(x), dtype=float), np.ones(len(x))])
-        return np.asarray((frame_extended if self.is_extended else frame).camera(self.record, codes, x))
-
-    def ideal_directions(self, camera: Array, line: Array, sample: Array) -> Array:
-        """X/Z, Y/Z (N, 2) of pixels by a camera of :meth:`corrected`; nan where the distortion cannot be inverted."""
-        directions = frame_camera.corrected_directions if self.corrects_measured else frame_camera.ideal_directions
-        return np.asarray((frame_corrections.directions if self.is_extended else directions)(camera, line, sample))
-
-    def pixels(self, camera: Array, ground_m: Array) -> Array:
-        """Line, sample (px) and inverse depth (1/m) of ground points (N, 3): (N, 3); nan where there is no image."""
-        if self.is_extended:
-            return np.asarray(frame_corrections.pixels(camera, ground_m))
-        if not self.corrects_measured:
-            return np.asarray(frame_camera.project(camera, ground_m))
-        plain = camera.copy()
-        plain[CAMERA.focal], plain[CAMERA.principal], plain[CAMERA.distortion] = 1.0, 0.0, 0.0
-        line, sample, inverse = frame_camera.project(plain, ground_m).T
-        # the ideal point as a pixel of the polynomial's own camera, whose measured direction Newton finds
-        plain[CAMERA.focal] = camera[CAMERA.unit] / camera[CAMERA.focal]
-        plain[CAMERA.distortion] = camera[CAMERA.distortion]
-        x, y = frame_camera.ideal_directions(plain, line, sample).T
-        unit, stretch = camera[CAMERA.unit], 1.0 + camera[CAMERA.aspect]
-        return np.column_stack([camera[CAMERA.line] + unit * y, camera[CAMERA.sample] + unit * x / stretch, inverse])
+        return np.asarray(frame_extended.camera(self._all, codes, x))
 
 
 def rotation_of_opk(omega_rad: float, phi_rad: float, kappa_rad: float) -> Array:
@@ -302,7 +281,7 @@ class FrameSensor(Sensor):
         """
         line, sample = same_length(line, sample)
         camera = self.camera.corrected(correction)
-        ideal = self.camera.ideal_directions(camera, line, sample)
+        ideal = frame_corrections.directions(camera, line, sample)
         bad = np.flatnonzero(np.isnan(ideal).any(axis=1))
         if len(bad):
             place = f"line {line[bad[0]]:g}, sample {sample[bad[0]]:g}"
@@ -316,7 +295,7 @@ class FrameSensor(Sensor):
     def project(self, ground_m: npt.ArrayLike, correction: npt.ArrayLike | None = None) -> tuple[Array, Array]:
         """Line and sample of N ground points (N, 3) m; nan for points that are not in front of the camera."""
         ground = np.atleast_2d(np.ascontiguousarray(ground_m, dtype=float))
-        line, sample, inverse = self.camera.pixels(self.camera.corrected(correction), ground).T
+        line, sample, inverse = frame_corrections.pixels(self.camera.corrected(correction), ground).T
         seen = inverse > 0.0
         return np.where(seen, line, np.nan), np.where(seen, sample, np.nan)
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array
+from factors.cameras import frame_corrections
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL, FrameCamera
 
@@ -72,7 +73,7 @@ class Interior:
     def ideal(self, line: Array, sample: Array) -> Array:
         """Ideal directions X/Z, Y/Z (N, 2) of pixels; nan where the polynomial folds."""
         own = self.camera(np.eye(3), np.zeros(3))
-        return own.ideal_directions(own.corrected(), line, sample)
+        return np.asarray(frame_corrections.directions(own.corrected(), line, sample))
 
 
 @dataclass(frozen=True)

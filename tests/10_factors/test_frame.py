@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from factors.cameras import frame, frame_camera
+from factors.cameras import frame, frame_camera, frame_corrections
 from factors.cameras.frame_camera import CAMERA
 from fg_orient.kernels.batch import batch
 from tests.support.equation_examples import frame_collinearity
@@ -65,6 +65,13 @@ def test_residual_equals_the_printed_formulas() -> None:
         assert np.abs(found - expected).max() < 1e-11 * max(1.0, float(np.abs(computed).max() * weight.max()))
 
 
+def with_nothing_more(camera: np.ndarray) -> np.ndarray:
+    """Camera with all corrections of ``frame_corrections``, the further ones 0."""
+    further = np.zeros(frame_corrections.CAMERA.size - CAMERA.size)
+    further[-3:] = 1.0  # sign, nominal principal distance, radius
+    return np.append(camera, further)
+
+
 @pytest.mark.oracle
 def test_ideal_directions_invert_the_distortion_and_stop_at_its_fold() -> None:
     rng = np.random.default_rng(4)
@@ -78,12 +85,11 @@ def test_ideal_directions_invert_the_distortion_and_stop_at_its_fold() -> None:
     pixels = 1200.0 * np.stack([line, sample], axis=1) + camera[14:12:-1]
     ours = np.array([frame_camera.pixel(camera, *direction) for direction in ideal])
     assert np.abs(ours - pixels).max() < 1e-11
-    found = frame_camera.ideal_directions(camera, pixels[:, 0].copy(), pixels[:, 1].copy())
+    found = frame_corrections.directions(with_nothing_more(camera), *pixels.T)
     assert np.abs(found - ideal).max() < 1e-12
     camera[CAMERA.distortion] = -0.3, 0.0, 0.0, 0.0, 0.0  # x (1 - 0.3 x^2) is largest at 1.054: 0.703
-    beyond = frame_camera.ideal_directions(
-        camera, np.full(2, camera[CAMERA.line]), camera[CAMERA.sample] + 1200.0 * np.array([0.70, 0.71])
-    )
+    samples = camera[CAMERA.sample] + 1200.0 * np.array([0.70, 0.71])
+    beyond = frame_corrections.directions(with_nothing_more(camera), np.full(2, camera[CAMERA.line]), samples)
     assert beyond[0, 0] == pytest.approx(1.0, abs=0.1)
     assert np.isnan(beyond[1]).all()
 

@@ -11,6 +11,7 @@ import pytest
 from scipy.optimize import least_squares
 
 import fg_orient as fg
+from factors.cameras import frame_corrections
 from fg_orient.formats.metadata.frame import read_camera, read_convention, write_convention
 from fg_orient.sensors.camera_conversion import ConvertedCamera
 from fg_orient.sensors.conventions import CONVENTIONS, REFUSED, Image
@@ -127,7 +128,7 @@ def corrects(name: str) -> bool:
 
 def project(camera: ConvertedCamera, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     own = camera.interior.camera(np.eye(3), np.zeros(3))
-    return own.pixels(own.corrected(), np.column_stack([x, y, np.ones(len(x))]))[:, :2]
+    return frame_corrections.pixels(own.corrected(), np.column_stack([x, y, np.ones(len(x))]))[:, :2]
 
 
 @pytest.mark.oracle

@@ -8,7 +8,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from factors.cameras.image_corrections import NAMES, ideal_points, slopes
+from factors.cameras import frame_corrections
+from factors.cameras.image_corrections import NAMES, ideal_points
 from fg_orient.closerange.dlt import fit_dlt
 from fg_orient.closerange.intersection import intersect_photos, normal_case
 from fg_orient.closerange.orientation import absolute_orientation, relative_orientation
@@ -19,6 +20,7 @@ from fg_orient.closerange.photo import (
     ayhan_from_rotation,
     ayhan_matrix,
     corrections_of,
+    lens_of,
     rotation_from_aerial,
     rotation_from_ayhan,
 )
@@ -76,7 +78,7 @@ def test_corrections_are_inverted_and_have_their_slopes() -> None:
     x, y, h = 3.0, -7.0, 1e-5
     at, ends = np.array([[x, y]]), h * np.eye(2)[:, None]
     numeric = [(ideal_points(c, at + d) - ideal_points(c, at - d))[0] / (2.0 * h) for d in ends]
-    xx, xy, yx, yy = slopes(c, x, y)
+    xx, xy, yx, yy = frame_corrections.slopes(lens_of(c), x, y)
     assert np.abs(np.array([[xx, yx], [xy, yy]]) - numeric).max() <= 1e-8
     folded = Photo("", np.eye(3, 4), np.zeros(3), np.zeros(2), corrections_of(("k1",), [-1.0]))
     with pytest.raises(FgOrientError, match="cannot be inverted"):

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy import spatial
 
 from factors._contract import Array
-from factors.cameras import frame_camera
+from factors.cameras import frame_camera, frame_corrections
 from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
 from fg_orient.model.names import Role
 from fg_orient.sensors.frame import FrameCamera, FrameSensor
@@ -123,7 +123,7 @@ def _observed(cameras: list[FrameCamera], image: npt.NDArray[np.intp], ground_m:
     out = np.empty((len(image), 2))
     order = np.argsort(image, kind="stable")
     for k, rows in enumerate(np.split(order, np.searchsorted(image[order], np.arange(1, len(cameras))))):
-        out[rows] = frame_camera.project(cameras[k].corrected(), np.ascontiguousarray(ground_m[rows]))[:, :2]
+        out[rows] = frame_corrections.pixels(cameras[k].corrected(), np.ascontiguousarray(ground_m[rows]))[:, :2]
     return out[:, 0], out[:, 1]
 
 
