@@ -17,7 +17,6 @@ import numpy as np
 
 from factors.arrays import Array, Index, Mask
 from factors.cameras.frame_camera import CAMERA
-from fg_orient.kernels.batch import batch
 from fg_orient.model.block import (
     Block,
     Coordinates,
@@ -220,15 +219,7 @@ def _in_pixels(
     file. The polynomial of the camera leads from ideal to measured coordinates.
     """
     camera = replace(camera, sigma=dict.fromkeys(unknowns, 1.0))
-    codes = np.array([NAMES.index(name) for name in unknowns], dtype=float)
-    records = FrameSensor(camera, 1, 1, georeferenced=False).records(line, sample)
-    rows, columns = batch(camera.equation, np.stack([codes, np.ones(len(codes))]), records)
-    n, ground = len(line), np.ascontiguousarray(ground_m)
-    order, derivatives = np.arange(n, dtype=np.int32), np.zeros((n, 2, len(codes)))
-    rows(
-        0, n, order, records, order, np.zeros(n, np.int32), order, columns.setup, 1, np.ones((n, 1)),
-        np.zeros((1, len(codes))), ground, np.empty((n, 2)), derivatives, np.empty((n, 2, 3)), True,
-    )  # fmt: skip
+    _, derivatives = camera.linearised(unknowns, line, sample, ground_m)
     length = np.sqrt(np.sum(derivatives**2, axis=(0, 1)))
     usable = np.isfinite(length) & (length > 0.0)
     return replace(camera, sigma=dict(zip(unknowns, 1.0 / np.where(usable, length, 1.0), strict=True)))

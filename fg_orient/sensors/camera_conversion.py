@@ -17,8 +17,6 @@ from scipy.optimize import least_squares
 
 from factors.arrays import Array
 from factors.cameras import frame_corrections
-from factors.cameras.frame_extended import FRAME_EXTENDED
-from fg_orient.kernels.batch import batch
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.conventions import (
     OURS,
@@ -31,8 +29,7 @@ from fg_orient.sensors.conventions import (
     require_image,
     with_parameters,
 )
-from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameSensor
-from fg_orient.sensors.frame_unknowns import NAMES
+from fg_orient.sensors.frame import MEASURED_TO_IDEAL
 from fg_orient.sensors.interior import Interior, directions, pixel_grid
 
 #: Step of the complex derivatives.
@@ -221,17 +218,7 @@ def _differences(function: Callable[[Array], Array], n: int) -> Array:
 def _rows(interior: Interior, line: Array, sample: Array, ground: Array, names: Sequence[str]) -> tuple[Array, Array]:
     """Residuals (N, 2) px of the observation equation, and their derivatives (N, 2, k) by parameters."""
     own = replace(interior, further={"shear": 0.0, **interior.further})  # the equation with all terms
-    records = FrameSensor(own.camera(np.eye(3), np.zeros(3)), 1, 1, georeferenced=False).records(line, sample)
-    k = len(names)
-    setup = np.array([[NAMES.index(name) for name in names], [1.0] * k])
-    batched, columns = batch(FRAME_EXTENDED, setup, records)
-    n, order = len(line), np.arange(len(line), dtype=np.int32)
-    residual, by_ours = np.empty((n, 2)), np.zeros((n, 2, k))
-    batched(
-        0, n, order, records, order, np.zeros(n, np.int32), order, columns.setup, 1, np.ones((n, 1)), np.zeros((1, k)),
-        ground, residual, by_ours, np.empty((n, 2, 3)), True,
-    )  # fmt: skip
-    return residual, by_ours
+    return own.camera(np.eye(3), np.zeros(3)).linearised(names, line, sample, ground)
 
 
 def _derivative(function: Callable[[Any], Any], at: Array) -> Array:

@@ -7,7 +7,7 @@ Y down along the lines, Z forward; :data:`HALF_TURN` leads to cameras that look 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
@@ -21,6 +21,7 @@ from factors.cameras.frame import FRAME_COLLINEARITY, RECORD
 from factors.cameras.frame_camera import CAMERA
 from factors.cameras.frame_extended import FRAME_EXTENDED
 from factors.geometry import ellipsoid
+from fg_orient.kernels.batch import batch
 from fg_orient.model.errors import Finding, InputError
 from fg_orient.model.parameters import require_unknowns
 
@@ -193,6 +194,19 @@ class FrameCamera:
         x = np.zeros(0) if correction is None else np.array(correction, dtype=float)
         codes = np.stack([np.arange(len(x), dtype=float), np.ones(len(x))])
         return np.asarray(frame_extended.camera(self._all, codes, x))
+
+    def linearised(self, names: Sequence[str], line: Array, sample: Array, ground_m: Array) -> tuple[Array, Array]:
+        """Residuals (n, 2) px of pixels (n,) of ground points (n, 3), and their derivatives (n, 2, k) by k unknowns."""
+        n, k = len(line), len(names)
+        records = np.tile(self.record, (n, 1))
+        records[:, RECORD.line], records[:, RECORD.sample] = line, sample
+        rows, columns = batch(self.equation, np.array([[NAMES.index(name) for name in names], [1.0] * k]), records)
+        residual, derivatives, order = np.empty((n, 2)), np.zeros((n, 2, k)), np.arange(n, dtype=np.int32)
+        rows(
+            0, n, order, records, order, np.zeros(n, np.int32), order, columns.setup, 1, np.ones((n, 1)),
+            np.zeros((1, k)), np.ascontiguousarray(ground_m), residual, derivatives, np.empty((n, 2, 3)), True,
+        )  # fmt: skip
+        return residual, derivatives
 
 
 def rotation_of_opk(omega_rad: float, phi_rad: float, kappa_rad: float) -> Array:
