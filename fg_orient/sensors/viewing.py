@@ -18,7 +18,7 @@ import numpy as np
 
 from factors.arrays import Array
 from factors.geometry import ellipsoid
-from fg_orient.geodesy import enu_from_ecef
+from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.model.block import Image
 from fg_orient.sensors.correction import HeightSurface
 
@@ -51,7 +51,7 @@ class View:
     def to_image(self, line: Array, sample: Array, ground_m: Array) -> Array:
         """Unit vectors (n, 3) East, North, Up from ground points towards the sensor, through their pixels."""
         _, direction = self.sensor.rays(line, sample)
-        lon, lat = _degrees(ground_m)
+        lon, lat, _ = ecef_to_geodetic(ground_m)
         return np.asarray(-np.einsum("nij,nj->ni", enu_from_ecef(lon, lat), direction))
 
     def grid(self, count: int) -> tuple[Array, Array]:
@@ -60,11 +60,6 @@ class View:
         axes = np.linspace(s.first_line, s.last_line, count), np.linspace(s.first_sample, s.last_sample, count)
         line, sample = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
         return line, sample
-
-
-def _degrees(ground_m: Array) -> tuple[Array, Array]:
-    lon, lat, _ = np.degrees(ellipsoid.geodetic_array(np.ascontiguousarray(ground_m))).T
-    return lon, lat
 
 
 def footprint(view: View) -> Array:
@@ -77,7 +72,7 @@ def footprint(view: View) -> Array:
     corners = [low, [low[0], high[1]], high, [high[0], low[1]], low]
     ways = [np.linspace(a, b, SIDE)[:-1] for a, b in pairwise(np.array(corners))]
     line, sample = np.concatenate(ways).T
-    lon, lat = _degrees(view.ground(line, sample))
+    lon, lat, _ = ecef_to_geodetic(view.ground(line, sample))
     return np.stack([np.degrees(np.unwrap(np.radians(lon))), lat], axis=1)
 
 
@@ -102,11 +97,11 @@ def image_record(view: View) -> dict[str, Any]:
     up = view.to_image(line, sample, ground)
     incidence = np.degrees(np.arccos(np.clip(up[:, 2], -1.0, 1.0)))
     along, across = _sampling(view, line, sample)
-    lon, lat = _degrees(ground[-1:])
+    lon, lat, height = ecef_to_geodetic(ground[-1:])
     both = np.concatenate([along, across])
     return {
         "image": view.image.id, "file": view.sensor.file, "lon_deg": float(lon[0]), "lat_deg": float(lat[0]),
-        "height_m": float(ellipsoid.geodetic_array(np.ascontiguousarray(ground[-1:]))[0, 2]),
+        "height_m": float(height[0]),
         "gsd_line_m": float(along[-1]), "gsd_sample_m": float(across[-1]),
         "gsd_range_m": [float(both.min()), float(both.max())],
         "incidence_deg": float(incidence[-1]), "incidence_range_deg": [float(incidence.min()), float(incidence.max())],
@@ -167,7 +162,7 @@ def pair_record(first: View, second: View) -> dict[str, Any]:
     there = second.sensor.project(point)
     a = first.to_image(line[chosen], sample[chosen], point)[0]
     b = second.to_image(there[0], there[1], point)[0]
-    lon, lat = _degrees(point)
+    lon, lat, _ = ecef_to_geodetic(point)
     lean = a[:2] / a[2] - b[:2] / b[2]
     bisector, normal = (a + b) / np.linalg.norm(a + b), np.cross(a, b)
     across, asymmetry = float(np.linalg.norm(normal)), np.nan
