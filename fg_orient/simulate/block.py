@@ -10,23 +10,21 @@ real ellipsoid.
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from factors.arrays import Array, Mask
 from fg_orient.geodesy import ecef_to_geodetic, geodetic_to_ecef
-from fg_orient.model.block import Block
 from fg_orient.model.names import Progress
 from fg_orient.sensors.correction import Correction
-from fg_orient.simulate.files import simulate_to
+from fg_orient.simulate.files import Scenario
 from fg_orient.simulate.options import LEAST_CONTROL
 from fg_orient.simulate.options import BlockOptions as BlockOptions
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read, find_pass
 from fg_orient.simulate.simulation import (
     QuickProjection,
     Simulation,
-    Truth,
     draw_errors,
     ground_points,
     numbered,
@@ -47,53 +45,6 @@ DOUBT_PX = 1.0
 BORDER_M = 25e3
 
 
-def simulate_block(
-    out: str | Path, options: BlockOptions | None = None, *, overwrite: bool = False, progress: Progress | None = None
-) -> Path:
-    """Write a synthetic block: metadata files, points, observations, project file and ``truth/``.
-
-    Parameters
-    ----------
-    out, overwrite
-        See :func:`fg_orient.simulate.files.simulate_to`.
-    options : BlockOptions, optional
-    progress : callable, optional
-        Called with (done, of, text); each part of the work counts from 0.
-
-    Returns
-    -------
-    Path
-        The project file.
-
-    Raises
-    ------
-    InputError
-        See :func:`fg_orient.simulate.files.simulate_to`.
-    """
-    chosen = options or BlockOptions()
-    return simulate_to(
-        out, lambda: simulate(chosen, progress), chosen, "simulate block", overwrite=overwrite, progress=progress
-    )
-
-
-def grid_block(options: BlockOptions | None = None) -> tuple[Block, Truth]:
-    """Grid block in memory.
-
-    Parameters
-    ----------
-    options : BlockOptions, optional
-
-    Returns
-    -------
-    block : Block
-        As read from the files of the block.
-    truth : Truth
-        True ground points (ECEF, m), pixels without noise, corrections of the metadata.
-    """
-    simulation = simulate(options or BlockOptions())
-    return simulation.block(), simulation.truth
-
-
 def simulate(options: BlockOptions, progress: Progress | None = None) -> Simulation:
     """Draw the block of these options."""
     streams, n = random_streams(options.seed), options.points
@@ -109,6 +60,10 @@ def simulate(options: BlockOptions, progress: Progress | None = None) -> Simulat
         f"block of {len(scenes)} images", scenes, ground, visible, errors, np.zeros((2, 0)), options.image_noise_px,
         streams["image_noise"], options.max_height_m, progress,
     )  # fmt: skip
+
+
+_BLOCK: Final = Scenario("simulate block", BlockOptions(), simulate)
+simulate_block, grid_block = _BLOCK.write, _BLOCK.block
 
 
 def _centres(options: BlockOptions) -> Array:

@@ -8,10 +8,10 @@ reads. The folder is written completely or not at all.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 import numpy as np
 
@@ -27,8 +27,12 @@ from fg_orient.sensors.correction import Correction
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+    from fg_orient.model.block import Block
     from fg_orient.model.names import Progress
-    from fg_orient.simulate.simulation import Simulation
+    from fg_orient.simulate.simulation import Simulation, Truth
+
+Rows = Sequence[Sequence[str]]
+Chosen = TypeVar("Chosen", bound="DataclassInstance")
 
 PROJECT_FILE = "project.toml"
 CAMERA_FILE: Final = "camera.toml"
@@ -46,53 +50,80 @@ OTHERS: Final = {
 }  # fmt: skip
 
 
-def simulate_to(
-    out: str | Path, draw: Callable[[], Simulation], options: DataclassInstance, command: str, *, overwrite: bool,
-    more: Callable[[Path, Simulation], None] | None = None, progress: Progress | None = None,
-) -> Path:  # fmt: skip
-    """Draw a block and write it; an unusable folder is refused before anything is drawn.
+@dataclass(frozen=True)
+class Scenario(Generic[Chosen]):
+    """A kind of synthetic block.
 
     Parameters
     ----------
-    out : str or Path
-        Folder to make.
-    draw : callable
-        Returns the simulation.
-    options : dataclass
-        Options of the simulation, for the headers and ``truth/options.json``.
     command : str
         Command that makes it, for the headers.
-    overwrite : bool
-        Replace a folder that an earlier simulation wrote (``truth/options.json``) and that contains
-        nothing else.
-    more : callable, optional
-        Writes further files into the folder.
-    progress : callable, optional
-        Called with (done, of, text) before each DIMAP file.
-
-    Returns
-    -------
-    Path
-        The project file.
-
-    Raises
-    ------
-    InputError
-        The folder exists, or cannot be written. Nothing remains of a folder that was not completed.
+    usual : dataclass
+        Default options.
+    draw : callable
+        Gives the simulation of options; its second argument is called with (done, of, text), or None.
     """
-    target = Path(out)
-    require_free(target, overwrite=overwrite, contents=CONTENTS)
-    form = getattr(options, "tables", TABLE_FORM)
-    require_writer(target / f"points.{form}")
-    simulation, values = draw(), {"command": command, **asdict(options)}
-    with staged_folder(target, overwrite=overwrite, contents=CONTENTS) as folder:
-        _write_block(folder, simulation, values, form, progress)
-        with writing(target):
-            (folder / "truth").mkdir()
-        _write_truth(folder / "truth", simulation, values, form)
-        if more is not None:
-            more(folder, simulation)
-    return target / PROJECT_FILE
+
+    command: str
+    usual: Chosen
+    draw: Callable[[Chosen, Progress | None], Simulation]
+
+    def block(self, options: Chosen | None = None) -> tuple[Block, Truth]:
+        """Make the block in memory.
+
+        Returns
+        -------
+        block : Block
+            As read from the files of the block.
+        truth : Truth
+            True ground points (ECEF, m), pixels without noise, corrections of each sensor in its own form.
+        """
+        simulation = self.draw(options or self.usual, None)
+        return simulation.block(), simulation.truth
+
+    def write(
+        self, out: str | Path, options: Chosen | None = None, *, overwrite: bool = False,
+        progress: Progress | None = None, more: Callable[[Path, Simulation], None] | None = None,
+    ) -> Path:  # fmt: skip
+        """Write the block: metadata files, points, observations, project file and ``truth/``.
+
+        Parameters
+        ----------
+        out : str or Path
+            Folder to make; an unusable one is refused before anything is drawn.
+        options : dataclass, optional
+            They are also in the headers and in ``truth/options.json``.
+        overwrite : bool
+            Replace a folder that an earlier simulation wrote (``truth/options.json``) and that contains
+            nothing else.
+        progress : callable, optional
+            Called with (done, of, text); each part of the work counts from 0.
+        more : callable, optional
+            Writes further files into the folder.
+
+        Returns
+        -------
+        Path
+            The project file.
+
+        Raises
+        ------
+        InputError
+            The folder exists, or cannot be written. Nothing remains of a folder that was not completed.
+        """
+        target, chosen = Path(out), options or self.usual
+        require_free(target, overwrite=overwrite, contents=CONTENTS)
+        form = getattr(chosen, "tables", TABLE_FORM)
+        require_writer(target / f"points.{form}")
+        simulation, values = self.draw(chosen, progress), {"command": self.command, **asdict(chosen)}
+        with staged_folder(target, overwrite=overwrite, contents=CONTENTS) as folder:
+            _write_block(folder, simulation, values, form, progress)
+            with writing(target):
+                (folder / "truth").mkdir()
+            _write_truth(folder / "truth", simulation, values, form)
+            if more is not None:
+                more(folder, simulation)
+        return target / PROJECT_FILE
 
 
 def _write_block(

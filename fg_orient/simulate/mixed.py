@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -19,7 +18,7 @@ import numpy as np
 from factors.arrays import Array, Index
 from factors.cameras import frame_camera
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.model.block import Block, Image, Options
+from fg_orient.model.block import Image, Options
 from fg_orient.rpc.virtual_grid import fit_sensor
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.frame import HALF_TURN, FrameCamera, FrameSensor
@@ -29,7 +28,7 @@ from fg_orient.sensors.metadata import AngleAttitude, Ephemeris, LineTiming, Loo
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.rpc import RpcModel
 from fg_orient.sensors.rpc_sensor import RpcSensor
-from fg_orient.simulate.files import simulate_to
+from fg_orient.simulate.files import Scenario
 from fg_orient.simulate.options import MixedOptions as MixedOptions
 from fg_orient.simulate.scene import Scene, as_read, find_pass
 from fg_orient.simulate.simulation import (
@@ -76,24 +75,6 @@ MARGIN_PX: Final = 50.0
 OPTIONS: Final = Options(
     rpc_compensation="shift_drift", rpc_shift_sigma_px=RPC_SHIFT_SIGMA_PX, rpc_linear_sigma_px=RPC_LINEAR_SIGMA_PX
 )
-
-
-def mixed_block(options: MixedOptions | None = None) -> tuple[Block, Truth]:
-    """Mixed block in memory.
-
-    Parameters
-    ----------
-    options : MixedOptions, optional
-
-    Returns
-    -------
-    block : Block
-        As read from the files of the block.
-    truth : Truth
-        True ground points (ECEF, m), pixels without noise, corrections of each sensor in its own form.
-    """
-    simulation = simulate(options or MixedOptions())
-    return simulation.block(), simulation.truth
 
 
 def simulate(options: MixedOptions) -> Simulation:
@@ -221,24 +202,5 @@ def true_orientations() -> list[tuple[Array, Array]]:
     return out
 
 
-def simulate_mixed(out: str | Path, options: MixedOptions | None = None, *, overwrite: bool = False) -> Path:
-    """Write a mixed block: metadata, RPC, camera and frame files, points, observations, project file and ``truth/``.
-
-    Parameters
-    ----------
-    out, overwrite
-        See :func:`fg_orient.simulate.files.simulate_to`.
-    options : MixedOptions, optional
-
-    Returns
-    -------
-    Path
-        The project file.
-
-    Raises
-    ------
-    InputError
-        See :func:`fg_orient.simulate.files.simulate_to`.
-    """
-    chosen = options or MixedOptions()
-    return simulate_to(out, lambda: simulate(chosen), chosen, "simulate mixed", overwrite=overwrite)
+_MIXED: Final = Scenario("simulate mixed", MixedOptions(), lambda options, _: simulate(options))
+simulate_mixed, mixed_block = _MIXED.write, _MIXED.block

@@ -22,16 +22,14 @@ import numpy as np
 
 from factors.arrays import Array
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
-from fg_orient.model.block import Block
 from fg_orient.model.names import Progress, Role
-from fg_orient.simulate.files import simulate_to
+from fg_orient.simulate.files import Scenario
 from fg_orient.simulate.options import PointSet
 from fg_orient.simulate.options import ZonguldakOptions as ZonguldakOptions
 from fg_orient.simulate.render import RasterOptions, write_rasters
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read, find_pass
 from fg_orient.simulate.simulation import (
     Simulation,
-    Truth,
     draw_errors,
     ground_points,
     numbered,
@@ -83,55 +81,6 @@ def at_centre(enu_m: Array) -> Array:
     return np.asarray(geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0) + enu_m @ enu_from_ecef(*CENTRE_LON_LAT_DEG)[0])
 
 
-def simulate_zonguldak(
-    out: str | Path, options: ZonguldakOptions | None = None, *, overwrite: bool = False,
-    rasters: RasterOptions | None = None, progress: Progress | None = None,
-) -> Path:  # fmt: skip
-    """Write the twin: metadata files, points, observations, project file and ``truth/``.
-
-    Parameters
-    ----------
-    out, overwrite
-        See :func:`fg_orient.simulate.files.simulate_to`.
-    options : ZonguldakOptions, optional
-    rasters : RasterOptions, optional
-        Write ``dem.tif`` and the images, too.
-    progress : callable, optional
-        Called with blocks done, blocks in all and the image while images are rendered.
-
-    Returns
-    -------
-    Path
-        The project file.
-
-    Raises
-    ------
-    InputError
-        See :func:`fg_orient.simulate.files.simulate_to`.
-    """
-    chosen = options or ZonguldakOptions()
-    more = None if rasters is None else partial(write_rasters, options=rasters, progress=progress)
-    return simulate_to(out, lambda: simulate(chosen), chosen, "simulate zonguldak", overwrite=overwrite, more=more)
-
-
-def zonguldak_block(options: ZonguldakOptions | None = None) -> tuple[Block, Truth]:
-    """Twin in memory.
-
-    Parameters
-    ----------
-    options : ZonguldakOptions, optional
-
-    Returns
-    -------
-    block : Block
-        As read from the files of the twin.
-    truth : Truth
-        True ground points (ECEF, m), pixels without noise, corrections of the metadata.
-    """
-    simulation = simulate(options or ZonguldakOptions())
-    return simulation.block(), simulation.truth
-
-
 def simulate(options: ZonguldakOptions) -> Simulation:
     """Draw the twin of these options."""
     streams = random_streams(options.seed)
@@ -145,6 +94,29 @@ def simulate(options: ZonguldakOptions) -> Simulation:
     return observe(
         "zonguldak twin", scenes, ground, visible, errors, bend, options.image_noise_px, streams["image_noise"]
     )
+
+
+_TWIN: Final = Scenario("simulate zonguldak", ZonguldakOptions(), lambda options, _: simulate(options))
+zonguldak_block = _TWIN.block
+
+
+def simulate_zonguldak(
+    out: str | Path, options: ZonguldakOptions | None = None, *, overwrite: bool = False,
+    rasters: RasterOptions | None = None, progress: Progress | None = None,
+) -> Path:  # fmt: skip
+    """Write the twin: see :meth:`fg_orient.simulate.files.Scenario.write`.
+
+    Parameters
+    ----------
+    out, options, overwrite
+        Folder, options of the twin, replacement of an earlier twin.
+    rasters : RasterOptions, optional
+        Write ``dem.tif`` and the images, too.
+    progress : callable, optional
+        Called with blocks done, blocks in all and the image while images are rendered.
+    """
+    more = None if rasters is None else partial(write_rasters, options=rasters, progress=progress)
+    return _TWIN.write(out, options, overwrite=overwrite, more=more)
 
 
 def _scenes(options: ZonguldakOptions) -> tuple[Scene, ...]:
