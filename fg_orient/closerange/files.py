@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from factors.arrays import Array, Index, Mask
+from factors.arrays import Array, Index
 from factors.cameras.image_corrections import NAMES
 from fg_orient.closerange.photo import Photo, PhotoInterior, rotation_from_aerial
 from fg_orient.formats.tables import Table, require_table
@@ -22,7 +22,7 @@ from fg_orient.formats.text_files import sha256_of
 from fg_orient.formats.toml import entries
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import LARGEST, SMALLEST
-from fg_orient.rpc.points import checks
+from fg_orient.rpc.points import PointTable, checks
 
 if TYPE_CHECKING:
     from fg_orient.formats.closerange import PhotoEntry, Photos
@@ -38,33 +38,22 @@ _LARGEST_TURN_DEG: Final = 180.0
 
 
 @dataclass(frozen=True)
-class Observed:
-    """Rows of a table of points.
+class Observed(PointTable):
+    """Rows of a table of points; image or ground coordinates are empty columns where the table has none.
 
     Parameters
     ----------
-    ids, photos : tuple of str
-        One per row; the photo is "" if the table has no such column.
-    image : (n, 2) array
-        Empty columns where the table has none.
-    ground : (n, 3) array
+    photos : tuple of str
+        One per row; "" if the table has no such column.
     sigma : array or None
         Of the image coordinates (n, 2); of a table without them of the ground coordinates (n, 3). None: relative
         weights, all 1.
-    check : (n,) bool array
     sha256 : str
     """
 
-    ids: tuple[str, ...]
     photos: tuple[str, ...]
-    image: Array
-    ground: Array
     sigma: Array | None
-    check: Mask
     sha256: str
-
-    def __len__(self) -> int:
-        return len(self.ids)
 
     @property
     def weights(self) -> str:
@@ -122,7 +111,7 @@ def _read(path: Path, layouts: list[tuple[str, ...]], default: float | None) -> 
         filter(None, (row.cells["id"], row.cells.get("photo")))))  # fmt: skip
     check = checks(table)
     table.require_valid()
-    return Observed(tuple(table.cells["id"]), photos, image, ground, sigma, check, sha256_of(path))
+    return Observed(tuple(table.cells["id"]), check, image, ground, photos, sigma, sha256_of(path))
 
 
 def _numbers(table: Table, names: Sequence[str]) -> Array:

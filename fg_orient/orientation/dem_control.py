@@ -15,8 +15,7 @@ import numpy as np
 
 from factors.arrays import Array, Index
 from factors.conditions.control import HEIGHT, HEIGHT_CONTROL
-from factors.geometry import ellipsoid
-from fg_orient.geodesy import enu_from_ecef
+from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
@@ -104,7 +103,7 @@ def adjust_with_dem(
             raise InputError.of("dem_control.no_point", file=dem.path, value=f"{len(wanted)} points")
         solution = adjust(replace(block, extra=(*block.extra, *extra)), **options)
         moved, rounds = float(np.linalg.norm(solution.ground_m[used] - ground[used], axis=1).max()), rounds + 1
-    lon, lat, h = _geodetic(solution.ground_m[used])
+    lon, lat, h = ecef_to_geodetic(solution.ground_m[used])
     names = block.points.ids
     return DemAdjustment(
         solution, dem.path, tuple(names[j] for j in used), tuple(names[j] for j in np.setdiff1d(wanted, used)),
@@ -131,12 +130,12 @@ def height_observations(
     """
     placed = points[np.isfinite(ground_m[points]).all(axis=1)]
     at = np.ascontiguousarray(ground_m[placed])
-    lon, lat, h = _geodetic(at)
+    lon, lat, h = ecef_to_geodetic(at)
     axes = enu_from_ecef(lon, lat)
     above = h - dem.height_m(lon, lat)
     slope = np.empty((len(placed), 2))
     for k in range(2):
-        ends = [dem.height_m(*_geodetic(at + sign * SLOPE_M * axes[:, k])[:2]) for sign in (-1.0, 1.0)]
+        ends = [dem.height_m(*ecef_to_geodetic(at + sign * SLOPE_M * axes[:, k])[:2]) for sign in (-1.0, 1.0)]
         slope[:, k] = (ends[1] - ends[0]) / (2.0 * SLOPE_M)
     good = np.flatnonzero(np.isfinite(above) & np.isfinite(slope).all(axis=1))
     up = axes[:, 2]
@@ -151,9 +150,3 @@ def height_observations(
         for j in good
     )  # fmt: skip
     return placed[good], extra
-
-
-def _geodetic(ground_m: Array) -> tuple[Array, Array, Array]:
-    """Longitudes and latitudes (degrees), heights (m)."""
-    lon, lat, h = ellipsoid.geodetic_array(np.ascontiguousarray(ground_m)).T
-    return np.degrees(lon), np.degrees(lat), h

@@ -13,7 +13,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from factors.arrays import Array, Mask
+from factors.arrays import Array
 from fg_orient.formats.tables import Table, require_table
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.geodesy import crs_kind, from_geographic
@@ -21,7 +21,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.rectification.fit import Observations, TransformationFit, fit, plain_rmse, require_redundancy
 from fg_orient.rectification.outliers import Pruning, Rule, prune
 from fg_orient.rectification.transformation import TransformationModel
-from fg_orient.rpc.points import ids_and_checks, positive_numbers
+from fg_orient.rpc.points import PointTable, ids_and_checks, positive_numbers
 
 Direction = Literal["image-to-map", "map-to-image"]
 
@@ -34,18 +34,11 @@ SIGMA_IMAGE: Final = ("sigma_line_px", "sigma_sample_px")
 
 
 @dataclass(frozen=True)
-class MapPoints:
-    """Image points with their map coordinates.
+class MapPoints(PointTable):
+    """Image points with their map coordinates: easting, northing (m), and height (m) if the file has it.
 
     Parameters
     ----------
-    ids : tuple of str
-    check : (n,) bool array
-        Check points, which are not used in an adjustment.
-    image : (n, 2) array
-        Line, sample (pixels).
-    ground : (n, 2) or (n, 3) array
-        Easting, northing (m), and height (m) if the file has it.
     sigma_map : (n, 2) array or None
         Of easting and northing, m.
     sigma_image : (n, 2) array or None
@@ -56,17 +49,10 @@ class MapPoints:
         Of the file.
     """
 
-    ids: tuple[str, ...]
-    check: Mask
-    image: Array
-    ground: Array
     sigma_map: Array | None
     sigma_image: Array | None
     crs: str
     sha256: str
-
-    def __len__(self) -> int:
-        return len(self.ids)
 
 
 def read_map_points(path: Path, crs: str = "") -> MapPoints:

@@ -13,9 +13,9 @@ import numpy as np
 
 from factors.arrays import Array
 from factors.cameras import rfm
-from factors.geometry import ellipsoid
 from fg_orient.formats.rpc.dimap import AGREEMENT_PX
 from fg_orient.formats.sensor import read_sensor
+from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.model.errors import Finding, InputError, finding, judged
 from fg_orient.rpc.compensate import normalised, residuals
 from fg_orient.rpc.files import RpcFile, describe
@@ -145,8 +145,7 @@ def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any
         raise InputError.of("rpc.no_overlap", file=other, value=", ".join(map(span, its)),
                             mine=", ".join(map(span, mine)))  # fmt: skip
     line, sample, height = (np.ascontiguousarray(column) for column in _grid(ends[0], ends[1], heights_m).T)
-    ground = ellipsoid.geodetic_array(np.ascontiguousarray(sensor.locate(line, sample, height_m=height)))
-    here = np.stack(model.project(np.degrees(ground[:, 0]), np.degrees(ground[:, 1]), ground[:, 2]), axis=1)
+    here = np.stack(model.project(*ecef_to_geodetic(sensor.locate(line, sample, height_m=height))), axis=1)
     d = here - np.column_stack([line, sample])
     worst = int(np.nanargmax(np.abs(d).max(axis=1))) if np.isfinite(d).any() else 0
     return {

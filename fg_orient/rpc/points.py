@@ -170,8 +170,8 @@ AXES: Final = ("line", "sample")
 
 
 @dataclass(frozen=True)
-class MeasuredPoints:
-    """Points of one image.
+class PointTable:
+    """Rows of a table of points.
 
     Parameters
     ----------
@@ -179,21 +179,31 @@ class MeasuredPoints:
     check : (n,) bool array
         Points that are not used in an estimation.
     image : (n, 2) array
-        Line and sample, pixels.
-    ground : (n, 3) array
-        Longitude, latitude (degrees), height (m).
-    sigma_px : (n, 2) array
-        Of line and sample; 1 where the file has none.
+        Line and sample, pixels; in close range x, y.
+    ground : (n, k) array
+        Longitude, latitude (degrees), height (m), or coordinates in m.
     """
 
     ids: tuple[str, ...]
     check: Mask
     image: Array
     ground: Array
-    sigma_px: Array
 
     def __len__(self) -> int:
         return len(self.ids)
+
+
+@dataclass(frozen=True)
+class MeasuredPoints(PointTable):
+    """Points of one image.
+
+    Parameters
+    ----------
+    sigma_px : (n, 2) array
+        Of line and sample; 1 where the file has none.
+    """
+
+    sigma_px: Array
 
     def take(self, index: Mask) -> MeasuredPoints:
         """Some of the points."""

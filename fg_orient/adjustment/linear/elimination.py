@@ -5,21 +5,17 @@ Sources: Terlemezoğlu 2019, sections 3.6.2.1-3.6.2.3 and Table 3.1, with the mi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.adjustment.linear.registry import Function, register_solver
+from fg_orient.adjustment.linear.registry import register_published
 from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
 from fg_orient.adjustment.linear.triangular import Numbers, back_substitution, check_pivot, cholesky_rows, lost_digits
 
-
-def _published(name: str, label: str, equations: str) -> Callable[[Function], Function]:
-    """Register a solver of the publication."""
-    source = f"Terlemezoğlu 2019, {equations}"
-    return register_solver(name, label, "elimination", source=source, published=True)
+_published = partial(register_published, "elimination")
 
 
 def eliminate(matrix: Array, rhs: Array, *, pivoting: bool) -> tuple[Array, tuple[str, ...]]:

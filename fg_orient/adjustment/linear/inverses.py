@@ -7,21 +7,19 @@ explicitly and then multiplied with b.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.adjustment.linear.registry import Function, register_solver
+from fg_orient.adjustment.linear.registry import register_published
 from fg_orient.adjustment.linear.system import Breakdown, LinearSolution, LinearSystem
 from fg_orient.adjustment.linear.triangular import LOST, check_pivot, cholesky_rows, lu_factors, upper_inverse
 
 Inverse = Callable[[Array], Array]
 
 
-def _published(name: str, label: str, equations: str) -> Callable[[Function], Function]:
-    """Register a solver of the publication."""
-    source = f"Terlemezoğlu 2019, {equations}"
-    return register_solver(name, label, "inverse", source=source, published=True)
+_published = partial(register_published, "inverse")
 
 
 def _solver(name: str, label: str, equations: str) -> Callable[[Inverse], Inverse]:

@@ -76,6 +76,11 @@ def register_solver(
     return add
 
 
+def register_published(family: Family, name: str, label: str, equations: str) -> Callable[[Function], Function]:
+    """Decorate a function to make it a solver of Terlemezoğlu 2019."""
+    return register_solver(name, label, family, source=f"Terlemezoğlu 2019, {equations}", published=True)
+
+
 def solvers() -> dict[str, Solver]:
     """All solvers by name: the published ones in the order of the publication, then the others."""
     for module in _MODULES:
