@@ -16,7 +16,6 @@ import numpy as np
 from factors.arrays import Array
 from factors.geometry import ellipsoid
 from fg_orient.adjustment.runtime import one_blas_thread
-from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.model.errors import InputError, finding
 from fg_orient.rpc.estimate import fit_true
 from fg_orient.rpc.fit import RfmFit
@@ -135,7 +134,8 @@ def _nodes(first: float, last: float, count: int) -> Array:
 
 def _located(sensor: Sensor, line: Array, sample: Array, height_m: Array) -> ControlPoints:
     """Control points of pixels at heights; longitudes continuous across 180 degrees."""
-    lon, lat, _ = ecef_to_geodetic(sensor.locate(line, sample, height_m=height_m))
+    geodetic = ellipsoid.geodetic_array(np.ascontiguousarray(sensor.locate(line, sample, height_m=height_m)))
+    lon, lat = np.degrees(geodetic[:, 0]), np.degrees(geodetic[:, 1])
     lon = lon[0] + (lon - lon[0] + 180.0) % 360.0 - 180.0
     return ControlPoints(line, sample, np.column_stack([lon, lat, height_m]))
 

@@ -15,7 +15,6 @@ from factors.arrays import Array
 from factors.cameras import look
 from factors.geometry import ellipsoid, rotations
 from fg_orient.adjustment.linear.system import diagnose
-from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.rpc.estimate import fit_linear
 from fg_orient.rpc.form import DEGREES, RfmForm
 from fg_orient.rpc.points import ControlPoints
@@ -183,9 +182,9 @@ def rfm_points(
     rng = np.random.default_rng([seed, stream])
     last = np.array([sensor.n_lines, sensor.n_samples]) - 1.0 - MARGIN_PX
     pixels, height = rng.uniform(MARGIN_PX, last, (count, 2)), rng.uniform(*HEIGHTS_M, count)
-    lon, lat, _ = ecef_to_geodetic(sensor.locate(*pixels.T, height_m=height))
+    geodetic = ellipsoid.geodetic_array(np.ascontiguousarray(sensor.locate(*pixels.T, height_m=height)))
     line, sample = (pixels + noise_px * rng.standard_normal((count, 2))).T
-    return ControlPoints(line, sample, np.column_stack([lon, lat, height]))
+    return ControlPoints(line, sample, np.column_stack([np.degrees(geodetic[:, :2]), height]))
 
 
 PSEUDO, PIVOT = "moore_penrose_inverse", "gauss_partial_pivot_elimination"
