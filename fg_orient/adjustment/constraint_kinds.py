@@ -47,8 +47,8 @@ def _framed(equation: Equation, points: Array, along: int, names: str, n_residua
     return Figure(equation, record, labels, np.zeros(len(labels)), n_residuals)
 
 
-def _round(plan: Array) -> tuple[Array, float]:
-    """Centre and radius of a circle in a plane (Kasa 1976), or of a sphere."""
+def linear_round(plan: Array) -> tuple[Array, float]:
+    """Linear fit of centre and radius: circle in a plane (Kasa 1976), or sphere (Ayhan 1996, eqs. 138-141)."""
     middle = plan.mean(axis=0)
     d = plan - middle
     x = np.linalg.lstsq(np.column_stack([2.0 * d, np.ones(len(d))]), np.sum(d**2, axis=1), rcond=None)[0]
@@ -57,14 +57,14 @@ def _round(plan: Array) -> tuple[Array, float]:
 
 def _circle(points: Array, _: Constraint) -> Figure:
     origin, frame = points.mean(axis=0), _axes(points, 2)
-    centre, radius = _round((points - origin) @ frame[1:].T)
+    centre, radius = linear_round((points - origin) @ frame[1:].T)
     start = np.concatenate([origin + centre @ frame[1:], [0.0, 0.0, radius]])
     record = circles.CIRCLE_RECORD.pack(factor=1.0, normal=frame[0], e_1=frame[1], e_2=frame[2])
     return Figure(circles.CIRCLE, record, ("x", "y", "z", "tilt_1", "tilt_2", "radius"), start, 2)
 
 
 def _horizontal_circle(points: Array, _: Constraint) -> Figure:
-    centre, radius = _round(points[:, :2])
+    centre, radius = linear_round(points[:, :2])
     start = np.array([*centre, points[:, 2].mean(), radius])
     return Figure(circles.HORIZONTAL_CIRCLE, np.ones(1), ("x", "y", "z", "radius"), start, 2)
 
@@ -75,7 +75,7 @@ def sphere_figure(centre: Array, radius: float) -> Figure:
 
 
 def _spheroid(points: Array, c: Constraint) -> Figure:
-    centre, radius = _round(points)
+    centre, radius = linear_round(points)
     return spheroid_figure(centre, np.full(3, radius), AXES.index(c.axis))
 
 
@@ -95,7 +95,7 @@ FIGURES: Final[dict[str, Callable[[Array, Constraint], Figure]]] = {
     "plumb line": lambda points, _: Figure(circles.PLUMB_LINE, np.ones(1), ("x", "y"), points.mean(axis=0)[:2], 2),
     "circle": _circle,
     "horizontal circle": _horizontal_circle,
-    "sphere": lambda points, _: sphere_figure(*_round(points)),
+    "sphere": lambda points, _: sphere_figure(*linear_round(points)),
     "spheroid": _spheroid,
 }
 

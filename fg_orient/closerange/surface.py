@@ -13,6 +13,7 @@ from factors.arrays import Array, Mask
 from factors.cameras.frame_camera import CAMERA
 from factors.conditions import surfaces
 from factors.conditions.surfaces import RECORD
+from fg_orient.adjustment.constraint_kinds import linear_round
 from fg_orient.closerange.fitting import Conditions, as_points, foot_points
 from fg_orient.model.errors import InputError
 
@@ -256,7 +257,7 @@ def models_of(kind: Kind, points: Array, axis: str) -> list[SurfaceModel]:
     if kind == "quadric":
         start = _algebraic_quadric(points)
         return [SurfaceModel(kind, surfaces.QUADRIC, *plain, _QUADRIC, start, np.zeros(10, bool))]
-    ball = start_sphere(points)
+    ball = np.append(*linear_round(points))
     if kind == "sphere":
         return [SurfaceModel(kind, surfaces.SPHERE, *plain, (*_CENTRE, "a"), ball, np.ones(4, bool))]
     if kind == "spheroid" and axis in AXES:
@@ -295,14 +296,6 @@ def _ellipsoid(
     setup = np.ascontiguousarray(np.stack([np.array(codes, float), np.ones(len(codes))]))
     is_length = np.array([code not in (3, 4, 5) for code in codes])
     return SurfaceModel(kind, surfaces.ELLIPSOID, record, setup, names, np.zeros(len(codes)), is_length)
-
-
-def start_sphere(points: Array) -> Array:
-    """Centre and radius (4,) of the linear fit of Ayhan 1996, eqs. 138-141."""
-    design = np.column_stack([2.0 * points, np.ones(len(points))])
-    x = np.linalg.lstsq(design, np.sum(points**2, axis=1), rcond=None)[0]
-    square = float(x[3] + x[:3] @ x[:3])
-    return np.append(x[:3], np.sqrt(square) if square > 0.0 else 1.0)
 
 
 def _algebraic_quadric(points: Array) -> Array:
