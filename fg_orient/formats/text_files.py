@@ -47,11 +47,16 @@ def sha256_of(*paths: Path) -> str:
     """SHA-256 of one file; of several files, or those of a folder, of their names and contents."""
     files = [f for p in paths for f in (sorted(q for q in p.rglob("*") if q.is_file()) if p.is_dir() else [p])]
     if len(files) == 1 and not paths[0].is_dir():
-        return hashlib.sha256(files[0].read_bytes()).hexdigest()
+        return _digest(files[0]).hex()
     digest = hashlib.sha256()
     for file in files:
-        digest.update(file.name.encode() + b"\0" + hashlib.sha256(file.read_bytes()).digest())
+        digest.update(file.name.encode() + b"\0" + _digest(file))
     return digest.hexdigest()
+
+
+def _digest(file: Path) -> bytes:
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").digest()
 
 
 def delimited(number: int, line: str, faults: Faults, width: int | None = None, *, mark: str = ",") -> list[str] | None:

@@ -52,8 +52,15 @@ def versions(distributions: Sequence[str] = COMPUTING) -> dict[str, str | None]:
 
 def stamp(command: Sequence[str]) -> dict[str, Any]:
     """Versions, words of the command line without folders, and time of a run, for its record."""
-    words = [Path(word).name if Path(word).is_absolute() else word for word in command]
-    return {"versions": versions(), "command": words, "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds")}
+    words, now = [_without_folders(word) for word in command], datetime.now(UTC).isoformat(timespec="seconds")
+    return {"versions": versions(), "command": words, "date_time_utc": now}
+
+
+def _without_folders(word: str) -> str:
+    option, equals, value = word.partition("=")
+    if equals and option.startswith("--"):
+        return f"{option}={_without_folders(value)}"
+    return Path(word).name if Path(word).is_absolute() else word
 
 
 def is_ours(found: str) -> bool:

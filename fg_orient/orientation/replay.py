@@ -16,11 +16,12 @@ import numpy as np
 
 from fg_orient.formats.atomic import RESULT_TABLES
 from fg_orient.formats.table_write import is_binary
+from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.installation import versions
 from fg_orient.orientation.run import run_project
 from fg_orient.result.plain import read_table
-from fg_orient.result.provenance import relative, sha256_of
+from fg_orient.result.provenance import relative
 from fg_orient.result.record import RESULT_FILE
 
 if TYPE_CHECKING:

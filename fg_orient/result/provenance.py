@@ -6,15 +6,14 @@ No absolute path is recorded: a result folder may be passed on.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import platform
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fg_orient.formats.atomic import in_all_forms
-from fg_orient.model.installation import versions
+from fg_orient.formats.text_files import sha256_of
+from fg_orient.model.installation import stamp
 
 if TYPE_CHECKING:
     from fg_orient.model.block import Block
@@ -43,11 +42,9 @@ def provenance(block: Block, folder: Path, command: Sequence[str]) -> dict[str, 
     """
     return {
         "inputs": [{"file": relative(source.path, folder), "sha256": source.sha256} for source in block.sources],
-        "versions": versions(),
+        **stamp(command),
         "platform": f"{platform.system()} {platform.machine()}",
         "options": dataclasses.asdict(block.options),
-        "command": [_without_folders(word) for word in command],
-        "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
     }
 
 
@@ -98,20 +95,7 @@ def how_to_repeat(
     }
 
 
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
 def relative(path: str, folder: Path) -> str:
     """Name a file relative to a folder, or by its last part."""
     full, base = Path(path).absolute(), folder.absolute()
     return full.relative_to(base).as_posix() if full.is_relative_to(base) else full.name
-
-
-def _without_folders(word: str) -> str:
-    option, equals, value = word.partition("=")
-    if equals and option.startswith("--"):
-        return f"{option}={_without_folders(value)}"
-    return Path(word).name if Path(word).is_absolute() else word

@@ -8,7 +8,7 @@ reads. The folder is written completely or not at all.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from fg_orient.model.names import Progress
     from fg_orient.simulate.simulation import Simulation, Truth
 
-Rows = Sequence[Sequence[str]]
 Chosen = TypeVar("Chosen", bound="DataclassInstance")
 
 PROJECT_FILE = "project.toml"

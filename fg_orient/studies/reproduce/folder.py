@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
-from fg_orient.model.installation import versions
+from fg_orient.model.installation import stamp
 from fg_orient.result.plain import dumps, plain, write_records, write_rows
 from fg_orient.studies.published.tables import require_source
 from fg_orient.studies.reproduce.html import render
@@ -88,9 +87,7 @@ def _write(folder: Path, result: Reproduction, command: Sequence[str]) -> None:
         },
         "claims": as_record(result)["claims"],
         "published_sha256": result.sha256,
-        "versions": versions(),
-        "command": [Path(word).name if Path(word).is_absolute() else word for word in command],
-        "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        **stamp(command),
     }
     (folder / "result.json").write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
     (folder / "report.html").write_text(render(result, record), encoding="utf-8")
