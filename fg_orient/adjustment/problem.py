@@ -394,8 +394,7 @@ def unchanged_rows(like: Problem, block: Block, observations: ImagePoints) -> np
     new_kind = np.concatenate([[True], (np.diff(columns[order], axis=0) != 0.0).any(axis=1)])
     kind = np.empty(len(order), np.intp)
     kind[order] = np.cumsum(new_kind) - 1
-    before, now = np.split(kind, [len(like.observations)])
-    n = int(new_kind.sum())
+    before, now, n = *np.split(kind, [len(like.observations)]), int(new_kind.sum())
     other = np.bincount(before, minlength=n) != np.bincount(now, minlength=n)
     old, new = like.block.points.known.ecef_m, block.points.known.ecef_m
     changed = ~((old == new) | (np.isnan(old) & np.isnan(new))).all(axis=1)
