@@ -391,14 +391,13 @@ def unchanged_rows(like: Problem, block: Block, observations: ImagePoints) -> np
         for o in (like.observations, observations)
     ])  # fmt: skip
     order = np.lexsort(columns.T)
-    new_kind = np.concatenate([[True], (np.diff(columns[order], axis=0) != 0.0).any(axis=1)])
-    kind = np.empty(len(order), np.intp)
-    kind[order] = np.cumsum(new_kind) - 1
-    before, now, n = *np.split(kind, [len(like.observations)]), int(new_kind.sum())
+    first = np.append(True, (np.diff(columns[order], axis=0) != 0.0).any(axis=1))
+    kind, n = (np.cumsum(first) - 1)[np.argsort(order)], int(first.sum())
+    before, now = np.split(kind, [len(like.observations)])
     other = np.bincount(before, minlength=n) != np.bincount(now, minlength=n)
     old, new = like.block.points.known.ecef_m, block.points.known.ecef_m
     changed = ~((old == new) | (np.isnan(old) & np.isnan(new))).all(axis=1)
-    changed[columns[order[new_kind], 1][other].astype(np.intp)] = True
+    changed[columns[order[first], 1][other].astype(np.intp)] = True
     row = np.full(n, -1, np.intp)
     row[before] = np.arange(len(before))
     return np.where(changed[observations.point], -1, row[now])
