@@ -147,7 +147,7 @@ class Border(BorderMatrix):
     def __init__(self, problem: Problem, state: State, near: Border | None = None) -> None:
         self.problem, self.state, self.named = problem, state, problem.named_points()
         if near is None:
-            self._backend = SchurBackend(eliminated_part(problem, "control"))
+            self._backend = SchurBackend(eliminated_part(problem, "control"), reduced="blocks")
             self._order = order_by_point(self._backend.problem)
         else:
             self._backend, self._order = near._backend, near._order

@@ -84,7 +84,7 @@ class Elimination:
             begins = np.cumsum(np.bincount(number)) - np.bincount(number)
             return number
 
-        self.backend = SchurBackend(problem, threads, grouping=grouping if grouped else None)
+        self.backend = SchurBackend(problem, threads, "blocks", grouping=grouping if grouped else None)
         #: Part of the free unknowns of each vector, by its number.
         self.parts = dict(vector_parts(problem))
         self._matrices = GroupMatrices(self.backend, begins, self.parts)

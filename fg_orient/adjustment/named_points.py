@@ -109,7 +109,7 @@ class NamedBackend:
             raise InputError.of("adjust.schur", option="backend", value=f"{size} unknowns of images and named points")
         self.problem, self.named = problem, problem.named_points()
         #: Backend of the points to eliminate, and the rows of their image points in its order.
-        self.inner = SchurBackend(eliminated_part(problem, problem.block.options.datum))
+        self.inner = SchurBackend(eliminated_part(problem, problem.block.options.datum), reduced="blocks")
         rays = np.flatnonzero(~np.isin(problem.observations.point, self.named))
         self._rows = rays[self.inner.structure.row]
         self.robust: Robust | None = None

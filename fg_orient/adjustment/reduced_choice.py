@@ -1,8 +1,9 @@
 """Choice of the method for a reduced camera system, by predicted work and memory from the sparsity of its blocks.
 
 Work is counted in floating-point operations of LAPACK's Cholesky factorisation. GTSAM takes six times as long for the
-same number (measured: 3060 unknowns, full). Conjugate gradients read all blocks in each step: 10 GB/s, while LAPACK
-does 45 GFlop/s (one thread). The fill of the sparse factor is counted by a symbolic elimination with least degree.
+same number (measured: 3060 unknowns, full). Conjugate gradients read all blocks, or the rows of all image points, in
+each step: 10 GB/s, while LAPACK does 45 GFlop/s (one thread). Products from the rows need no blocks. The fill of the
+sparse factor is counted by a symbolic elimination with least degree.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Index, Mask
-from fg_orient.adjustment.cofactors import order_by_point, pairs_of_images
 from fg_orient.adjustment.problem import Problem, no_point_is_named
 
 if TYPE_CHECKING:
@@ -35,6 +35,10 @@ BANDED: Final = 1.4
 #: LAPACK's operations in the time in which a byte is read.
 STEPS: Final = 40
 PER_BYTE: Final = 4.5
+#: Bytes of the rows of an image point, which each step reads where the blocks are not formed; LAPACK's operations in
+#: the time in which a pair of rays is added to its block (measured: 1 us).
+ROW_BYTES: Final = 208
+PER_PAIR: Final = 4e4
 #: Factor methods are preferred up to this ratio of work: they give the covariance.
 PREFERRED: Final = 2.0
 #: Unknowns from which on conjugate gradients may be chosen: their steps depend on the condition, a factor does not.
@@ -47,11 +51,22 @@ COUNTED: Final = 5000
 
 
 class Pattern(NamedTuple):
-    """Blocks of a reduced system: unknowns (M,) of each image; images (B,) of each block, row <= column."""
+    """Blocks of a reduced system: unknowns (M,) of each image; images (B,) of each block, row <= column.
+
+    ``rays`` and ``pairs`` are the numbers of image points, and of pairs of them, from which the blocks are formed;
+    zero where they come from elsewhere.
+    """
 
     size: Index
     block_row: Index
     block_column: Index
+    rays: int = 0
+    pairs: int = 0
+
+    @property
+    def blocks(self) -> tuple[Index, Index]:
+        """Images of each block."""
+        return self.block_row, self.block_column
 
     def links(self) -> coo_array:
         """Matrix (M, M) with a number other than 0 where two images have a block; its upper triangle."""
@@ -112,17 +127,20 @@ def predictions(pattern: Pattern, band: int) -> list[Choice]:
         Elements of a column of the lower triangle below the diagonal.
     """
     u, b, k = float(pattern.size.sum()), float(band), float(pattern.size.max(initial=1))
-    stored = 8.0 * k**2 * len(pattern.block_row)
+    stored, formed = 8.0 * k**2 * len(pattern.block_row), PER_PAIR * pattern.pairs
     out = []
     if (b + 1.0) * u <= BAND_LIMIT and b < u - 1.0:
-        out.append(Choice("banded", BANDED * (u * b**2 - 2.0 / 3.0 * b**3 + u * b), 8.0 * u * (b + 1.0)))
+        out.append(Choice("banded", formed + BANDED * (u * b**2 - 2.0 / 3.0 * b**3 + u * b), 8.0 * u * (b + 1.0)))
     if u <= LARGEST_FULL:
-        out.append(Choice("dense", u**3 / 3.0, 8.0 * u**2))
+        out.append(Choice("dense", formed + u**3 / 3.0, 8.0 * u**2))
     if u > ITERATIVE:
-        out.append(Choice("iterative", STEPS * farthest(pattern) * stored * PER_BYTE, stored))
+        steps, rows = STEPS * farthest(pattern) * PER_BYTE, float(ROW_BYTES * pattern.rays)
+        out.append(Choice("iterative", formed + steps * stored, stored))
+        if pattern.rays:
+            out.append(Choice("implicit", steps * rows, rows))
     if len(pattern.size) <= COUNTED:
         degrees = elimination_degrees(pattern).astype(float)
-        work = GTSAM * k**3 * float(np.sum(1.0 / 3.0 + degrees + degrees**2)) + GTSAM_IMAGE * len(degrees)
+        work = formed + GTSAM * k**3 * float(np.sum(1.0 / 3.0 + degrees + degrees**2)) + GTSAM_IMAGE * len(degrees)
         out.append(Choice("graph", work, 8.0 * k**2 * float(np.sum(1.0 + degrees))))
     return out
 
@@ -132,19 +150,37 @@ def choose(pattern: Pattern, band: int) -> Choice:
     return min(predictions(pattern, band), key=_rank)
 
 
+def choice_of(problem: Problem) -> Choice:
+    """Method for the reduced system of a problem, from its image points alone; see :func:`choose`."""
+    pattern = pattern_of(problem)
+    return choose(pattern, narrowest(pattern, problem.first).band)
+
+
 def _rank(one: Choice) -> float:
     """Work, more for the method without a factor."""
-    return one.work * (PREFERRED if one.kind == "iterative" else 1.0)
+    return one.work * (PREFERRED if one.kind in ("iterative", "implicit") else 1.0)
 
 
 def is_wide(problem: Problem) -> bool:
     """Whether LAPACK or conjugate gradients solve the reduced system in much less time than GTSAM's elimination."""
     if problem.n_free_unknowns < WIDE or problem.ties is not None or not no_point_is_named(problem.block):
         return False
-    pairs, _ = pairs_of_images(problem, order_by_point(problem))
-    pattern = Pattern(np.diff(problem.first).astype(np.int64), pairs[:, 0], pairs[:, 1])
+    pattern = pattern_of(problem)
     work = {one.kind: _rank(one) for one in predictions(pattern, narrowest(pattern, problem.first).band)}
     return min(work.values()) < work.get("graph", np.inf) / FASTER
+
+
+def pattern_of(problem: Problem) -> Pattern:
+    """Images with common unknown points, from the image points alone."""
+    from scipy.sparse import csr_array, eye_array
+
+    o, rays = problem.observations, problem.active[problem.observations.point]
+    image, point = o.image[rays], o.point[rays]
+    seen = csr_array((np.ones(len(image)), (image, point)), (problem.n_images, len(problem.active)))
+    one, other = (seen @ seen.T + eye_array(problem.n_images)).nonzero()
+    upper, count = one <= other, np.bincount(point)
+    size, row, column = (of.astype(np.int64) for of in (np.diff(problem.first), one[upper], other[upper]))
+    return Pattern(size, row, column, len(o), int((count * (count + 1) // 2).sum()))
 
 
 def farthest(pattern: Pattern) -> int:

@@ -21,9 +21,10 @@ from factors.arrays import Array
 from factors.conditions.control import POINT
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State, no_point_is_named
-from fg_orient.adjustment.reduced_choice import Choice
+from fg_orient.adjustment.reduced_choice import ITERATIVE, Choice, choice_of
 from fg_orient.adjustment.robust import Weighing, together, two_ray_rows
 from fg_orient.adjustment.runtime import Index, Workers
+from fg_orient.adjustment.schur_product import ImplicitProduct
 from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
 from fg_orient.adjustment.schur_stages import Buffers, ImageExtras, Stages, TileRows, half_extras
 from fg_orient.adjustment.schur_structure import SERIAL_LIMIT, Grouping, Structure, Tile, compile_structure
@@ -112,6 +113,11 @@ class SchurSystem(Blended):
         self.error = self._excess + backend.half_squares(values, state, backend.buffers.control)
 
     @property
+    def backend(self) -> SchurBackend:
+        """Backend that linearised."""
+        return self._backend
+
+    @property
     def structure(self) -> Structure:
         """Arrays of the problem."""
         return self._backend.structure
@@ -187,7 +193,9 @@ class SchurSystem(Blended):
 
     def _reduced(self, blocks: Array, damping: float) -> Reduced:
         """Reduced system of these blocks, with priors, damping and observations of several images."""
-        return self._backend.reduced(blocks, self._backend.prior + damping, self._extras.matrix)
+        backend = self._backend
+        implicit = ImplicitProduct(self, damping) if backend.implicit else None
+        return backend.reduced(blocks, backend.prior + damping, self._extras.matrix, 2.0 * self.error, implicit)
 
     def partial(self, damping: float) -> tuple[Array, Array]:
         """Eliminate the points: blocks (B, k, k) without priors and damping of the images, and gradient (u,).
@@ -198,11 +206,16 @@ class SchurSystem(Blended):
         blocks = self._eliminated(damping)
         return blocks, self._gathered_gradient()
 
-    def _eliminated(self, damping: float) -> Array:
-        """Blocks (B, k, k) of the reduced system; point blocks and gradients are in the buffers."""
-        s, b = self.structure, self.buffers()
+    def eliminated_buffers(self, damping: float) -> Buffers:
+        """Arrays of this linearisation, with the points eliminated under this damping."""
+        b = self.buffers()
         if self._eliminated_at != damping or not b.has_sums:
             self._eliminate(damping)
+        return b
+
+    def _eliminated(self, damping: float) -> Array:
+        """Blocks (B, k, k) of the reduced system; point blocks and gradients are in the buffers."""
+        s, b = self.structure, self.eliminated_buffers(damping)
         self._backend.workers.run(
             gather_blocks, s.block_begin, s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column, b.sums,
             s.wide, s.scale, s.size, s.n_basis, s.n_components, b.blocks,
@@ -323,8 +336,10 @@ class SchurBackend:
     threads : int, optional
         Threads of the kernels; by default two where the machine has them, one below 2000 image points.
     reduced : str
-        "dense", "banded": Cholesky factor of the reduced matrix or of its band; "graph": GTSAM on its blocks; "auto":
-        by size.
+        "dense", "banded": Cholesky factor of the reduced matrix or of its band; "graph": GTSAM on its blocks;
+        "iterative", "implicit": conjugate gradients on its blocks, or on the rows without blocks. "auto": by predicted
+        work and memory (``fg_orient.adjustment.reduced_choice``); "blocks": of the methods with blocks, for
+        :meth:`SchurSystem.partial`.
     grouping : callable, optional
         Number of the group of each ground point; a chunk holds points of one group.
 
@@ -343,12 +358,18 @@ class SchurBackend:
             raise InputError.of("adjust.schur", option="backend", value="extra observations name ground points")
         if reduced not in REDUCED:
             raise ValueError(f"reduced = {reduced!r}: one of {', '.join(REDUCED)}")
-        self.problem, self.structure = problem, compile_structure(problem, grouping)
+        self.problem, self._kind, self._choice = problem, reduced, None
+        alone = problem.ties is None and not problem.block.extra and grouping is None
+        if reduced == "auto" and alone and problem.n_image_unknowns > ITERATIVE:
+            self._choice = choice_of(problem)
+        kind = reduced if self._choice is None else self._choice.kind
+        #: Whether the reduced matrix is never formed.
+        self.implicit = kind == "implicit" and alone
+        self.structure = compile_structure(problem, grouping, diagonal=self.implicit)
         available = min(MAX_THREADS, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else MAX_THREADS)
         automatic = available if len(problem.observations) >= SERIAL_LIMIT else 1
         self.workers = Workers(automatic if threads is None else threads)
         self.prior = 1.0 if problem.block.options.priors else 0.0
-        self._kind = reduced
         self.stages = Stages(problem, self.structure)
         self.buffers = Buffers(self.structure, problem.control_records)
         self.robust: Weighing | None = None
@@ -357,7 +378,8 @@ class SchurBackend:
     @cached_property
     def reduced(self) -> ReducedSystems:
         """Reduced systems of the images."""
-        return ReducedSystems(self.structure.pattern, self.problem.first, self._kind, self.problem.ties)
+        at = self.structure.pattern, self.problem.first, self._kind, self.problem.ties
+        return ReducedSystems(*at, self._choice)
 
     def initial(self) -> State:
         """Start values."""

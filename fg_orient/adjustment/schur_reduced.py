@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import eigvalsh_tridiagonal, lapack
 
 from factors.arrays import Array, Index
 from fg_orient.adjustment.reduced_choice import LARGEST_FULL, Choice, Order, Pattern, choose, narrowest
@@ -27,9 +27,12 @@ if TYPE_CHECKING:
 CONDITION_LIMIT: Final = 1e13
 #: Columns of a band that are solved for a covariance; of more the whole inverse is formed.
 COLUMNS: Final = 1000
-REDUCED: Final = ("auto", "dense", "banded", "graph", "iterative")
-#: Relative residual at which conjugate gradients end, and most steps.
-RESIDUAL: Final = 1e-10
+REDUCED: Final = ("auto", "blocks", "dense", "banded", "graph", "iterative", "implicit")
+#: Least and largest error of a step of conjugate gradients, relative in the norm of the matrix; error in that norm that
+#: has no effect; most steps.
+LEAST_ERROR: Final = 1e-10
+LARGEST_ERROR: Final = 6e-3
+NO_EFFECT: Final = 1e-10
 MOST_STEPS: Final = 2000
 
 
@@ -239,11 +242,37 @@ class GraphReduced:
         return np.block([[np.asarray(joint.at(a, b)) for b in images] for a in images])
 
 
-class IterativeReduced:
-    """Preconditioned conjugate gradients on the blocks, where a factor of the matrix would take too long.
+class Implicit(Protocol):
+    """A reduced matrix without its blocks."""
 
-    The preconditioner is the diagonal blocks (block Jacobi; Hestenes & Stiefel 1952, Agarwal et al. 2010). Parameters
-    as for :class:`LapackReduced`.
+    def multiply(self, x: Array, out: Array) -> None:
+        """Write the product with unknowns (M, k), without priors and damping; shorter rows end with zeros."""
+        ...
+
+    def with_blocks(self) -> Reduced:
+        """The same system with a full factor."""
+        ...
+
+
+class IterativeReduced:
+    """Preconditioned conjugate gradients, where a factor of the matrix would take too long.
+
+    The preconditioner is the diagonal blocks (block Jacobi; Hestenes & Stiefel 1952, Agarwal et al. 2010). A step is
+    solved as exactly as it is worth (inexact Newton method, Dembo, Eisenstat & Steihaug 1982): its error in chi2 is to
+    the decrease of chi2 as that decrease is to chi2, as the errors of linearisation are.
+
+    Parameters
+    ----------
+    pattern : Pattern
+    first : (M + 1,) int array
+    blocks : (B, k, k) array
+        The diagonal blocks suffice if ``implicit`` is given.
+    diagonal : float
+        Added to the diagonal: priors and damping.
+    chi2 : float
+        Where the system was linearised; 0: :data:`LEAST_ERROR` for all solutions.
+    implicit : Implicit, optional
+        Products with the matrix from the rows; else from the blocks.
 
     Raises
     ------
@@ -251,11 +280,14 @@ class IterativeReduced:
         A diagonal block is not positive definite.
     """
 
-    def __init__(self, pattern: Pattern, first: Index, blocks: Array, diagonal: float) -> None:
+    def __init__(
+        self, pattern: Pattern, first: Index, blocks: Array, diagonal: float, chi2: float = 0.0,
+        implicit: Implicit | None = None,
+    ) -> None:  # fmt: skip
         # a copy: the next linearisation overwrites the blocks before a covariance is wanted
         self._pattern, self._first, self._blocks, self._shift = pattern, first, blocks.copy(), diagonal
-        self._k = blocks.shape[1]
-        self._dense: LapackReduced | None = None
+        self._k, self._chi2, self._implicit = blocks.shape[1], chi2, implicit
+        self._dense: Reduced | None = None
         self._used = np.arange(self._k) < pattern.size[:, None]
         own = pattern.block_row == pattern.block_column
         self._diagonal = np.where(self._used, diagonal, 1.0)  # shorter blocks end with a unit matrix
@@ -269,7 +301,10 @@ class IterativeReduced:
         self._inverse[pattern.block_row[own]] = np.swapaxes(half, 1, 2) @ half
 
     def solve(self, gradient: Array) -> Array:
-        """See :class:`Reduced`; ends where the residual is :data:`RESIDUAL` of the first, in the preconditioned norm.
+        """See :class:`Reduced`.
+
+        The square of the error in the norm of the matrix, which is the error in chi2, is at most that of the residual
+        in the preconditioned norm over the least eigenvalue, which the coefficients give (Lanczos 1950).
 
         RuntimeError: more than :data:`MOST_STEPS` steps.
         """
@@ -278,20 +313,33 @@ class IterativeReduced:
         x, residual, product = np.zeros_like(right), right, np.empty_like(right)
         scaled = self._preconditioned(residual)
         direction, size = scaled, float(np.vdot(residual, scaled))
-        enough = RESIDUAL**2 * size
+        decrease, lengths, turns = 0.0, list[float](), list[float]()
         for _ in range(MOST_STEPS):
-            if size <= enough:
+            share = min(decrease / self._chi2, LARGEST_ERROR**2) if self._chi2 > 0.0 else 0.0
+            enough = max(share * decrease, LEAST_ERROR**2 * decrease, NO_EFFECT**2)
+            if size <= enough and size <= enough * _least_eigenvalue(lengths, turns):
                 return np.asarray(x[self._used])
-            times_blocks(self._pattern.block_row, self._pattern.block_column, self._blocks, direction, product)
+            self._multiply(direction, product)
             product += self._diagonal * direction
             curvature = float(np.vdot(direction, product))
             if not curvature > 0.0:
                 raise Singular("the reduced camera system is not positive definite")
-            x, residual = x + size / curvature * direction, residual - size / curvature * product
+            length = size / curvature
+            decrease += length * size
+            x, residual = x + length * direction, residual - length * product
             scaled = self._preconditioned(residual)
             size, before = float(np.vdot(residual, scaled)), size
             direction = scaled + size / before * direction
+            lengths.append(length)
+            turns.append(size / before)
         raise Singular(f"conjugate gradients of the reduced system do not converge in {MOST_STEPS} steps")
+
+    def _multiply(self, x: Array, out: Array) -> None:
+        """Write the product with the matrix without priors and damping."""
+        if self._implicit is None:
+            times_blocks(self._pattern.block_row, self._pattern.block_column, self._blocks, x, out)
+        else:
+            self._implicit.multiply(x, out)
 
     def _preconditioned(self, x: Array) -> Array:
         return np.asarray(np.einsum("nij,nj->ni", self._inverse, x))
@@ -302,8 +350,22 @@ class IterativeReduced:
             unknowns = int(self._first[-1])
             if unknowns > LARGEST_FULL:
                 raise Singular(f"the covariance of {unknowns} image unknowns would take {8e-9 * unknowns**2:.0f} GB")
-            self._dense = LapackReduced(self._pattern, self._first, self._blocks, self._shift)
+            self._dense = (
+                LapackReduced(self._pattern, self._first, self._blocks, self._shift)
+                if self._implicit is None else self._implicit.with_blocks()
+            )  # fmt: skip
         return self._dense.covariance(images)
+
+
+def _least_eigenvalue(lengths: list[float], turns: list[float]) -> float:
+    """Least eigenvalue of the preconditioned matrix, from the coefficients of conjugate gradients, 1 at most."""
+    if not lengths:
+        return 1.0
+    length, turn = np.array(lengths), np.array(turns)[:-1]
+    diagonal = 1.0 / length
+    diagonal[1:] += turn / length[:-1]
+    least = eigvalsh_tridiagonal(diagonal, np.sqrt(turn) / length[:-1], select="i", select_range=(0, 0))[0]
+    return min(float(least), 1.0)
 
 
 def elimination_order(pattern: Pattern) -> gtsam.Ordering:
@@ -327,31 +389,42 @@ class ReducedSystems:
     pattern : Pattern
     first : (M + 1,) int array
     kind : str
-        "dense": LAPACK on the full matrix; "banded": on its band; "graph": GTSAM on its blocks; "iterative": conjugate
-        gradients; "auto": by predicted work and memory (``fg_orient.adjustment.reduced_choice``).
+        See :class:`fg_orient.adjustment.schur.SchurBackend`.
     ties : Ties, optional
         Unknowns shared by images; the matrix is then full.
+    choice : Choice, optional
+        Method, chosen before.
     """
 
-    def __init__(self, pattern: Pattern, first: Index, kind: str = "auto", ties: Ties | None = None) -> None:
+    def __init__(
+        self, pattern: Pattern, first: Index, kind: str = "blocks", ties: Ties | None = None,
+        choice: Choice | None = None,
+    ) -> None:  # fmt: skip
         self.pattern, self._first, self._ties, self._ordering = pattern, first, ties, None
         #: Prediction of the chosen method; None where the kind was given.
-        self.choice: Choice | None = None
+        self.choice = choice
         if ties is not None:
             self.kind = "dense"
             return
         self._order = narrowest(pattern, first)
-        self.choice = choose(pattern, self._order.band) if kind == "auto" else None
+        if choice is None and kind in ("auto", "blocks"):
+            self.choice = choose(pattern, self._order.band)
         self.kind = kind if self.choice is None else self.choice.kind
         self._ordering = elimination_order(pattern) if self.kind == "graph" else None
 
-    def __call__(self, blocks: Array, diagonal: float, added: Array | None = None) -> Reduced:
-        """System of these blocks (B, k, k) with ``diagonal`` and a matrix (z, z) added; Singular if not definite."""
+    def __call__(
+        self, blocks: Array, diagonal: float, added: Array | None = None, chi2: float = 0.0,
+        implicit: Implicit | None = None,
+    ) -> Reduced:  # fmt: skip
+        """System of these blocks (B, k, k) with ``diagonal`` and a matrix (z, z) added; Singular if not definite.
+
+        ``chi2`` and ``implicit``: see :class:`IterativeReduced`.
+        """
         if self._ties is not None or added is not None:
             return LapackReduced(self.pattern, self._first, blocks, diagonal, ties=self._ties, added=added)
         if self._ordering is not None:
             return GraphReduced(self.pattern, self._first, blocks, diagonal, self._ordering)
-        if self.kind == "iterative":
-            return IterativeReduced(self.pattern, self._first, blocks, diagonal)
+        if self.kind in ("iterative", "implicit"):
+            return IterativeReduced(self.pattern, self._first, blocks, diagonal, chi2, implicit)
         order = self._order if self.kind == "banded" else None
         return LapackReduced(self.pattern, self._first, blocks, diagonal, order)

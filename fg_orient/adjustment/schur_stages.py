@@ -53,7 +53,9 @@ class Buffers:
         again = max((t.points[1] - t.points[0] for t in s.tiles if not t.kept), default=0)
         self.owner: object = None
         self.value, self.trial, self.root_weight = np.empty((n, 2)), np.empty((largest, 2)), np.ones(0)
-        self._kept, self._again = row_arrays(kept, c), row_arrays(again, c)
+        #: Jacobians of the image points of all tiles that are kept.
+        self.kept = row_arrays(kept, c)
+        self._again = row_arrays(again, c)
         self._no_image = np.empty((largest, 2, 0))
         self.held: Tile | None = None
         self.scaled = _aligned(largest, 8)
@@ -86,7 +88,7 @@ class Buffers:
     def rows(self, tile: Tile, *, of_images: bool = True) -> TileRows:
         """Space for the rows of a tile; without ``of_images`` for derivatives by the points only."""
         lo, hi = tile.points
-        d_image, d_ground = self._kept if tile.kept else self._again
+        d_image, d_ground = self.kept if tile.kept else self._again
         at = slice(lo, hi) if tile.kept else slice(0, hi - lo)
         return TileRows(tile, self.value[lo:hi], d_image[at] if of_images else self._no_image[: hi - lo], d_ground[at])
 

@@ -141,7 +141,9 @@ class Structure:
     @property
     def pattern(self) -> Pattern:
         """Blocks of the reduced system."""
-        return Pattern(self.size, self.block_row, self.block_column)
+        rays = np.diff(self.first).astype(np.int64)
+        pairs = int((rays * (rays + 1) // 2).sum())
+        return Pattern(self.size, self.block_row, self.block_column, pairs=pairs)
 
     @cached_property
     def observed(self) -> Index:
@@ -170,8 +172,11 @@ class Structure:
 Grouping = Callable[[Small, Small], Index]
 
 
-def compile_structure(problem: Problem, grouping: Grouping | None = None) -> Structure:
-    """Sort and index a problem; the points of a group follow each other, and its chunks are its own."""
+def compile_structure(problem: Problem, grouping: Grouping | None = None, *, diagonal: bool = False) -> Structure:
+    """Sort and index a problem; the points of a group follow each other, and its chunks are its own.
+
+    With ``diagonal`` there are only the blocks of each image with itself, and all rows are kept.
+    """
     row, image, point, first, fence = _sorted(problem, grouping)
     number = point[first[:-1]]
     free = np.where(problem.active[number], np.where(problem.observed[number], 2, 1), 0).astype(np.int8)
@@ -186,13 +191,13 @@ def compile_structure(problem: Problem, grouping: Grouping | None = None) -> Str
         wide[g.images, :k], scale[g.images, :k] = g.columns.wide, g.columns.scale
         _write_basis(problem, row, g, basis)
     numbers = int(n_basis.max() * n_components.max()) ** 2
-    pieces, chunks, slots = _chunks(first, image, free, fence, problem.n_images, numbers)
+    pieces, chunks, slots = _chunks(first, image, free, fence, problem.n_images, numbers, diagonal)
     chunk_places = np.append(pieces[chunks[:-1], 1], len(number)).astype(np.int32)
     pairs = np.append(pieces[1:, 4], _entries(pieces)) - pieces[:, 4]
     cost = np.concatenate([[0], np.cumsum((pairs + RAY_COST * pieces[:, 3]) * pieces[:, 2])])[chunks]
     return Structure(
         image_groups, row, image, point, number, free, first, basis, n_basis, n_components, size, wide, scale, pieces,
-        chunks, chunk_places=chunk_places, cost=cost, tiles=_tiles(first, chunk_places), **slots,
+        chunks, chunk_places=chunk_places, cost=cost, tiles=_tiles(first, chunk_places, diagonal), **slots,
     )  # fmt: skip
 
 
@@ -246,23 +251,28 @@ def _write_basis(problem: Problem, row: Small, group: Group, basis: Array) -> No
 
 
 def _chunks(
-    first: Small, image: Small, free: npt.NDArray[np.int8], fence: npt.NDArray[np.int8], n_images: int, numbers: int
+    first: Small, image: Small, free: npt.NDArray[np.int8], fence: npt.NDArray[np.int8], n_images: int, numbers: int,
+    diagonal: bool,
 ) -> tuple[Index, Index, dict[str, Any]]:  # fmt: skip
     """Pieces (Q, 5), the first of each chunk and their number (N + 1,), and their :func:`_slots`.
 
     The number of chunks is reduced where their sums, ``numbers`` for each slot, would need more memory than the rows:
-    where neighbouring points are seen by different images. A chunk begins at each ``fence``.
+    where neighbouring points are seen by different images: at once to the least number if one slot for each block
+    needs more. A chunk begins at each ``fence``.
     """
     total = int(first[-1])
     limit = min(max(total // CHUNKS, LEAST_CHUNK), MOST_CHUNK)
     space, begin = np.zeros((len(free), 5), np.int64), np.zeros(len(free) + 1, np.int64)
+    least, most, too_many = max(LEAST_CHUNKS, int(fence.sum()) + 1), max(SUMS * total, LEAST_SUMS), False
     while True:
         n_pieces, n_chunks = batch_sort.cut_pieces(first, image, free, fence, limit, space, begin)
-        pieces, chunks = space[:n_pieces].copy(), begin[: n_chunks + 1].copy()
-        slots = _slots(pieces, chunks, image, free, n_images)
-        few = n_chunks <= max(LEAST_CHUNKS, int(fence.sum()) + 1)
-        if few or len(slots["slot_own"]) * numbers * 8 <= max(SUMS * total, LEAST_SUMS):
-            return pieces, chunks, slots
+        few = n_chunks <= least
+        if few or not too_many:
+            pieces, chunks = space[:n_pieces].copy(), begin[: n_chunks + 1].copy()
+            slots = _slots(pieces, chunks, image, free, n_images, diagonal)
+            if few or len(slots["slot_own"]) * numbers * 8 <= most:
+                return pieces, chunks, slots
+            too_many = len(slots["block_row"]) * numbers * 8 > most
         limit *= 2
 
 
@@ -272,12 +282,12 @@ def _entries(pieces: Index) -> int:
 
 
 def _slots(
-    pieces: Index, chunks: Index, image: Small, free: npt.NDArray[np.int8], n_images: int
+    pieces: Index, chunks: Index, image: Small, free: npt.NDArray[np.int8], n_images: int, diagonal: bool
 ) -> dict[str, Any]:  # fmt: skip
     """Slots of the pieces, and blocks of the slots: fields of :class:`Structure` by name."""
     key, kind = np.empty(_entries(pieces), np.int64), np.empty(_entries(pieces), np.int64)
     batch_sort.list_entries(pieces, chunks, image, free, n_images, key, kind)
-    exists = kind >= 0
+    exists = (kind >= 0) & (key % (n_images + 1) == 0) if diagonal else kind >= 0
     blocks, block = np.unique(key[exists], return_inverse=True)
     chunk, own = np.divmod(kind[exists], 2)
     slot_key, slot = np.unique((chunk * len(blocks) + block) * 2 + own, return_inverse=True)
@@ -294,15 +304,15 @@ def _slots(
     }  # fmt: skip
 
 
-def _tiles(first: Small, places: Small) -> tuple[Tile, ...]:
-    """Tiles of about TILE image points; the rows of the first ones are kept."""
+def _tiles(first: Small, places: Small, every: bool) -> tuple[Tile, ...]:
+    """Tiles of about TILE image points; the rows of the first ones, or of ``every`` one, are kept."""
     points = first[places].astype(np.int64)
     total, cuts = int(points[-1]), [0]
     while cuts[-1] < len(places) - 1:
         cuts.append(max(int(np.searchsorted(points, points[cuts[-1]] + TILE, side="right")) - 1, cuts[-1] + 1))
     out = []
     for lo, hi in itertools.pairwise(cuts):
-        kept = total <= ALL_KEPT or int(points[hi]) <= KEPT_SHARE * total
+        kept = every or total <= ALL_KEPT or int(points[hi]) <= KEPT_SHARE * total
         out.append(
             Tile((int(points[lo]), int(points[hi])), (int(places[lo]), int(places[hi])), (lo, hi), kept)
         )  # fmt: skip

@@ -175,10 +175,7 @@ def back_substitute(
                 t0 += d_ground[k, 0, 0] * y0 + d_ground[k, 1, 0] * y1
                 t1 += d_ground[k, 0, 1] * y0 + d_ground[k, 1, 1] * y1
                 t2 += d_ground[k, 0, 2] * y0 + d_ground[k, 1, 2] * y1
-            r0, r1, r2 = root[p, ROOT.r00], root[p, ROOT.r10], root[p, ROOT.r11]
-            r3, r4, r5 = root[p, ROOT.r20], root[p, ROOT.r21], root[p, ROOT.r22]
-            u0, u1, u2 = r0 * t0, r1 * t0 + r2 * t1, r3 * t0 + r4 * t1 + r5 * t2
-            x0, x1, x2 = -(r0 * u0 + r1 * u1 + r3 * u2), -(r2 * u1 + r4 * u2), -r5 * u2
+            x0, x1, x2 = _newton(root, p, t0, t1, t2)
             step[p, 0], step[p, 1], step[p, 2] = x0, x1, x2
             for a in range(first[p], first[p + 1]):
                 k = a - base
@@ -187,6 +184,58 @@ def back_substitute(
                     after += d_ground[k, r, 0] * x0 + d_ground[k, r, 1] * x1 + d_ground[k, r, 2] * x2
                     total += after * after
         squares[n] = total
+
+
+@threaded
+def reduced_product(
+    lo: int, hi: int, cuts: Index, first: Small, image: Small, n_basis: Index, n_components: Index, basis: Array,
+    wide: Array, d_image: Array, d_ground: Array, root: Array, out: Array,
+) -> None:  # fmt: skip
+    """Write products of the reduced matrix of shares lo to hi of the points with unknowns of the images.
+
+    ``J^T (J x - G H^-1 sum G^T J x)``, without the matrix. The whole product is the sum of all shares.
+
+    Parameters
+    ----------
+    cuts : (N + 1,) int array
+        First point of each share.
+    wide : (M, w) array
+    d_image, d_ground : (n, 2, c), (n, 2, 3) arrays
+        Of all image points.
+    out : (N, M, w) array
+    """
+    along = np.empty((MOST_RAYS, 2))
+    for n in range(lo, hi):
+        out[n] = 0.0
+        for p in range(cuts[n], cuts[n + 1]):
+            t0, t1, t2, start, end = 0.0, 0.0, 0.0, first[p], first[p + 1]
+            if end - start > len(along):
+                along = np.empty((end - start, 2))
+            for a in range(start, end):
+                i = image[a]
+                y0, y1 = _along(a, 0, d_image, basis, i, wide, n_basis[i], n_components[i])
+                along[a - start, 0], along[a - start, 1] = y0, y1
+                t0 += d_ground[a, 0, 0] * y0 + d_ground[a, 1, 0] * y1
+                t1 += d_ground[a, 0, 1] * y0 + d_ground[a, 1, 1] * y1
+                t2 += d_ground[a, 0, 2] * y0 + d_ground[a, 1, 2] * y1
+            x0, x1, x2 = _newton(root, p, t0, t1, t2)
+            for a in range(start, end):
+                i = image[a]
+                y0 = along[a - start, 0] + d_ground[a, 0, 0] * x0 + d_ground[a, 0, 1] * x1 + d_ground[a, 0, 2] * x2
+                y1 = along[a - start, 1] + d_ground[a, 1, 0] * x0 + d_ground[a, 1, 1] * x1 + d_ground[a, 1, 2] * x2
+                for b in range(n_basis[i]):
+                    at, z0, z1 = b * n_components[i], basis[a, b] * y0, basis[a, b] * y1
+                    for c in range(n_components[i]):
+                        out[n, i, at + c] += d_image[a, 0, c] * z0 + d_image[a, 1, c] * z1
+
+
+@threaded
+def _newton(root: Array, p: int, t0: float, t1: float, t2: float) -> Gradient:
+    """Product of ``-H^-1`` of a point with a vector."""
+    r0, r1, r2 = root[p, ROOT.r00], root[p, ROOT.r10], root[p, ROOT.r11]
+    r3, r4, r5 = root[p, ROOT.r20], root[p, ROOT.r21], root[p, ROOT.r22]
+    u0, u1, u2 = r0 * t0, r1 * t0 + r2 * t1, r3 * t0 + r4 * t1 + r5 * t2
+    return -(r0 * u0 + r1 * u1 + r3 * u2), -(r2 * u1 + r4 * u2), -r5 * u2
 
 
 @threaded

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 import fg_orient as fg
 from factors._contract import NotFiniteError
 from factors.conditions.control import CONTROL_POINT
-from fg_orient.adjustment import reduced_choice, schur_reduced, schur_structure
+from fg_orient.adjustment import reduced_choice, schur, schur_reduced, schur_structure
 from fg_orient.adjustment.cofactors import ReducedCofactors
 from fg_orient.adjustment.dense import DenseBackend, assemble
 from fg_orient.adjustment.explicit import ExplicitBackend
@@ -28,6 +28,7 @@ from fg_orient.adjustment.reduced_choice import Pattern
 from fg_orient.adjustment.robust import scaled
 from fg_orient.adjustment.runtime import Workers
 from fg_orient.adjustment.schur import SchurBackend, SchurSystem
+from fg_orient.adjustment.schur_product import ImplicitProduct
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import solve, suitable_backend
 from fg_orient.model.block import Block, ExtraObservation, Image, ImagePoints
@@ -36,6 +37,7 @@ from fg_orient.quality import conditioning
 from fg_orient.quality.covariance import cofactors_of
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.full_statistics import Full, damped_of_numpy, dogleg_of_numpy, step_of_numpy, stepped
+from tests.support.pinhole import pinhole_block
 from tests.support.rpc_block import rpc_twin, twin_with_models
 from tests.support.states import largest, moved
 
@@ -200,7 +202,7 @@ def test_dogleg_inside_a_small_region_equals_the_one_by_numpy() -> None:
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("reduced", ["dense", "banded", "graph", "iterative"])
+@pytest.mark.parametrize("reduced", ["dense", "banded", "graph", "iterative", "implicit"])
 @pytest.mark.parametrize("name", BLOCKS)
 def test_cofactors_equal_the_dense_inverse(name: str, reduced: str) -> None:
     """Images, points, and a joint block in an order of its own, against numpy's inverse of J^T J."""
@@ -251,7 +253,7 @@ def test_same_bits_for_one_and_two_threads(divided: bool, request: pytest.Fixtur
     structure = SchurBackend(problem).structure
     assert np.diff(structure.block_begin).max() > 4
     assert {tile.kept for tile in structure.tiles} == ({True, False} if divided else {True})
-    for reduced in ("dense", "banded", "graph", "iterative"):
+    for reduced in ("dense", "banded", "graph", "iterative", "implicit"):
         ends = []
         for threads in (1, 2, 3):
             backend = SchurBackend(problem, threads=threads, reduced=reduced)
@@ -425,20 +427,85 @@ def test_degrees_of_the_elimination_are_those_of_sets(images: int, share: float)
 
 @pytest.mark.oracle
 def test_conjugate_gradients_step_as_a_factor_does() -> None:
-    """Damped and undamped, images with different numbers of unknowns, a whole adjustment; too few steps are refused."""
+    """Damped and undamped, images with different numbers of unknowns, a whole adjustment; too few steps are refused.
+
+    The error of a step is measured in the norm of the matrix; a solution without a chi2 is exact. The loop ends at a
+    tolerance at which the last step of the full factor, too, is of no effect.
+    """
     problem = compile_problem(with_options(mixed_size(), eop_set=15))
-    state, kinds = problem.start, ("dense", "iterative")
+    state, first = problem.start, problem.first
     for damping in (0.0, 0.3):
-        steps = [SchurBackend(problem, reduced=kind).linearise(state).solve(damping) for kind in kinds]
-        assert np.abs(steps[1].image - steps[0].image).max() < 1e-7 * np.abs(steps[0].image).max()
-        # linear in the residual at which the steps end
-        assert steps[1].predicted_error == pytest.approx(steps[0].predicted_error, rel=schur_reduced.RESIDUAL)
-    ends = [OPTIMIZERS["gauss-newton"](SchurBackend(problem, reduced=kind), state, 50) for kind in kinds]
-    assert np.abs(ends[1].state.image - ends[0].state.image).max() < 1e-9
-    assert ends[1].error == pytest.approx(ends[0].error, rel=1e-12)
+        system = SchurBackend(problem, reduced="dense").linearise(state)
+        (blocks, gradient), pattern = system.partial(damping), system.structure.pattern
+        matrix = schur_reduced.full_matrix(pattern, first, blocks, None) + (1.0 + damping) * np.eye(first[-1])
+        exact = -np.linalg.solve(matrix, gradient)
+        found = schur_reduced.IterativeReduced(pattern, first, blocks, 1.0 + damping).solve(gradient)
+        assert np.abs(found - exact).max() < 1e-7 * np.abs(exact).max()
+        for kind in ("iterative", "implicit"):
+            step = SchurBackend(problem, reduced=kind).linearise(state).solve(damping)
+            error = step.image - exact
+            assert 0.0 < error @ matrix @ error < schur_reduced.LARGEST_ERROR**2 * (exact @ matrix @ exact)
+    ends = [OPTIMIZERS["gauss-newton"](SchurBackend(problem, reduced=kind), state, 50, tolerance=TOLERANCE)
+            for kind in ("dense", "iterative", "implicit")]  # fmt: skip
+    for end in ends[1:]:
+        assert np.abs(end.state.image - ends[0].state.image).max() < 1e-9
+        assert end.error == pytest.approx(ends[0].error, rel=1e-12)
     with pytest.MonkeyPatch.context() as patch, pytest.raises(Singular, match="do not converge in 3 steps"):
         patch.setattr(schur_reduced, "MOST_STEPS", 3)
         SchurBackend(problem, reduced="iterative").linearise(state).solve(0.0)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("set_of_unknowns", [5, 20])
+def test_products_without_the_matrix_are_those_of_the_matrix(set_of_unknowns: int, tiles: None) -> None:
+    """Images with different numbers of unknowns, control and constant points, more tiles than one; damped and not."""
+    problem = compile_problem(with_options(mixed_size(), eop_set=set_of_unknowns))
+    rng = np.random.default_rng(0)
+    for damping in (0.0, 0.3):
+        system = SchurBackend(problem, reduced="implicit", threads=2).linearise(problem.start)
+        blocks, _ = SchurBackend(problem, reduced="dense").linearise(problem.start).partial(damping)
+        matrix = schur_reduced.full_matrix(pattern_with_blocks(problem), problem.first, blocks, None)
+        x = rng.standard_normal(problem.n_image_unknowns)
+        rows, out = problem.image_matrix(x), np.full((problem.n_images, problem.columns.shape[1]), np.nan)
+        ImplicitProduct(system, damping).multiply(rows, out)
+        expected = problem.image_matrix(matrix @ x)
+        assert np.abs(out - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+@pytest.mark.consistency
+def test_a_wide_network_is_adjusted_without_its_matrix_as_with_it() -> None:
+    """Each point is in four of 100 images, drawn at random; the same bits for any number of threads."""
+    problem = compile_problem(pinhole_block(100, 1500, mixed=True)[0])
+    ends = []
+    for threads, reduced in ((1, "implicit"), (2, "implicit"), (3, "implicit"), (2, "dense")):
+        backend = SchurBackend(problem, threads, reduced)
+        ends.append(OPTIMIZERS["gauss-newton"](backend, problem.start, 50, tolerance=TOLERANCE).state)
+    for end in ends[1:3]:
+        assert (end.image.tobytes(), end.ground.tobytes()) == (ends[0].image.tobytes(), ends[0].ground.tobytes())
+    assert np.abs(ends[3].image - ends[0].image).max() < 1e-9
+
+
+@pytest.mark.behaviour
+def test_a_wide_network_is_chosen_to_be_solved_without_its_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From ITERATIVE unknowns on, unless the caller needs the blocks; the links are those of the image points."""
+    monkeypatch.setattr(schur, "ITERATIVE", 800)
+    monkeypatch.setattr(reduced_choice, "ITERATIVE", 800)
+    problem = compile_problem(pinhole_block(100, 500, mixed=True)[0])
+    chosen, forming = SchurBackend(problem), SchurBackend(problem, reduced="blocks")
+    assert chosen.implicit
+    assert (chosen.reduced.kind, chosen.reduced.choice) == ("implicit", reduced_choice.choice_of(problem))
+    assert not forming.implicit
+    assert forming.reduced.kind != "implicit"
+    pattern, formed = reduced_choice.pattern_of(problem), forming.structure.pattern
+    assert set(zip(*map(np.ndarray.tolist, pattern.blocks), strict=True)) == set(
+        zip(*map(np.ndarray.tolist, formed.blocks), strict=True)
+    )
+    assert (pattern.rays, pattern.pairs) == (len(problem.observations), formed.pairs)
+
+
+def pattern_with_blocks(problem: Problem) -> Pattern:
+    """Blocks of the reduced system in the order of a backend that forms them."""
+    return SchurBackend(problem, reduced="blocks").structure.pattern
 
 
 @pytest.mark.oracle
@@ -477,7 +544,7 @@ def test_sums_of_chunks_stay_small_where_neighbours_share_no_images() -> None:
     rng, rays, images, numbers = np.random.default_rng(0), 10, 60, 27**2
     image = np.concatenate([np.sort(rng.choice(images, rays, replace=False)) for _ in range(4000)]).astype(np.int32)
     first, free = np.arange(4001, dtype=np.int32) * np.int32(rays), np.ones(4000, np.int8)
-    pieces, chunks, _ = schur_structure._chunks(first, image, free, 0 * free, images, numbers)
+    pieces, chunks, _ = schur_structure._chunks(first, image, free, 0 * free, images, numbers, diagonal=False)
     cut = [set(image[pieces[lo, 0] : pieces[hi - 1, 0] + rays].tolist()) for lo, hi in itertools.pairwise(chunks)]
     assert all(len(seen) == images for seen in cut[:-1])
     many = len(cut) * images * (images + 1) / 2 * numbers * 8

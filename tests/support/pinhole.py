@@ -77,7 +77,7 @@ def pinhole_block(
     centre, cameras = _cameras(n_images, rng, SPACING_M / (math.sqrt(n_images) if mixed else 1.0))
     ground = _points(centre, n_points, rng)
     if mixed:
-        seen = rng.random((n_points, n_images)).argpartition(views, axis=1)[:, :views]
+        seen = _drawn(n_points, n_images, views, rng)
     else:
         _, seen = spatial.KDTree(centre[:, :2]).query(ground[:, :2], k=views)
     image, point = np.sort(seen, axis=1).ravel(), np.repeat(np.arange(n_points), views)
@@ -88,6 +88,15 @@ def pinhole_block(
     observations = ImagePoints(image, point, line + noise[0], sample + noise[1], sigma, sigma)
     first = ground + GROUND_ERROR_M * rng.standard_normal(ground.shape)
     return _block(start, first, observations), FrameTruth(truth, ground)
+
+
+def _drawn(n: int, images: int, views: int, rng: np.random.Generator) -> npt.NDArray[np.intp]:
+    """Different images (n, views) at random for each of n points (Floyd's algorithm; Bentley & Floyd 1987)."""
+    out = np.empty((n, views), np.intp)
+    for k, last in enumerate(range(images - views, images)):
+        image = rng.integers(last + 1, size=n)
+        out[:, k] = np.where((out[:, :k] == image[:, None]).any(axis=1), last, image)
+    return out
 
 
 def _cameras(n: int, rng: np.random.Generator, spacing_m: float) -> tuple[Array, list[FrameCamera]]:

@@ -129,7 +129,7 @@ class PartedBackend:
     def reduced(self, partial: Partial, damping: float, added: Array | None = None) -> Reduced:
         """The reduced system of a sum, with a matrix (z, z) of observations of several images."""
         pattern = Pattern(np.diff(self.problem.first).astype(np.int64), partial.row, partial.column)
-        if self._systems is None or not all(map(np.array_equal, self._systems.pattern, pattern)):
+        if self._systems is None or not all(map(np.array_equal, self._systems.pattern.blocks, pattern.blocks)):
             self._systems = ReducedSystems(pattern, self.problem.first)
         return self._systems(partial.blocks, self.prior + damping, added)
 

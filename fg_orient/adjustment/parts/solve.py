@@ -30,7 +30,7 @@ def rehearse(problem: Problem) -> None:
     """Eliminate a few ground points in this process: kernels are compiled once and not by each worker."""
     points = np.flatnonzero(problem.active)[:REHEARSED]
     part = part_problem("rehearsal", part_of(problem, points, rows_of(problem, [points])[0]))
-    backend = SchurBackend(part, threads=1)
+    backend = SchurBackend(part, threads=1, reduced="blocks")
     with suppress(RuntimeError, NotFiniteError):  # the system of a few points may be singular
         system = backend.linearise(backend.initial())
         system.partial(1.0)

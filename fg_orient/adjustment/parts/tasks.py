@@ -82,7 +82,7 @@ class _Part:
 
     def __init__(self, at: At) -> None:
         problem = read_part(at.folder, at.part)
-        self.backend, self.lock = SchurBackend(problem, threads=at.threads), threading.Lock()
+        self.backend, self.lock = SchurBackend(problem, at.threads, "blocks"), threading.Lock()
         self._ground: dict[str, Array] = {START: problem.start.ground}
         self._system: tuple[str, int, SchurSystem] | None = None
 
