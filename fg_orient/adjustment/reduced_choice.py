@@ -36,9 +36,9 @@ BANDED: Final = 1.4
 STEPS: Final = 40
 PER_BYTE: Final = 4.5
 #: Bytes of the rows of an image point, which each step reads where the blocks are not formed; LAPACK's operations in
-#: the time in which a pair of rays is added to its block (measured: 1 us).
+#: the time in which a block is formed (measured: 2.5 us where images are paired at random).
 ROW_BYTES: Final = 208
-PER_PAIR: Final = 4e4
+PER_BLOCK: Final = 1e5
 #: Factor methods are preferred up to this ratio of work: they give the covariance.
 PREFERRED: Final = 2.0
 #: Unknowns from which on conjugate gradients may be chosen: their steps depend on the condition, a factor does not.
@@ -53,15 +53,13 @@ COUNTED: Final = 5000
 class Pattern(NamedTuple):
     """Blocks of a reduced system: unknowns (M,) of each image; images (B,) of each block, row <= column.
 
-    ``rays`` and ``pairs`` are the numbers of image points, and of pairs of them, from which the blocks are formed;
-    zero where they come from elsewhere.
+    ``rays``: number of image points of which products with the matrix may be made; zero if there are blocks only.
     """
 
     size: Index
     block_row: Index
     block_column: Index
     rays: int = 0
-    pairs: int = 0
 
     @property
     def blocks(self) -> tuple[Index, Index]:
@@ -127,27 +125,28 @@ def predictions(pattern: Pattern, band: int) -> list[Choice]:
         Elements of a column of the lower triangle below the diagonal.
     """
     u, b, k = float(pattern.size.sum()), float(band), float(pattern.size.max(initial=1))
-    stored, formed = 8.0 * k**2 * len(pattern.block_row), PER_PAIR * pattern.pairs
+    stored = 8.0 * k**2 * len(pattern.block_row)
     out = []
     if (b + 1.0) * u <= BAND_LIMIT and b < u - 1.0:
-        out.append(Choice("banded", formed + BANDED * (u * b**2 - 2.0 / 3.0 * b**3 + u * b), 8.0 * u * (b + 1.0)))
+        out.append(Choice("banded", BANDED * (u * b**2 - 2.0 / 3.0 * b**3 + u * b), 8.0 * u * (b + 1.0)))
     if u <= LARGEST_FULL:
-        out.append(Choice("dense", formed + u**3 / 3.0, 8.0 * u**2))
+        out.append(Choice("dense", u**3 / 3.0, 8.0 * u**2))
     if u > ITERATIVE:
         steps, rows = STEPS * farthest(pattern) * PER_BYTE, float(ROW_BYTES * pattern.rays)
-        out.append(Choice("iterative", formed + steps * stored, stored))
+        out.append(Choice("iterative", steps * stored, stored))
         if pattern.rays:
             out.append(Choice("implicit", steps * rows, rows))
     if len(pattern.size) <= COUNTED:
         degrees = elimination_degrees(pattern).astype(float)
-        work = formed + GTSAM * k**3 * float(np.sum(1.0 / 3.0 + degrees + degrees**2)) + GTSAM_IMAGE * len(degrees)
+        work = GTSAM * k**3 * float(np.sum(1.0 / 3.0 + degrees + degrees**2)) + GTSAM_IMAGE * len(degrees)
         out.append(Choice("graph", work, 8.0 * k**2 * float(np.sum(1.0 + degrees))))
     return out
 
 
 def choose(pattern: Pattern, band: int) -> Choice:
     """Method with the least predicted work, factors preferred; see :func:`predictions`."""
-    return min(predictions(pattern, band), key=_rank)
+    formed = PER_BLOCK * len(pattern.block_row)
+    return min(predictions(pattern, band), key=lambda one: _rank(one) + (0.0 if one.kind == "implicit" else formed))
 
 
 def choice_of(problem: Problem) -> Choice:
@@ -178,9 +177,9 @@ def pattern_of(problem: Problem) -> Pattern:
     image, point = o.image[rays], o.point[rays]
     seen = csr_array((np.ones(len(image)), (image, point)), (problem.n_images, len(problem.active)))
     one, other = (seen @ seen.T + eye_array(problem.n_images)).nonzero()
-    upper, count = one <= other, np.bincount(point)
+    upper = one <= other
     size, row, column = (of.astype(np.int64) for of in (np.diff(problem.first), one[upper], other[upper]))
-    return Pattern(size, row, column, len(o), int((count * (count + 1) // 2).sum()))
+    return Pattern(size, row, column, len(o))
 
 
 def farthest(pattern: Pattern) -> int:

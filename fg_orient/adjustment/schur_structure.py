@@ -141,9 +141,7 @@ class Structure:
     @property
     def pattern(self) -> Pattern:
         """Blocks of the reduced system."""
-        rays = np.diff(self.first).astype(np.int64)
-        pairs = int((rays * (rays + 1) // 2).sum())
-        return Pattern(self.size, self.block_row, self.block_column, pairs=pairs)
+        return Pattern(self.size, self.block_row, self.block_column)
 
     @cached_property
     def observed(self) -> Index:

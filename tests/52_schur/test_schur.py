@@ -500,7 +500,7 @@ def test_a_wide_network_is_chosen_to_be_solved_without_its_matrix(monkeypatch: p
     assert set(zip(*map(np.ndarray.tolist, pattern.blocks), strict=True)) == set(
         zip(*map(np.ndarray.tolist, formed.blocks), strict=True)
     )
-    assert (pattern.rays, pattern.pairs) == (len(problem.observations), formed.pairs)
+    assert (pattern.rays, formed.rays) == (len(problem.observations), 0)
 
 
 def pattern_with_blocks(problem: Problem) -> Pattern:

@@ -50,7 +50,14 @@ class FrameTruth:
 
 
 def pinhole_block(
-    n_images: int, n_points: int, views: int = 4, seed: int = 0, *, noise_px: float = NOISE_PX, mixed: bool = False
+    n_images: int,
+    n_points: int,
+    views: int = 4,
+    seed: int = 0,
+    *,
+    noise_px: float = NOISE_PX,
+    mixed: bool = False,
+    columns: int | None = None,
 ) -> tuple[Block, FrameTruth]:
     """A block of ``n_images`` pinhole images and ``n_points`` tie points with start values, and its truth.
 
@@ -64,6 +71,8 @@ def pinhole_block(
         Sigma of the noise of line and sample; observations have the sigma :data:`NOISE_PX`.
     mixed : bool
         All images overlap, and those that see a point are drawn at random: the reduced normal matrix is full.
+    columns : int, optional
+        Cameras in a row; by default as many as there are rows.
 
     Raises
     ------
@@ -74,7 +83,8 @@ def pinhole_block(
     require(2 <= views <= n_images, "views", views, "two views or more, and no more than images")
     require(n_points >= 1, "n_points", n_points, "a point or more")
     rng = np.random.default_rng(seed)
-    centre, cameras = _cameras(n_images, rng, SPACING_M / (math.sqrt(n_images) if mixed else 1.0))
+    columns = columns or math.ceil(math.sqrt(n_images))
+    centre, cameras = _cameras(n_images, columns, rng, SPACING_M / (math.sqrt(n_images) if mixed else 1.0))
     ground = _points(centre, n_points, rng)
     if mixed:
         seen = _drawn(n_points, n_images, views, rng)
@@ -99,9 +109,8 @@ def _drawn(n: int, images: int, views: int, rng: np.random.Generator) -> npt.NDA
     return out
 
 
-def _cameras(n: int, rng: np.random.Generator, spacing_m: float) -> tuple[Array, list[FrameCamera]]:
-    """True cameras row by row on a nearly square grid, looking down, turned at random about the vertical."""
-    columns = math.ceil(math.sqrt(n))
+def _cameras(n: int, columns: int, rng: np.random.Generator, spacing_m: float) -> tuple[Array, list[FrameCamera]]:
+    """True cameras row by row, looking down, turned at random about the vertical."""
     k = np.arange(n)
     plane = spacing_m * np.stack([k % columns, k // columns], axis=1) + rng.uniform(-4.0, 4.0, (n, 2))
     centre = np.column_stack([plane, HEIGHT_M + rng.uniform(-5.0, 5.0, n)])
