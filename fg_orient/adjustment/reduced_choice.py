@@ -31,9 +31,9 @@ GTSAM_IMAGE: Final = 1e6
 #: Time of LAPACK's banded factorisation over that of the full one for the same operations (measured: 432 to 2700
 #: unknowns).
 BANDED: Final = 1.4
-#: Steps of conjugate gradients that are expected for each link on the way from one image to the farthest one, and
-#: LAPACK's operations in the time in which a byte is read.
-STEPS: Final = 40
+#: Steps of conjugate gradients that are expected for each link on the way from one image to the farthest one (measured:
+#: 2 to 10 in each of the first iterations), and LAPACK's operations in the time in which a byte is read.
+STEPS: Final = 15
 PER_BYTE: Final = 4.5
 #: Bytes of the rows of an image point, which each step reads where the blocks are not formed; LAPACK's operations in
 #: the time in which a block is formed (measured: 2.5 us where images are paired at random).
@@ -42,7 +42,7 @@ PER_BLOCK: Final = 1e5
 #: Factor methods are preferred up to this ratio of work: they give the covariance.
 PREFERRED: Final = 2.0
 #: Unknowns from which on conjugate gradients may be chosen: their steps depend on the condition, a factor does not.
-ITERATIVE: Final = 4000
+ITERATIVE: Final = 3000
 #: Image unknowns from which on the Schur backend replaces the graph by default, if it is so many times faster.
 WIDE: Final = 1500
 FASTER: Final = 3.0
