@@ -8,12 +8,11 @@ all sums, and therefore every bit of the results, is independent of the number o
 from __future__ import annotations
 
 import contextlib
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -23,17 +22,14 @@ from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State, no_point_is_named
 from fg_orient.adjustment.reduced_choice import ITERATIVE, Choice, choice_of
 from fg_orient.adjustment.robust import Weighing, together, two_ray_rows
-from fg_orient.adjustment.runtime import Index, Workers
+from fg_orient.adjustment.runtime import Index, Workers, threads_for
 from fg_orient.adjustment.schur_product import ImplicitProduct
 from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
 from fg_orient.adjustment.schur_stages import Buffers, ImageExtras, Stages, TileRows, half_extras
-from fg_orient.adjustment.schur_structure import SERIAL_LIMIT, Grouping, Structure, Tile, compile_structure
+from fg_orient.adjustment.schur_structure import Grouping, Structure, Tile, compile_structure
 from fg_orient.kernels.batch_pairs import gather_blocks, gather_gradients, image_gradients
 from fg_orient.kernels.batch_points import control_squares, move, product, scale_rows
 from fg_orient.model.errors import InputError
-
-#: More threads bring no gain: memory bandwidth is the limit.
-MAX_THREADS: Final = 2
 
 
 @dataclass(frozen=True)
@@ -334,7 +330,7 @@ class SchurBackend:
     ----------
     problem : Problem
     threads : int, optional
-        Threads of the kernels; by default two where the machine has them, one below 2000 image points.
+        Threads of the kernels; by default by the number of image points, see ``runtime.threads_for``.
     reduced : str
         "dense", "banded": Cholesky factor of the reduced matrix or of its band; "graph": GTSAM on its blocks;
         "iterative", "implicit": conjugate gradients on its blocks, or on the rows without blocks. "auto": by predicted
@@ -366,9 +362,7 @@ class SchurBackend:
         #: Whether the reduced matrix is never formed.
         self.implicit = kind == "implicit" and alone
         self.structure = compile_structure(problem, grouping, diagonal=self.implicit)
-        available = min(MAX_THREADS, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else MAX_THREADS)
-        automatic = available if len(problem.observations) >= SERIAL_LIMIT else 1
-        self.workers = Workers(automatic if threads is None else threads)
+        self.workers = Workers(threads_for(len(problem.observations)) if threads is None else threads)
         self.prior = 1.0 if problem.block.options.priors else 0.0
         self.stages = Stages(problem, self.structure)
         self.buffers = Buffers(self.structure, problem.control_records)
@@ -379,7 +373,7 @@ class SchurBackend:
     def reduced(self) -> ReducedSystems:
         """Reduced systems of the images."""
         at = self.structure.pattern, self.problem.first, self._kind, self.problem.ties
-        return ReducedSystems(*at, self._choice)
+        return ReducedSystems(*at, self._choice, self.workers.threads)
 
     def initial(self) -> State:
         """Start values."""

@@ -8,6 +8,7 @@ that share points; its ordering is computed once.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
@@ -15,6 +16,7 @@ from scipy.linalg import eigvalsh_tridiagonal, lapack
 
 from factors.arrays import Array, Index
 from fg_orient.adjustment.reduced_choice import LARGEST_FULL, Choice, Order, Pattern, choose, narrowest
+from fg_orient.adjustment.runtime import blas_threads
 from fg_orient.kernels.batch_matrix import add_shared, fill_lower, times_blocks
 
 if TYPE_CHECKING:
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 #: Limit of the condition number of the reduced system, scaled to a unit diagonal. Above it there is no covariance: the
 #: relative rounding error of a cofactor, a few eps cond, exceeds 1e-3.
 CONDITION_LIMIT: Final = 1e13
+#: Unknowns from which on BLAS may take more threads than one: below the bits do not depend on their number.
+THREADED: Final = 3000
 #: Columns of a band that are solved for a covariance; of more the whole inverse is formed.
 COLUMNS: Final = 1000
 REDUCED: Final = ("auto", "blocks", "dense", "banded", "graph", "iterative", "implicit")
@@ -74,6 +78,8 @@ class LapackReduced:
         Unknowns shared by images: the matrix is ``T^T S T`` of the free unknowns, full.
     added : (z, z) array, optional
         Added to the matrix, which is then full.
+    threads : int
+        Threads of BLAS, from :data:`THREADED` unknowns on: the order of its sums depends on them.
 
     Raises
     ------
@@ -83,10 +89,11 @@ class LapackReduced:
 
     def __init__(
         self, pattern: Pattern, first: Index, blocks: Array, diagonal: float, order: Order | None = None,
-        ties: Ties | None = None, added: Array | None = None,
+        ties: Ties | None = None, added: Array | None = None, threads: int = 1,
     ) -> None:  # fmt: skip
         self._first, self._ties, self._banded = first, ties, order is not None
         n = int(first[-1]) if ties is None else len(ties)
+        self._threads = threads if n >= THREADED else 1
         self._order = order or Order(first[:-1].astype(np.int64), np.arange(n), n - 1)
         # scaled to a unit diagonal: the limit for pivots does not depend on the units
         if ties is None and added is None:
@@ -107,10 +114,11 @@ class LapackReduced:
             raise Singular("an unknown of an image is in no observation")
         self._norm = float(sums.max())
         self._factor: Any
-        if self._banded:
-            self._factor, info = lapack.dpbtrf(s.T, lower=1, overwrite_ab=1)
-        else:
-            self._factor, info = lapack.dpotrf(s.T, lower=1, clean=0, overwrite_a=1)
+        with self._blas():
+            if self._banded:
+                self._factor, info = lapack.dpbtrf(s.T, lower=1, overwrite_ab=1)
+            else:
+                self._factor, info = lapack.dpotrf(s.T, lower=1, clean=0, overwrite_a=1)
         if info != 0:
             raise Singular("the reduced camera system is not positive definite")
         self._inverse: Array | None = None
@@ -121,6 +129,9 @@ class LapackReduced:
         out = np.empty(len(self._scale))
         out[self._order.unknowns] = self._solved(-gradient[self._order.unknowns] * self._scale) * self._scale
         return out
+
+    def _blas(self) -> AbstractContextManager[None]:
+        return blas_threads(self._threads) if self._threads > 1 else nullcontext()
 
     def _solved(self, right: Array) -> Array:
         """Solve the scaled system, in its order, for one or more right sides."""
@@ -154,7 +165,8 @@ class LapackReduced:
             factor = np.zeros((n, n), order="F")
             for c in range(n):
                 factor[c : c + band + 1, c] = self._factor[: min(band + 1, n - c), c]
-        half = np.tril(lapack.dpotri(factor, lower=1)[0])
+        with self._blas():
+            half = np.tril(lapack.dpotri(factor, lower=1)[0])
         out: Array = np.empty_like(half)
         out[np.ix_(unknowns, unknowns)] = (half + np.tril(half, -1).T) * np.outer(self._scale, self._scale)
         return out
@@ -394,13 +406,16 @@ class ReducedSystems:
         Unknowns shared by images; the matrix is then full.
     choice : Choice, optional
         Method, chosen before.
+    threads : int
+        See :class:`LapackReduced`.
     """
 
     def __init__(
         self, pattern: Pattern, first: Index, kind: str = "blocks", ties: Ties | None = None,
-        choice: Choice | None = None,
+        choice: Choice | None = None, threads: int = 1,
     ) -> None:  # fmt: skip
         self.pattern, self._first, self._ties, self._ordering = pattern, first, ties, None
+        self._threads = threads
         #: Prediction of the chosen method; None where the kind was given.
         self.choice = choice
         if ties is not None:
@@ -420,11 +435,10 @@ class ReducedSystems:
 
         ``chi2`` and ``implicit``: see :class:`IterativeReduced`.
         """
-        if self._ties is not None or added is not None:
-            return LapackReduced(self.pattern, self._first, blocks, diagonal, ties=self._ties, added=added)
-        if self._ordering is not None:
+        plain = self._ties is None and added is None
+        if plain and self._ordering is not None:
             return GraphReduced(self.pattern, self._first, blocks, diagonal, self._ordering)
-        if self.kind in ("iterative", "implicit"):
+        if plain and self.kind in ("iterative", "implicit"):
             return IterativeReduced(self.pattern, self._first, blocks, diagonal, chi2, implicit)
-        order = self._order if self.kind == "banded" else None
-        return LapackReduced(self.pattern, self._first, blocks, diagonal, order)
+        order = self._order if plain and self.kind == "banded" else None
+        return LapackReduced(self.pattern, self._first, blocks, diagonal, order, self._ties, added, self._threads)

@@ -28,8 +28,6 @@ from fg_orient.kernels.batch_rows import Flags
 Index = npt.NDArray[np.int64]
 Small = npt.NDArray[np.int32]
 
-#: Number of image points below which one thread is used: a second thread costs 50 us at each stage (measured).
-SERIAL_LIMIT: Final = 2000
 #: Number of chunks, least and largest number of their image points. Each chunk has separate sums (a few blocks of 6
 #: kB); threads divide the chunks.
 CHUNKS: Final = 12

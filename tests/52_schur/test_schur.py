@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import itertools
+import os
 import weakref
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,7 +18,7 @@ from hypothesis import strategies as st
 import fg_orient as fg
 from factors._contract import NotFiniteError
 from factors.conditions.control import CONTROL_POINT
-from fg_orient.adjustment import reduced_choice, schur, schur_reduced, schur_structure
+from fg_orient.adjustment import reduced_choice, runtime, schur, schur_reduced, schur_structure
 from fg_orient.adjustment.cofactors import ReducedCofactors
 from fg_orient.adjustment.dense import DenseBackend, assemble
 from fg_orient.adjustment.explicit import ExplicitBackend
@@ -550,6 +551,34 @@ def test_sums_of_chunks_stay_small_where_neighbours_share_no_images() -> None:
     many = len(cut) * images * (images + 1) / 2 * numbers * 8
     assert 0.9 * many <= max(schur_structure.SUMS * len(image), schur_structure.LEAST_SUMS) or len(cut) <= 4
     assert len(cut) < len(image) // schur_structure.LEAST_CHUNK, "as many as a block of strips would have"
+
+
+@pytest.mark.behaviour
+def test_threads_are_those_that_pay_of_the_processors_of_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    for image_points, available, threads in (
+        (0, 8, 1), (1999, 8, 1), (2000, 8, 2), (2000, 1, 1), (11_999, 8, 3), (12_000, 8, 4), (12_000, 3, 3),
+        (1_000_000, 64, 32),
+    ):  # fmt: skip
+        monkeypatch.setattr(runtime, "processors", lambda n=available: n)
+        assert runtime.threads_for(image_points) == threads
+    monkeypatch.undo()
+    assert 1 <= runtime.processors() <= (os.cpu_count() or 1)
+
+
+@pytest.mark.consistency
+@pytest.mark.parametrize("reduced", ["dense", "banded"])
+def test_large_factors_agree_for_any_number_of_threads(reduced: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the limit for threads of BLAS below the size of the matrix: step and covariance of all images."""
+    monkeypatch.setattr(schur_reduced, "THREADED", 100)
+    problem, found = compile_problem(pinhole_block(30, 500)[0]), []
+    system = SchurBackend(problem, reduced="blocks").linearise(problem.start)
+    (blocks, gradient), pattern = system.partial(0.0), system.structure.pattern
+    for threads in (1, 2, 3):
+        one = schur_reduced.ReducedSystems(pattern, problem.first, reduced, threads=threads)(blocks, 1.0)
+        found.append((one.solve(gradient), one.covariance(tuple(range(problem.n_images)))))
+    for step, covariance in found[1:]:
+        assert np.abs(step - found[0][0]).max() < 1e-9
+        assert np.abs(covariance - found[0][1]).max() < 1e-9
 
 
 @pytest.mark.behaviour
