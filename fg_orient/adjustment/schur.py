@@ -1,7 +1,7 @@
 """The Schur backend: the problem as arrays, ground points eliminated by compiled kernels.
 
 It solves the same normal equations as the graph, without Python calls per observation: linearisation, 3 x 3 point
-blocks, reduced camera system, its solution (``fg_orient.adjustment.schur_reduced``), back-substitution. The order of
+blocks, reduced camera system, its solution (``fg_orient.adjustment.reduced_systems``), back-substitution. The order of
 all sums, and therefore every bit of the results, is independent of the number of threads.
 """
 
@@ -21,10 +21,11 @@ from factors.conditions.control import POINT
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State, no_point_is_named
 from fg_orient.adjustment.reduced_choice import ITERATIVE, Choice, choice_of
+from fg_orient.adjustment.reduced_systems import REDUCED, ReducedSystems
 from fg_orient.adjustment.robust import Weighing, together, two_ray_rows
 from fg_orient.adjustment.runtime import Index, Workers, threads_for
 from fg_orient.adjustment.schur_product import ImplicitProduct
-from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
+from fg_orient.adjustment.schur_reduced import Reduced, Singular
 from fg_orient.adjustment.schur_stages import Buffers, ImageExtras, Stages, TileRows, half_extras
 from fg_orient.adjustment.schur_structure import Grouping, Structure, Tile, compile_structure
 from fg_orient.kernels.batch_pairs import gather_blocks, gather_gradients, image_gradients

@@ -24,7 +24,7 @@ SHARES: Final = 16
 
 
 class ImplicitProduct:
-    """Reduced matrix of a linearisation under a damping; see ``schur_reduced.Implicit``."""
+    """Reduced matrix of a linearisation under a damping; see ``iterative_reduced.Implicit``."""
 
     def __init__(self, system: SchurSystem, damping: float) -> None:
         self._system, self._damping = system, damping
@@ -38,7 +38,7 @@ class ImplicitProduct:
         return np.searchsorted(first, np.linspace(0, first[-1], SHARES + 1)).astype(np.int64)
 
     def multiply(self, x: Array, out: Array) -> None:
-        """See ``schur_reduced.Implicit``."""
+        """See ``iterative_reduced.Implicit``."""
         s, b = self._system.structure, self._system.eliminated_buffers(self._damping)
         d_image, d_ground = b.kept
         self._system.backend.workers.run(
@@ -48,7 +48,7 @@ class ImplicitProduct:
         np.multiply(np.take_along_axis(self._sums.sum(axis=0), s.wide, axis=1), s.scale, out=out)
 
     def with_blocks(self) -> Reduced:
-        """See ``schur_reduced.Implicit``."""
+        """See ``iterative_reduced.Implicit``."""
         from fg_orient.adjustment.schur import SchurBackend
 
         backend = SchurBackend(self._system.backend.problem, reduced="dense")

@@ -1,8 +1,7 @@
-"""Solution of the reduced camera system: LAPACK's Cholesky factor, GTSAM on its blocks, or conjugate gradients.
+"""Reduced camera system with LAPACK's Cholesky factor.
 
 The blocks (B, k, k) of the upper triangle are in the order of ``Pattern.block_row``. The unknowns of image i are
-``first[i]`` to ``first[i + 1]``. GTSAM eliminates a graph of one HessianFactor per image and one per pair of images
-that share points; its ordering is computed once.
+``first[i]`` to ``first[i + 1]``.
 """
 
 from __future__ import annotations
@@ -12,16 +11,14 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
-from scipy.linalg import eigvalsh_tridiagonal, lapack
+from scipy.linalg import lapack
 
 from factors.arrays import Array, Index
-from fg_orient.adjustment.reduced_choice import LARGEST_FULL, Choice, Order, Pattern, choose, narrowest
+from fg_orient.adjustment.reduced_choice import Order, Pattern
 from fg_orient.adjustment.runtime import blas_threads
-from fg_orient.kernels.batch_matrix import add_shared, fill_lower, times_blocks
+from fg_orient.kernels.batch_matrix import add_shared, fill_lower
 
 if TYPE_CHECKING:
-    import gtsam
-
     from fg_orient.adjustment.ties import Ties
 
 #: Limit of the condition number of the reduced system, scaled to a unit diagonal. Above it there is no covariance: the
@@ -31,13 +28,6 @@ CONDITION_LIMIT: Final = 1e13
 THREADED: Final = 3000
 #: Columns of a band that are solved for a covariance; of more the whole inverse is formed.
 COLUMNS: Final = 1000
-REDUCED: Final = ("auto", "blocks", "dense", "banded", "graph", "iterative", "implicit")
-#: Least and largest error of a step of conjugate gradients, relative in the norm of the matrix; error in that norm that
-#: has no effect; most steps.
-LEAST_ERROR: Final = 1e-10
-LARGEST_ERROR: Final = 6e-3
-NO_EFFECT: Final = 1e-10
-MOST_STEPS: Final = 2000
 
 
 class Singular(RuntimeError):
@@ -200,245 +190,3 @@ def inverse_norm(solve: Callable[[Array], Array], n: int) -> float:
         x = np.zeros(n)
         x[j] = 1.0
     return estimate
-
-
-class GraphReduced:
-    """A GTSAM graph over the images; parameters as for :class:`LapackReduced`, and the elimination order."""
-
-    def __init__(
-        self, pattern: Pattern, first: Index, blocks: Array, diagonal: float, ordering: gtsam.Ordering
-    ) -> None:
-        import gtsam
-
-        self._first, self._ordering = first, ordering
-        self._off, self._own = gtsam.GaussianFactorGraph(), []
-        size = pattern.size.tolist()
-        own = [diagonal * np.eye(k) for k in size]
-        for b, (i, j) in enumerate(zip(pattern.block_row.tolist(), pattern.block_column.tolist(), strict=True)):
-            block = blocks[b, : size[i], : size[j]]
-            if i == j:
-                own[i] += block
-                continue
-            n, m = size[i], size[j]
-            self._off.add(gtsam.HessianFactor(
-                i, j, np.zeros((n, n)), block, np.zeros(n), np.zeros((m, m)), np.zeros(m), 0.0
-            ))  # fmt: skip
-        self._own = own
-        self._marginals: gtsam.Marginals | None = None
-
-    def _graph(self, gradient: Array) -> gtsam.GaussianFactorGraph:
-        import gtsam
-
-        graph = gtsam.GaussianFactorGraph()
-        for i, block in enumerate(self._own):
-            graph.add(gtsam.HessianFactor(i, block, -gradient[self._first[i] : self._first[i + 1]], 0.0))
-        graph.push_back(self._off)
-        return graph
-
-    def solve(self, gradient: Array) -> Array:
-        """See :class:`Reduced`."""
-        return np.asarray(self._graph(gradient).optimize(self._ordering).vector())
-
-    def covariance(self, images: tuple[int, ...]) -> Array:
-        """See :class:`Reduced`."""
-        import gtsam
-
-        if self._marginals is None:
-            zero = gtsam.VectorValues()
-            for i, block in enumerate(self._own):
-                zero.insert(i, np.zeros(len(block)))
-            self._marginals = gtsam.Marginals(self._graph(np.zeros(int(self._first[-1]))), zero)
-        if len(images) == 1:
-            return np.asarray(self._marginals.marginalCovariance(images[0]))
-        joint = self._marginals.jointMarginalCovariance(list(images))
-        return np.block([[np.asarray(joint.at(a, b)) for b in images] for a in images])
-
-
-class Implicit(Protocol):
-    """A reduced matrix without its blocks."""
-
-    def multiply(self, x: Array, out: Array) -> None:
-        """Write the product with unknowns (M, k), without priors and damping; shorter rows end with zeros."""
-        ...
-
-    def with_blocks(self) -> Reduced:
-        """The same system with a full factor."""
-        ...
-
-
-class IterativeReduced:
-    """Preconditioned conjugate gradients, where a factor of the matrix would take too long.
-
-    The preconditioner is the diagonal blocks (block Jacobi; Hestenes & Stiefel 1952, Agarwal et al. 2010). A step is
-    solved as exactly as it is worth (inexact Newton method, Dembo, Eisenstat & Steihaug 1982): its error in chi2 is to
-    the decrease of chi2 as that decrease is to chi2, as the errors of linearisation are.
-
-    Parameters
-    ----------
-    pattern : Pattern
-    first : (M + 1,) int array
-    blocks : (B, k, k) array
-        The diagonal blocks suffice if ``implicit`` is given.
-    diagonal : float
-        Added to the diagonal: priors and damping.
-    chi2 : float
-        Where the system was linearised; 0: :data:`LEAST_ERROR` for all solutions.
-    implicit : Implicit, optional
-        Products with the matrix from the rows; else from the blocks.
-
-    Raises
-    ------
-    Singular
-        A diagonal block is not positive definite.
-    """
-
-    def __init__(
-        self, pattern: Pattern, first: Index, blocks: Array, diagonal: float, chi2: float = 0.0,
-        implicit: Implicit | None = None,
-    ) -> None:  # fmt: skip
-        # a copy: the next linearisation overwrites the blocks before a covariance is wanted
-        self._pattern, self._first, self._blocks, self._shift = pattern, first, blocks.copy(), diagonal
-        self._k, self._chi2, self._implicit = blocks.shape[1], chi2, implicit
-        self._dense: Reduced | None = None
-        self._used = np.arange(self._k) < pattern.size[:, None]
-        own = pattern.block_row == pattern.block_column
-        self._diagonal = np.where(self._used, diagonal, 1.0)  # shorter blocks end with a unit matrix
-        diagonals = blocks[own] + self._diagonal[pattern.block_row[own], :, None] * np.eye(self._k)
-        try:
-            factors = np.linalg.cholesky(diagonals)
-        except np.linalg.LinAlgError:
-            raise Singular("an unknown of an image is in no observation") from None
-        half = np.linalg.inv(factors)
-        self._inverse = np.empty_like(diagonals)
-        self._inverse[pattern.block_row[own]] = np.swapaxes(half, 1, 2) @ half
-
-    def solve(self, gradient: Array) -> Array:
-        """See :class:`Reduced`.
-
-        The square of the error in the norm of the matrix, which is the error in chi2, is at most that of the residual
-        in the preconditioned norm over the least eigenvalue, which the coefficients give (Lanczos 1950).
-
-        RuntimeError: more than :data:`MOST_STEPS` steps.
-        """
-        right = np.zeros(self._used.shape)
-        right[self._used] = -gradient
-        x, residual, product = np.zeros_like(right), right, np.empty_like(right)
-        scaled = self._preconditioned(residual)
-        direction, size = scaled, float(np.vdot(residual, scaled))
-        decrease, lengths, turns = 0.0, list[float](), list[float]()
-        for _ in range(MOST_STEPS):
-            share = min(decrease / self._chi2, LARGEST_ERROR**2) if self._chi2 > 0.0 else 0.0
-            enough = max(share * decrease, LEAST_ERROR**2 * decrease, NO_EFFECT**2)
-            if size <= enough and size <= enough * _least_eigenvalue(lengths, turns):
-                return np.asarray(x[self._used])
-            self._multiply(direction, product)
-            product += self._diagonal * direction
-            curvature = float(np.vdot(direction, product))
-            if not curvature > 0.0:
-                raise Singular("the reduced camera system is not positive definite")
-            length = size / curvature
-            decrease += length * size
-            x, residual = x + length * direction, residual - length * product
-            scaled = self._preconditioned(residual)
-            size, before = float(np.vdot(residual, scaled)), size
-            direction = scaled + size / before * direction
-            lengths.append(length)
-            turns.append(size / before)
-        raise Singular(f"conjugate gradients of the reduced system do not converge in {MOST_STEPS} steps")
-
-    def _multiply(self, x: Array, out: Array) -> None:
-        """Write the product with the matrix without priors and damping."""
-        if self._implicit is None:
-            times_blocks(self._pattern.block_row, self._pattern.block_column, self._blocks, x, out)
-        else:
-            self._implicit.multiply(x, out)
-
-    def _preconditioned(self, x: Array) -> Array:
-        return np.asarray(np.einsum("nij,nj->ni", self._inverse, x))
-
-    def covariance(self, images: tuple[int, ...]) -> Array:
-        """See :class:`Reduced`; from a full factor, which is formed now, where it fits into the memory."""
-        if self._dense is None:
-            unknowns = int(self._first[-1])
-            if unknowns > LARGEST_FULL:
-                raise Singular(f"the covariance of {unknowns} image unknowns would take {8e-9 * unknowns**2:.0f} GB")
-            self._dense = (
-                LapackReduced(self._pattern, self._first, self._blocks, self._shift)
-                if self._implicit is None else self._implicit.with_blocks()
-            )  # fmt: skip
-        return self._dense.covariance(images)
-
-
-def _least_eigenvalue(lengths: list[float], turns: list[float]) -> float:
-    """Least eigenvalue of the preconditioned matrix, from the coefficients of conjugate gradients, 1 at most."""
-    if not lengths:
-        return 1.0
-    length, turn = np.array(lengths), np.array(turns)[:-1]
-    diagonal = 1.0 / length
-    diagonal[1:] += turn / length[:-1]
-    least = eigvalsh_tridiagonal(diagonal, np.sqrt(turn) / length[:-1], select="i", select_range=(0, 0))[0]
-    return min(float(least), 1.0)
-
-
-def elimination_order(pattern: Pattern) -> gtsam.Ordering:
-    """COLAMD order of the images by the pattern of the blocks."""
-    import gtsam
-
-    graph, one = gtsam.GaussianFactorGraph(), np.eye(1)
-    for i in range(len(pattern.size)):
-        graph.add(gtsam.HessianFactor(i, one, np.zeros(1), 0.0))
-    for i, j in zip(pattern.block_row.tolist(), pattern.block_column.tolist(), strict=True):
-        if i != j:
-            graph.add(gtsam.HessianFactor(i, j, one, one, np.zeros(1), one, np.zeros(1), 0.0))
-    return gtsam.Ordering.ColamdGaussianFactorGraph(graph)
-
-
-class ReducedSystems:
-    """Reduced systems of one pattern, with the method of solution for it.
-
-    Parameters
-    ----------
-    pattern : Pattern
-    first : (M + 1,) int array
-    kind : str
-        See :class:`fg_orient.adjustment.schur.SchurBackend`.
-    ties : Ties, optional
-        Unknowns shared by images; the matrix is then full.
-    choice : Choice, optional
-        Method, chosen before.
-    threads : int
-        See :class:`LapackReduced`.
-    """
-
-    def __init__(
-        self, pattern: Pattern, first: Index, kind: str = "blocks", ties: Ties | None = None,
-        choice: Choice | None = None, threads: int = 1,
-    ) -> None:  # fmt: skip
-        self.pattern, self._first, self._ties, self._ordering = pattern, first, ties, None
-        self._threads = threads
-        #: Prediction of the chosen method; None where the kind was given.
-        self.choice = choice
-        if ties is not None:
-            self.kind = "dense"
-            return
-        self._order = narrowest(pattern, first)
-        if choice is None and kind in ("auto", "blocks"):
-            self.choice = choose(pattern, self._order.band)
-        self.kind = kind if self.choice is None else self.choice.kind
-        self._ordering = elimination_order(pattern) if self.kind == "graph" else None
-
-    def __call__(
-        self, blocks: Array, diagonal: float, added: Array | None = None, chi2: float = 0.0,
-        implicit: Implicit | None = None,
-    ) -> Reduced:  # fmt: skip
-        """System of these blocks (B, k, k) with ``diagonal`` and a matrix (z, z) added; Singular if not definite.
-
-        ``chi2`` and ``implicit``: see :class:`IterativeReduced`.
-        """
-        plain = self._ties is None and added is None
-        if plain and self._ordering is not None:
-            return GraphReduced(self.pattern, self._first, blocks, diagonal, self._ordering)
-        if plain and self.kind in ("iterative", "implicit"):
-            return IterativeReduced(self.pattern, self._first, blocks, diagonal, chi2, implicit)
-        order = self._order if plain and self.kind == "banded" else None
-        return LapackReduced(self.pattern, self._first, blocks, diagonal, order, self._ties, added, self._threads)

@@ -18,7 +18,15 @@ from hypothesis import strategies as st
 import fg_orient as fg
 from factors._contract import NotFiniteError
 from factors.conditions.control import CONTROL_POINT
-from fg_orient.adjustment import reduced_choice, runtime, schur, schur_reduced, schur_structure
+from fg_orient.adjustment import (
+    iterative_reduced,
+    reduced_choice,
+    reduced_systems,
+    runtime,
+    schur,
+    schur_reduced,
+    schur_structure,
+)
 from fg_orient.adjustment.cofactors import ReducedCofactors
 from fg_orient.adjustment.dense import DenseBackend, assemble
 from fg_orient.adjustment.explicit import ExplicitBackend
@@ -440,19 +448,19 @@ def test_conjugate_gradients_step_as_a_factor_does() -> None:
         (blocks, gradient), pattern = system.partial(damping), system.structure.pattern
         matrix = schur_reduced.full_matrix(pattern, first, blocks, None) + (1.0 + damping) * np.eye(first[-1])
         exact = -np.linalg.solve(matrix, gradient)
-        found = schur_reduced.IterativeReduced(pattern, first, blocks, 1.0 + damping).solve(gradient)
+        found = iterative_reduced.IterativeReduced(pattern, first, blocks, 1.0 + damping).solve(gradient)
         assert np.abs(found - exact).max() < 1e-7 * np.abs(exact).max()
         for kind in ("iterative", "implicit"):
             step = SchurBackend(problem, reduced=kind).linearise(state).solve(damping)
             error = step.image - exact
-            assert 0.0 < error @ matrix @ error < schur_reduced.LARGEST_ERROR**2 * (exact @ matrix @ exact)
+            assert 0.0 < error @ matrix @ error < iterative_reduced.LARGEST_ERROR**2 * (exact @ matrix @ exact)
     ends = [OPTIMIZERS["gauss-newton"](SchurBackend(problem, reduced=kind), state, 50, tolerance=TOLERANCE)
             for kind in ("dense", "iterative", "implicit")]  # fmt: skip
     for end in ends[1:]:
         assert np.abs(end.state.image - ends[0].state.image).max() < 1e-9
         assert end.error == pytest.approx(ends[0].error, rel=1e-12)
     with pytest.MonkeyPatch.context() as patch, pytest.raises(Singular, match="do not converge in 3 steps"):
-        patch.setattr(schur_reduced, "MOST_STEPS", 3)
+        patch.setattr(iterative_reduced, "MOST_STEPS", 3)
         SchurBackend(problem, reduced="iterative").linearise(state).solve(0.0)
 
 
@@ -526,7 +534,7 @@ def test_a_strip_of_images_has_a_narrow_band_in_any_order() -> None:
         full[first[i] : first[i + 1], first[j] : first[j + 1]] = root[b, : size[i], : size[j]]
         full[first[j] : first[j + 1], first[i] : first[i + 1]] = root[b, : size[i], : size[j]].T
     pattern = Pattern(size, row, column)
-    systems = schur_reduced.ReducedSystems(pattern, first)
+    systems = reduced_systems.ReducedSystems(pattern, first)
     assert systems.kind == "banded"
     assert reduced_choice.narrowest(pattern, first).band <= 23
     reduced, right = systems(root, 2.0), rng.normal(size=first[-1])
@@ -574,7 +582,7 @@ def test_large_factors_agree_for_any_number_of_threads(reduced: str, monkeypatch
     system = SchurBackend(problem, reduced="blocks").linearise(problem.start)
     (blocks, gradient), pattern = system.partial(0.0), system.structure.pattern
     for threads in (1, 2, 3):
-        one = schur_reduced.ReducedSystems(pattern, problem.first, reduced, threads=threads)(blocks, 1.0)
+        one = reduced_systems.ReducedSystems(pattern, problem.first, reduced, threads=threads)(blocks, 1.0)
         found.append((one.solve(gradient), one.covariance(tuple(range(problem.n_images)))))
     for step, covariance in found[1:]:
         assert np.abs(step - found[0][0]).max() < 1e-9
@@ -614,7 +622,7 @@ def test_auto_falls_back_on_the_graph(monkeypatch: pytest.MonkeyPatch) -> None:
         raise Singular("not positive definite")
 
     block = grid(2, 2, 60)
-    monkeypatch.setattr(schur_reduced, "LapackReduced", give_up)
+    monkeypatch.setattr(reduced_systems, "LapackReduced", give_up)
     estimate = solve(compile_problem(block))
     assert (estimate.backend, estimate.converged) == ("graph", True)
     with pytest.raises(fg.NoSolutionError) as caught:

@@ -22,8 +22,9 @@ from fg_orient.adjustment.parts.system import PartedState, PartedStep, PartedSys
 from fg_orient.adjustment.parts.tasks import At, Partial
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.reduced_choice import Pattern
+from fg_orient.adjustment.reduced_systems import ReducedSystems
 from fg_orient.adjustment.robust import Robust
-from fg_orient.adjustment.schur_reduced import Reduced, ReducedSystems
+from fg_orient.adjustment.schur_reduced import Reduced
 from fg_orient.adjustment.schur_stages import half_extras
 
 

@@ -1,0 +1,146 @@
+"""Reduced camera system solved by conjugate gradients, with products by its blocks or without them."""
+
+from __future__ import annotations
+
+from typing import Final, Protocol
+
+import numpy as np
+from scipy.linalg import eigvalsh_tridiagonal
+
+from factors.arrays import Array, Index
+from fg_orient.adjustment.reduced_choice import LARGEST_FULL, Pattern
+from fg_orient.adjustment.schur_reduced import LapackReduced, Reduced, Singular
+from fg_orient.kernels.batch_matrix import times_blocks
+
+#: Least and largest error of a step of conjugate gradients, relative in the norm of the matrix; error in that norm that
+#: has no effect; most steps.
+LEAST_ERROR: Final = 1e-10
+LARGEST_ERROR: Final = 6e-3
+NO_EFFECT: Final = 1e-10
+MOST_STEPS: Final = 2000
+
+
+class Implicit(Protocol):
+    """A reduced matrix without its blocks."""
+
+    def multiply(self, x: Array, out: Array) -> None:
+        """Write the product with unknowns (M, k), without priors and damping; shorter rows end with zeros."""
+        ...
+
+    def with_blocks(self) -> Reduced:
+        """The same system with a full factor."""
+        ...
+
+
+class IterativeReduced:
+    """Preconditioned conjugate gradients, where a factor of the matrix would take too long.
+
+    The preconditioner is the diagonal blocks (block Jacobi; Hestenes & Stiefel 1952, Agarwal et al. 2010). A step is
+    solved as exactly as it is worth (inexact Newton method, Dembo, Eisenstat & Steihaug 1982): its error in chi2 is to
+    the decrease of chi2 as that decrease is to chi2, as the errors of linearisation are.
+
+    Parameters
+    ----------
+    pattern : Pattern
+    first : (M + 1,) int array
+    blocks : (B, k, k) array
+        The diagonal blocks suffice if ``implicit`` is given.
+    diagonal : float
+        Added to the diagonal: priors and damping.
+    chi2 : float
+        Where the system was linearised; 0: :data:`LEAST_ERROR` for all solutions.
+    implicit : Implicit, optional
+        Products with the matrix from the rows; else from the blocks.
+
+    Raises
+    ------
+    Singular
+        A diagonal block is not positive definite.
+    """
+
+    def __init__(
+        self, pattern: Pattern, first: Index, blocks: Array, diagonal: float, chi2: float = 0.0,
+        implicit: Implicit | None = None,
+    ) -> None:  # fmt: skip
+        # a copy: the next linearisation overwrites the blocks before a covariance is wanted
+        self._pattern, self._first, self._blocks, self._shift = pattern, first, blocks.copy(), diagonal
+        self._k, self._chi2, self._implicit = blocks.shape[1], chi2, implicit
+        self._dense: Reduced | None = None
+        self._used = np.arange(self._k) < pattern.size[:, None]
+        own = pattern.block_row == pattern.block_column
+        self._diagonal = np.where(self._used, diagonal, 1.0)  # shorter blocks end with a unit matrix
+        diagonals = blocks[own] + self._diagonal[pattern.block_row[own], :, None] * np.eye(self._k)
+        try:
+            factors = np.linalg.cholesky(diagonals)
+        except np.linalg.LinAlgError:
+            raise Singular("an unknown of an image is in no observation") from None
+        half = np.linalg.inv(factors)
+        self._inverse = np.empty_like(diagonals)
+        self._inverse[pattern.block_row[own]] = np.swapaxes(half, 1, 2) @ half
+
+    def solve(self, gradient: Array) -> Array:
+        """See :class:`Reduced`.
+
+        The square of the error in the norm of the matrix, which is the error in chi2, is at most that of the residual
+        in the preconditioned norm over the least eigenvalue, which the coefficients give (Lanczos 1950).
+
+        RuntimeError: more than :data:`MOST_STEPS` steps.
+        """
+        right = np.zeros(self._used.shape)
+        right[self._used] = -gradient
+        x, residual, product = np.zeros_like(right), right, np.empty_like(right)
+        scaled = self._preconditioned(residual)
+        direction, size = scaled, float(np.vdot(residual, scaled))
+        decrease, lengths, turns = 0.0, list[float](), list[float]()
+        for _ in range(MOST_STEPS):
+            share = min(decrease / self._chi2, LARGEST_ERROR**2) if self._chi2 > 0.0 else 0.0
+            enough = max(share * decrease, LEAST_ERROR**2 * decrease, NO_EFFECT**2)
+            if size <= enough and size <= enough * _least_eigenvalue(lengths, turns):
+                return np.asarray(x[self._used])
+            self._multiply(direction, product)
+            product += self._diagonal * direction
+            curvature = float(np.vdot(direction, product))
+            if not curvature > 0.0:
+                raise Singular("the reduced camera system is not positive definite")
+            length = size / curvature
+            decrease += length * size
+            x, residual = x + length * direction, residual - length * product
+            scaled = self._preconditioned(residual)
+            size, before = float(np.vdot(residual, scaled)), size
+            direction = scaled + size / before * direction
+            lengths.append(length)
+            turns.append(size / before)
+        raise Singular(f"conjugate gradients of the reduced system do not converge in {MOST_STEPS} steps")
+
+    def _multiply(self, x: Array, out: Array) -> None:
+        """Write the product with the matrix without priors and damping."""
+        if self._implicit is None:
+            times_blocks(self._pattern.block_row, self._pattern.block_column, self._blocks, x, out)
+        else:
+            self._implicit.multiply(x, out)
+
+    def _preconditioned(self, x: Array) -> Array:
+        return np.asarray(np.einsum("nij,nj->ni", self._inverse, x))
+
+    def covariance(self, images: tuple[int, ...]) -> Array:
+        """See :class:`Reduced`; from a full factor, which is formed now, where it fits into the memory."""
+        if self._dense is None:
+            unknowns = int(self._first[-1])
+            if unknowns > LARGEST_FULL:
+                raise Singular(f"the covariance of {unknowns} image unknowns would take {8e-9 * unknowns**2:.0f} GB")
+            self._dense = (
+                LapackReduced(self._pattern, self._first, self._blocks, self._shift)
+                if self._implicit is None else self._implicit.with_blocks()
+            )  # fmt: skip
+        return self._dense.covariance(images)
+
+
+def _least_eigenvalue(lengths: list[float], turns: list[float]) -> float:
+    """Least eigenvalue of the preconditioned matrix, from the coefficients of conjugate gradients, 1 at most."""
+    if not lengths:
+        return 1.0
+    length, turn = np.array(lengths), np.array(turns)[:-1]
+    diagonal = 1.0 / length
+    diagonal[1:] += turn / length[:-1]
+    least = eigvalsh_tridiagonal(diagonal, np.sqrt(turn) / length[:-1], select="i", select_range=(0, 0))[0]
+    return min(float(least), 1.0)
