@@ -9,21 +9,15 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.arrays import Array, Index
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised, rows_by_image, summed
-from fg_orient.adjustment.unknown_cofactors import DenseUnknowns
 from fg_orient.kernels.batch_cofactors import image_effects, ray_cofactors
 from fg_orient.model.options import Options
-
-if TYPE_CHECKING:
-    from fg_orient.adjustment.schur import SchurSystem
-
 
 #: Image points whose Jacobians are in memory at once.
 CHUNK: Final = 8_000
@@ -31,11 +25,6 @@ CHUNK: Final = 8_000
 WHOLE_LIMIT: Final = 6000
 #: Image points up to which "auto" gives statistics of every observation.
 AUTO_LIMIT: Final = 2_000_000
-#: Number of joint blocks of images in memory.
-KNOWN: Final = 1000
-
-# images that see an unknown point, in ascending order, its H^-1 (3, 3) and K (3, u)
-Gain = tuple[tuple[int, ...], Array, Array]
 
 
 def full_statistics(options: Options, n_image_points: int, n_image_unknowns: int) -> bool:
@@ -315,131 +304,3 @@ def pairs_of_images(problem: Problem, order: Index) -> tuple[Index, Index]:
     block = np.full(together.shape, -1, np.int64)
     block[together] = np.arange(together.sum())
     return np.argwhere(together), block
-
-
-class ImageCofactors(Protocol):
-    """Source of the joint cofactors of images: a factorised reduced system, or GTSAM Marginals."""
-
-    def covariance(self, images: tuple[int, ...]) -> Array:
-        """Joint cofactors of images, prior sigmas."""
-        ...
-
-
-@dataclass(frozen=True)
-class SummedSystem:
-    """Linearisation at the solution of an adjustment in parts, or by the graph; priors included.
-
-    ``reduced(damping)`` factorises it and raises ``Singular`` if it is not positive definite.
-    """
-
-    state: State
-    reduced: Callable[[float], ImageCofactors]
-
-
-class ReducedCofactors:
-    """Joint cofactors from a reduced system; see ``fg_orient.quality.cofactors.Cofactors``.
-
-    Parameters
-    ----------
-    problem : Problem
-    system : SchurSystem or SummedSystem
-        The linearisation at the solution.
-
-    Raises
-    ------
-    RuntimeError
-        The normal equations are too close to singular.
-    """
-
-    def __init__(self, problem: Problem, system: SchurSystem | SummedSystem) -> None:
-        self._problem, self._state, self._reduced = problem, system.state, system.reduced(0.0)
-        self._known: dict[tuple[int, ...], Array] = {}
-        self._whole: Array | None = None
-        self._order = order_by_point(problem)
-        self._first = np.searchsorted(problem.observations.point[self._order], np.arange(len(problem.active) + 1))
-        self._of((0,))  # raises the error of an ill-conditioned system
-
-    def _of(self, images: tuple[int, ...]) -> Array:
-        """Joint cofactors of images in ascending order, which are kept."""
-        if self._whole is not None:
-            index = np.concatenate([np.arange(self._problem.first[k], self._problem.first[k + 1]) for k in images])
-            return np.asarray(self._whole[np.ix_(index, index)])
-        if len(images) == self._problem.n_images:
-            self._whole = self._reduced.covariance(images)
-            return self._whole
-        if images not in self._known:
-            if len(self._known) > KNOWN:
-                self._known.clear()
-            self._known[images] = self._reduced.covariance(images)
-        return self._known[images]
-
-    def image(self, k: int) -> Array:
-        """See ``Cofactors``."""
-        return self._of((k,))
-
-    def point(self, j: int) -> Array:
-        """See ``Cofactors``."""
-        if not self._problem.active[j]:
-            return np.zeros((3, 3))
-        images, inverse, gain = self._gain(j)
-        q = inverse + gain @ self._of(images) @ gain.T
-        return np.asarray(0.5 * (q + q.T))
-
-    def points(self, index: npt.NDArray[np.intp]) -> Array:
-        """See ``Cofactors``."""
-        return cofactors_of_points(self._problem, self._state, index, self.blocks)
-
-    def blocks(self, pairs: npt.NDArray[np.intp]) -> Array:
-        """See ``Cofactors``."""
-        return blocks_of_images(self._problem, self._of, pairs)
-
-    def unknowns(self, places: Index) -> DenseUnknowns:
-        """See ``Cofactors``."""
-        first = self._problem.first
-        images = np.unique(np.searchsorted(first, places, side="right") - 1).tolist()
-        mine = np.searchsorted(np.concatenate([np.arange(first[k], first[k + 1]) for k in images]), places)
-        return DenseUnknowns(self._of(tuple(images))[np.ix_(mine, mine)])
-
-    def star(self) -> None:
-        """See ``Cofactors``."""
-
-    def rays(self, problem: Problem, state: State) -> RayCofactors:
-        """See ``Cofactors``."""
-        return cofactors_of_rays(problem, state, self.blocks)
-
-    def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
-        """See ``Cofactors``."""
-        unknown = [j for j in points if self._problem.active[j]]
-        gains = [self._gain(j) for j in unknown]
-        needed = tuple(sorted({*images}.union(*(seen for seen, _, _ in gains))))
-        columns, q = self._columns(needed), self._of(needed)
-        at = np.concatenate([np.zeros(0, np.intp), *(columns[k] for k in images)])
-        n = len(at)
-        effect = np.zeros((n + 3 * len(gains), len(q)))
-        effect[np.arange(n), at] = 1.0
-        for a, (seen, _, gain) in enumerate(gains):
-            effect[n + 3 * a : n + 3 * a + 3, np.concatenate([columns[k] for k in seen])] = -gain
-        out = effect @ q @ effect.T
-        for a, (_, inverse, _) in enumerate(gains):
-            for b in np.flatnonzero(np.equal(unknown, unknown[a])):
-                out[n + 3 * a : n + 3 * a + 3, n + 3 * b : n + 3 * b + 3] += inverse
-        return np.asarray(0.5 * (out + out.T))
-
-    def _columns(self, images: tuple[int, ...]) -> dict[int, npt.NDArray[np.intp]]:
-        """Columns of images among the unknowns of these images."""
-        first = np.concatenate([[0], np.cumsum([len(self._problem.parameters[k]) for k in images])])
-        return {k: np.arange(first[n], first[n + 1]) for n, k in enumerate(images)}
-
-    def _gain(self, j: int) -> Gain:
-        """See :data:`Gain`."""
-        problem, rows = self._problem, self._order[self._first[j] : self._first[j + 1]]
-        normal, sums = np.zeros((3, 3)), dict[int, Array]()
-        if problem.observed[j]:
-            w = problem.control_weights(j)
-            normal += w.T @ w
-        _, d_image, d_ground = linearised(problem, self._state, rows)
-        for k, by_image, by_point in zip(problem.observations.image[rows].tolist(), d_image, d_ground, strict=True):
-            normal += by_point.T @ by_point
-            sums[k] = sums.get(k, 0.0) + by_point.T @ by_image[:, : len(problem.parameters[k])]
-        inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-        return tuple(sums), inverse, inverse @ np.hstack(list(sums.values()))

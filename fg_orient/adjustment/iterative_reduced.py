@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Final, Protocol
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.linalg import eigvalsh_tridiagonal
 
 from factors.arrays import Array, Index
 from fg_orient.adjustment.reduced_choice import LARGEST_FULL, Pattern
-from fg_orient.adjustment.schur_reduced import LapackReduced, Reduced, Singular
+from fg_orient.adjustment.schur_reduced import LapackInverse, Reduced, Singular
 from fg_orient.kernels.batch_matrix import times_blocks
 
 #: Least and largest error of a step of conjugate gradients, relative in the norm of the matrix; error in that norm that
@@ -51,6 +52,8 @@ class IterativeReduced:
         Where the system was linearised; 0: :data:`LEAST_ERROR` for all solutions.
     implicit : Implicit, optional
         Products with the matrix from the rows; else from the blocks.
+    threads : int
+        See :class:`fg_orient.adjustment.schur_reduced.LapackReduced`.
 
     Raises
     ------
@@ -60,12 +63,11 @@ class IterativeReduced:
 
     def __init__(
         self, pattern: Pattern, first: Index, blocks: Array, diagonal: float, chi2: float = 0.0,
-        implicit: Implicit | None = None,
+        implicit: Implicit | None = None, threads: int = 1,
     ) -> None:  # fmt: skip
-        # a copy: the next linearisation overwrites the blocks before a covariance is wanted
-        self._pattern, self._first, self._blocks, self._shift = pattern, first, blocks.copy(), diagonal
+        self._inverse = LapackInverse(pattern, first, blocks, diagonal, threads)
+        self._pattern, self._first, self._blocks = pattern, first, self._inverse.blocks
         self._k, self._chi2, self._implicit = blocks.shape[1], chi2, implicit
-        self._dense: Reduced | None = None
         self._used = np.arange(self._k) < pattern.size[:, None]
         own = pattern.block_row == pattern.block_column
         self._diagonal = np.where(self._used, diagonal, 1.0)  # shorter blocks end with a unit matrix
@@ -75,8 +77,8 @@ class IterativeReduced:
         except np.linalg.LinAlgError:
             raise Singular("an unknown of an image is in no observation") from None
         half = np.linalg.inv(factors)
-        self._inverse = np.empty_like(diagonals)
-        self._inverse[pattern.block_row[own]] = np.swapaxes(half, 1, 2) @ half
+        self._preconditioner = np.empty_like(diagonals)
+        self._preconditioner[pattern.block_row[own]] = np.swapaxes(half, 1, 2) @ half
 
     def solve(self, gradient: Array) -> Array:
         """See :class:`Reduced`.
@@ -120,19 +122,25 @@ class IterativeReduced:
             self._implicit.multiply(x, out)
 
     def _preconditioned(self, x: Array) -> Array:
-        return np.asarray(np.einsum("nij,nj->ni", self._inverse, x))
+        return np.asarray(np.einsum("nij,nj->ni", self._preconditioner, x))
+
+    @cached_property
+    def _factorised(self) -> Reduced:
+        """The same system with a factor, made at first use."""
+        return self._inverse.factor if self._implicit is None else self._implicit.with_blocks()
+
+    @property
+    def selects(self) -> bool:
+        """See :class:`Reduced`."""
+        return self._inverse.selects if self._implicit is None else int(self._first[-1]) <= LARGEST_FULL
 
     def covariance(self, images: tuple[int, ...]) -> Array:
-        """See :class:`Reduced`; from a full factor, which is formed now, where it fits into the memory."""
-        if self._dense is None:
-            unknowns = int(self._first[-1])
-            if unknowns > LARGEST_FULL:
-                raise Singular(f"the covariance of {unknowns} image unknowns would take {8e-9 * unknowns**2:.0f} GB")
-            self._dense = (
-                LapackReduced(self._pattern, self._first, self._blocks, self._shift)
-                if self._implicit is None else self._implicit.with_blocks()
-            )  # fmt: skip
-        return self._dense.covariance(images)
+        """See :class:`Reduced`; from a factor, where it fits into the memory."""
+        return self._factorised.covariance(images)
+
+    def selected(self, pairs: Index) -> Array:
+        """See :class:`Reduced`; from a factor."""
+        return self._factorised.selected(pairs)
 
 
 def _least_eigenvalue(lengths: list[float], turns: list[float]) -> float:

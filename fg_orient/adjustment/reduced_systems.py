@@ -13,7 +13,7 @@ import numpy as np
 from factors.arrays import Array, Index
 from fg_orient.adjustment.iterative_reduced import Implicit, IterativeReduced
 from fg_orient.adjustment.reduced_choice import Choice, Pattern, choose, narrowest
-from fg_orient.adjustment.schur_reduced import LapackReduced, Reduced
+from fg_orient.adjustment.schur_reduced import LapackInverse, LapackReduced, Reduced
 
 if TYPE_CHECKING:
     import gtsam
@@ -27,10 +27,11 @@ class GraphReduced:
     """A GTSAM graph over the images; parameters as for :class:`LapackReduced`, and the elimination order."""
 
     def __init__(
-        self, pattern: Pattern, first: Index, blocks: Array, diagonal: float, ordering: gtsam.Ordering
+        self, pattern: Pattern, first: Index, blocks: Array, diagonal: float, ordering: gtsam.Ordering, threads: int = 1
     ) -> None:
         import gtsam
 
+        self._inverse = LapackInverse(pattern, first, blocks, diagonal, threads)
         self._first, self._ordering = first, ordering
         self._off, self._own = gtsam.GaussianFactorGraph(), []
         size = pattern.size.tolist()
@@ -46,6 +47,15 @@ class GraphReduced:
             ))  # fmt: skip
         self._own = own
         self._marginals: gtsam.Marginals | None = None
+
+    @property
+    def selects(self) -> bool:
+        """See :class:`Reduced`."""
+        return self._inverse.selects
+
+    def selected(self, pairs: Index) -> Array:
+        """See :class:`Reduced`."""
+        return self._inverse.factor.selected(pairs)
 
     def _graph(self, gradient: Array) -> gtsam.GaussianFactorGraph:
         import gtsam
@@ -132,8 +142,8 @@ class ReducedSystems:
         """
         plain = self._ties is None and added is None
         if plain and self._ordering is not None:
-            return GraphReduced(self.pattern, self._first, blocks, diagonal, self._ordering)
+            return GraphReduced(self.pattern, self._first, blocks, diagonal, self._ordering, self._threads)
         if plain and self.kind in ("iterative", "implicit"):
-            return IterativeReduced(self.pattern, self._first, blocks, diagonal, chi2, implicit)
+            return IterativeReduced(self.pattern, self._first, blocks, diagonal, chi2, implicit, self._threads)
         order = self._order if plain and self.kind == "banded" else None
         return LapackReduced(self.pattern, self._first, blocks, diagonal, order, self._ties, added, self._threads)

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 from scipy.linalg import lapack
 
 from factors.arrays import Array, Index
-from fg_orient.adjustment.reduced_choice import Order, Pattern
+from fg_orient.adjustment.reduced_choice import LARGEST_FULL, Order, Pattern, narrowest
 from fg_orient.adjustment.runtime import blas_threads
+from fg_orient.adjustment.selected_inverse import band_inverse, mirror
 from fg_orient.kernels.batch_matrix import add_shared, fill_lower
 
 if TYPE_CHECKING:
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 CONDITION_LIMIT: Final = 1e13
 #: Unknowns from which on BLAS may take more threads than one: below the bits do not depend on their number.
 THREADED: Final = 3000
+#: Elements of the largest band of which blocks of the inverse are formed: 0.8 GB.
+LARGEST_BAND: Final = 100_000_000
 #: Columns of a band that are solved for a covariance; of more the whole inverse is formed.
 COLUMNS: Final = 1000
 
@@ -37,6 +41,11 @@ class Singular(RuntimeError):
 class Reduced(Protocol):
     """A reduced system ``S``."""
 
+    @property
+    def selects(self) -> bool:
+        """Whether :meth:`selected` is possible in time and memory."""
+        ...
+
     def solve(self, gradient: Array) -> Array:
         """Solve ``S x = -gradient``.
 
@@ -46,6 +55,13 @@ class Reduced(Protocol):
 
     def covariance(self, images: tuple[int, ...]) -> Array:
         """Joint block of the inverse of S for different images, in the given order.
+
+        RuntimeError: S is too close to singular.
+        """
+        ...
+
+    def selected(self, pairs: Index) -> Array:
+        """Blocks (P, k, k) of the inverse for pairs of images (P, 2) that have a block; shorter ones end with zeros.
 
         RuntimeError: S is too close to singular.
         """
@@ -133,8 +149,7 @@ class LapackReduced:
 
         The blocks refer to complete image vectors: shared unknowns occur in each.
         """
-        if not self.condition() < CONDITION_LIMIT:
-            raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
+        self._require_condition()
         index = np.concatenate([np.arange(self._first[k], self._first[k + 1]) for k in images])
         index = index if self._ties is None else self._ties.of[index]
         if self._banded and (len(images) < len(self._first) - 1 or len(index) > COLUMNS):
@@ -147,6 +162,33 @@ class LapackReduced:
             self._inverse = self._inverted()
         return np.asarray(self._inverse[np.ix_(index, index)])
 
+    def _require_condition(self) -> None:
+        if not self.condition() < CONDITION_LIMIT:
+            raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
+
+    @property
+    def selects(self) -> bool:
+        """See :class:`Reduced`."""
+        return self._ties is None
+
+    def selected(self, pairs: Index) -> Array:
+        """See :class:`Reduced`; from the band without the inverse."""
+        self._require_condition()
+        place, size = self._order.place, np.diff(self._first)
+        at = place[:, None] + np.minimum(np.arange(int(size.max())), size[:, None] - 1)
+        there = np.arange(at.shape[1]) < size[:, None]
+        i, j = pairs.T
+        if self._banded:
+            with self._blas():
+                out = band_inverse(self._factor, place, size, pairs)
+            out *= (self._scale[at] * there)[i][:, :, None] * (self._scale[at] * there)[j][:, None, :]
+            return out
+        if self._inverse is None:
+            self._inverse = self._inverted()
+        return np.asarray(self._inverse[at[i][:, :, None], at[j][:, None, :]] * (
+            there[i][:, :, None] & there[j][:, None, :]
+        ))  # fmt: skip
+
     def _inverted(self) -> Array:
         """Inverse of S, also from a band: solving for columns one by one takes three times as long."""
         factor, unknowns = self._factor, self._order.unknowns
@@ -156,9 +198,14 @@ class LapackReduced:
             for c in range(n):
                 factor[c : c + band + 1, c] = self._factor[: min(band + 1, n - c), c]
         with self._blas():
-            half = np.tril(lapack.dpotri(factor, lower=1)[0])
+            half = np.asarray(lapack.dpotri(factor, lower=1)[0]).T  # the upper triangle, row by row
+        half *= self._scale
+        half *= self._scale[:, None]
+        mirror(half)
+        if not self._banded:
+            return half
         out: Array = np.empty_like(half)
-        out[np.ix_(unknowns, unknowns)] = (half + np.tril(half, -1).T) * np.outer(self._scale, self._scale)
+        out[np.ix_(unknowns, unknowns)] = half
         return out
 
     def condition(self) -> float:
@@ -166,6 +213,42 @@ class LapackReduced:
         if self._condition is None:
             self._condition = self._norm * inverse_norm(self._solved, len(self._scale))
         return self._condition
+
+
+class LapackInverse:
+    """Source of the inverse of a system that another method solves: a factor by LAPACK, made at first use.
+
+    Parameters as for :class:`LapackReduced`.
+    """
+
+    def __init__(self, pattern: Pattern, first: Index, blocks: Array, diagonal: float, threads: int) -> None:
+        # a copy: the next linearisation overwrites the blocks before a covariance is wanted
+        self._at, self._threads = (pattern, first, blocks.copy(), diagonal), threads
+
+    @property
+    def blocks(self) -> Array:
+        """Copy of the blocks."""
+        return self._at[2]
+
+    @cached_property
+    def _order(self) -> Order | None:
+        """Narrowest order of the images; None if the matrix is better full."""
+        order = narrowest(*self._at[:2])
+        n = len(order.unknowns)
+        return order if (order.band + 1) * n <= LARGEST_BAND and order.band < n - 1 else None
+
+    @property
+    def selects(self) -> bool:
+        """See :class:`Reduced`."""
+        return self._order is not None or int(self._at[1][-1]) <= LARGEST_FULL
+
+    @cached_property
+    def factor(self) -> LapackReduced:
+        """The factor. Singular if the system is not positive definite, or too large."""
+        if not self.selects:
+            unknowns = int(self._at[1][-1])
+            raise Singular(f"the covariance of {unknowns} image unknowns would take {8e-9 * unknowns**2:.0f} GB")
+        return LapackReduced(*self._at, self._order, threads=self._threads)
 
 
 def full_matrix(pattern: Pattern, first: Index, blocks: Array, ties: Ties | None) -> Array:

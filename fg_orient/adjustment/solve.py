@@ -59,9 +59,9 @@ from fg_orient.model.options import Backend, Options
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.border_matrix import BorderMatrix
-    from fg_orient.adjustment.cofactors import SummedSystem
     from fg_orient.adjustment.dense import DenseSystem
     from fg_orient.adjustment.explicit import ExplicitSystem
+    from fg_orient.adjustment.reduced_cofactors import SummedSystem
     from fg_orient.adjustment.schur import SchurSystem
 
 S = TypeVar("S")

@@ -18,10 +18,15 @@ import numpy as np
 from factors.arrays import Array, Index
 from fg_orient.adjustment.border import Border, small_enough
 from fg_orient.adjustment.border_matrix import BorderMatrix
-from fg_orient.adjustment.cofactors import WHOLE_LIMIT, ReducedCofactors, SummedSystem, full_statistics
+from fg_orient.adjustment.cofactors import (
+    WHOLE_LIMIT,
+    blocks_of_images,
+    full_statistics,
+)
 from fg_orient.adjustment.constraints import has_constraints
 from fg_orient.adjustment.dense import DenseSystem
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.reduced_cofactors import ReducedCofactors, SummedSystem
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import Estimate
@@ -69,7 +74,8 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
 
 def gives_statistics(problem: Problem, cofactors: Cofactors) -> bool:
     """Whether a run gives statistics of every observation; without a matrix of all images their number is no limit."""
-    unknowns = problem.n_image_unknowns if cofactors.star() is None else 0
+    no_limit = cofactors.star() is not None or (isinstance(cofactors, ReducedCofactors) and cofactors.selects)
+    unknowns = 0 if no_limit else problem.n_image_unknowns
     return full_statistics(problem.block.options, len(problem.observations), unknowns)
 
 
@@ -138,6 +144,15 @@ class GraphCofactors(ReducedCofactors):
         if problem.first[-1] <= WHOLE_LIMIT:
             # GTSAM finds some systems indeterminate only in the joint elimination of all images, not in that of one
             self._of(tuple(range(problem.n_images)))
+
+    @property
+    def selects(self) -> bool:
+        """See :class:`ReducedCofactors`: each pair of images takes GTSAM an elimination."""
+        return False
+
+    def selected(self, pairs: Index) -> Array:
+        """See ``ImageCofactors``."""
+        return blocks_of_images(self._problem, self.covariance, pairs)
 
     def points(self, index: Index) -> Array:
         """See :class:`Cofactors`."""

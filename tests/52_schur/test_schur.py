@@ -27,13 +27,13 @@ from fg_orient.adjustment import (
     schur_reduced,
     schur_structure,
 )
-from fg_orient.adjustment.cofactors import ReducedCofactors
 from fg_orient.adjustment.dense import DenseBackend, assemble
 from fg_orient.adjustment.explicit import ExplicitBackend
 from fg_orient.adjustment.irls import find_loss
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.reduced_choice import Pattern
+from fg_orient.adjustment.reduced_cofactors import ReducedCofactors
 from fg_orient.adjustment.robust import scaled
 from fg_orient.adjustment.runtime import Workers
 from fg_orient.adjustment.schur import SchurBackend, SchurSystem
@@ -243,6 +243,29 @@ def test_cofactors_equal_the_dense_inverse(name: str, reduced: str) -> None:
     assert_block(found.joint((), some), [problem.point_slice(j) for j in some])
     for j in np.flatnonzero(~problem.active)[:1]:
         assert not found.point(int(j)).any()
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("reduced", ["dense", "banded", "graph", "iterative"])
+@pytest.mark.parametrize("strip", [False, True])
+def test_selected_blocks_equal_the_dense_inverse(strip: bool, reduced: str) -> None:
+    """All pairs of images that share points, against numpy's inverse; a strip of 30 images, and sizes that differ."""
+    block = pinhole_block(30, 300, columns=30)[0] if strip else with_options(mixed_size(), eop_set=15)
+    problem = compile_problem(block)
+    blocks, _ = SchurBackend(problem, reduced="blocks").linearise(problem.start).partial(0.0)
+    pattern, first = pattern_with_blocks(problem), problem.first
+    q = np.linalg.inv(schur_reduced.full_matrix(pattern, first, blocks, None) + np.eye(first[-1]))
+    scale = np.sqrt(np.diag(q))
+    system = reduced_systems.ReducedSystems(pattern, first, reduced)(blocks, 1.0)
+    rng = np.random.default_rng(0)
+    pairs = rng.permutation(np.column_stack(pattern.blocks))
+    found = system.selected(pairs)
+    assert system.selects
+    for (i, j), one in zip(pairs.tolist(), found, strict=True):
+        rows, columns = slice(first[i], first[i + 1]), slice(first[j], first[j + 1])
+        expected, n, m = q[rows, columns], pattern.size[i], pattern.size[j]
+        assert np.abs((one[:n, :m] - expected) / np.outer(scale[rows], scale[columns])).max() < 1e-9
+        assert not one[n:].any() and not one[:, m:].any()
 
 
 @pytest.fixture

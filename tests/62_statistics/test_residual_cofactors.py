@@ -14,6 +14,7 @@ from fg_orient.adjustment.robust import weighted_problem
 from fg_orient.model.block import Block
 from fg_orient.model.names import Role
 from fg_orient.orientation.solution import Solution
+from fg_orient.quality.covariance import gives_statistics
 from fg_orient.quality.observation_groups import GroupedResiduals, groups_of
 from fg_orient.quality.residuals import ResidualCofactors
 from tests.support.frame_above import with_frame_above
@@ -119,6 +120,17 @@ def test_shared_priors_and_their_variance_component(twin: Block) -> None:
     parts = GroupedResiduals(solution.residual_cofactors, groups).parts
     assert parts is not None
     assert parts.shared[place, place] == pytest.approx(float(np.sum(full[np.ix_(look, look)] ** 2)), abs=TOLERANCE)
+
+
+@pytest.mark.behaviour
+def test_more_images_than_one_matrix_holds_have_statistics_by_default(
+    grid: Block, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where blocks of the inverse come from a factor; GTSAM's marginals of each pair of images take too long."""
+    monkeypatch.setattr("fg_orient.adjustment.cofactors.WHOLE_LIMIT", 1)
+    for solution, given in ((fg.adjust(grid), True), (fg.adjust(grid, priors=False, eop_set=1), False)):
+        assert solution.cofactors is not None
+        assert gives_statistics(solution.problem, solution.cofactors) is given
 
 
 @pytest.mark.oracle

@@ -15,12 +15,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fg_orient.adjustment.cofactors import ReducedCofactors
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.explicit import ExplicitBackend
 from fg_orient.adjustment.parts.execution import Execution
 from fg_orient.adjustment.parts.solve import solve_in_parts
 from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.adjustment.reduced_cofactors import ReducedCofactors
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.quality.cofactors import Cofactors
 from fg_orient.quality.covariance import GraphCofactors, cofactors_of, dense_cofactors

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.adjustment.cofactors import SummedSystem
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.parts import tasks
 from fg_orient.adjustment.parts.tasks import Partial, Sums
 from fg_orient.adjustment.problem import State
+from fg_orient.adjustment.reduced_cofactors import SummedSystem
 from fg_orient.adjustment.schur_reduced import Reduced
 from fg_orient.adjustment.schur_stages import ImageExtras
 
