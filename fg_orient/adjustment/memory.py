@@ -15,10 +15,20 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Index
 from factors.cameras import pushbroom
 from fg_orient.adjustment.cofactors import CHUNK, WHOLE_LIMIT, full_statistics
 from fg_orient.adjustment.images_first import Sizes, each_of_one_image
+from fg_orient.adjustment.reduced_choice import (
+    ITERATIVE,
+    LARGEST_FULL,
+    ROW_BYTES,
+    choose,
+    narrowest,
+    pattern_of_rays,
+)
 from fg_orient.adjustment.rows import image_models
+from fg_orient.adjustment.schur_reduced import banded_order
 from fg_orient.adjustment.schur_stages import COPIED
 from fg_orient.adjustment.schur_structure import LEAST_CHUNKS
 from fg_orient.adjustment.solve import points_are_eliminated, suitable_backend
@@ -108,19 +118,48 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
         groups = MATRICES if n <= EXACT_RAYS else 0
         needed = FIXED + common + n * (IMAGES_FIRST + RESULTS + STATISTICS) + 8 * ARRAYS * u * border + groups
         return Need(backend, int(needed), allowed_bytes(options.memory_limit_gb))
-    working = _working(backend, block, n, u, max(sizes))
+    wide = _wide(block, np.array(sizes)) if backend != "dense" and u > ITERATIVE else None
+    working = _working(backend, block, n, u, max(sizes), wide)
     if backend == "schur" and elsewhere:
         working -= n * SCHUR
     elif backend != "dense" and n <= COPIED:  # small blocks have a second copy of their records
         working += n * records
-    after = n * RESULTS + (_statistics(len(block.images), n, max(sizes)) if full_statistics(options, n, u) else 0)
+    limited = 0 if wide is not None and wide.selects else u  # see ``quality.covariance.gives_statistics``
+    pairs = len(block.images) * (len(block.images) + 1) / 2 if wide is None else wide.blocks
+    after = n * RESULTS + (_statistics(pairs, n, max(sizes)) if full_statistics(options, n, limited) else 0)
     return Need(backend, int(FIXED + common + max(working, after)), allowed_bytes(options.memory_limit_gb))
 
 
-def _statistics(images: int, n: int, widest: int) -> float:
+@dataclass(frozen=True)
+class _Wide:
+    """Reduced system of many images: number of its blocks, bytes of a factor for its inverse (0: none is made).
+
+    ``implicit``: it is solved without its blocks. ``selects``: see ``schur_reduced.Reduced``.
+    """
+
+    blocks: int
+    inverse: float
+    implicit: bool
+    selects: bool
+
+
+def _wide(block: Block, size: Index) -> _Wide:
+    """Reduced system of a block from the pairs of images that share points."""
+    o, free = block.observations, ~block.points.known.fixed[block.observations.point]
+    pattern, first = pattern_of_rays(o.image[free], o.point[free], size), np.append(0, np.cumsum(size))
+    u, order = int(first[-1]), banded_order(pattern, first)
+    kind = choose(pattern, narrowest(pattern, first).band).kind
+    full = 8.0 * 2.0 * u**2 if u <= LARGEST_FULL else 0.0
+    implicit = kind == "implicit" and block.options.backend != "graph"
+    banded = order is not None and not implicit
+    inverse = 8.0 * 2.0 * u * (order.band + 1) if banded and order is not None else full
+    return _Wide(len(pattern.block_row), inverse, implicit, banded or bool(full))
+
+
+def _statistics(pairs: float, n: int, widest: int) -> float:
     """Cofactors and reliability of all image points; two arrays of the pairs of images."""
     groups = n * GROUPS if n <= EXACT_RAYS else 0
-    return n * STATISTICS + groups + min(n, CHUNK) * STATISTICS_CHUNK + 2 * 8 * widest**2 * images * (images + 1) / 2
+    return n * STATISTICS + groups + min(n, CHUNK) * STATISTICS_CHUNK + 2 * 8 * widest**2 * pairs
 
 
 def _images_first(block: Block, models: Sequence[ImageModel]) -> int | None:
@@ -143,15 +182,18 @@ def _named(block: Block) -> set[str]:
     return {name.removeprefix("point:") for name in names if name.startswith("point:")}
 
 
-def _working(backend: str, block: Block, n: int, u: int, widest: int) -> float:
+def _working(backend: str, block: Block, n: int, u: int, widest: int, wide: _Wide | None) -> float:
     """Memory of a backend for n image points and u image unknowns, ``widest`` of them of one image."""
     images, points = len(block.images), block.points
     named = len(_named(block))
     if backend == "graph" and not points_are_eliminated(block.options, not named, named < len(points.ids)):
         return n * EXPLICIT + 2 * 8 * u**2  # GTSAM; joint cofactors of the images
     if backend != "dense":  # rows, reduced matrix with factor and inverse, blocks of pairs of images and their sums
-        whole = 3 * 8 * u**2 if u <= WHOLE_LIMIT else 0
-        return n * SCHUR + whole + (2 + LEAST_CHUNKS) * 8 * widest**2 * images * (images + 1) / 2
+        whole = 3 * 8 * u**2 if u <= WHOLE_LIMIT else 0 if wide is None else wide.inverse
+        formed = (2 + LEAST_CHUNKS) * 8 * widest**2 * (images * (images + 1) / 2 if wide is None else wide.blocks)
+        if wide is not None and wide.implicit and not wide.selects:
+            return n * (SCHUR + ROW_BYTES)  # neither blocks nor a factor
+        return n * SCHUR + whole + formed
     fixed = int(points.known.fixed.sum())
     unknowns = u + 3 * (len(points.ids) - fixed)
     rows = 2 * n + 3 * (len(points.where(Role.CONTROL)) - fixed) + (u if block.options.priors else 0)

@@ -171,15 +171,19 @@ def is_wide(problem: Problem) -> bool:
 
 def pattern_of(problem: Problem) -> Pattern:
     """Images with common unknown points, from the image points alone."""
+    o, free = problem.observations, problem.active[problem.observations.point]
+    return pattern_of_rays(o.image[free], o.point[free], np.diff(problem.first))
+
+
+def pattern_of_rays(image: Index, point: Index, size: Index) -> Pattern:
+    """Images with common points; image and unknown point (n,) of the image points, number (M,) of unknowns."""
     from scipy.sparse import csr_array, eye_array
 
-    o, rays = problem.observations, problem.active[problem.observations.point]
-    image, point = o.image[rays], o.point[rays]
-    seen = csr_array((np.ones(len(image)), (image, point)), (problem.n_images, len(problem.active)))
-    one, other = (seen @ seen.T + eye_array(problem.n_images)).nonzero()
+    seen = csr_array((np.ones(len(image)), (image, point)), (len(size), int(point.max(initial=0)) + 1))
+    one, other = (seen @ seen.T + eye_array(len(size))).nonzero()
     upper = one <= other
-    size, row, column = (of.astype(np.int64) for of in (np.diff(problem.first), one[upper], other[upper]))
-    return Pattern(size, row, column, len(o))
+    row, column = one[upper].astype(np.int64), other[upper].astype(np.int64)
+    return Pattern(size.astype(np.int64), row, column, len(image))
 
 
 def farthest(pattern: Pattern) -> int:

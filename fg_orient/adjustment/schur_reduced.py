@@ -215,6 +215,12 @@ class LapackReduced:
         return self._condition
 
 
+def banded_order(pattern: Pattern, first: Index) -> Order | None:
+    """Narrowest order of the images for the inverse; None if the matrix has no band, or one that is too large."""
+    order, n = narrowest(pattern, first), int(first[-1])
+    return order if (order.band + 1) * n <= LARGEST_BAND and order.band < n - 1 else None
+
+
 class LapackInverse:
     """Source of the inverse of a system that another method solves: a factor by LAPACK, made at first use.
 
@@ -232,10 +238,8 @@ class LapackInverse:
 
     @cached_property
     def _order(self) -> Order | None:
-        """Narrowest order of the images; None if the matrix is better full."""
-        order = narrowest(*self._at[:2])
-        n = len(order.unknowns)
-        return order if (order.band + 1) * n <= LARGEST_BAND and order.band < n - 1 else None
+        """See :func:`banded_order`."""
+        return banded_order(*self._at[:2])
 
     @property
     def selects(self) -> bool:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from fg_orient.adjustment import memory, reduced_choice, schur_reduced
+from fg_orient.adjustment.problem import compile_problem
 from fg_orient.model import machine
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
@@ -14,6 +17,7 @@ from fg_orient.orientation import orient
 from fg_orient.orientation.orient import adjust
 from fg_orient.simulate.block import BlockOptions, grid_block, simulate_block
 from tests.support.command import in_process
+from tests.support.pinhole import pinhole_block
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +47,22 @@ def test_dense_needs_more_than_explicit_factors_and_these_more_than_eliminated_p
     needed = [adjust(block, max_iterations=1, **kind).memory for kind in kinds]
     sizes = [need.needed for need in needed if need is not None]
     assert sizes == sorted(sizes) and 2.0 * sizes[0] < sizes[1] < sizes[2]
+
+
+@pytest.mark.behaviour
+def test_blocks_of_a_wide_network_count_only_where_they_are_formed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """100 images of random visibility: without their matrix, unless the graph or a full factor needs the blocks."""
+    wide = pinhole_block(100, 500, mixed=True)[0]
+    wide = replace(wide, options=replace(wide.options, statistics="basic"))
+    for module in (memory, reduced_choice):
+        monkeypatch.setattr(module, "ITERATIVE", 800)
+    factor = memory.need_of(wide).needed
+    monkeypatch.setattr(memory, "LARGEST_FULL", 800)
+    monkeypatch.setattr(schur_reduced, "LARGEST_BAND", 0)
+    neither = memory.need_of(wide).needed
+    graph = memory.need_of(replace(wide, options=replace(wide.options, backend="graph"))).needed
+    blocks = 8 * 9**2 * len(reduced_choice.pattern_of(compile_problem(wide)).block_row)
+    assert neither + 2 * blocks < min(graph, factor)
 
 
 @pytest.mark.behaviour
