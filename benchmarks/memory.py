@@ -39,7 +39,7 @@ def reset_peak() -> None:
     Path("/proc/self/clear_refs").write_text("5")
 
 
-def _release() -> None:
+def release() -> None:
     """Give freed memory back: what simulating the block needed is not ours."""
     gc.collect()
     ctypes.CDLL(None).malloc_trim(0)
@@ -74,10 +74,10 @@ def measure(size: str, threads: int, backend: str) -> dict[str, Any]:
     """One record."""
     with one_blas_thread():
         solved(compile_problem(spot_block("1e3")), threads, backend)
-        _release()
+        release()
         before_reading = status_bytes("VmRSS")
         problem = compile_problem(spot_block(size))
-        _release()
+        release()
         whole, records = input_bytes(problem)
         before_solving = status_bytes("VmRSS")
         gc.disable()

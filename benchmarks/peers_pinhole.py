@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -17,7 +18,7 @@ from benchmarks.pinhole import Pinhole
 SIDE_PX = 10_000
 
 
-def _reconstruction(p: Pinhole) -> pycolmap.Reconstruction:
+def reconstruction(p: Pinhole) -> pycolmap.Reconstruction:
     """Cameras (model RADIAL: f, cx, cy, k1, k2; the principal point stays), images, points with their tracks."""
     scene = pycolmap.Reconstruction()
     order = np.argsort(p.image, kind="stable")
@@ -48,7 +49,7 @@ def ceres(p: Pinhole, threads: int) -> Callable[[], Outcome]:
 
     def once() -> Outcome:
         start = time.perf_counter()
-        scene, config = _reconstruction(p), pycolmap.BundleAdjustmentConfig()
+        scene, config = reconstruction(p), pycolmap.BundleAdjustmentConfig()
         for i in range(len(p.rotation)):
             config.add_image(i + 1)
         options = pycolmap.BundleAdjustmentOptions()
@@ -66,6 +67,31 @@ def ceres(p: Pinhole, threads: int) -> Callable[[], Outcome]:
         return ceres_outcome(summary, made - start, seconds, used, 1.0 / p.sigma**2)
 
     return repeated(once)
+
+
+def adjuster(
+    p: Pinhole, scene: pycolmap.Reconstruction, threads: int, limit_s: float, linear_solver: str, eta: float
+) -> Any:
+    """Ceres' problem with the costs of COLMAP and this linear solver; its log goes to the standard output.
+
+    ``eta``: relative accuracy of an iterative solver.
+    """
+    config, options = pycolmap.BundleAdjustmentConfig(), pycolmap.BundleAdjustmentOptions()
+    for i in range(len(p.rotation)):
+        config.add_image(i + 1)
+    options.print_summary, ceres = False, options.ceres
+    ceres.min_num_residuals_for_cpu_multi_threading = 0
+    ceres.auto_select_solver_type = False
+    solver = ceres.solver_options
+    # names of enumerations: pycolmap does not export their classes
+    solver.linear_solver_type = linear_solver
+    if linear_solver == "ITERATIVE_SCHUR":
+        solver.preconditioner_type, solver.eta = "SCHUR_JACOBI", eta
+    solver.num_threads, solver.max_num_iterations = threads, MAX_EVALUATIONS
+    solver.max_solver_time_in_seconds = limit_s
+    solver.gradient_tolerance, solver.function_tolerance = 1e-30, 1e-13
+    solver.logging_type, solver.minimizer_progress_to_stdout = "PER_MINIMIZER_ITERATION", True
+    return pycolmap.create_default_ceres_bundle_adjuster(options, config, scene)
 
 
 def gtsam_sfm(p: Pinhole) -> Callable[[], Outcome]:

@@ -19,6 +19,8 @@ Array = npt.NDArray[np.float64]
 #: Cameras and ground points with four rays each; the name is the order of the number of image points. "340 mixed": the
 #: four images of a point are drawn at random.
 PINHOLE_SIZES: Final = {"1e3": (9, 250), "1e4": (36, 2_500), "1e5": (100, 25_000), "340 mixed": (340, 50_000)}
+#: The same for the comparison of wide networks (``benchmarks.wide``).
+WIDE_SIZES: Final = {"340 mixed": (340, 50_000), "1000 mixed": (1000, 100_000), "3000 mixed": (3000, 200_000)}
 VIEWS: Final = 4
 #: In the folder named by FG_ORIENT_REAL_DATA.
 LADYBUG: Final = "bal/problem-49-7776-pre.txt.gz"
@@ -26,7 +28,7 @@ LADYBUG: Final = "bal/problem-49-7776-pre.txt.gz"
 
 def pinhole_problem(size: str) -> Problem:
     """The synthetic problem of a size, without the priors of its simulation."""
-    images, points = PINHOLE_SIZES[size]
+    images, points = (PINHOLE_SIZES | WIDE_SIZES)[size]
     block, _ = pinhole_block(images, points, VIEWS, mixed=size.endswith("mixed"))
     return compile_problem(replace(block, options=replace(block.options, datum="free", priors=False)))
 
