@@ -1,9 +1,14 @@
 """Cost of a block in parts: in one piece, in parts in this process, on workers of this machine.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/parallel_cost.py [--image-points 100000] [--parts N] [--workers 1 2 4]
+    OPENBLAS_NUM_THREADS=1 python benchmarks/parallel_cost.py --fronts [--parts N]
 
 Seconds per Gauss-Newton iteration (least and median, the first one apart: workers compile and open their parts in
 it), kB of partial normal equations and arguments per iteration, and whether all runs in parts have the same bits.
+
+``--fronts`` compares the sum of all parts with the fronts of a dissected block: a strip of 400 frame images, and a grid
+of 200 satellite images. For one iteration: data transferred and written, largest memory of the main process with two
+workers (tracemalloc), processor seconds without workers.
 """
 
 from __future__ import annotations
@@ -11,13 +16,15 @@ from __future__ import annotations
 import argparse
 import pickle
 import time
-from collections.abc import Callable, Sequence
+import tracemalloc
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from fg_orient.adjustment.loop import OPTIMIZERS
+from fg_orient.adjustment.parts import dissection
 from fg_orient.adjustment.parts.backend import PartedBackend
 from fg_orient.adjustment.parts.execution import Execution, opened, work_folder
 from fg_orient.adjustment.parts.parts import default_parts
@@ -27,6 +34,7 @@ from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.cli.doctor import self_test
 from fg_orient.simulate.block import BlockOptions, grid_block
+from fg_orient.simulate.strips import StripOptions, strip_block
 
 
 class Counting(Pool):
@@ -38,8 +46,17 @@ class Counting(Pool):
     def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
         """Sum without a tree."""
         found = [task(*argument) for argument in arguments]
-        self.kilobytes.append(sum(len(pickle.dumps(x, 5)) for x in (*found, *arguments)) / 1e3)
+        self._count(found, arguments)
         return sum(found[1:], start=found[0])
+
+    def each(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
+        """Run one after the other."""
+        found = [task(*argument) for argument in arguments]
+        self._count(found, arguments)
+        yield from enumerate(found)
+
+    def _count(self, found: Sequence[Any], arguments: Sequence[tuple[Any, ...]]) -> None:
+        self.kilobytes.append(sum(len(pickle.dumps(x, 5)) for x in (*found, *arguments)) / 1e3)
 
 
 def run(problem: Problem, make: Callable[[], Any], name: str) -> tuple[bytes, bytes]:
@@ -76,13 +93,53 @@ def travel(problem: Problem, parts: int) -> float:
     return sum(pool.kilobytes)
 
 
+def fronts(problem: Problem, parts: int) -> None:
+    """Print the cost of one iteration with the sum of all parts and with fronts."""
+    print(f"{problem.n_images} images, {problem.n_image_unknowns} image unknowns, "
+          f"{len(problem.observations)} image points, {parts} parts")  # fmt: skip
+    for name, held in (("sum", np.inf), ("fronts", 0.0)):
+        dissection.HELD, dissection.SMALLER = held, 0.0
+        pool = Counting()
+        with work_folder(Execution(), pool) as folder, one_blas_thread():
+            backend = PartedBackend(problem, pool, folder, parts)
+            backend.linearise(backend.initial()).solve(0.0)
+            kilobytes, backend = sum(pool.kilobytes), PartedBackend(problem, Pool(), folder, parts)
+            files = [file.stat().st_size / 1e3 for file in folder.glob("front-*")] or [0.0]
+            start = time.process_time()
+            backend.linearise(backend.initial()).solve(0.0)
+            seconds = time.process_time() - start
+        with opened(Execution(workers=2)) as cluster, work_folder(Execution(), cluster) as folder:
+            backend = PartedBackend(problem, cluster, folder, parts)
+            backend.linearise(backend.initial()).solve(0.0)
+            system = backend.linearise(backend.initial())
+            tracemalloc.start()
+            system.solve(0.0)
+            peak = tracemalloc.get_traced_memory()[1] / 1e6
+            tracemalloc.stop()
+        choice = backend.choice
+        assert choice is not None
+        print(
+            f"{name:7s} {choice.kind:7s} predicted {choice.memory / 1e6:6.1f} MB   largest front {choice.front:5d}   "
+            f"transferred {kilobytes / 1e3:6.1f} MB   files {sum(files) / 1e3:6.1f}, largest {max(files) / 1e3:5.1f} MB"
+            f"   main process {peak:6.1f} MB   processor {seconds:5.2f} s",
+            flush=True,
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--image-points", type=float, default=1e5)
     parser.add_argument("--parts", type=int)
     parser.add_argument("--workers", type=int, nargs="*", default=[1, 2])
+    parser.add_argument("--fronts", action="store_true")
     arguments = parser.parse_args()
     self_test()
+    if arguments.fronts:
+        strip, _ = strip_block(StripOptions(strips=2, images=200, points=4000, control=20, navigation=False))
+        fronts(compile_problem(strip), arguments.parts or 16)
+        grid, _ = grid_block(BlockOptions(rows=10, columns=20, points=4000))
+        fronts(compile_problem(replace(grid, options=replace(grid.options, eop_set=20))), arguments.parts or 16)
+        return
     side = 4 if arguments.image_points < 5e4 else 6 if arguments.image_points < 5e5 else 10
     block, _ = grid_block(BlockOptions(rows=side, columns=side, points=round(arguments.image_points / 3.6)))
     problem = compile_problem(replace(block, options=replace(block.options, eop_set=20)))

@@ -108,11 +108,15 @@ def narrowest(pattern: Pattern, first: Index) -> Order:
 
 
 class Choice(NamedTuple):
-    """Method for a reduced system, its predicted work (operations of LAPACK) and memory (bytes)."""
+    """Method for a reduced system, its predicted work (operations of LAPACK) and memory (bytes).
+
+    ``front``: unknowns of the largest front of a block in parts (``fg_orient.adjustment.parts.dissection``), else 0.
+    """
 
     kind: str
     work: float
     memory: float
+    front: int = 0
 
 
 def predictions(pattern: Pattern, band: int) -> list[Choice]:

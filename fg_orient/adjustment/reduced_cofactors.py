@@ -25,6 +25,7 @@ from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.unknown_cofactors import DenseUnknowns
 
 if TYPE_CHECKING:
+    from fg_orient.adjustment.reduced_choice import Choice
     from fg_orient.adjustment.schur import SchurSystem
 
 #: Number of joint blocks of images in memory.
@@ -55,11 +56,12 @@ class ImageCofactors(Protocol):
 class SummedSystem:
     """Linearisation at the solution of an adjustment in parts, or by the graph; priors included.
 
-    ``reduced(damping)`` factorises it and raises ``Singular`` if it is not positive definite.
+    ``reduced(damping)`` factorises it, by the method ``choice``; ``Singular`` if it is not positive definite.
     """
 
     state: State
     reduced: Callable[[float], ImageCofactors]
+    choice: Choice | None = None
 
 
 class ReducedCofactors:

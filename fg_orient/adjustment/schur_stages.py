@@ -233,6 +233,11 @@ class ImageExtras:
                 (k,), (j,) = images, jacobians
                 blocks[own_block[k], : j.shape[1], : j.shape[1]] += j.T @ j
 
+    @property
+    def joined(self) -> bool:
+        """Whether an observation is of several images."""
+        return any(len(images) > 1 for images, _, _ in self._rows)
+
     @cached_property
     def matrix(self) -> Array | None:
         """``J^T J`` (z, z) of the free unknowns by observations of several images; None without such."""

@@ -12,6 +12,7 @@ import numpy as np
 from factors._preparation import working_clock
 from factors.arrays import Array, Index
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.reduced_cofactors import SummedSystem
 from fg_orient.adjustment.resection import LocatedPoints, locate_points
 from fg_orient.adjustment.robust import are_information, weighted_problem
 from fg_orient.adjustment.runtime import return_memory
@@ -51,8 +52,9 @@ def conclude(
     assessment = verdict.assess_solution(compiled, estimate, unavailable)
     findings = [*verdict.findings(compiled, estimate, assessment, observability, block_view, accuracy)]
     choice = None
-    if isinstance(estimate.linear, SchurSystem):
+    if isinstance(estimate.linear, SchurSystem | SummedSystem):
         choice = estimate.linear.choice if estimate.backend == "schur" else None
+    if isinstance(estimate.linear, SchurSystem):
         estimate.linear.release()  # the statistics need its memory
     return_memory(len(compiled.observations))
     examined = doubts.Examined([])

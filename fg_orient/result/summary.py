@@ -172,6 +172,7 @@ def summary(solution: Solution) -> dict[str, Any]:
             "method": choice.kind,
             "predicted_operations": choice.work,
             "predicted_bytes": choice.memory,
+            "largest_front": choice.front or None,
         },
         **_choices(options),
         "iterations": iterations,

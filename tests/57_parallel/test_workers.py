@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 import os
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.adjustment.loop import OPTIMIZERS
-from fg_orient.adjustment.parts import execution
+from fg_orient.adjustment.parts import dissection, execution
 from fg_orient.adjustment.parts import pool as pool_module
 from fg_orient.adjustment.parts.backend import PartedBackend
 from fg_orient.adjustment.parts.execution import Execution, opened, work_folder
@@ -52,9 +52,17 @@ class Deadly(Cluster):
         self.marks, self.when, self.calls = marks, when, 0
 
     def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
+        return super().total(*self._deadly(task, arguments))
+
+    def each(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
+        return super().each(*self._deadly(task, arguments))
+
+    def _deadly(
+        self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]
+    ) -> tuple[Callable[..., Any], Sequence[tuple[Any, ...]]]:
         self.calls += 1
         if self.calls not in self.when:
-            return super().total(task, arguments)
+            return task, arguments
         mark = self.marks / str(self.calls)
 
         def once(number: int, *rest: Any) -> Any:
@@ -64,7 +72,7 @@ class Deadly(Cluster):
                 os._exit(9)
             return found
 
-        return super().total(once, [(number, *rest) for number, rest in enumerate(arguments)])
+        return once, [(number, *rest) for number, rest in enumerate(arguments)]
 
 
 def run(problem: Problem, pool: Pool, optimizer: str = "gauss-newton") -> State:
@@ -139,6 +147,19 @@ def test_workers_that_die_change_nothing(problem: Problem, client: Any, alone: S
     assert_same_bits(run(problem, deadly), alone)
     assert [p.name for p in tmp_path.iterdir()] == ["3"]
     assert len(before - set(client.run(os.getpid).values())) == 1
+
+
+@pytest.mark.consistency
+def test_fronts_do_not_depend_on_the_workers(
+    problem: Problem, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also when workers end that have eliminated the images of a part, or of an inner node."""
+    for name in ("HELD", "SMALLER"):
+        monkeypatch.setattr(dissection, name, 0.0)
+    alone = run(problem, Pool())
+    for pool in (Few(client, 1), Cluster(client), Deadly(client, tmp_path, (1, 2))):
+        assert_same_bits(run(problem, pool), alone)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["1", "2"]
 
 
 @pytest.mark.consistency

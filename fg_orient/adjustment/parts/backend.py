@@ -1,8 +1,9 @@
 """Backend that adjusts a block in parts: Helmert blocking of the reduced normal equations.
 
 Each part eliminates its ground points and returns its contribution to the reduced system of the images. The sum,
-with the priors, is solved in this process; then each part moves its points by the step of the images. The loop and its
-optimisers are the same as for all backends.
+with the priors, is solved in this process, or, for large systems, in fronts by the workers
+(:mod:`fg_orient.adjustment.parts.multifrontal`); then each part moves its points by the step of the images. The loop
+and its optimisers are the same as for all backends.
 """
 
 from __future__ import annotations
@@ -16,16 +17,19 @@ import numpy as np
 
 from factors.arrays import Array
 from fg_orient.adjustment.parts import tasks
-from fg_orient.adjustment.parts.parts import START, divide, read_ground, rows_of, write_ground, write_part
+from fg_orient.adjustment.parts.dissection import dissected
+from fg_orient.adjustment.parts.fronts import Partial
+from fg_orient.adjustment.parts.multifrontal import Multifrontal
+from fg_orient.adjustment.parts.parts import START, read_ground, rows_of, write_ground, write_part
 from fg_orient.adjustment.parts.pool import Pool
 from fg_orient.adjustment.parts.system import PartedState, PartedStep, PartedSystem
-from fg_orient.adjustment.parts.tasks import At, Partial
+from fg_orient.adjustment.parts.tasks import At
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.reduced_choice import Pattern
+from fg_orient.adjustment.reduced_choice import Choice, Pattern
 from fg_orient.adjustment.reduced_systems import ReducedSystems
 from fg_orient.adjustment.robust import Robust
 from fg_orient.adjustment.schur_reduced import Reduced
-from fg_orient.adjustment.schur_stages import half_extras
+from fg_orient.adjustment.schur_stages import ImageExtras, half_extras
 
 
 class PartedBackend:
@@ -50,7 +54,8 @@ class PartedBackend:
 
     def __init__(self, problem: Problem, pool: Pool, folder: Path, parts: int) -> None:
         self.problem, self.folder, self._pool = problem, folder, pool
-        self.points = divide(problem, parts)
+        self._dissection = dissected(problem, parts, joined=ImageExtras(problem, problem.start).joined)
+        self.points = self._dissection.points
         for number, rows in enumerate(rows_of(problem, self.points)):
             write_part(problem, self.points[number], rows, folder, number)
         self.prior = 1.0 if problem.block.options.priors else 0.0
@@ -108,11 +113,15 @@ class PartedBackend:
 
     def total(self, task: Callable[..., Any], state: PartedState, *arguments: Any) -> Any:
         """Sum of a task over the parts."""
+        return self._pool.total(task, [(at, *arguments) for at in self._at(state)])
+
+    def _at(self, state: PartedState) -> list[At]:
+        """State of each part."""
         folder, threads = str(self.folder), self._pool.threads
-        return self._pool.total(task, [
-            (At(folder, number, state.name, state.image, threads, self._robust, self._losses), *arguments)
+        return [
+            At(folder, number, state.name, state.image, threads, self._robust, self._losses)
             for number in range(len(self.points))
-        ])  # fmt: skip
+        ]
 
     def prior_error(self, image: Array) -> float:
         """Half the squares of the priors."""
@@ -133,6 +142,28 @@ class PartedBackend:
         if self._systems is None or not all(map(np.array_equal, self._systems.pattern.blocks, pattern.blocks)):
             self._systems = ReducedSystems(pattern, self.problem.first)
         return self._systems(partial.blocks, self.prior + damping, added)
+
+    def multifrontal(self, state: PartedState, damping: float, extras: ImageExtras, gradient: Array) -> Multifrontal:
+        """Factor in fronts, with the gradient (u,) of priors and extra observations of the images."""
+        blocks, m = None, self.problem.n_images
+        if self.problem.block.extra:
+            blocks = np.zeros((m, *[int(np.diff(self.problem.first).max())] * 2))
+            extras.add_blocks({k: k for k in range(m)}, blocks)
+        out = Multifrontal(self.problem, self._dissection, self._pool, self.folder, self.new_name())
+        out.eliminate(self._at(state), damping, self.prior + damping, gradient, blocks)
+        return out
+
+    @property
+    def in_fronts(self) -> bool:
+        """Whether the reduced system is solved in fronts."""
+        return bool(self._dissection.levels)
+
+    @property
+    def choice(self) -> Choice | None:
+        """Method for the reduced system, and its prediction; None before the first solution."""
+        if self.in_fronts:
+            return self._dissection.choice
+        return None if self._systems is None else self._systems.choice
 
     def _parted(self, state: State) -> PartedState:
         """The state with its points in files; the points of another kind of state are written."""
@@ -155,9 +186,9 @@ class PartedBackend:
         return ground
 
     def _clean(self) -> None:
-        """Remove the files of ground points, except for the last two linearised states and later ones."""
+        """Remove the files of ground points and fronts before the last two linearised states."""
         oldest = min((name for name in self._kept if name != START), default="")
-        for path in self.folder.glob("ground-*.npy"):
+        for path in self.folder.glob("*.npy"):
             name = path.stem.rsplit("-", 1)[-1]
             if name < oldest and name not in self._kept:
                 with contextlib.suppress(OSError):

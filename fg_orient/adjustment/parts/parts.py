@@ -41,11 +41,8 @@ def default_parts(problem: Problem) -> int:
     return min(max(1, -(-len(problem.observations) // PART_SIZE)), MAX_PARTS)
 
 
-def divide(problem: Problem, parts: int) -> list[Index]:
-    """Ground points of each part, ascending.
-
-    Points that the same images see are in one part, which then contributes to few blocks of the reduced system. Parts
-    have about the same work: pairs of rays of their points.
+def rays_of_points(problem: Problem, parts: int) -> tuple[Index, Index, Index]:
+    """Observed ground points (P,), number of rays (P,) of each, and images of all rays in this order, ascending.
 
     InputError: more parts than ground points, or less than one; a block that the Schur backend refuses.
     """
@@ -55,9 +52,17 @@ def divide(problem: Problem, parts: int) -> list[Index]:
     seen, rays = np.unique(o.point, return_counts=True)
     if not 1 <= parts <= len(seen):
         raise InputError.of("parallel.parts", option="parts", value=parts, points=len(seen))
-    order = np.lexsort((o.image, o.point))
+    return seen, rays, o.image[np.lexsort((o.image, o.point))]
+
+
+def divide(problem: Problem, parts: int) -> list[Index]:
+    """Ground points of each part, ascending.
+
+    Points that the same images see are in one part, which then contributes to few blocks of the reduced system. Parts
+    have about the same work: pairs of rays of their points. Errors as :func:`rays_of_points`.
+    """
+    seen, rays, image = rays_of_points(problem, parts)
     ends = np.cumsum(rays)
-    image = o.image[order]
     sorted_points = np.lexsort((image[ends - 1], image[ends - rays]))
     work = np.cumsum((rays * (rays + 1) // 2)[sorted_points])
     bounds = np.searchsorted(work, work[-1] * np.arange(parts + 1) / parts, side="left")
@@ -162,15 +167,24 @@ def _ground_file(folder: str | Path, part: int, name: str) -> Path:
 
 def write_ground(folder: str | Path, part: int, name: str, ground: Array) -> None:
     """Write the ground points (P, 3) of a part at a state, whole or not at all."""
-    stream = io.BytesIO()
-    np.save(stream, ground)
-    write_bytes(_ground_file(folder, part, name), stream.getvalue(), durable=False)
+    write_array(_ground_file(folder, part, name), ground)
 
 
 def read_ground(folder: str | Path, part: int, name: str) -> Array:
     """Read the ground points (P, 3) of a part; InputError if this process has no access to the file."""
-    path = _ground_file(folder, part, name)
+    return np.array(read_array(_ground_file(folder, part, name)))
+
+
+def write_array(path: Path, array: Array) -> None:
+    """Write an array to a file, whole or not at all."""
+    stream = io.BytesIO()
+    np.save(stream, array)
+    write_bytes(path, stream.getvalue(), durable=False)
+
+
+def read_array(path: Path) -> Array:
+    """Map the array of a file; InputError if this process has no access to it."""
     try:
-        return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
+        return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False), dtype=np.float64)
     except (OSError, ValueError, EOFError) as error:
         raise InputError.of("parallel.folder", file=path, value=type(error).__name__) from error

@@ -1,7 +1,7 @@
 """States, steps and linearisations of a block in parts.
 
-The sum of the reduced systems of all parts, with the priors, is solved in this process; then each part moves its points
-by the step of the images.
+The sum of the reduced systems of all parts, with the priors, is solved in this process or in fronts; then each part
+moves its points by the step of the images.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.parts import tasks
-from fg_orient.adjustment.parts.tasks import Partial, Sums
+from fg_orient.adjustment.parts.fronts import Partial
+from fg_orient.adjustment.parts.multifrontal import Multifrontal
+from fg_orient.adjustment.parts.tasks import Sums
 from fg_orient.adjustment.problem import State
 from fg_orient.adjustment.reduced_cofactors import SummedSystem
 from fg_orient.adjustment.schur_reduced import Reduced
@@ -63,7 +65,7 @@ class PartedSystem:
         self._newton: PartedStep | None = None
         self._known = backend.known_error(state)
         self._least = backend.problem.least_damping
-        self._partial: Partial | None = None
+        self._partial: Partial | Multifrontal | None = None
 
     @property
     def error(self) -> float:
@@ -73,16 +75,23 @@ class PartedSystem:
         assert self._known is not None
         return self._known
 
-    def _eliminated(self, damping: float) -> Partial:
-        """Sum of all parts."""
+    def _eliminated(self, damping: float) -> Partial | Multifrontal:
+        """Sum of all parts, or their factor in fronts."""
         if damping == self._least and self._partial is not None:
             return self._partial
-        partial: Partial = self._backend.total(tasks.eliminate, self.state, damping)
-        own = np.flatnonzero(partial.row == partial.column)
-        self._extras.add_blocks(dict(zip(partial.row[own].tolist(), own.tolist(), strict=True)), partial.blocks)
+        partial = self._factor(damping) if self._backend.in_fronts else self._sum(damping)
         self._known = partial.error + self._backend.image_error(self.state)
         if damping == self._least:
             self._partial = partial
+        return partial
+
+    def _factor(self, damping: float) -> Partial | Multifrontal:
+        return self._backend.multifrontal(self.state, damping, self._extras, self._prior_gradient)
+
+    def _sum(self, damping: float) -> Partial:
+        partial: Partial = self._backend.total(tasks.eliminate, self.state, damping)
+        own = np.flatnonzero(partial.row == partial.column)
+        self._extras.add_blocks(dict(zip(partial.row[own].tolist(), own.tolist(), strict=True)), partial.blocks)
         return partial
 
     def solve(self, damping: float) -> PartedStep:
@@ -91,8 +100,14 @@ class PartedSystem:
         if damping == self._least and self._newton is not None:
             return self._newton
         partial, target = self._eliminated(damping), self._backend.new_name()
-        reduced = self._backend.reduced(partial, damping, self._extras.matrix)
-        image = reduced.solve(partial.gradient + self._prior_gradient)
+        if isinstance(partial, Multifrontal):
+            image = partial.step()
+            if partial is not self._partial:
+                partial.remove()
+        else:
+            image = self._backend.reduced(partial, damping, self._extras.matrix).solve(
+                partial.gradient + self._prior_gradient
+            )
         step = self._step(image, target, self._backend.total(tasks.substitute, self.state, damping, image, target))
         if damping == self._least:
             self._newton = step
@@ -131,15 +146,19 @@ class PartedSystem:
 
     def summed(self) -> SummedSystem:
         """Reduced system for the covariance, without the parts; a singular system raises its error when it is used."""
-        partial: Partial | RuntimeError
+        partial: Partial | Multifrontal | RuntimeError
         try:
             partial = self._eliminated(0.0)
         except RuntimeError as error:
             partial = error
+        state, choice = State(self.state.image, self.state.ground), self._backend.choice
+        if isinstance(partial, Multifrontal):
+            kept = partial.keep(self._backend.folder.parents[1])
+            return SummedSystem(state, lambda damping: kept, choice)
 
         def reduced(damping: float) -> Reduced:
             if isinstance(partial, RuntimeError):
                 raise partial
             return self._backend.reduced(partial, damping, self._extras.matrix)
 
-        return SummedSystem(State(self.state.image, self.state.ground), reduced)
+        return SummedSystem(state, reduced, choice)

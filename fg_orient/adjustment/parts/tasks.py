@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.arrays import Array
+from fg_orient.adjustment.parts.dissection import Front
+from fg_orient.adjustment.parts.fronts import Added, Partial, front_of_part, write_front
 from fg_orient.adjustment.parts.parts import START, read_ground, read_part, write_ground
 from fg_orient.adjustment.problem import State
 from fg_orient.adjustment.robust import Robust
@@ -54,27 +55,6 @@ class Largest(float):
 
     def __add__(self, other: float) -> Largest:
         return Largest(max(self, other))
-
-
-@dataclass(frozen=True)
-class Partial:
-    """Contribution of some parts to the reduced normal equations; blocks (B, k, k) of images row <= column, sorted."""
-
-    row: npt.NDArray[np.int64]
-    column: npt.NDArray[np.int64]
-    blocks: Array
-    gradient: Array
-    error: float
-
-    def __add__(self, other: Partial) -> Partial:
-        span = 1 + int(max(self.column.max(initial=0), other.column.max(initial=0)))
-        mine, theirs = (p.row * span + p.column for p in (self, other))
-        keys = np.union1d(mine, theirs)
-        blocks = np.zeros((len(keys), *self.blocks.shape[1:]))
-        blocks[np.searchsorted(keys, mine)] += self.blocks
-        blocks[np.searchsorted(keys, theirs)] += other.blocks
-        row, column = np.divmod(keys, span)
-        return Partial(row, column, blocks, self.gradient + other.gradient, self.error + other.error)
 
 
 class _Part:
@@ -152,6 +132,22 @@ def squares(part: _Part, at: At) -> Sums:
 @_task
 def eliminate(part: _Part, at: At, damping: float) -> Partial:
     """Linearise a part and eliminate its ground points, damped; Singular if a point is not determined."""
+    return _partial(part, at, damping)
+
+
+@_task
+def front(part: _Part, at: At, damping: float, node: Front, added: Added, name: str) -> float:
+    """Eliminate the ground points of a part, then the images that are observed in this part only.
+
+    The factor is written to the file of the front (:mod:`fg_orient.adjustment.parts.fronts`); the result is half the
+    weighted sum of squares.
+    """
+    partial = _partial(part, at, damping)
+    write_front(at.folder, name, node, front_of_part(node, part.backend.problem.first, partial), added)
+    return partial.error
+
+
+def _partial(part: _Part, at: At, damping: float) -> Partial:
     system = part.system(at)
     blocks, gradient = system.partial(damping)
     s, widest = system.structure, int(np.diff(part.backend.problem.first).max())
