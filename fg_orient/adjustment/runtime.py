@@ -144,6 +144,7 @@ M_MMAP_THRESHOLD: Final = -3
 KEPT_BYTES: Final = 256 << 20
 #: Rows from which on it is worth the time to give memory back.
 MANY_ROWS: Final = 100_000
+VERY_MANY_ROWS: Final = 500_000
 #: Size from which blocks come directly from the system: upper limit of glibc's adaptive rule, which a value disables.
 OWN_MAPPING_BYTES: Final = 32 << 20
 
@@ -164,10 +165,14 @@ def keep_freed_memory() -> bool:
 
 
 def return_memory(rows: int) -> None:
-    """Give freed memory back to the system after work on so many rows, if they are many: it takes 50 ms."""
+    """Give freed memory back to the system after work on so many rows, if they are many.
+
+    Of very many rows also that of objects that refer to each other: to find them takes 0.1 s.
+    """
     if rows < MANY_ROWS:
         return
-    gc.collect()
+    if rows >= VERY_MANY_ROWS:
+        gc.collect()
     if sys.platform.startswith("linux") and hasattr(ctypes.CDLL(None), "malloc_trim"):  # glibc
         ctypes.CDLL(None).malloc_trim(0)
 

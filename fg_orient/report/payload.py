@@ -176,7 +176,7 @@ def _kilometres(lon_lat_deg: Array, centre: Array) -> Array:
 def _point_columns(result: Result, rows: Index, role: Index, centre: Array) -> dict[str, Any]:
     """Columns of the points; differences of control and check points only, which come first."""
     table = result.points
-    km = _kilometres(table.numbers("lon_deg", "lat_deg")[rows], centre)
+    km = _kilometres(table.numbers("lon_deg", "lat_deg", rows=rows), centre)
     known = int(np.searchsorted(role, 2))
     out: dict[str, Any] = {"id": [table.words["id"][k] for k in rows.tolist()], "role": pack(role, "u1"),
                            "x": pack(km[:, 0]), "y": pack(km[:, 1])}  # fmt: skip

@@ -51,12 +51,12 @@ def residual_vectors(result: Result, image: str, most: int | None = None) -> Cha
     if not len(rows):
         return None
     facts = next(facts for facts in result.record["images"] if str(facts["id"]) == image)
-    place, v = result.residuals.numbers("sample", "line"), result.residuals.numbers("v_sample_px", "v_line_px")
-    drawn = thinned(rows, v, MAX_VECTORS if most is None else most)
+    place, v = (result.residuals.numbers(*of, rows=rows) for of in (("sample", "line"), ("v_sample_px", "v_line_px")))
+    drawn = thinned(np.arange(len(rows)), v, MAX_VECTORS if most is None else most)
     size = np.array([float(facts["n_samples"] or 0), float(facts["n_lines"] or 0)])
-    limits = np.stack([np.minimum(0.0, place[rows].min(axis=0)), np.maximum(size, place[rows].max(axis=0))], axis=1)
+    limits = np.stack([np.minimum(0.0, place.min(axis=0)), np.maximum(size, place.max(axis=0))], axis=1)
     chart = vectors(f"residual vectors of image {image}", place[drawn], v[drawn], limits, ("sample, px", "line, px"),
-                    reference=v[rows], unit=" px")  # fmt: skip
+                    reference=v, unit=" px")  # fmt: skip
     more = f", {len(drawn)} of {len(rows)} drawn" if len(drawn) < len(rows) else ""
     chart.title = f"{cut(image)} ({len(rows)} points{more})"
     return chart

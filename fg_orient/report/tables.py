@@ -119,7 +119,7 @@ def largest_residuals(result: Result, count: int = 20) -> dict[str, Any] | None:
     order = np.argsort(-size.max(axis=1), kind="stable")[:count]
     names = ("v_line_px", "v_sample_px", "w_line", "w_sample", "redundancy_line", "redundancy_sample", "mdb_line_px",
              "mdb_sample_px")  # fmt: skip
-    values = table.numbers(*names)[order].tolist()
+    values = table.numbers(*names, rows=order).tolist()
     rows = [{"image": table.words["image"][k], "id": table.words["id"][k], **dict(zip(names, row, strict=True))}
             for k, row in zip(order.tolist(), values, strict=True)]  # fmt: skip
     n = int(np.isfinite(ratio).sum())

@@ -79,9 +79,10 @@ class Table:
         both: dict[str, list[str] | Array] = {**self.words, **self.figures}
         return {name: both[name] for name in self.columns}
 
-    def numbers(self, *names: str) -> Array:
-        """Some columns of numbers, (n, k); nan where the table does not have them."""
-        return np.stack([self.figures.get(name, np.full(len(self), np.nan)) for name in names], axis=1)
+    def numbers(self, *names: str, rows: Index | slice = slice(None)) -> Array:
+        """Some columns of numbers, (n, k), of all rows or some; nan where the table does not have them."""
+        missing = np.broadcast_to(np.nan, len(self))
+        return np.stack([self.figures.get(name, missing)[rows] for name in names], axis=1)
 
     def codes(self, name: str, words: Sequence[str]) -> Index:
         """Index of each cell of a column of text in a list of its values."""
