@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 #: Function of a graph and start values that gives the values of a solution.
 Optimizer = Callable[["gtsam.NonlinearFactorGraph", "gtsam.Values"], "gtsam.Values"]
-#: Observability of images and block.
+# Observability of images and block.
 View = tuple[tuple[ImageObservability, ...], BlockObservability]
 #: Called at each stage of the work with its name and the number of image points.
 Stage = Callable[[str, int], None]

@@ -13,7 +13,7 @@ from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem
 from fg_orient.quality import hypotheses
 
-#: Places and small numbers of all suspects, in half of the memory.
+# places and small numbers of all suspects, in half of the memory
 Small = npt.NDArray[np.int32]
 
 
