@@ -112,10 +112,18 @@ def graph_run() -> list[str]:
     return ["## GTSAM's optimisers", text, markdown(goal_rows(s, GRAPH, must=True)), markdown(solver_rows(s))]
 
 
+def measured_by(script: str, results: dict[str, Any]) -> str:
+    """Command of a run of its own, and the machine."""
+    m = results["machine"]
+    return (
+        f"`python -m benchmarks.{script}` on {m['processor']}, {m['cores']} cores, vectors of {m['vector_bits']} bits, "
+        f"Python {m['python']}, load {m['load']:.1f}"
+    )
+
+
 def wide_run() -> list[str]:
     """Section on wide networks, from a run of its own."""
     results = json.loads(wide.RESULTS.read_text("utf-8"))
-    m = results["machine"]
     text = (
         "Pinhole cameras that see points at random, four rays each, nine unknowns per camera, no priors: 340 cameras "
         "with 50 000 points, 1000 with 100 000, 3000 with 200 000. A solver is timed until its chi2 exceeds the lowest "
@@ -124,8 +132,7 @@ def wide_run() -> list[str]:
         "factor takes 6e12 operations and 6 GB in each iteration. Memory is the peak minus the memory before the "
         "solver's objects. Ratios are those of processor seconds: other programs ran on the machine. Solutions that "
         "did not reach the common chi2 were ended after 120 s or more. Grids and strips "
-        f"have the default backend. `python -m benchmarks.wide` on {m['processor']}, {m['cores']} cores, vectors of "
-        f"{m['vector_bits']} bits, Python {m['python']}, load {m['load']:.1f}; each solution is a process of its own."
+        f"have the default backend. {measured_by('wide', results)}; each solution is a process of its own."
     )
     return ["## Wide networks", text, markdown(wide.goals(results)), markdown(wide.rows(results))]
 
@@ -133,12 +140,10 @@ def wide_run() -> list[str]:
 def whole_runs() -> list[str]:
     """Section on what a user waits for, from a run of its own."""
     results = json.loads(whole_run.RESULTS.read_text("utf-8"))
-    m = results["machine"]
     text = (
         "From the command `adjust` to its last file, with report: processor seconds and peak of the resident memory of "
         "the process, medians; all statistics means redundancy numbers, reliability and tests of all observations. "
-        f"`python -m benchmarks.whole_run` on {m['processor']}, {m['cores']} cores, vectors of {m['vector_bits']} "
-        f"bits, Python {m['python']}, load {m['load']:.1f}."
+        f"{measured_by('whole_run', results)}."
     )
     stages = "Shares of the stages in the wall-clock time, per cent:"
     tables = [markdown(table(results)) for table in (whole_run.rows, whole_run.stage_rows, whole_run.figures)]
@@ -148,13 +153,11 @@ def whole_runs() -> list[str]:
 def snooping_runs() -> list[str]:
     """Section on the search for gross errors, from a run of its own."""
     results = json.loads(snooping.RESULTS.read_text("utf-8"))
-    m = results["machine"]
     text = (
         "The command `adjust --snoop` with report on the blocks of the last section, with gross errors of 5 to 50 px "
         "in random image points: processor seconds and peak of the resident memory, medians. One by one is the same "
         "search with one gross error in each round. "
-        f"`python -m benchmarks.snooping` on {m['processor']}, {m['cores']} cores, vectors of {m['vector_bits']} "
-        f"bits, Python {m['python']}, load {m['load']:.1f}."
+        f"{measured_by('snooping', results)}."
     )
     truth = (
         "Against the planted errors. Missed errors pass the test, mostly because they lie in the plane of the rays of "

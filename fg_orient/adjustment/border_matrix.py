@@ -17,7 +17,7 @@ from scipy.linalg import lapack
 
 from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.schur_reduced import CONDITION_LIMIT, Singular, inverse_norm
+from fg_orient.adjustment.schur_reduced import Singular, inverse_norm, require_regular
 
 #: Rows of a part of :func:`triangle`: a third of the time for 37 000 rows of 16 columns (measured).
 PART: Final = 512
@@ -127,8 +127,7 @@ class BorderMatrix(ABC):
 
         Singular: the condition is too large.
         """
-        if not self.condition() < CONDITION_LIMIT:
-            raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
+        require_regular(self.condition())
         half = np.tril(lapack.dpotri(self._factor[0], lower=1)[0])
         out = half + np.tril(half, -1).T
         if self.null is not None:

@@ -10,7 +10,7 @@ result does not depend on w. Cofactors are those of the weight: they deviate by 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
@@ -219,7 +219,7 @@ def _prepared(problem: Problem, extra: ConstraintObservation, sigma: Array) -> C
     return replace(extra, record=record, final_weight=1.0 / last)
 
 
-def _with_extra(problem: Problem, extra: Iterable[ExtraObservation]) -> Problem:
+def _with_extra(problem: Problem, extra: Sequence[ExtraObservation]) -> Problem:
     return replace(problem, block=replace(problem.block, extra=tuple(extra))) if extra else problem
 
 

@@ -34,7 +34,7 @@ from fg_orient.adjustment.schur_structure import LEAST_CHUNKS
 from fg_orient.adjustment.solve import points_are_eliminated, suitable_backend
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import Finding, InputError, finding
-from fg_orient.model.machine import GB, allowed_bytes
+from fg_orient.model.machine import allowed_bytes, in_gb
 from fg_orient.model.names import Role
 from fg_orient.sensors.base import ImageModel
 
@@ -86,8 +86,8 @@ class Need:
     def problem(self, name: str) -> Finding:
         """Error for a block of this name that does not fit."""
         return finding(
-            "adjust.memory", file=name, place=f"backend {self.backend}", value=f"{self.needed / GB:.3g} GB",
-            allowed=f"{(self.allowed or 0) / GB:.3g} GB",
+            "adjust.memory", file=name, place=f"backend {self.backend}", value=in_gb(self.needed),
+            allowed=in_gb(self.allowed or 0),
         )  # fmt: skip
 
 

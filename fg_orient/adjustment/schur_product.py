@@ -14,7 +14,7 @@ import numpy as np
 
 from factors.arrays import Array, Index
 from fg_orient.adjustment.reduced_choice import LARGEST_FULL
-from fg_orient.adjustment.schur_reduced import Singular
+from fg_orient.adjustment.schur_reduced import too_large
 from fg_orient.kernels.batch_points import reduced_product
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class ImplicitProduct:
         own = self._system.backend
         unknowns = own.problem.n_image_unknowns
         if unknowns > LARGEST_FULL:
-            raise Singular(f"the covariance of {unknowns} image unknowns would take {8e-9 * unknowns**2:.0f} GB")
+            raise too_large(unknowns)
         backend = SchurBackend(own.problem, own.workers.threads, "dense")
         backend.robust = own.robust
         return backend.linearise(self._system.state).reduced(self._damping)

@@ -149,7 +149,7 @@ class LapackReduced:
 
         The blocks refer to complete image vectors: shared unknowns occur in each.
         """
-        self._require_condition()
+        require_regular(self.condition())
         index = np.concatenate([np.arange(self._first[k], self._first[k + 1]) for k in images])
         index = index if self._ties is None else self._ties.of[index]
         if self._banded and (len(images) < len(self._first) - 1 or len(index) > COLUMNS):
@@ -162,10 +162,6 @@ class LapackReduced:
             self._inverse = self._inverted()
         return np.asarray(self._inverse[np.ix_(index, index)])
 
-    def _require_condition(self) -> None:
-        if not self.condition() < CONDITION_LIMIT:
-            raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
-
     @property
     def selects(self) -> bool:
         """See :class:`Reduced`."""
@@ -173,7 +169,7 @@ class LapackReduced:
 
     def selected(self, pairs: Index) -> Array:
         """See :class:`Reduced`; from the band without the inverse."""
-        self._require_condition()
+        require_regular(self.condition())
         place, size = self._order.place, np.diff(self._first)
         at = place[:, None] + np.minimum(np.arange(int(size.max())), size[:, None] - 1)
         there = np.arange(at.shape[1]) < size[:, None]
@@ -251,7 +247,7 @@ class LapackInverse:
         """The factor. Singular if the system is not positive definite, or too large."""
         if not self.selects:
             unknowns = int(self._at[1][-1])
-            raise Singular(f"the covariance of {unknowns} image unknowns would take {8e-9 * unknowns**2:.0f} GB")
+            raise too_large(unknowns)
         return LapackReduced(*self._at, self._order, threads=self._threads)
 
 
@@ -262,6 +258,17 @@ def full_matrix(pattern: Pattern, first: Index, blocks: Array, ties: Ties | None
     out = np.zeros((n, n))
     add_shared(pattern.block_row, pattern.block_column, first, of, pattern.size, blocks, out)
     return out
+
+
+def require_regular(condition: float) -> None:
+    """Raise Singular for the condition of a scaled reduced system that is too close to singular for cofactors."""
+    if not condition < CONDITION_LIMIT:
+        raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
+
+
+def too_large(unknowns: int) -> Singular:
+    """Error for a full inverse of more than :data:`LARGEST_FULL` image unknowns."""
+    return Singular(f"the covariance of {unknowns} image unknowns would take {8e-9 * unknowns**2:.0f} GB")
 
 
 def inverse_norm(solve: Callable[[Array], Array], n: int) -> float:

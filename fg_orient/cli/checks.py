@@ -12,6 +12,7 @@ from fg_orient.cli.command import argument, command, option
 from fg_orient.cli.log import session
 from fg_orient.cli.output import answer, emit, fault, flag, note, say, table, tell, tell_findings
 from fg_orient.model.errors import FgOrientError, Finding, InputError
+from fg_orient.model.machine import in_gb
 
 if TYPE_CHECKING:
     from fg_orient.formats.registry import Format, Settings
@@ -51,7 +52,7 @@ def validate(
     remarks = [p for p in problems if p.severity != "failure"]
     lines = [] if errors else ["no errors"]
     if need is not None:
-        limit = "" if need.allowed is None else f" of {need.allowed / 1e9:.3g} GB allowed"
+        limit = "" if need.allowed is None else f" of {in_gb(need.allowed)} allowed"
         lines.insert(0, f"memory: about {need.needed / 1e9:.2g} GB{limit}, backend {need.backend}")
     _finish({"memory": None if need is None else need.as_dict()}, errors, remarks, lines)
 

@@ -25,7 +25,7 @@ from fg_orient.formats.faults import Faults
 from fg_orient.formats.table_write import WHOLE, WORDS, Column, are_numbers, comment_lines, texts
 from fg_orient.formats.text_files import read_data
 from fg_orient.model.errors import InputError
-from fg_orient.model.machine import GB, allowed_bytes
+from fg_orient.model.machine import allowed_bytes, in_gb
 
 #: Notes the faults of the names of columns, given their place.
 Check = Callable[[str, Sequence[str]], None]
@@ -188,8 +188,8 @@ def _parts(path: Path, faults: Faults, check: Check, *, whole: bool) -> Iterator
         need = (file.n_bytes + file.n_rows * len(kinds) * PER_CELL) * (1.0 if whole else file.largest)
         allowed = allowed_bytes(None)
         if allowed is not None and need > allowed:
-            faults.add("table.memory", value=f"{need / GB:.3g} GB", rows=file.n_rows, columns=len(kinds),
-                       allowed=f"{allowed / GB:.3g} GB")  # fmt: skip
+            faults.add("table.memory", value=in_gb(need), rows=file.n_rows, columns=len(kinds),
+                       allowed=in_gb(allowed))  # fmt: skip
         known = {name: _Known({}) for name, _ in kinds}
         first = 1
         every = list(range(file.n_groups))

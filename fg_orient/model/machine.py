@@ -18,6 +18,11 @@ _GROUPS: Final = Path("/sys/fs/cgroup")
 _OWN_GROUPS: Final = Path("/proc/self/cgroup")
 
 
+def in_gb(n_bytes: float) -> str:
+    """Text of a number of bytes in GB."""
+    return f"{n_bytes / GB:.3g} GB"
+
+
 def allowed_bytes(limit_gb: float | None) -> int | None:
     """The given limit, or 80 % of the available memory; None if unknown."""
     if limit_gb is not None:

@@ -234,7 +234,7 @@ def _outside(problem: Problem, estimate: Estimate) -> list[Finding]:
     """Findings on adjusted points outside the validity of an image model, one per image."""
     out = []
     for image, model, rows in zip(problem.block.images, problem.models, rows_by_image(problem), strict=True):
-        points = np.flatnonzero(np.bincount(problem.observations.point[rows], minlength=1))
+        points = np.flatnonzero(np.bincount(problem.observations.point[rows]))
         valid = model.is_valid(estimate.state.ground[points] + problem.origin_m)
         if not valid.all():
             names = [problem.block.points.ids[int(j)] for j in points[~valid]]

@@ -12,7 +12,7 @@ from fg_orient.adjustment.cofactors import AUTO_LIMIT
 from fg_orient.adjustment.constraints import has_constraints
 from fg_orient.formats.table_write import Column
 from fg_orient.model.errors import Finding, finding
-from fg_orient.model.machine import GB
+from fg_orient.model.machine import in_gb
 from fg_orient.quality.covariance import gives_statistics
 from fg_orient.quality.reliability import CHECKABLE, UNSEEN, noncentrality
 from fg_orient.quality.unseen import unseen_mistakes
@@ -51,7 +51,7 @@ def unavailable(solution: Solution, *figures: str) -> Finding | None:
     if gives_statistics(problem, solution.cofactors):
         return None
     if solution.memory is not None and solution.memory.statistics_left_out:
-        return finding("absent.memory", figures=figures, allowed=f"{(solution.memory.allowed or 0) / GB:.3g} GB")
+        return finding("absent.memory", figures=figures, allowed=in_gb(solution.memory.allowed or 0))
     if chosen == "basic":
         return finding("absent.basic", figures=figures)
     return finding("absent.large", figures=figures, limit=AUTO_LIMIT)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from fg_orient.adjustment import cofactors
+from fg_orient.adjustment import cofactors, schur_reduced
 from fg_orient.adjustment.cofactors import order_by_point, pairs_of_images
 from fg_orient.adjustment.parts import dissection, multifrontal
 from fg_orient.adjustment.parts.dissection import Dissection, dissected, fronts_of, nested
@@ -217,7 +217,7 @@ def test_covariance_of_an_ill_conditioned_block_is_unavailable(monkeypatch: pyte
     ours, theirs = parted.linear.reduced(0.0), whole.linear.reduced(0.0)
     assert isinstance(ours, multifrontal.Multifrontal) and isinstance(theirs, LapackReduced)
     assert 0.3 * theirs.condition() <= ours.condition() <= 3.0 * theirs.condition()
-    monkeypatch.setattr(multifrontal, "CONDITION_LIMIT", 1.0)
+    monkeypatch.setattr(schur_reduced, "CONDITION_LIMIT", 1.0)
     with pytest.raises(Indeterminate, match="condition"):
         cofactors_of(problem, parted)
 

@@ -26,7 +26,7 @@ from fg_orient.adjustment.parts.parts import read_array
 from fg_orient.adjustment.parts.pool import Pool
 from fg_orient.adjustment.parts.tasks import At
 from fg_orient.adjustment.problem import Problem
-from fg_orient.adjustment.schur_reduced import CONDITION_LIMIT, Singular, inverse_norm
+from fg_orient.adjustment.schur_reduced import inverse_norm, require_regular
 
 
 class Multifrontal:
@@ -151,7 +151,7 @@ class Multifrontal:
 
         RuntimeError: S is too close to singular.
         """
-        self._require_regular()
+        require_regular(self._condition)
         first = self._problem.first
         index = np.concatenate([np.arange(first[k], first[k + 1]) for k in images])
         lowest = max(images, key=lambda k: int(self._depth[k]))
@@ -171,7 +171,7 @@ class Multifrontal:
 
     def selected(self, pairs: Index) -> Array:
         """See ``schur_reduced.Reduced``; one front after the other."""
-        self._require_regular()
+        require_regular(self._condition)
         size, k = np.diff(self._problem.first), int(np.diff(self._problem.first).max())
         out = np.zeros((len(pairs), k, k))
         lowest = pairs[np.arange(len(pairs)), np.argmax(self._depth[pairs], axis=1)]
@@ -180,10 +180,6 @@ class Multifrontal:
             q = self.covariance((i,) if i == j else (i, j))
             out[b, : size[i], : size[j]] = q[: size[i], -size[j] :]
         return out
-
-    def _require_regular(self) -> None:
-        if not self._condition < CONDITION_LIMIT:
-            raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
 
     def _cofactors(self, node: Front) -> Array:
         """Cofactors of a front; those on the path from the root are computed first."""
