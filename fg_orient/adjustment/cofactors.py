@@ -16,7 +16,7 @@ import numpy as np
 from factors.arrays import Array, Index
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised, rows_by_image, summed
-from fg_orient.kernels.batch_cofactors import image_effects, ray_cofactors
+from fg_orient.kernels.batch_cofactors import ray_cofactors
 from fg_orient.model.options import Options
 
 #: Image points whose Jacobians are in memory at once.
@@ -55,11 +55,12 @@ def cofactors_of_points(problem: Problem, state: State, index: Index, blocks: Ca
     order = order_by_point(problem)
     pairs, block = pairs_of_images(problem, order)
     q, size = blocks(pairs), np.diff(problem.first)
+    turned = np.ascontiguousarray(np.swapaxes(q, 1, 2))
     for part in parts_of(problem, state, index[wanted], order):
         q_points, free = np.empty((len(part.points), 3, 3)), np.ones(len(part.points), np.int64)
         ray_cofactors(
             0, len(q_points), part.first, part.image, size, free, part.d_image, part.d_ground, part.inverse, block, q,
-            q_points, None, None,
+            turned, None, q_points, None, None, None,
         )  # fmt: skip
         out[wanted[part.places]] = q_points
     return out
@@ -140,16 +141,15 @@ def cofactors_of_rays(
         np.zeros((len(problem.active), 3, 3)), np.empty((n, 2, 2)), np.zeros((n, 3, 2)), np.empty((n, 2)), images
     )
     roots = inverse_roots(images, size)
-    upper = np.swapaxes(q, 1, 2) @ np.swapaxes(roots[pairs[:, 0]], 1, 2)
-    lower = q @ np.swapaxes(roots[pairs[:, 1]], 1, 2)
+    turned, turned_roots = (np.ascontiguousarray(np.swapaxes(each, 1, 2)) for each in (q, roots))
     for part in parts_of(problem, state, order=order):
         rays = len(part.rows)
         q_points, effect = np.empty((len(part.points), 3, 3)), np.empty((rays, 2, q.shape[1]))
         fitted, response = np.empty((rays, 2, 2)), np.empty((rays, 3, 2))
-        common = (part.first, part.image, size, problem.active[part.points].astype(np.int64), part.d_image,
-                  part.d_ground, part.inverse, block)  # fmt: skip
-        ray_cofactors(0, len(q_points), *common, q, q_points, fitted, response)
-        image_effects(0, len(q_points), *common, upper, lower, effect)
+        ray_cofactors(
+            0, len(q_points), part.first, part.image, size, problem.active[part.points].astype(np.int64), part.d_image,
+            part.d_ground, part.inverse, block, q, turned, turned_roots, q_points, fitted, response, effect,
+        )  # fmt: skip
         if datum is not None:
             at = places_of_points(problem, part.points)
             of_ray = np.repeat(at, np.diff(part.first), axis=0)

@@ -57,9 +57,9 @@ def write_table(path: Path, columns: Mapping[str, Column], comments: Sequence[st
 
         write_binary(path, columns, comments)
         return
-    head = [f"{line}\n" for line in comment_lines(comments)]
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        stream.writelines(head)
+    head = "".join(f"{line}\n" for line in comment_lines(comments))
+    with path.open("wb") as stream:
+        stream.write(head.encode())
         stream.writelines(_csv(columns))
 
 
@@ -95,15 +95,16 @@ def comment_lines(comments: Sequence[str]) -> list[str]:
     return [f"# {line}" for line in comments]
 
 
-def _csv(columns: Mapping[str, Column]) -> Iterator[str]:
-    """Parts of the text: header and rows."""
-    yield ",".join(map(quoted, columns)) + "\n"
+def _csv(columns: Mapping[str, Column]) -> Iterator[bytes]:
+    """Parts of the UTF-8 text: header and rows."""
+    yield (",".join(map(quoted, columns)) + "\n").encode()
     for start in range(0, len(next(iter(columns.values()))), ROWS):
         cells = list(_cells(columns, slice(start, start + ROWS)))
-        yield "\n".join(map(",".join, zip(*cells, strict=True))) + "\n"
+        row = b",".join([b"%b"] * len(cells)) + b"\n"  # in less than half of the time of a join of each row
+        yield b"".join(map(row.__mod__, zip(*cells, strict=True)))
 
 
-def _cells(columns: Mapping[str, Column], part: slice) -> Iterator[Sequence[str]]:
+def _cells(columns: Mapping[str, Column], part: slice) -> Iterator[Sequence[bytes]]:
     """Texts of some rows: of each column, or of neighbouring columns of numbers together."""
     run = list[Array]()
     for name, values in columns.items():
@@ -139,8 +140,10 @@ def _text(value: Any, whole: bool = False) -> str:
     return "" if not math.isfinite(value) else str(int(value)) if whole else repr(float(value))
 
 
-def _quoted(cells: list[str]) -> list[str]:
-    return list(map(quoted, cells)) if _is_odd("\0".join(cells)) else cells
+def _quoted(cells: list[str]) -> list[bytes]:
+    joined = "\0".join(cells)
+    together = [] if _is_odd(joined) else joined.encode().split(b"\0")
+    return together if len(together) == len(cells) else [quoted(cell).encode() for cell in cells]
 
 
 def _is_odd(cells: str) -> bool:

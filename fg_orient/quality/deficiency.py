@@ -12,9 +12,11 @@ from typing import Final
 
 import numpy as np
 
+from factors.arrays import Array
+from fg_orient.adjustment.border_matrix import triangle
 from fg_orient.adjustment.constraints import prepared
 from fg_orient.adjustment.problem import Problem, compile_problem
-from fg_orient.adjustment.rows import image_rows, rows_by_image
+from fg_orient.adjustment.rows import AT_ONCE, image_rows, rows_by_image
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError, Finding, InputError, RankDeficientError, finding
@@ -89,10 +91,12 @@ def judge_observability(compiled: Problem) -> tuple[ImageObservability, ...]:
     out = []
     with one_blas_thread():
         for k, rows in enumerate(rows_by_image(compiled)):
-            model = compiled.models[k]
-            jacobian = image_rows(compiled, compiled.start, k, rows, jacobian=True)[1]
-            flat = jacobian.reshape(2 * len(rows), len(model.parameters))
-            out.append(analyse(compiled.block.images[k].id, flat, model))
+            model, shorter = compiled.models[k], list[Array]()
+            for begin in range(0, max(len(rows), 1), AT_ONCE):
+                part = rows[begin : begin + AT_ONCE]
+                jacobian = image_rows(compiled, compiled.start, k, part, jacobian=True)[1]
+                shorter.append(triangle(jacobian.reshape(2 * len(part), len(model.parameters))))
+            out.append(analyse(compiled.block.images[k].id, np.vstack(shorter), model))
     return tuple(out)
 
 

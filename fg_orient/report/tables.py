@@ -116,7 +116,10 @@ def largest_residuals(result: Result, count: int = 20) -> dict[str, Any] | None:
     if not tested:
         return None
     size = np.nan_to_num(np.abs(ratio), nan=0.0)
-    order = np.argsort(-size.max(axis=1), kind="stable")[:count]
+    worst = size.max(axis=1)
+    least = np.partition(worst, -count)[-count] if len(worst) > count else 0.0
+    among = np.flatnonzero(worst >= least)  # few of very many rows
+    order = among[np.argsort(-worst[among], kind="stable")[:count]]
     names = ("v_line_px", "v_sample_px", "w_line", "w_sample", "redundancy_line", "redundancy_sample", "mdb_line_px",
              "mdb_sample_px")  # fmt: skip
     values = table.numbers(*names, rows=order).tolist()

@@ -370,7 +370,9 @@ class PushbroomModel(ImageModel):
         out, j = projection.linearised(self.sensor, points.line, points.sample, ground_m, metadata)
         out[:, RECORD.reference] -= origin_m
         sigma = np.stack([points.sigma_line_px, points.sigma_sample_px], axis=1)
-        out[:, RECORD.whitening] = (-np.linalg.inv(j) / sigma[:, :, None]).reshape(-1, 4)
+        (a, b), (c, d) = j.transpose(1, 2, 0)
+        inverse = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
+        out[:, RECORD.whitening] = (-inverse.transpose(2, 0, 1) / sigma[:, :, None]).reshape(-1, 4)
         return np.hstack([out, polynomials.curves(out[:, RECORD.tau], self.n_curves)]) if self.n_curves else out
 
     def correction(self, x: Array) -> Correction:
