@@ -12,12 +12,12 @@ import numpy as np
 from factors._contract import Array
 
 
-def from_table(sample_grid: Array, psi_x_rad: Array, psi_y_rad: Array, sample: Array) -> tuple[Array, Array]:
+def from_table(sample_grid: Array, tan_psi_x: Array, tan_psi_y: Array, sample: Array) -> tuple[Array, Array]:
     """Look angles psi_x, psi_y (rad) at N samples; beyond the table the first and last segments are continued."""
     s = np.asarray(sample, float)
     k = np.clip(np.searchsorted(sample_grid, s, side="right") - 1, 0, len(sample_grid) - 2)
     f = (s - sample_grid[k]) / (sample_grid[k + 1] - sample_grid[k])
-    ends = [(np.tan(psi[k]), np.tan(psi[k + 1])) for psi in (psi_x_rad, psi_y_rad)]
+    ends = [(tangent[k], tangent[k + 1]) for tangent in (tan_psi_x, tan_psi_y)]
     psi_x, psi_y = (np.arctan(low + f * (high - low)) for low, high in ends)
     return psi_x, psi_y
 

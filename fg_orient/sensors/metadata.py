@@ -11,6 +11,7 @@ of the general pushbroom are those of convention A: X forward, Y left of flight,
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -94,7 +95,11 @@ class LookAngleTable:
 
     def angles(self, sample: Array) -> tuple[Array, Array]:
         """Look angles psi_x (along), psi_y (across), rad, of N samples."""
-        return look.from_table(self.sample, self.psi_x_rad, self.psi_y_rad, sample)
+        return look.from_table(self.sample, *self._tangents, sample)
+
+    @cached_property
+    def _tangents(self) -> tuple[Array, Array]:
+        return np.tan(self.psi_x_rad), np.tan(self.psi_y_rad)
 
 
 @dataclass(frozen=True)

@@ -195,7 +195,7 @@ class PushbroomSensor(Sensor):
         """Position and velocity (N, 3) of the state vectors at N times."""
         orbit = self.metadata.ephemeris
         state = interpolation.lagrange(orbit.time_s, np.hstack([orbit.position_m, orbit.velocity_m_s]), t)
-        return np.ascontiguousarray(state[:, :3]), np.ascontiguousarray(state[:, 3:])
+        return state[:, :3], state[:, 3:]
 
     def _require_listed(self, code: str, line: Array, listed_s: Array, table: str = "") -> None:
         """Refuse lines beyond a list of times; half a line, the border of a pixel, is allowed."""
@@ -214,12 +214,12 @@ class PushbroomSensor(Sensor):
         source = self.attitude
         if isinstance(source, AngleAttitude):
             angles = interpolation.linear(source.time_s, source.angles_rad, t)
-            return np.ascontiguousarray(angles), np.broadcast_to(np.eye(3), (len(t), 3, 3))
+            return angles, np.broadcast_to(np.eye(3), (len(t), 3, 3))
         if isinstance(source, QuaternionList):
             q = interpolation.quaternion_linear(source.time_s, source.quaternion, t)
         else:
             q = interpolation.quaternion_polynomial(source.coefficients, source.offset_s, source.scale_s, t)
-        ecef_from_body = rotations.quaternion_matrices(np.ascontiguousarray(q)) @ V2_BODY_FROM_BODY
+        ecef_from_body = rotations.quaternion_matrices(q) @ V2_BODY_FROM_BODY
         mount = np.swapaxes(rotations.orbital_frames(p, v), 1, 2) @ ecef_from_body
         return np.zeros((len(t), 3)), mount
 
@@ -290,9 +290,8 @@ class PushbroomSensor(Sensor):
         p_frame, v_frame = states.position_m, states.velocity_m_s
         if self.follows_orbit:
             p_frame, v_frame = p, states.velocity_m_s + delta[:, 3:6]
-        angles = np.ascontiguousarray(states.angles_rad + delta[:, 6:9])
-        orbital = rotations.attitude_matrices(angles, c.small_angle) @ mount
-        ecef = rotations.orbital_frames(np.ascontiguousarray(p_frame), np.ascontiguousarray(v_frame)) @ orbital
+        orbital = rotations.attitude_matrices(states.angles_rad + delta[:, 6:9], c.small_angle) @ mount
+        ecef = rotations.orbital_frames(p_frame, v_frame) @ orbital
         return p, light.unit(np.einsum("nij,nj->ni", ecef, look.direction(*psi)))
 
     # --- ground to image ---------------------------------------------------------------------

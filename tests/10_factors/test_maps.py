@@ -172,7 +172,7 @@ def test_look_direction_points_to_the_earth(rng: np.random.Generator) -> None:
 @pytest.mark.truth
 def test_look_table_is_linear_in_the_tangent() -> None:
     grid, psi = np.array([0.0, 5999.0]), np.array([0.43, 0.50])
-    _, psi_y = look.from_table(grid, np.zeros(2), psi, np.array([0.0, 2999.5, 5999.0]))
+    _, psi_y = look.from_table(grid, np.zeros(2), np.tan(psi), np.array([0.0, 2999.5, 5999.0]))
     assert np.tan(psi_y[1]) == pytest.approx(0.5 * (np.tan(0.43) + np.tan(0.50)), abs=1e-15)
     assert psi_y[[0, 2]] == pytest.approx(psi, abs=1e-15)
 
