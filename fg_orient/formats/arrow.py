@@ -113,16 +113,8 @@ def read_binary(path: Path, faults: Faults, check: Check) -> dict[str, Cells] | 
     dict or None
         None, with the faults noted, if the file is unusable.
     """
-    found = list(_parts(path, faults, check, whole=True))
-    return None if faults else _cells(found[0])
-
-
-def row_groups(path: Path, faults: Faults, check: Check) -> Iterator[dict[str, Cells]]:
-    """Columns of one row group after the other, as of :func:`read_binary`, for tables larger than the memory.
-
-    It ends, with the faults noted, where the file is unusable.
-    """
-    yield from map(_cells, _parts(path, faults, check, whole=False))
+    parts = list(_parts(path, faults, check))
+    return None if faults else {name: _cells([part.pop(name) for part in parts]) for name in list(parts[0])}
 
 
 def comments_of(path: Path, faults: Faults) -> str:
@@ -177,23 +169,22 @@ def _opened(pa: Any, path: Path) -> _Opened:
     )  # fmt: skip
 
 
-def _parts(path: Path, faults: Faults, check: Check, *, whole: bool) -> Iterator[dict[str, _Part]]:
-    """Columns of each row group, at least one; ``whole``: of all row groups at once."""
+def _parts(path: Path, faults: Faults, check: Check) -> Iterator[dict[str, _Part]]:
+    """Columns of each row group, at least one; only one group is in memory in the form of pyarrow."""
     if not _begins_well(path, faults):
         return
     with _noting(path, faults) as pa:
         file = _opened(pa, path)
         kinds = [(one.name, _kind(pa, one.type)) for one in file.schema]
         _check_schema(file, kinds, check, faults)
-        need = (file.n_bytes + file.n_rows * len(kinds) * PER_CELL) * (1.0 if whole else file.largest)
+        need = file.n_bytes * file.largest + file.n_rows * len(kinds) * PER_CELL
         allowed = allowed_bytes(None)
         if allowed is not None and need > allowed:
             faults.add("table.memory", value=in_gb(need), rows=file.n_rows, columns=len(kinds),
                        allowed=in_gb(allowed))  # fmt: skip
         known = {name: _Known({}) for name, _ in kinds}
         first = 1
-        every = list(range(file.n_groups))
-        for groups in [every] if whole or not every else [[k] for k in every]:
+        for groups in [[k] for k in range(file.n_groups)] or [[]]:
             if faults:
                 return
             group = file.read(groups).unify_dictionaries() if groups else file.schema.empty_table()
@@ -272,12 +263,11 @@ def _check_texts(name: str, part: _Part, before: int, first: int, faults: Faults
         faults.add("table.text", place=f"row {first + k}, column {name}", value=value, limit=LONGEST)
 
 
-def _cells(part: Mapping[str, _Part]) -> dict[str, Cells]:
-    """Cells by column."""
-    return {
-        name: NumberCells(values, empty) if distinct is None else CodedCells(list(distinct), values)
-        for name, (values, empty, distinct) in part.items()
-    }
+def _cells(parts: Sequence[_Part]) -> Cells:
+    """Cells of a column from those of the row groups."""
+    values, empty = (np.concatenate([getattr(part, name) for part in parts]) for name in ("values", "empty"))
+    distinct = parts[0].distinct
+    return NumberCells(values, empty) if distinct is None else CodedCells(list(distinct), values)
 
 
 # --- writing ----------------------------------------------------------------------------------------

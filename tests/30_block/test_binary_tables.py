@@ -251,19 +251,21 @@ def test_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert {p.name for p in tmp_path.iterdir()} == {"block", "o.parquet"} and not (tmp_path / "block/result").exists()
 
 
-@pytest.mark.consistency
+@pytest.mark.behaviour
 @pytest.mark.parametrize("suffix", [".parquet", ".arrow"])
-def test_row_groups_are_the_parts_of_the_table(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_table_is_read_by_row_groups(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All cells of all groups, of which one is in the memory of pyarrow at once."""
     monkeypatch.setattr(arrow, "ROW_GROUP", 4)
-    path, faults = tmp_path / f"t{suffix}", Faults("t")
-    write_table(path, {"id": [f"p{k % 3}" for k in range(10)], "x_m": np.arange(10.0), "n_rays": [*range(9), None]})
+    path, faults, sizes = tmp_path / f"t{suffix}", Faults("t"), []
+    columns = {"id": [f"p{k % 3 + k // 6}" for k in range(10)], "x_m": np.arange(10.0), "n_rays": [*range(9), None]}
+    write_table(path, columns)
+    numbers = arrow._numbers
+    monkeypatch.setattr(arrow, "_numbers", lambda pa, column: (sizes.append(len(column)), numbers(pa, column))[1])
     whole = read_table(path, [("id", "x_m", "n_rays")], faults)
-    assert whole is not None and list(whole.cells["n_rays"]) == [*map(str, range(9)), ""]
-    parts = list(arrow.row_groups(path, faults, lambda place, names: None))
-    assert [len(part["id"]) for part in parts] == [4, 4, 2] and not faults.problems
-    assert {name: [cell for part in parts for cell in part[name]] for name in parts[0]} == {
-        name: list(cells) for name, cells in whole.cells.items()
-    }
+    assert whole is not None and not faults.problems
+    assert list(whole.cells["n_rays"]) == [*map(str, range(9)), ""] and list(whole.cells["id"]) == columns["id"]
+    assert whole.numbers("x_m")[:, 0].tolist() == columns["x_m"].tolist()
+    assert sizes == [4, 4, 4, 4, 2, 2]
 
 
 @pytest.mark.behaviour
