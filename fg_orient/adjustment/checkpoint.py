@@ -21,6 +21,7 @@ import numpy.typing as npt
 from fg_orient import __version__
 from fg_orient.adjustment.loop import Carried, IterationRecord
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.recomputed import some_rows
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.model.declaration import declared
 from fg_orient.model.errors import InputError
@@ -28,6 +29,7 @@ from fg_orient.model.options import Options
 
 FORMAT: Final = 3
 EVERY_S: Final = 60.0
+RECORDS: Final = 50_000
 _NUMBERS: Final = tuple(f.name for f in fields(Carried) if f.name not in ("state", "log"))
 _WHOLE: Final = ("rejected", "rising", "begun_at")
 
@@ -138,8 +140,10 @@ def fingerprint(problem: Problem, scope: str = "") -> str:
     for extra in problem.block.extra:
         digest.update(repr((extra.equation.name, extra.unknowns, extra.n_residuals)).encode())
     o = problem.observations
+    for begin in range(0, len(o), RECORDS):  # not all at once: they are the largest array
+        digest.update(np.ascontiguousarray(some_rows(problem, "records", slice(begin, begin + RECORDS))).data)
     for array in (
-        problem.records, problem.control_records, problem.active, problem.observed, problem.origin_m, o.image, o.point,
+        problem.control_records, problem.active, problem.observed, problem.origin_m, o.image, o.point,
         problem.start.image, problem.start.ground,
         *(part for extra in problem.block.extra for part in (extra.record, problem.extra_setup(extra))),
     ):  # fmt: skip

@@ -1,7 +1,8 @@
 """Memory required by an adjustment, estimated before it is allocated, and available memory.
 
 The estimate includes the arrays of the problem and the larger of those of the backend and those of statistics and
-results, which follow when the backend is released. If only the statistics of every observation exceed the limit, they
+results, which follow when the backend is released. If the backend exceeds the limit, ground points are adjusted in
+parts, whose arrays are in files and of which some are open at once; if statistics of every observation exceed it, they
 are left out; otherwise the run is refused with both values. Constants per image point are measured at 1e6 image points.
 The arrays of the dense backend and the reduced matrix are counted. The estimate does not include the block, which is in
 memory already.
@@ -19,6 +20,8 @@ from factors.arrays import Index
 from factors.cameras import pushbroom
 from fg_orient.adjustment.cofactors import CHUNK, WHOLE_LIMIT, full_statistics
 from fg_orient.adjustment.images_first import Sizes, each_of_one_image
+from fg_orient.adjustment.parts.parts import default_parts
+from fg_orient.adjustment.problem import no_point_is_named
 from fg_orient.adjustment.reduced_choice import (
     ITERATIVE,
     LARGEST_FULL,
@@ -66,12 +69,17 @@ class Need:
     """Estimated bytes of an adjustment with a backend, and its limit (None: unknown).
 
     ``statistics_left_out``: those of every observation, which the options leave to the program, would exceed the limit.
+    ``parts`` is the number of parts of the ground points, if the limit requires them or they were asked for; at most
+    ``kept`` of them are open in a process (None: all), and the whole block would need ``whole`` bytes.
     """
 
     backend: str
     needed: int
     allowed: int | None
     statistics_left_out: bool = False
+    parts: int | None = None
+    kept: int | None = None
+    whole: int | None = None
 
     @property
     def fits(self) -> bool:
@@ -80,8 +88,20 @@ class Need:
 
     def as_dict(self) -> dict[str, object]:
         """For the record of a result."""
-        return {"backend": self.backend, "needed_bytes": self.needed, "allowed_bytes": self.allowed,
-                "statistics_left_out": self.statistics_left_out}  # fmt: skip
+        return {
+            "backend": self.backend, "needed_bytes": self.needed, "allowed_bytes": self.allowed,
+            "statistics_left_out": self.statistics_left_out, "parts": self.parts, "open_parts": self.kept,
+        }  # fmt: skip
+
+    @property
+    def note(self) -> Finding | None:
+        """Finding on parts that the limit requires; None without such parts."""
+        if self.kept is None:
+            return None
+        return finding(
+            "memory.in_parts", value=in_gb(self.whole or 0), allowed=in_gb(self.allowed or 0), parts=self.parts,
+            kept=self.kept,
+        )  # fmt: skip
 
     def problem(self, name: str) -> Finding:
         """Error for a block of this name that does not fit."""
@@ -91,7 +111,7 @@ class Need:
         )  # fmt: skip
 
 
-def need_of(block: Block, *, elsewhere: bool = False) -> Need:
+def need_of(block: Block, *, elsewhere: bool = False, open_share: float = 1.0) -> Need:
     """Estimate the memory of an adjustment, without the block itself.
 
     Parameters
@@ -100,6 +120,8 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
         Its options are those of the run.
     elsewhere : bool
         Whether other machines eliminate the ground points, whose arrays are then not in this memory.
+    open_share : float
+        Share of the image points whose arrays are in memory at once, of a block in parts.
 
     Raises
     ------
@@ -111,7 +133,7 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
     sizes = [len(model.parameters) for model in models]
     n, u = len(block.observations), sum(sizes)
     records = 8 * (pushbroom.RECORD.size + options.curve_intervals)
-    common = n * (records + 48) + len(block.points.ids) * 8 * PER_POINT
+    common = n * (open_share * records + 48) + len(block.points.ids) * 8 * PER_POINT
     backend = suitable_backend(block)
     border = _images_first(block, models) if backend == "graph" else None
     if border is not None:
@@ -120,8 +142,8 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
         return Need(backend, int(needed), allowed_bytes(options.memory_limit_gb))
     wide = _wide(block, np.array(sizes)) if backend != "dense" and u > ITERATIVE else None
     working = _working(backend, block, n, u, max(sizes), wide)
-    if backend == "schur" and elsewhere:
-        working -= n * SCHUR
+    if open_share < 1.0 or (backend == "schur" and elsewhere):
+        working -= (1.0 - (0.0 if elsewhere else open_share)) * n * SCHUR
     elif backend != "dense" and n <= COPIED:  # small blocks have a second copy of their records
         working += n * records
     limited = 0 if wide is not None and wide.selects else u  # see ``quality.covariance.gives_statistics``
@@ -200,19 +222,63 @@ def _working(backend: str, block: Block, n: int, u: int, widest: int, wide: _Wid
     return 8 * (3 * rows * unknowns + 2 * unknowns**2)  # Jacobian, scaled copy, factorisation; cofactors
 
 
-def reduced(block: Block, *, elsewhere: bool = False) -> tuple[Need, Block]:
-    """Estimate the memory of a block; without statistics of every observation if the options allow it and it helps."""
-    need = need_of(block, elsewhere=elsewhere)
-    if need.fits or block.options.statistics != "auto" or block.options.snoop:  # a search needs them
-        return need, block
-    less = replace(block, options=replace(block.options, statistics="basic"))
-    smaller = need_of(less, elsewhere=elsewhere)
-    return (replace(smaller, statistics_left_out=True), less) if smaller.fits else (need, block)
+@dataclass(frozen=True)
+class Parts:
+    """Parts of a run: their number (None: by the size of the block) and its processes; 0: none unless needed.
+
+    ``elsewhere``: they are on other machines.
+    """
+
+    number: int | None = None
+    processes: int = 0
+    elsewhere: bool = False
 
 
-def within_memory(block: Block, *, elsewhere: bool = False) -> tuple[Need, Block]:
+def _in_parts(block: Block, parts: Parts) -> Need:
+    """Estimate the memory of a block in parts, of which as many are open as the limit allows."""
+    whole, n = need_of(block, elsewhere=parts.elsewhere), len(block.observations)
+    number, processes = parts.number or default_parts(n), max(parts.processes, 1)
+    if parts.elsewhere or whole.allowed is None or (whole.fits and parts.processes):
+        return replace(whole, parts=number)
+    least, most = (need_of(block, open_share=share) for share in (min(1.0, processes / number), 1.0))
+    each = max((most.needed - least.needed) / max(number - processes, 1), 1.0)
+    kept = min(int(1 + max(whole.allowed - least.needed, 0) / each / processes), number)
+    return Need(
+        "schur", int(least.needed + each * processes * (kept - 1)), whole.allowed, parts=number, kept=kept,
+        whole=whole.needed,
+    )  # fmt: skip
+
+
+def _may_be_parted(block: Block) -> bool:
+    """Whether ground points can be adjusted in parts (``adjustment.parts.solve``)."""
+    own = all(model.parameters.own.all() for model in image_models(block.images, block.options))
+    return own and block.options.backend in ("auto", "schur") and no_point_is_named(block)
+
+
+def reduced(block: Block, parts: Parts | None = None) -> tuple[Need, Block]:
+    """Estimate the memory of a block, and what can be adjusted in it: in parts, then without statistics, then both.
+
+    Statistics of every observation are left out only if the options allow it.
+    """
+    parts = parts or Parts()
+    choices = [block]
+    if block.options.statistics == "auto" and not block.options.snoop:  # a search needs them
+        choices.append(replace(block, options=replace(block.options, statistics="basic")))
+    least: Need | None = None
+    for one in choices:
+        need = _in_parts(one, parts) if parts.processes else need_of(one)
+        if not (need.fits or parts.processes) and _may_be_parted(one):
+            need = min(_in_parts(one, parts), need, key=lambda each: each.needed)
+        if need.fits:
+            return replace(need, statistics_left_out=one is not block), one
+        least = need if least is None or need.needed < least.needed else least
+    assert least is not None
+    return least, block
+
+
+def within_memory(block: Block, parts: Parts | None = None) -> tuple[Need, Block]:
     """Memory of a block and what can be adjusted, see :func:`reduced`; raise InputError if it is above the limit."""
-    need, block = reduced(block, elsewhere=elsewhere)
+    need, block = reduced(block, parts)
     if not need.fits:
         raise InputError(need.problem(block.name))
     return need, block

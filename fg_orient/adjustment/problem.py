@@ -19,7 +19,7 @@ from factors.arrays import Array
 from factors.conditions.control import POINT
 from factors.geometry import ellipsoid
 from fg_orient import geodesy
-from fg_orient.adjustment.recomputed import computed_by, recomputed
+from fg_orient.adjustment.recomputed import computed_by, recomputed, release
 from fg_orient.adjustment.rows import image_models, local_origin, require_finite, residuals, whitened_records
 from fg_orient.adjustment.ties import Ties, ties_of
 from fg_orient.model.block import Block, ExtraObservation, ImagePoints
@@ -360,21 +360,22 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
     is_control = np.isin(np.arange(len(part)), control_rows)
     active = part & ~(is_control & known.fixed)
     observed = active & is_control
-    records = _records(models, observations, start_ecef, origin, same, like)
+    records = np.empty((0, 0)) if like is None else _records(models, observations, start_ecef, origin, same, like)
     image = np.zeros((len(models), max(len(model.parameters) for model in models)))
     start = State(image, np.where(part[:, None], start_ecef - origin, np.nan))
     out = Problem(
         block, models, observations, records, origin, start, active, observed,
         _control_records(block, start_ecef, origin, observed),
     )  # fmt: skip
-    if like is None:
-        computed_by(out, "records", partial(_records_again, models, observations, start_ecef, origin))
+    if like is None:  # the largest array: at its first use, or of some rows only
+        computed_by(out, "records", partial(_new_records, models, observations, start_ecef, origin))
+        release(out, "records")
     return out
 
 
-def _records_again(
+def _new_records(
     models: Sequence[ImageModel], observations: ImagePoints, ground_m: Array, origin_m: Array,
-    rows: npt.NDArray[np.intp] | None,
+    rows: npt.NDArray[np.intp] | slice | None,
 ) -> Array:  # fmt: skip
     """Whitened records of some image points, or of all."""
     return whitened_records(models, observations if rows is None else observations.take(rows), ground_m, origin_m)
@@ -405,11 +406,9 @@ def unchanged_rows(like: Problem, block: Block, observations: ImagePoints) -> np
 
 def _records(
     models: Sequence[ImageModel], observations: ImagePoints, ground_m: Array, origin_m: Array,
-    same: npt.NDArray[np.intp], like: Problem | None,
+    same: npt.NDArray[np.intp], like: Problem,
 ) -> Array:  # fmt: skip
     """Whitened records, with the rows ``same`` (n,) of another problem copied."""
-    if like is None:
-        return whitened_records(models, observations, ground_m, origin_m)
     old, new = np.flatnonzero(same >= 0), np.flatnonzero(same < 0)
     made = like.records[:0]
     if len(new):

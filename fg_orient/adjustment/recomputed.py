@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, TypeVar
+
+import numpy as np
 
 from factors.arrays import Array, Index
 
 #: Computes some rows of an array, or all of them (None).
-Compute = Callable[[Index | None], Array]
+Compute = Callable[[Index | slice | None], Array]
 Kind = TypeVar("Kind", bound=type)
+Owner = TypeVar("Owner")
 
 
 def recomputed(name: str) -> Callable[[Kind], Kind]:
@@ -30,13 +34,29 @@ def computed_by(owner: Any, name: str, function: Compute) -> None:
     vars(owner)[_function(name)] = function
 
 
+def held(owner: Owner, name: str) -> Owner:
+    """``owner`` with the array computed."""
+    getattr(owner, name)
+    return owner
+
+
 def release(owner: Any, name: str) -> None:
     """Free an array of ``owner``, if a function computes it again."""
     if _function(name) in vars(owner):
         vars(owner).pop(name, None)
 
 
-def some_rows(owner: Any, name: str, rows: Index) -> Array:
+def replaced(owner: Owner, name: str, **changes: Any) -> Owner:
+    """``dataclasses.replace`` of other fields; an array that is released stays so."""
+    if name in vars(owner):
+        return replace(owner, **changes)  # type: ignore[type-var]
+    out: Owner = replace(owner, **changes, **{name: np.empty((0, 0))})  # type: ignore[type-var]
+    computed_by(out, name, vars(owner)[_function(name)])
+    release(out, name)
+    return out
+
+
+def some_rows(owner: Any, name: str, rows: Index | slice) -> Array:
     """Rows of an array of ``owner``; of a released array only these rows are computed."""
     if name not in vars(owner):
         return vars(owner)[_function(name)](rows)  # type: ignore[no-any-return]

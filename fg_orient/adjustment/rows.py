@@ -115,7 +115,9 @@ def refuse(problem: Problem, state: State, row: int) -> NoReturn:
 def residuals(problem: Problem, state: State) -> Array:
     """Whitened residuals (n, 2) of all image points."""
     out = np.empty((len(problem.observations), 2))
-    _evaluate(problem, state, None, Rows(out, np.empty((0, 2, 0)), np.empty((0, 2, 3))), want=False)
+    for begin in range(0, len(out), AT_ONCE):
+        part = slice(begin, min(begin + AT_ONCE, len(out)))
+        _evaluate(problem, state, part, Rows(out[part], np.empty((0, 2, 0)), np.empty((0, 2, 3))), want=False)
     return out
 
 
@@ -123,18 +125,16 @@ def linearised(problem: Problem, state: State, rows: Index | None = None) -> Row
     """Evaluate image points of any images: ``rows`` (n,) of ``problem.observations``, by default all."""
     n = len(problem.observations) if rows is None else len(rows)
     out = Rows(np.empty((n, 2)), np.zeros((n, 2, int(np.diff(problem.first).max()))), np.empty((n, 2, 3)))
-    _evaluate(problem, state, rows, out, want=True)
+    _evaluate(problem, state, slice(None) if rows is None else rows, out, want=True)
     return out
 
 
-def _evaluate(problem: Problem, state: State, rows: Index | None, out: Rows, *, want: bool) -> None:
+def _evaluate(problem: Problem, state: State, rows: Index | slice, out: Rows, *, want: bool) -> None:
     """Write the residuals of image points and, if wanted, their Jacobians; images of one equation together."""
     o, row = problem.observations, np.arange(len(out.residual), dtype=np.int32)
-    image, point = o.image, o.point
-    if rows is None:
-        records = problem.records
-    else:
-        image, point, records = image[rows], point[rows], some_rows(problem, "records", rows)
+    image, point = o.image[rows], o.point[rows]
+    whole = isinstance(rows, slice) and rows == slice(None)
+    records = problem.records if whole else some_rows(problem, "records", rows)
     own = groups(problem.models)
     number = np.zeros(problem.n_images, np.intp)
     for g, images in enumerate(own):

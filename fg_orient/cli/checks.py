@@ -53,7 +53,8 @@ def validate(
     lines = [] if errors else ["no errors"]
     if need is not None:
         limit = "" if need.allowed is None else f" of {in_gb(need.allowed)} allowed"
-        lines.insert(0, f"memory: about {need.needed / 1e9:.2g} GB{limit}, backend {need.backend}")
+        parts = f" in {need.parts} parts" if need.parts else ""
+        lines.insert(0, f"memory: about {need.needed / 1e9:.2g} GB{limit}, backend {need.backend}{parts}")
     _finish({"memory": None if need is None else need.as_dict()}, errors, remarks, lines)
 
 

@@ -149,7 +149,7 @@ class ImagePoints:
     def __len__(self) -> int:
         return len(self.line)
 
-    def take(self, rows: Mask | Index) -> ImagePoints:
+    def take(self, rows: Mask | Index | slice) -> ImagePoints:
         """Give the selected rows."""
         return ImagePoints(
             self.image[rows], self.point[rows], self.line[rows],

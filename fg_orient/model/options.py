@@ -228,7 +228,7 @@ class Options(Checked):
     )
     memory_limit_gb: float | None = option(
         None, ADJUSTMENT,
-        "Refuse a run that needs more memory. The need is estimated before the run; 1 GB is 1e9 bytes.",
+        "Memory that a run may need, by an estimate before it: larger blocks are adjusted in parts, or refused.",
         unit="GB", spelled="memory-limit-gb", left_out="80 % of the available memory", iterates=False,
     )
     # fmt: on

@@ -15,7 +15,7 @@ from factors._preparation import preparing_seconds, working_clock
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.constraints import has_constraints, hold, released, tightened
 from fg_orient.adjustment.loop import Callback
-from fg_orient.adjustment.memory import Need, within_memory
+from fg_orient.adjustment.memory import Need, Parts, within_memory
 from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.runtime import return_memory
@@ -185,6 +185,7 @@ def adjust(
 
     require_possible_search(block)
     (memory, block), prepared = run.within_memory(block), preparing_seconds()
+    run = run.within(memory)
     first = runner(block, None) if several else run.first(block)
     jit = preparing_seconds() - prepared
     end, record = search(block, first, next_round)
@@ -194,10 +195,15 @@ def adjust(
     return completed(replace(whole, snooping=record, findings=tuple(findings), memory=memory))
 
 
-def _compiled(block: Block) -> tuple[Problem, tuple[ImageObservability, ...], BlockObservability, float]:
-    """Compiled block with the datum of its options, observability of images and block, and seconds."""
+def _compiled(
+    block: Block, *, at_once: bool = True
+) -> tuple[Problem, tuple[ImageObservability, ...], BlockObservability, float]:
+    """Compiled block with the datum of its options, observability of images and block, and seconds.
+
+    ``at_once``: see :func:`fg_orient.quality.deficiency.compiled_problem`.
+    """
     start, inner = working_clock(), block.options.datum == "inner"
-    compiled = compiled_problem(without_priors(block) if inner else block)
+    compiled = compiled_problem(without_priors(block) if inner else block, at_once=at_once)
     observability, block_view = _view(compiled)
     if inner and block_view.null is not None:
         compiled = with_minimal_datum(compiled, block_view.null)
@@ -277,9 +283,13 @@ class _Run:
     def once(self, block: Block, begin: State | None = None) -> Solution:
         """Adjust a block once with its options, from a state if given."""
         (memory, block), prepared = self.within_memory(block), preparing_seconds()
+        return self.within(memory)._once(block, begin, memory, prepared)
+
+    def _once(self, block: Block, begin: State | None, memory: Need, prepared: float) -> Solution:
+        """Adjust a block that fits the memory."""
         self._report("structure", len(block.observations))
         inner = block.options.datum == "inner"
-        compiled, observability, block_view, structure = _compiled(block)
+        compiled, observability, block_view, structure = _compiled(block, at_once=self._at_once)
         checkpoint = self.checkpoint if begin is None else None
         if begin is None and self.begin is not None:
             begin = self.begin(compiled)
@@ -294,16 +304,34 @@ class _Run:
             code = "solution.no_inner_datum_nor_priors" if block.options.priors else "solution.no_inner_datum"
             findings = doubts.with_accepted([finding(code), *solution.findings], block.options.accept)
             solution = replace(solution, findings=tuple(findings))
+        if memory.note is not None:
+            solution = replace(solution, findings=(*solution.findings, memory.note))
         return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=preparing_seconds() - prepared))
 
     def within_memory(self, block: Block) -> tuple[Need, Block]:
         """See ``fg_orient.adjustment.memory.within_memory``."""
-        return within_memory(block, elsewhere=self.execution is not None and self.execution.cluster is not None)
+        given = self.execution
+        return within_memory(
+            block, None if given is None else Parts(given.parts, max(given.workers, 1), given.cluster is not None)
+        )
+
+    @property
+    def _at_once(self) -> bool:
+        """Whether the arrays of all image points may be in memory."""
+        return self.execution is None or self.execution.kept is None
+
+    def within(self, memory: Need) -> _Run:
+        """Run in the parts that the memory requires."""
+        if memory.kept is None:
+            return self
+        from fg_orient.adjustment.parts.execution import Execution
+
+        return replace(self, execution=replace(self.execution or Execution(memory.parts), kept=memory.kept))
 
     def first(self, block: Block) -> SearchRound:
         """Adjust a block for the first time in a search."""
         self._report("structure", len(block.observations))
-        compiled, observability, block_view, structure = _compiled(block)
+        compiled, observability, block_view, structure = _compiled(block, at_once=self._at_once)
         begin = None if self.begin is None else self.begin(compiled)
         estimate = self._solved(compiled, self.checkpoint, begin)
         return replace(self._round(compiled, estimate, structure), view=(observability, block_view))

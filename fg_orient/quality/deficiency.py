@@ -16,6 +16,7 @@ from factors.arrays import Array
 from fg_orient.adjustment.border_matrix import triangle
 from fg_orient.adjustment.constraints import prepared
 from fg_orient.adjustment.problem import Problem, compile_problem
+from fg_orient.adjustment.recomputed import held, some_rows
 from fg_orient.adjustment.rows import AT_ONCE, image_rows, rows_by_image
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.block import Block
@@ -58,14 +59,16 @@ class Evidence:
     view: BlockObservability | None
 
 
-def compiled_problem(block: Block, like: Problem | None = None) -> Problem:
+def compiled_problem(block: Block, like: Problem | None = None, *, at_once: bool = True) -> Problem:
     """Compile a block; the error for a block without control points lists the free motions of each part.
 
     If rays do not meet, mix-ups of tables and metadata that explain it are added. Parameters and errors as of
-    ``compile_problem``.
+    ``compile_problem``. The records of the image points are computed now, or, if not ``at_once``, of some rows when
+    they are needed.
     """
     try:
-        return prepared(compile_problem(block, like))
+        compiled = prepared(compile_problem(block, like))
+        return compiled if not at_once else held(compiled, "records")
     except InputError as error:
         if any(p.code.startswith("initial.") for p in error.problems):
             raise InputError(*error.problems, *(one.finding(block) for one in mix_ups(block))) from None
@@ -139,7 +142,7 @@ def _thinned(compiled: Problem) -> Problem:
     step = -(-len(o) // ENOUGH)
     control = compiled.observed | ~compiled.active
     rows = np.flatnonzero(control[o.point] | (o.point % step == 0))
-    return replace(compiled, observations=o.take(rows), records=compiled.records[rows])
+    return replace(compiled, observations=o.take(rows), records=some_rows(compiled, "records", rows))
 
 
 def _structural(

@@ -17,12 +17,14 @@ from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.irls import find_loss
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.parts import parts as parts_module
+from fg_orient.adjustment.parts import tasks
 from fg_orient.adjustment.parts.backend import PartedBackend
 from fg_orient.adjustment.parts.execution import Execution
 from fg_orient.adjustment.parts.parts import default_parts, divide, part_file, read_part, rows_of
 from fg_orient.adjustment.parts.pool import Pool
 from fg_orient.adjustment.parts.solve import solve_in_parts
 from fg_orient.adjustment.problem import Problem, compile_problem
+from fg_orient.adjustment.recomputed import release
 from fg_orient.adjustment.robust import scaled, weighted_problem
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import solve
@@ -64,7 +66,7 @@ def test_the_number_of_parts_follows_from_the_block(problem: Problem, monkeypatc
     n = len(problem.observations)
     for size, expected in ((n, 1), (n - 1, 2), (1, n)):
         monkeypatch.setattr(parts_module, "PART_SIZE", size)
-        assert default_parts(problem) == min(expected, parts_module.MAX_PARTS)
+        assert default_parts(n) == min(expected, parts_module.MAX_PARTS)
 
 
 @pytest.mark.oracle
@@ -125,6 +127,31 @@ def test_solution_and_cofactors_in_parts(problem: Problem, optimizer: str, loss:
     ):  # fmt: skip
         scale = np.sqrt(np.outer(np.diag(a), np.diag(a)))
         np.testing.assert_allclose(b / scale, a / scale, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.consistency
+@pytest.mark.parametrize(("optimizer", "loss"), [("gauss-newton", "none"), ("dogleg", "huber")])
+def test_parts_that_are_opened_again_give_the_same_bits(problem: Problem, optimizer: str, loss: str) -> None:
+    """Records are computed part by part, and one or three of five parts are open at once."""
+    chosen = with_options(problem, optimizer=optimizer, loss=loss)
+    release(chosen, "records")
+    every = solve_in_parts(chosen, Execution(parts=5))
+    for kept in (1, 3):
+        some = solve_in_parts(chosen, Execution(parts=5, kept=kept))
+        assert some.state.image.tobytes() == every.state.image.tobytes() and some.chi2 == every.chi2
+        np.testing.assert_array_equal(some.state.ground, every.state.ground)
+    assert "records" not in vars(chosen)
+    held = solve_in_parts(with_options(problem, optimizer=optimizer, loss=loss), Execution(parts=5))
+    assert held.state.image.tobytes() == every.state.image.tobytes()
+
+
+@pytest.mark.behaviour
+def test_no_more_parts_are_open_than_allowed(problem: Problem, tmp_path: Path) -> None:
+    parted = PartedBackend(problem, Pool(), tmp_path, 5, kept=2)
+    for _ in range(3):
+        parted.error(problem.start)
+        assert sum(folder == str(tmp_path) for folder, _ in tasks._PARTS) == 2
+    tasks.forget(str(tmp_path))
 
 
 @pytest.mark.oracle

@@ -43,6 +43,8 @@ class PartedBackend:
     folder : Path
         Work folder of this adjustment, accessible to all workers.
     parts : int
+    kept : int, optional
+        Number of parts that stay open in a process; default: all.
 
     Raises
     ------
@@ -52,8 +54,8 @@ class PartedBackend:
 
     name: Final = "schur"
 
-    def __init__(self, problem: Problem, pool: Pool, folder: Path, parts: int) -> None:
-        self.problem, self.folder, self._pool = problem, folder, pool
+    def __init__(self, problem: Problem, pool: Pool, folder: Path, parts: int, kept: int | None = None) -> None:
+        self.problem, self.folder, self._pool, self._open = problem, folder, pool, kept
         self._dissection = dissected(problem, parts, joined=ImageExtras(problem, problem.start).joined)
         self.points = self._dissection.points
         for number, rows in enumerate(rows_of(problem, self.points)):
@@ -119,7 +121,7 @@ class PartedBackend:
         """State of each part."""
         folder, threads = str(self.folder), self._pool.threads
         return [
-            At(folder, number, state.name, state.image, threads, self._robust, self._losses)
+            At(folder, number, state.name, state.image, threads, self._open, self._robust, self._losses)
             for number in range(len(self.points))
         ]
 

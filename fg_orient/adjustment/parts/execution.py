@@ -38,6 +38,8 @@ class Execution:
     work_dir : path or None
         Folder accessible to all workers; a temporary folder is made in it. Default: the system's folder for temporary
         files, to which other machines have no access.
+    kept : int or None
+        Parts that stay open in a process; None: all. The program chooses it by the memory (``adjustment.memory``).
 
     Raises
     ------
@@ -49,6 +51,7 @@ class Execution:
     workers: int = 0
     cluster: Any = None
     work_dir: str | Path | None = None
+    kept: int | None = None
 
     def __post_init__(self) -> None:
         _require_kind("parts", self.parts, int, type(None))

@@ -22,6 +22,7 @@ from factors._contract import Equation, registered
 from factors.arrays import Array, Index
 from fg_orient import __version__
 from fg_orient.adjustment.problem import Problem, State, no_point_is_named
+from fg_orient.adjustment.recomputed import some_rows
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
 from fg_orient.model.errors import InputError
@@ -36,9 +37,9 @@ MAX_PARTS: Final = 256
 START: Final = "start"
 
 
-def default_parts(problem: Problem) -> int:
+def default_parts(n_image_points: int) -> int:
     """Number of parts of a block, from its image points."""
-    return min(max(1, -(-len(problem.observations) // PART_SIZE)), MAX_PARTS)
+    return min(max(1, -(-n_image_points // PART_SIZE)), MAX_PARTS)
 
 
 def rays_of_points(problem: Problem, parts: int) -> tuple[Index, Index, Index]:
@@ -95,7 +96,8 @@ def part_of(problem: Problem, points: Index, rows: Index) -> dict[str, npt.NDArr
     o = problem.observations
     setups = [model.parameters.setup for model in problem.models]
     return {
-        "image": o.image[rows], "point": np.searchsorted(points, o.point[rows]), "records": problem.records[rows],
+        "image": o.image[rows], "point": np.searchsorted(points, o.point[rows]),
+        "records": some_rows(problem, "records", rows),
         "start": problem.start.ground[points], "active": problem.active[points], "observed": problem.observed[points],
         "control_records": problem.control_records[points], "origin_m": problem.origin_m,
         "equations": np.array([model.equation.name for model in problem.models]),

@@ -18,6 +18,7 @@ from fg_orient.adjustment.parts.execution import Execution, opened, work_folder
 from fg_orient.adjustment.parts.parts import default_parts, part_of, part_problem, rows_of
 from fg_orient.adjustment.parts.system import PartedSystem
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.recomputed import replaced
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.model.errors import InputError
@@ -65,15 +66,17 @@ def solve_in_parts(
         raise InputError.of("parallel.backend", option="parts", value=options.backend)
     if problem.ties is not None:
         raise InputError.of("frame.shared_not", option="parts", value="parts", id=", ".join(problem.ties.ids))
-    own = replace(problem, block=replace(problem.block, options=replace(options, backend="schur")))
+    own = replaced(problem, "records", block=replace(problem.block, options=replace(options, backend="schur")))
     if execution.cluster is None and execution.workers > 1:
         rehearse(own)
     with opened(execution) as pool, work_folder(execution, pool) as folder:
-        parts = execution.parts or default_parts(problem)
+        parts = execution.parts or default_parts(len(problem.observations))
         if checkpoint is not None:
             checkpoint.scope = f"{parts} parts"
-        estimate = solve(
-            own, callback, lambda p: PartedBackend(p, pool, Path(mkdtemp(dir=folder)), parts), checkpoint, start
-        )
+
+        def backend(one: Problem) -> PartedBackend:
+            return PartedBackend(one, pool, Path(mkdtemp(dir=folder)), parts, execution.kept)
+
+        estimate = solve(own, callback, backend, checkpoint, start)
         summed = cast(PartedSystem, estimate.linear).summed()
     return replace(estimate, state=summed.state, linear=summed)

@@ -31,7 +31,8 @@ T = TypeVar("T")
 class At:
     """A state of a part: image unknowns (M, k) in prior sigmas, and ground points in a file with the name of the state.
 
-    ``threads`` are those of the kernels; ``robust`` are losses, ``loss`` their number, which changes with them.
+    ``threads`` are those of the kernels; ``robust`` are losses, ``loss`` their number, which changes with them. At most
+    ``kept`` parts stay open in a process (None: all).
     """
 
     folder: str
@@ -39,6 +40,7 @@ class At:
     name: str
     image: Array
     threads: int | None
+    kept: int | None = None
     robust: Robust | None = None
     loss: int = 0
 
@@ -103,6 +105,9 @@ def _task(function: Callable[Concatenate[_Part, At, P], T]) -> Callable[Concaten
             if key not in _PARTS:
                 for other in {folder for folder, _ in _PARTS if not Path(folder).is_dir()}:
                     forget(other)  # its client has ended
+                opened = [known for known in _PARTS if known[0] == at.folder]
+                if at.kept is not None and len(opened) >= at.kept:  # parts follow each other: the last one is due last
+                    del _PARTS[opened[-1]]
                 _PARTS[key] = _Part(at)
             part = _PARTS[key]
         with part.lock:
