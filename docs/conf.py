@@ -61,7 +61,7 @@ _INTERNAL = """
     fg_orient/formats/*_checks.py fg_orient/formats/gdal.py fg_orient/formats/toml.py
     fg_orient/formats/rpc/fields.py fg_orient/formats/schema.py fg_orient/kernels/batch*
     fg_orient/model/messages fg_orient/rectification/job.py fg_orient/rectification/record.py
-    fg_orient/rectification/study.py fg_orient/rectification/adjusted.py fg_orient/rectification/grid.py
+    fg_orient/rectification/study.py fg_orient/rectification/grid.py
     fg_orient/rectification/ortho*.py fg_orient/report/*.py
     fg_orient/orientation/run.py fg_orient/orientation/replay.py
     fg_orient/result/s*.py fg_orient/result/tables.py fg_orient/result/provenance.py

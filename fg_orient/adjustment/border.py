@@ -5,11 +5,13 @@ to the border and to the point, H = G^T G and K = H^-1 G^T B
 
     S = sum (B^T B - B^T G K) + extra observations + priors,    x_p = H^-1 g_p - K x_b
 
-Its matrix and that of the border of eliminated images: :mod:`fg_orient.adjustment.border_matrix`.
+Where images are eliminated first (:mod:`fg_orient.adjustment.images_first`), the border is the shared unknowns of the
+images and all ground points; :func:`border_of` chooses. The matrix of both: :mod:`fg_orient.adjustment.border_matrix`.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
@@ -21,17 +23,17 @@ from factors.arrays import Array, Index, Mask
 from fg_orient.adjustment.border_matrix import BorderMatrix, Followed, triangle
 from fg_orient.adjustment.cofactors import Part, order_by_point, parts_of
 from fg_orient.adjustment.dense import extra_blocks
+from fg_orient.adjustment.images_first import Images, Places, images_first
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.reduced_choice import FULL_BORDER, Pattern
 from fg_orient.adjustment.rows import linearised, summed
 from fg_orient.adjustment.schur import SchurBackend
-from fg_orient.adjustment.schur_reduced import full_matrix
+from fg_orient.adjustment.schur_reduced import Singular, full_matrix
 from fg_orient.model.block import ExtraObservation
 from fg_orient.model.options import Datum
 
 if TYPE_CHECKING:
     from scipy import sparse
-
 
 #: Image points whose Jacobians are kept; of larger blocks they are computed at each use.
 KEPT: Final = 100_000
@@ -286,3 +288,95 @@ class Border(BorderMatrix):
 def small_enough(problem: Problem) -> bool:
     """Whether the matrix of the border is formed as a whole."""
     return problem.n_free_unknowns + 3 * len(problem.named_points()) <= FULL_BORDER
+
+
+class ImagesBorder(BorderMatrix):
+    """The border of a problem whose images are eliminated, linearised at a state.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State
+    places : Places, optional
+        Of the problem.
+
+    Raises
+    ------
+    Singular
+        An image is not determined by its points.
+    """
+
+    def __init__(self, problem: Problem, state: State, places: Places | None = None) -> None:
+        self.places = places or Places(problem)
+        #: The eliminated images.
+        self.images = Images(self.places, state)
+        super().__init__(problem, state, self.images.matrix, self.images.border_gradient)
+
+    def at(self, state: State) -> ImagesBorder:
+        """See :class:`BorderMatrix`."""
+        out = ImagesBorder(self.problem, state, self.places)
+        out.moves = self.moves
+        return out
+
+    def newton(self) -> State:
+        """See :class:`BorderMatrix`."""
+        places, step = self.places, -(self.inverse @ self.gradient)
+        own = self.images.own_step + self.images.followed(step[:, None])[:, :, 0]
+        return places.state(places.own_of(self.state) + own, places.border_of(self.state) + step)
+
+    def images_of(self, moves: Array) -> Array:
+        """See :class:`BorderMatrix`."""
+        return self.places.joined(self.images.followed(moves), moves[: len(self.places.shared)])
+
+    def follow(self, moves: Array) -> Followed:
+        """See :class:`BorderMatrix`."""
+        places, problem, d = self.places, self.problem, moves.shape[1]
+        s, own = len(places.shared), self.images.followed(moves)
+        flat = self.images.along(own, moves)
+        gradient, rows = self.images.to_border(flat), [flat]
+        ground = self._ground(moves)
+        observed = np.flatnonzero(problem.observed)
+        if len(observed):
+            w = problem.control_weights(observed)
+            held = w @ ground[observed]
+            at = places.of_point[observed][:, None] + np.arange(3)
+            gradient[at] += np.swapaxes(w, 1, 2) @ held
+            rows.append(held.reshape(3 * len(held), d))
+        for extra in self.images.extras:
+            value = extra.border @ moves + (extra.own @ own[extra.image] if extra.image >= 0 else 0.0)
+            gradient += extra.border.T @ value
+            rows.append(value)
+        if problem.block.options.priors:
+            gradient[:s] += moves[:s]
+            rows.append(places.joined(own, moves[:s]))
+        return Followed(ground, triangle(np.vstack(rows)), gradient)
+
+    def movements(self, moves: Array) -> tuple[Array, Array]:
+        """See :class:`BorderMatrix`."""
+        return self.images_of(moves), self._ground(moves)
+
+    def _ground(self, moves: Array) -> Array:
+        """Movements (N, 3, d) of the ground points."""
+        active = self.problem.active
+        out, points = np.zeros((len(active), 3, moves.shape[1])), int(active.sum())
+        out[active] = moves[len(self.places.shared) :].reshape(points, 3, moves.shape[1])
+        return out
+
+    def effect_of(self, images: Array, ground: Array) -> Array:
+        """See :class:`BorderMatrix`; the own unknowns of the images follow."""
+        moves = ground[self.problem.active].reshape(len(self) - len(self.places.shared), images.shape[1])
+        return self.follow(np.vstack([images[self.places.shared], moves])).effect
+
+
+def border_of(problem: Problem, state: State) -> BorderMatrix | None:
+    """Border of a problem, of the kind that takes less work; None if it is too large.
+
+    Raises
+    ------
+    Singular
+        The observations do not determine the unknowns that are eliminated.
+    """
+    if images_first(problem):
+        with contextlib.suppress(Singular):
+            return ImagesBorder(problem, state)
+    return Border(problem, state) if small_enough(problem) else None

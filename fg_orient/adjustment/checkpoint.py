@@ -21,7 +21,7 @@ import numpy.typing as npt
 from fg_orient import __version__
 from fg_orient.adjustment.loop import Carried, IterationRecord
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.recomputed import some_rows
+from fg_orient.adjustment.rows import some_rows
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.model.declaration import declared
 from fg_orient.model.errors import InputError

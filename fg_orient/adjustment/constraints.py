@@ -17,14 +17,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.adjustment.constraint_kinds import ROWS, figure_of, relation_record
 from fg_orient.adjustment.constraint_rows import (
     DEPENDENT,
     FRAMES,
     HEAD,
+    ROWS,
     ConstraintObservation,
     Place,
     constraint_observation,
+    figure_of,
+    relation_record,
     whole_rows,
 )
 from fg_orient.adjustment.dense import extra_blocks

@@ -20,8 +20,8 @@ import numpy as np
 from factors._contract import NotFiniteError
 from factors.arrays import Array
 from factors.conditions.control import POINT
+from fg_orient.adjustment.border import ImagesBorder
 from fg_orient.adjustment.eliminated import IMPOSSIBLE, INTERSECTED, MAX_STEPS
-from fg_orient.adjustment.images_border import ImagesBorder
 from fg_orient.adjustment.images_first import Images, Places
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.reduced_graph import cost_factor

@@ -19,8 +19,17 @@ from factors.arrays import Array
 from factors.conditions.control import POINT
 from factors.geometry import ellipsoid
 from fg_orient import geodesy
-from fg_orient.adjustment.recomputed import computed_by, recomputed, release
-from fg_orient.adjustment.rows import image_models, local_origin, require_finite, residuals, whitened_records
+from fg_orient.adjustment.rows import (
+    computed_by,
+    image_models,
+    local_origin,
+    recomputed,
+    release,
+    require_finite,
+    residuals,
+    unchanged_rows,
+    whitened_records,
+)
 from fg_orient.adjustment.ties import Ties, ties_of
 from fg_orient.model.block import Block, ExtraObservation, ImagePoints
 from fg_orient.model.errors import InputError
@@ -316,7 +325,7 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
     ----------
     block : Block
     like : Problem, optional
-        Problem of a similar block: constants that are equal are copied from it (:func:`unchanged_rows`).
+        Problem of a similar block: constants that are equal are copied from it (``rows.unchanged_rows``).
 
     Raises
     ------
@@ -379,29 +388,6 @@ def _new_records(
 ) -> Array:  # fmt: skip
     """Whitened records of some image points, or of all."""
     return whitened_records(models, observations if rows is None else observations.take(rows), ground_m, origin_m)
-
-
-def unchanged_rows(like: Problem, block: Block, observations: ImagePoints) -> npt.NDArray[np.intp]:
-    """Rows (n,) of ``like`` with the same constants as these image points; -1 for changed constants.
-
-    A search for gross errors compiles a block again for each excluded observation. Start value and whitening of an
-    image point depend only on its sensor, and on all rays and the known coordinates of its ground point.
-    """
-    columns = np.concatenate([
-        np.stack([o.image, o.point, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px], axis=1)
-        for o in (like.observations, observations)
-    ])  # fmt: skip
-    order = np.lexsort(columns.T)
-    first = np.append(True, (np.diff(columns[order], axis=0) != 0.0).any(axis=1))
-    kind, n = (np.cumsum(first) - 1)[np.argsort(order)], int(first.sum())
-    before, now = np.split(kind, [len(like.observations)])
-    other = np.bincount(before, minlength=n) != np.bincount(now, minlength=n)
-    old, new = like.block.points.known.ecef_m, block.points.known.ecef_m
-    changed = ~((old == new) | (np.isnan(old) & np.isnan(new))).all(axis=1)
-    changed[columns[order[first], 1][other].astype(np.intp)] = True
-    row = np.full(n, -1, np.intp)
-    row[before] = np.arange(len(before))
-    return np.where(changed[observations.point], -1, row[now])
 
 
 def _records(

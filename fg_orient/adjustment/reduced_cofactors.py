@@ -13,6 +13,7 @@ import numpy.typing as npt
 from factors.arrays import Array, Index
 from fg_orient.adjustment import cofactors
 from fg_orient.adjustment.cofactors import (
+    DenseUnknowns,
     RayCofactors,
     blocks_of_images,
     cofactors_of_points,
@@ -22,7 +23,6 @@ from fg_orient.adjustment.cofactors import (
 )
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
-from fg_orient.adjustment.unknown_cofactors import DenseUnknowns
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.reduced_choice import Choice

@@ -1,19 +1,21 @@
 """Whitened records, residuals and Jacobians of image points, by the compiled loops of ``fg_orient.kernels.batch``.
 
-All image points outside the loops of the solvers are evaluated here, without a Python call per image point.
+All image points outside the loops of the solvers are evaluated here, without a Python call per image point. A large
+array can be released (:func:`recomputed`): it is computed again at its next use.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from factors._contract import NotFiniteError, check_blocks
 from factors.arrays import Array, Index
-from fg_orient.adjustment.recomputed import some_rows
 from fg_orient.kernels.batch import batch
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.base import ImageModel
@@ -63,6 +65,29 @@ def whitened_records(
             together = rows[-1] - rows[0] == len(rows) - 1  # a slice is written in half the time
             out[slice(rows[0], rows[-1] + 1) if together else rows, : part.shape[1]] = part
     return out
+
+
+def unchanged_rows(like: Problem, block: Block, observations: ImagePoints) -> Index:
+    """Rows (n,) of ``like`` with the same constants as these image points; -1 for changed constants.
+
+    A search for gross errors compiles a block again for each excluded observation. Start value and whitening of an
+    image point depend only on its sensor, and on all rays and the known coordinates of its ground point.
+    """
+    columns = np.concatenate([
+        np.stack([o.image, o.point, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px], axis=1)
+        for o in (like.observations, observations)
+    ])  # fmt: skip
+    order = np.lexsort(columns.T)
+    first = np.append(True, (np.diff(columns[order], axis=0) != 0.0).any(axis=1))
+    kind, n = (np.cumsum(first) - 1)[np.argsort(order)], int(first.sum())
+    before, now = np.split(kind, [len(like.observations)])
+    other = np.bincount(before, minlength=n) != np.bincount(now, minlength=n)
+    old, new = like.block.points.known.ecef_m, block.points.known.ecef_m
+    changed = ~((old == new) | (np.isnan(old) & np.isnan(new))).all(axis=1)
+    changed[columns[order[first], 1][other].astype(np.intp)] = True
+    row = np.full(n, -1, np.intp)
+    row[before] = np.arange(len(before))
+    return np.where(changed[observations.point], -1, row[now])
 
 
 def rows_by_image(problem: Problem) -> list[Index]:
@@ -237,3 +262,59 @@ def summed(values: Array, first: Index) -> Array:
     n, points = len(values), len(first) - 1
     of_point = sparse.csr_array((np.ones(n), np.arange(n), first), shape=(points, n))
     return np.asarray(of_point @ values.reshape(n, -1)).reshape(points, *values.shape[1:])
+
+
+#: Computes some rows of an array, or all of them (None).
+Compute = Callable[[Index | slice | None], Array]
+Kind = TypeVar("Kind", bound=type)
+Owner = TypeVar("Owner")
+
+
+def recomputed(name: str) -> Callable[[Kind], Kind]:
+    """Class decorator: the array ``name`` of a dataclass can be released."""
+
+    def changed(kind: Kind) -> Kind:
+        again = cached_property(lambda owner: vars(owner)[_function(name)](None))
+        again.__set_name__(kind, name)
+        setattr(kind, name, again)  # the array of an object hides it until the array is released
+        return kind
+
+    return changed
+
+
+def computed_by(owner: Any, name: str, function: Compute) -> None:
+    """State the function that computes an array of ``owner`` again."""
+    vars(owner)[_function(name)] = function
+
+
+def held(owner: Owner, name: str) -> Owner:
+    """``owner`` with the array computed."""
+    getattr(owner, name)
+    return owner
+
+
+def release(owner: Any, name: str) -> None:
+    """Free an array of ``owner``, if a function computes it again."""
+    if _function(name) in vars(owner):
+        vars(owner).pop(name, None)
+
+
+def replaced(owner: Owner, name: str, **changes: Any) -> Owner:
+    """``dataclasses.replace`` of other fields; an array that is released stays so."""
+    if name in vars(owner):
+        return replace(owner, **changes)  # type: ignore[type-var]
+    out: Owner = replace(owner, **changes, **{name: np.empty((0, 0))})  # type: ignore[type-var]
+    computed_by(out, name, vars(owner)[_function(name)])
+    release(out, name)
+    return out
+
+
+def some_rows(owner: Any, name: str, rows: Index | slice) -> Array:
+    """Rows of an array of ``owner``; of a released array only these rows are computed."""
+    if name not in vars(owner):
+        return vars(owner)[_function(name)](rows)  # type: ignore[no-any-return]
+    return getattr(owner, name)[rows]  # type: ignore[no-any-return]
+
+
+def _function(name: str) -> str:
+    return f"_{name}_again"

@@ -18,13 +18,13 @@ import numpy as np
 
 from factors.arrays import Array
 from factors.conditions.control import POINT
+from fg_orient.adjustment.iterative_reduced import ImplicitProduct
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State, no_point_is_named
 from fg_orient.adjustment.reduced_choice import ITERATIVE, Choice, choice_of
 from fg_orient.adjustment.reduced_systems import REDUCED, ReducedSystems
 from fg_orient.adjustment.robust import Weighing, together, two_ray_rows
 from fg_orient.adjustment.runtime import Index, Workers, threads_for
-from fg_orient.adjustment.schur_product import ImplicitProduct
 from fg_orient.adjustment.schur_reduced import Reduced, Singular
 from fg_orient.adjustment.schur_stages import Buffers, ImageExtras, Stages, TileRows, half_extras
 from fg_orient.adjustment.schur_structure import Grouping, Structure, Tile, compile_structure

@@ -47,10 +47,10 @@ from fg_orient.adjustment.robust import (
     Robust,
     Weights,
     inlier_limit,
+    robust_scale,
     weighted_problem,
     weights_at,
 )
-from fg_orient.adjustment.robust_scale import robust_scale
 from fg_orient.adjustment.runtime import calm_memory, one_blas_thread
 from fg_orient.adjustment.stages import FROM_RESECTIONS, PLAIN, plan_of, require_possible, run_stages
 from fg_orient.model.block import Block

@@ -8,8 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from fg_orient.cli.command import command, option
-from fg_orient.cli.common import Overwrite, Project, Scheduler, VerticalCrs, command_line, read_dem, require_project
+from fg_orient.cli.command import (
+    Overwrite,
+    Project,
+    Scheduler,
+    VerticalCrs,
+    command,
+    command_line,
+    option,
+    read_dem,
+    require_project,
+)
 from fg_orient.cli.log import session
 from fg_orient.cli.output import answer, folded, note, number, say, show_components, table, tell, tell_findings
 from fg_orient.cli.progress import progress, progress_bar

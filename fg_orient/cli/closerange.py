@@ -8,8 +8,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from fg_orient.cli.command import Several, argument, command, option
-from fg_orient.cli.common import ImageSize, Overwrite, command_line, image_sizes
+from fg_orient.cli.command import ImageSize, Overwrite, Several, argument, command, command_line, image_sizes, option
 from fg_orient.cli.output import answer, number, say, show_components, table, tell, tell_findings
 from fg_orient.cli.progress import progress
 from fg_orient.closerange.options import COMMON, DEFAULTS, BundleOptions, DltOptions, ImageOptions, SurfaceOptions

@@ -8,8 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.command import argument, command, option
-from fg_orient.cli.common import ImageSize, Overwrite, image_sizes
+from fg_orient.cli.command import ImageSize, Overwrite, argument, command, image_sizes, option
 from fg_orient.cli.output import answer, flag, say, table, tell
 from fg_orient.model.errors import Finding, InputError
 

@@ -6,8 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from fg_orient.cli.command import argument, command, option
-from fg_orient.cli.common import SENSORS, Dem, Overwrite, Sensors, VerticalCrs, read_dem
+from fg_orient.cli.command import SENSORS, Dem, Overwrite, Sensors, VerticalCrs, argument, command, option, read_dem
 from fg_orient.cli.output import answer, number, say, table, tell, write_records
 from fg_orient.model.errors import Finding, InputError, finding
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from fg_orient.cli.command import argument, command, option
-from fg_orient.cli.common import Extrapolate, Overwrite, Result, command_line
+from fg_orient.cli.command import Extrapolate, Overwrite, Result, argument, command, command_line, option
 from fg_orient.cli.log import session
 from fg_orient.cli.output import answer, note, number, say, table, tell, tell_findings
 from fg_orient.cli.progress import progress_bar

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from fg_orient.cli.command import argument, command, option
-from fg_orient.cli.common import Overwrite, open_dem
+from fg_orient.cli.command import Overwrite, argument, command, open_dem, option
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress, progress_bar
 from fg_orient.model.errors import InputError

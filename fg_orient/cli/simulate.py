@@ -8,8 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.command import command, option
-from fg_orient.cli.common import Overwrite
+from fg_orient.cli.command import Overwrite, command, option
 from fg_orient.cli.output import answer, say
 from fg_orient.cli.progress import progress_bar
 from fg_orient.simulate.options import BlockOptions, MixedOptions, ZonguldakOptions

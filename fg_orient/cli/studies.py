@@ -7,8 +7,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from fg_orient.cli.command import argument, command, option
-from fg_orient.cli.common import Overwrite, Project, Scheduler, command_line, require_project
+from fg_orient.cli.command import (
+    Overwrite,
+    Project,
+    Scheduler,
+    argument,
+    command,
+    command_line,
+    option,
+    require_project,
+)
 from fg_orient.cli.output import answer, say, table, tell_findings
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.names import ALL_SETS
@@ -110,7 +118,7 @@ def reproduce(
 
 def _show_reproduction(found: Reproduction, out: Path) -> None:
     """Print the assessments by table, the claims and the path of the report."""
-    from fg_orient.studies.reproduce.html import verdict
+    from fg_orient.studies.reproduce.folder import verdict
 
     words = verdict(found)
     say(words["title"])

@@ -5,10 +5,10 @@ from __future__ import annotations
 from fg_orient.model.public import names_of, on_first_use
 
 _HOME = names_of(__name__, {
-    "accuracy": "Comparison compare_points",
     "bundle": "BundlePhoto adjust_bundle",
     "bundle_result": "Adjustment BundleResult",
     "dlt": "DltFit fit_dlt",
+    "fitting": "Comparison compare_points",
     "intersection": "Intersection intersect_photos normal_case",
     "orientation": "RelativeOrientation Similarity absolute_orientation relative_orientation",
     "photo": "Photo PhotoInterior aerial_from_rotation ayhan_from_rotation rotation_from_aerial rotation_from_ayhan",

@@ -10,10 +10,10 @@ import numpy as np
 from factors.arrays import Array, Index
 from fg_orient.adjustment.robust import NONE
 from fg_orient.closerange import files, job
-from fg_orient.closerange.accuracy import compare_points
 from fg_orient.closerange.bundle_block import CENTRE, TURNS
 from fg_orient.closerange.bundle_checks import NAMED
 from fg_orient.closerange.bundle_result import Adjustment, BundleResult
+from fg_orient.closerange.fitting import compare_points
 from fg_orient.closerange.photo import NAMES, camera_of, profile
 from fg_orient.model.errors import Finding, NoSolutionError, as_record, finding
 from fg_orient.quality.camera import ImageCofactors, inseparable

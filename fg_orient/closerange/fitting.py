@@ -5,7 +5,8 @@ Unknowns should be of size 1, because the loop compares the largest element of a
 A condition ``l^T S l + 2 u^T l + c = 0`` between the observations of one point (a surface in space, the coplanarity of
 two rays) with ``v^T Q^-1 v`` minimal has v in closed form except for one number t. Along the eigenvectors of the
 whitened S, v_i = -t w_i/(1 + t d_i), and the condition is a decreasing function of t. So the foot point is exact and
-the nearest one, where iterated linearisation (Pope) may converge to the far side.
+the nearest one, where iterated linearisation (Pope) may converge to the far side. :func:`compare_points` compares
+adjusted points with a reference.
 """
 
 from __future__ import annotations
@@ -327,3 +328,63 @@ def _multiplier(d: Array, w: Array, c: Array) -> Array:
             t = np.where(done, t, np.where(inside, newton, middle))
     left_over = np.abs(left) <= 1e-9 * (scale + np.abs(terms).sum(axis=1))
     return np.asarray(np.where(left_over, t, np.nan))
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Differences of some points from their reference.
+
+    Parameters
+    ----------
+    n : int
+    sums_cm2 : (4,) list
+        [Fxx], [Fyy], [Fzz] and their sum [Fpp], cm^2 (Ayhan 1996, eqs. 187-188).
+    rms_mm : (4,) list
+        sqrt([F]/n), mm; None without points.
+    worst_mm : (3,) list
+        Largest difference per axis; None without points.
+    """
+
+    n: int
+    sums_cm2: list[float]
+    rms_mm: list[float | None]
+    worst_mm: list[float | None]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Differences of all points, of control points, and of the others.
+
+    Only the others measure the accuracy of a method, because it uses the control points.
+    """
+
+    every: Measures
+    control: Measures
+    other: Measures
+
+
+def compare_points(reference_m: npt.ArrayLike, points_m: npt.ArrayLike, control: npt.ArrayLike) -> Comparison:
+    """Compare points with their reference, ``F = reference - points``.
+
+    Parameters
+    ----------
+    reference_m, points_m : (n, 3) arrays
+    control : (n,) bool array
+        Points used by the compared method.
+
+    Raises
+    ------
+    InputError
+        Arrays of other shapes.
+    """
+    reference = as_points(reference_m, 3, "reference")
+    difference = reference - as_points(points_m, 3, "points")
+    used = np.asarray(control, bool)
+    return Comparison(*(_measures(difference[rows]) for rows in (used | True, used, ~used)))
+
+
+def _measures(difference: Array) -> Measures:
+    axes, n = (1e4 * np.sum(difference**2, axis=0)).tolist(), len(difference)
+    radial = float(np.sqrt(100.0 * sum(axes) / n)) if n else None
+    worst = np.abs(1e3 * difference).max(axis=0).tolist() if n else [None] * 3
+    return Measures(n, [*axes, sum(axes)], [*plain_rms(1e3 * difference), radial], worst)

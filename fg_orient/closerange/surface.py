@@ -13,7 +13,7 @@ from factors.arrays import Array, Mask
 from factors.cameras.frame_camera import CAMERA
 from factors.conditions import surfaces
 from factors.conditions.surfaces import RECORD
-from fg_orient.adjustment.constraint_kinds import linear_round
+from fg_orient.adjustment.constraint_rows import linear_round
 from fg_orient.closerange.fitting import Conditions, as_points, foot_points
 from fg_orient.model.errors import InputError
 

@@ -1,7 +1,7 @@
 """Inner loops as vector instructions of 512 bits where the processor has them, otherwise of 256 bits.
 
 They are written out because the compiler does not generate them: it unrolls a loop of nine before it could vectorise
-it, and it tests before each sum of rows (``fg_orient.kernels.batch_sums``) whether the arrays overlap, which takes as
+it, and it tests before each sum of rows (``fg_orient.kernels.batch_pairs``) whether the arrays overlap, which takes as
 long as the sum. Nine components per image point are the usual case (position, velocity, angles): their product takes
 14 ns instead of 50 (measured). All arrays are contiguous; places are those of their elements in memory.
 """

@@ -21,13 +21,12 @@ from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.model.names import Role, Status
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.quality.cofactors import Cofactors
-from fg_orient.quality.freedom import least_freedom
 from fg_orient.quality.observation_groups import groups_of, scaled
 from fg_orient.quality.outlier_records import GroupTest
 from fg_orient.quality.prediction import ConsistencyTest, Excluded, Misclosures, consistency_in_turn, misclosures
 from fg_orient.quality.rejection import MOST, ExcludedObservation, Rejection, Round, Search, reject
 from fg_orient.quality.successive import Exclusion, successive
-from fg_orient.quality.variance_components import VarianceComponents
+from fg_orient.quality.variance_components import VarianceComponents, least_freedom
 from fg_orient.sensors import initial
 
 #: Adjusts a block from a state and the problem of the last round, which differs in some observations.

@@ -23,7 +23,6 @@ from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.quality.accuracy import Accuracy
 from fg_orient.quality.cause import Supposed
 from fg_orient.quality.figures import AdjustedFigure, adjusted_figures
-from fg_orient.quality.freedom import UnknownFreedom
 from fg_orient.quality.hypotheses import GlobalTest, global_test
 from fg_orient.quality.joint import NamedMatrix, joint_cofactors
 from fg_orient.quality.observability import BlockObservability, ImageObservability
@@ -34,7 +33,7 @@ from fg_orient.quality.significance import LEVEL as SIGNIFICANCE_LEVEL
 from fg_orient.quality.significance import Significance, significance
 from fg_orient.quality.stated_sigmas import StatedSigma
 from fg_orient.quality.suspects import Kind
-from fg_orient.quality.variance_components import Method, VarianceComponents, variance_components
+from fg_orient.quality.variance_components import Method, UnknownFreedom, VarianceComponents, variance_components
 from fg_orient.result.record import Result, html_table, one_line, overview
 
 if TYPE_CHECKING:

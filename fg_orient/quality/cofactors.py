@@ -13,19 +13,20 @@ from typing import Protocol
 import numpy as np
 
 from factors.arrays import Array, Index
-from fg_orient.adjustment.border import Border
+from fg_orient.adjustment.border import Border, ImagesBorder
 from fg_orient.adjustment.border_matrix import BorderMatrix
 from fg_orient.adjustment.cofactors import (
+    DenseUnknowns,
     RayCofactors,
+    SpreadUnknowns,
     Star,
+    UnknownCofactors,
     blocks_of_images,
     cofactors_of_points,
     cofactors_of_rays,
     rays_of_star,
 )
-from fg_orient.adjustment.images_border import ImagesBorder
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.unknown_cofactors import DenseUnknowns, SpreadUnknowns, UnknownCofactors
 
 
 class PointCofactors(Protocol):

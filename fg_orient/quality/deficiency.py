@@ -16,8 +16,7 @@ from factors.arrays import Array
 from fg_orient.adjustment.border_matrix import triangle
 from fg_orient.adjustment.constraints import prepared
 from fg_orient.adjustment.problem import Problem, compile_problem
-from fg_orient.adjustment.recomputed import held, some_rows
-from fg_orient.adjustment.rows import AT_ONCE, image_rows, rows_by_image
+from fg_orient.adjustment.rows import AT_ONCE, held, image_rows, rows_by_image, some_rows
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError, Finding, InputError, RankDeficientError, finding

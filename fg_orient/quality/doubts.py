@@ -15,7 +15,7 @@ import numpy as np
 
 from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.recomputed import release
+from fg_orient.adjustment.rows import release
 from fg_orient.adjustment.runtime import MANY_ROWS, return_memory
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.distributions import chi_square_tail, sidak

@@ -32,11 +32,15 @@ from scipy.linalg import qr
 
 from factors._contract import Argument, Equation
 from factors.arrays import Array, Index, Mask
+from fg_orient.adjustment.border import border_of
 from fg_orient.adjustment.border_matrix import BorderMatrix
 from fg_orient.adjustment.cofactors import (
     Datum,
+    DenseUnknowns,
     RayCofactors,
+    SpreadUnknowns,
     Star,
+    UnknownCofactors,
     cofactors_of_rays,
     places_of_images,
     places_of_points,
@@ -44,14 +48,12 @@ from fg_orient.adjustment.cofactors import (
 )
 from fg_orient.adjustment.constraints import undamped
 from fg_orient.adjustment.dense import DenseSystem
-from fg_orient.adjustment.images_border import border_of
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import weighted_problem
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import Estimate
-from fg_orient.adjustment.unknown_cofactors import DenseUnknowns, SpreadUnknowns, UnknownCofactors
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import InputError, finding
 from fg_orient.quality.cofactors import BorderCofactors, Cofactors, MatrixCofactors, StarCofactors, places_of

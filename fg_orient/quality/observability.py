@@ -25,7 +25,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from factors.arrays import Array
-from fg_orient.adjustment.images_border import border_of
+from fg_orient.adjustment.border import border_of
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised

@@ -16,12 +16,11 @@ from factors.arrays import Array, Index, Mask
 from fg_orient.adjustment.problem import Problem
 from fg_orient.model.errors import InputError
 from fg_orient.quality import hypotheses
-from fg_orient.quality.freedom import freedoms
 from fg_orient.quality.observation_groups import GroupedResiduals, groups_of
 from fg_orient.quality.outlier_records import OutlierTests
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.suspects import KINDS, Kind, Suspects, suspects
-from fg_orient.quality.variance_components import VarianceComponents
+from fg_orient.quality.variance_components import VarianceComponents, freedoms
 
 #: Two suspects are inseparable if their T agree to this relative difference.
 SAME: Final = 1e-6

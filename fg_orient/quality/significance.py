@@ -27,14 +27,14 @@ from typing import Any, Final
 import numpy as np
 
 from factors.arrays import Array, Index
+from fg_orient.adjustment.cofactors import DenseUnknowns, UnknownCofactors
 from fg_orient.adjustment.problem import Problem
-from fg_orient.adjustment.unknown_cofactors import DenseUnknowns, UnknownCofactors
 from fg_orient.model.distributions import f_tail, holm, t_two_sided
 from fg_orient.model.errors import NoSolutionError
 from fg_orient.model.parameters import term_of
-from fg_orient.quality.freedom import UnknownFreedom
 from fg_orient.quality.hypotheses import CHECKED
 from fg_orient.quality.residuals import ResidualCofactors
+from fg_orient.quality.variance_components import UnknownFreedom
 
 #: Probability of a false alarm among all coefficients.
 LEVEL: Final = 0.05

@@ -23,10 +23,9 @@ from fg_orient.geodesy import from_geographic, same_crs
 from fg_orient.kernels.resampling import BILINEAR, CUBIC, LIMITS, NEAREST, REACH, pixel_positions, resample
 from fg_orient.model.errors import InputError, as_record
 from fg_orient.model.names import Progress
-from fg_orient.rectification.adjusted import read_correction
 from fg_orient.rectification.grid import CACHE_BYTES, TILE, Bounds, Lattice, LevelSurface, MapGrid, Surface, lattice
 from fg_orient.rectification.options import OrthoOptions
-from fg_orient.rectification.ortho_models import BORDER, MapModel, PointModel, SensorModel
+from fg_orient.rectification.ortho_models import BORDER, MapModel, PointModel, SensorModel, read_correction
 from fg_orient.rectification.transformation import read_transformation
 from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.surface import RasterDem

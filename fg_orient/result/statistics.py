@@ -13,17 +13,17 @@ from fg_orient.adjustment.constraints import has_constraints
 from fg_orient.formats.table_write import Column
 from fg_orient.model.errors import Finding, finding
 from fg_orient.model.machine import in_gb
+from fg_orient.quality.causes import unseen_mistakes
 from fg_orient.quality.covariance import gives_statistics
 from fg_orient.quality.reliability import CHECKABLE, UNSEEN, noncentrality
-from fg_orient.quality.unseen import unseen_mistakes
 from fg_orient.result.plain import Table, of_axes, table_of_rows
 
 if TYPE_CHECKING:
     from fg_orient.orientation.solution import Solution
+    from fg_orient.quality.causes import unseen_mistakes
     from fg_orient.quality.joint import NamedMatrix
     from fg_orient.quality.outlier_records import GroupTest, OutlierTests
     from fg_orient.quality.rejection import Search
-    from fg_orient.quality.unseen import unseen_mistakes
 from fg_orient.quality.reliability import BlockReliability, Reliability
 
 #: Observations and correlations that are named.

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fg_orient import geodesy
-from fg_orient.geodesy.datums import known_shifts
+from fg_orient.geodesy.crs import known_shifts
 from fg_orient.model.errors import InputError
 
 A, F = 6378137.0, 1.0 / 298.257223563

@@ -15,7 +15,7 @@ from fg_orient.formats.project import read_project
 from fg_orient.formats.rpc import read_rpc
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError
-from fg_orient.rectification.adjusted import read_correction
+from fg_orient.rectification.ortho_models import read_correction
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process as run
 from tests.support.published_rays import misses_m

@@ -9,7 +9,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from fg_orient.cli.common import Extrapolate
+from fg_orient.cli.command import Extrapolate
 from fg_orient.formats.metadata.dimap import read_dimap
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError, OutOfImage, OutOfTimeRange

@@ -15,9 +15,9 @@ import fg_orient as fg
 from benchmarks.frames import Size, network
 from factors._contract import Argument, Equation
 from fg_orient.adjustment import images_first
+from fg_orient.adjustment.border import ImagesBorder
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.dense import assemble
-from fg_orient.adjustment.images_border import ImagesBorder
 from fg_orient.adjustment.images_first import Images, Places
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.native import with_observations

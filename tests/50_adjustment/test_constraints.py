@@ -11,8 +11,7 @@ import pytest
 
 import fg_orient as fg
 from factors._contract import Array
-from fg_orient.adjustment.constraint_kinds import relation_record
-from fg_orient.adjustment.constraint_rows import HEAD, constraint_observation
+from fg_orient.adjustment.constraint_rows import HEAD, constraint_observation, relation_record
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.model.block import Block

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from fg_orient.adjustment import problem as module
-from fg_orient.adjustment.problem import Problem, compile_problem, unchanged_rows
+from fg_orient.adjustment.problem import Problem, compile_problem
+from fg_orient.adjustment.rows import unchanged_rows
 from fg_orient.model.block import Block, Coordinates, GroundPoints
 from fg_orient.model.names import Role
 from fg_orient.simulate.block import BlockOptions, grid_block

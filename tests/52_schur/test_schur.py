@@ -30,6 +30,7 @@ from fg_orient.adjustment import (
 from fg_orient.adjustment.dense import DenseBackend, assemble
 from fg_orient.adjustment.explicit import ExplicitBackend
 from fg_orient.adjustment.irls import find_loss
+from fg_orient.adjustment.iterative_reduced import ImplicitProduct
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.reduced_choice import Pattern
@@ -37,7 +38,6 @@ from fg_orient.adjustment.reduced_cofactors import ReducedCofactors
 from fg_orient.adjustment.robust import scaled
 from fg_orient.adjustment.runtime import Workers
 from fg_orient.adjustment.schur import SchurBackend, SchurSystem
-from fg_orient.adjustment.schur_product import ImplicitProduct
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import solve, suitable_backend
 from fg_orient.model.block import Block, ExtraObservation, Image, ImagePoints

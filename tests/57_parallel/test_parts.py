@@ -24,8 +24,8 @@ from fg_orient.adjustment.parts.parts import default_parts, divide, part_file, r
 from fg_orient.adjustment.parts.pool import Pool
 from fg_orient.adjustment.parts.solve import solve_in_parts
 from fg_orient.adjustment.problem import Problem, compile_problem
-from fg_orient.adjustment.recomputed import release
 from fg_orient.adjustment.robust import scaled, weighted_problem
+from fg_orient.adjustment.rows import release
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import solve
 from fg_orient.adjustment.stages import EXACT, PLAIN, Graduated

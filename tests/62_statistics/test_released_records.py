@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from fg_orient.adjustment.problem import compile_problem
-from fg_orient.adjustment.recomputed import release
-from fg_orient.adjustment.rows import linearised
+from fg_orient.adjustment.rows import linearised, release
 from fg_orient.orientation.orient import adjust
 from fg_orient.quality import doubts
 from fg_orient.simulate.block import BlockOptions, grid_block

@@ -7,8 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 import fg_orient as fg
-from fg_orient.adjustment.robust import A_PRIORI
-from fg_orient.adjustment.robust_scale import LEAST, LOWEST, robust_scale
+from fg_orient.adjustment.robust import A_PRIORI, LEAST, LOWEST, robust_scale
 from fg_orient.adjustment.rows import residuals
 from fg_orient.model.distributions import chi_square_median
 from tests.support.full_statistics import Full

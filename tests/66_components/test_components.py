@@ -16,9 +16,9 @@ from fg_orient.adjustment.dense import assemble
 from fg_orient.model.block import Block
 from fg_orient.orientation.components import adjust_with_components
 from fg_orient.quality import observation_groups as module
-from fg_orient.quality.freedom import freedoms
 from fg_orient.quality.observation_groups import GroupedResiduals, groups_of
 from fg_orient.quality.suspects import suspects
+from fg_orient.quality.variance_components import freedoms
 from tests.support.full_statistics import turned_design, turned_rows
 from tests.support.planted_errors import planted
 

@@ -9,10 +9,9 @@ from scipy.stats import binom
 import fg_orient as fg
 from fg_orient.quality import hypotheses
 from fg_orient.quality import observation_groups as module
-from fg_orient.quality.freedom import freedoms
 from fg_orient.quality.observation_groups import GroupedResiduals, groups_of
 from fg_orient.quality.suspects import suspects
-from fg_orient.quality.variance_components import variance_components
+from fg_orient.quality.variance_components import freedoms, variance_components
 from tests.support.full_statistics import turned_design
 from tests.support.planted_errors import planted_large
 

@@ -12,7 +12,7 @@ import pytest
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError
 from fg_orient.model.parameters import N_EOP, parameter_name
-from fg_orient.rectification.adjusted import read_correction
+from fg_orient.rectification.ortho_models import read_correction
 from fg_orient.rpc.fitting import fit_image
 from fg_orient.rpc.options import FitOptions
 from fg_orient.sensors.correction import Correction

@@ -13,11 +13,10 @@ from rasterio.rpc import RPC
 from rasterio.warp import Resampling, reproject
 
 from fg_orient.model.errors import InputError
-from fg_orient.rectification.adjusted import read_correction
 from fg_orient.rectification.grid import ERROR_PX, FIRST_STEP, LevelSurface, MapGrid, lattice
 from fg_orient.rectification.options import OrthoOptions
 from fg_orient.rectification.ortho import RESAMPLING, orthorectify, rectify_image
-from fg_orient.rectification.ortho_models import PointModel, SensorModel
+from fg_orient.rectification.ortho_models import PointModel, SensorModel, read_correction
 from fg_orient.rectification.transformation import Scaling, Transformation, find_model
 from fg_orient.rpc.fitting import fit_image
 from fg_orient.rpc.options import FitOptions

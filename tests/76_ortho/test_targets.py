@@ -11,9 +11,8 @@ import pytest
 import rasterio
 
 from fg_orient.geodesy import ecef_to_geodetic, from_geographic
-from fg_orient.rectification.adjusted import read_correction
 from fg_orient.rectification.ortho import orthorectify
-from fg_orient.rectification.ortho_models import SensorModel
+from fg_orient.rectification.ortho_models import SensorModel, read_correction
 from fg_orient.sensors.surface import RasterDem
 from fg_orient.simulate.render import Renderer, terrain_through
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate

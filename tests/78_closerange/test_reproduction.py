@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.closerange.accuracy import compare_points
+from fg_orient.closerange.fitting import compare_points
 from fg_orient.closerange.surface_fit import fit_surface
 from fg_orient.model.names import CellKey
 from fg_orient.studies.published import tables as published

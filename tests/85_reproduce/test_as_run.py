@@ -7,8 +7,7 @@ import pytest
 
 from fg_orient.model.names import CellKey
 from fg_orient.studies.published.tables import PublishedTables
-from fg_orient.studies.reproduce.null import shuffled
-from fg_orient.studies.reproduce.reproduction import SOURCES, Row, pair
+from fg_orient.studies.reproduce.reproduction import SOURCES, Row, pair, shuffled
 from fg_orient.studies.tables_spot5 import STEP_1_CLOSED, WITHOUT_BUNDLE
 from fg_orient.studies.tables_twin import twin
 

@@ -10,8 +10,7 @@ import pytest
 
 from fg_orient.model.names import CellKey
 from fg_orient.studies.published.tables import PublishedCell, PublishedTables
-from fg_orient.studies.reproduce.null import baseline, roles
-from fg_orient.studies.reproduce.reproduction import SOURCES, pair
+from fg_orient.studies.reproduce.reproduction import SOURCES, baseline, pair, roles
 from fg_orient.studies.reproduce.verdict import Recomputed, assess_runs, assess_value
 
 Printed = dict[str, PublishedTables]

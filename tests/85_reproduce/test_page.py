@@ -14,8 +14,7 @@ from fg_orient.model.names import CellKey
 from fg_orient.report.chart import Axis, Chart
 from fg_orient.report.svg import svg
 from fg_orient.studies.published.tables import load
-from fg_orient.studies.reproduce.folder import reproduce_to
-from fg_orient.studies.reproduce.html import grid, l_curves, scatter
+from fg_orient.studies.reproduce.folder import grid, l_curves, reproduce_to, scatter
 from fg_orient.studies.reproduce.reproduction import Row, reproduce
 
 

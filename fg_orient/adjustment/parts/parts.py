@@ -22,7 +22,7 @@ from factors._contract import Equation, registered
 from factors.arrays import Array, Index
 from fg_orient import __version__
 from fg_orient.adjustment.problem import Problem, State, no_point_is_named
-from fg_orient.adjustment.recomputed import some_rows
+from fg_orient.adjustment.rows import some_rows
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
 from fg_orient.model.errors import InputError

@@ -18,7 +18,7 @@ from fg_orient.adjustment.parts.execution import Execution, opened, work_folder
 from fg_orient.adjustment.parts.parts import default_parts, part_of, part_problem, rows_of
 from fg_orient.adjustment.parts.system import PartedSystem
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.recomputed import replaced
+from fg_orient.adjustment.rows import replaced
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.model.errors import InputError

@@ -16,10 +16,10 @@ import numpy.typing as npt
 
 from factors.arrays import Array
 from factors.cameras.image_corrections import ideal_points
-from fg_orient.closerange.accuracy import compare_points
 from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
 from fg_orient.closerange.bundle_result import BundleResult
 from fg_orient.closerange.dlt import DltFit, fit_dlt
+from fg_orient.closerange.fitting import compare_points
 from fg_orient.closerange.intersection import Intersection, intersect_photos, normal_case
 from fg_orient.closerange.photo import Photo, PhotoInterior, ayhan_from_rotation, rotation_from_ayhan
 from fg_orient.model.constraint import Constraint

@@ -70,7 +70,7 @@ class CellComparison:
     high: float = math.nan
 
 
-#: Comparison of a cell, whose printed number may be its own or that of another cell (see ``null``).
+#: Comparison of a cell, whose printed number may be its own or that of another cell (see ``reproduction.baseline``).
 Judge = Callable[[PublishedCell], CellComparison]
 Judges = dict[CellKey, Judge]
 
