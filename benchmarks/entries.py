@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 from benchmarks.cases import Counts, note
-from fg_orient.adjustment.runtime import keep_freed_memory
+from fg_orient.model.machine import keep_freed_memory
 
 #: A peer that has not reached the common cost after this is a lower bound.
 LIMIT_S: Final = 1200.0

@@ -25,8 +25,8 @@ import numpy as np
 from fg_orient.adjustment.explicit import ExplicitBackend, image_key, point_key
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.rows import linearised
-from fg_orient.adjustment.runtime import calm_memory
 from fg_orient.model.block import Block
+from fg_orient.model.machine import calm_memory
 from fg_orient.simulate.block import BlockOptions, grid_block
 
 IMAGE_POINTS_PER_POINT = 3.0  # of a 3 x 3 block, for the first guess

@@ -35,10 +35,10 @@ from benchmarks.cases import note
 from benchmarks.hardware import this_machine
 from fg_orient.adjustment.loop import levenberg_marquardt
 from fg_orient.adjustment.problem import Problem, compile_problem
-from fg_orient.adjustment.runtime import calm_memory
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import solve
 from fg_orient.formats.atomic import write_bytes
+from fg_orient.model.machine import calm_memory
 from tests.support.pinhole import pinhole_block
 
 RESULTS: Final = Path(__file__).parent / "results" / "wide.json"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.linalg import eigvalsh_tridiagonal
@@ -16,7 +16,6 @@ from fg_orient.kernels.batch_points import reduced_product
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.schur import SchurSystem
-    from fg_orient.adjustment.schur_reduced import Reduced
 
 #: Least and largest error of a step of conjugate gradients, relative in the norm of the matrix; error in that norm that
 #: has no effect; most steps.
@@ -24,18 +23,6 @@ LEAST_ERROR: Final = 1e-10
 LARGEST_ERROR: Final = 6e-3
 NO_EFFECT: Final = 1e-10
 MOST_STEPS: Final = 2000
-
-
-class Implicit(Protocol):
-    """A reduced matrix without its blocks."""
-
-    def multiply(self, x: Array, out: Array) -> None:
-        """Write the product with unknowns (M, k), without priors and damping; shorter rows end with zeros."""
-        ...
-
-    def with_blocks(self) -> Reduced:
-        """The same system with a full factor."""
-        ...
 
 
 class IterativeReduced:
@@ -55,7 +42,7 @@ class IterativeReduced:
         Added to the diagonal: priors and damping.
     chi2 : float
         Where the system was linearised; 0: :data:`LEAST_ERROR` for all solutions.
-    implicit : Implicit, optional
+    implicit : ImplicitProduct, optional
         Products with the matrix from the rows; else from the blocks.
     threads : int
         See :class:`fg_orient.adjustment.schur_reduced.LapackReduced`.
@@ -68,7 +55,7 @@ class IterativeReduced:
 
     def __init__(
         self, pattern: Pattern, first: Index, blocks: Array, diagonal: float, chi2: float = 0.0,
-        implicit: Implicit | None = None, threads: int = 1,
+        implicit: ImplicitProduct | None = None, threads: int = 1,
     ) -> None:  # fmt: skip
         self._inverse = LapackInverse(pattern, first, blocks, diagonal, threads)
         self._pattern, self._first, self._blocks = pattern, first, self._inverse.blocks
@@ -183,7 +170,7 @@ class ImplicitProduct:
         return np.searchsorted(first, np.linspace(0, first[-1], SHARES + 1)).astype(np.int64)
 
     def multiply(self, x: Array, out: Array) -> None:
-        """See :class:`Implicit`."""
+        """Write the product with unknowns (M, k), without priors and damping; shorter rows end with zeros."""
         s, b = self._system.structure, self._system.eliminated_buffers(self._damping)
         d_image, d_ground = b.kept
         self._system.backend.workers.run(
@@ -193,7 +180,7 @@ class ImplicitProduct:
         np.multiply(np.take_along_axis(self._sums.sum(axis=0), s.wide, axis=1), s.scale, out=out)
 
     def with_blocks(self) -> Reduced:
-        """See :class:`Implicit`."""
+        """The same system with a full factor."""
         from fg_orient.adjustment.schur import SchurBackend
 
         own = self._system.backend

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from factors.arrays import Array, Index
-from fg_orient.adjustment.iterative_reduced import Implicit, IterativeReduced
+from fg_orient.adjustment.iterative_reduced import ImplicitProduct, IterativeReduced
 from fg_orient.adjustment.reduced_choice import Choice, Pattern, choose, narrowest
 from fg_orient.adjustment.schur_reduced import LapackInverse, LapackReduced, Reduced
 
@@ -134,7 +134,7 @@ class ReducedSystems:
 
     def __call__(
         self, blocks: Array, diagonal: float, added: Array | None = None, chi2: float = 0.0,
-        implicit: Implicit | None = None,
+        implicit: ImplicitProduct | None = None,
     ) -> Reduced:  # fmt: skip
         """System of these blocks (B, k, k) with ``diagonal`` and a matrix (z, z) added; Singular if not definite.
 

@@ -1,24 +1,16 @@
-"""Threads, garbage collection and freed memory during an adjustment.
+"""Threads during an adjustment.
 
-Kernels release the interpreter and run in parallel in a few permanent threads. A graph of thousands of factors produces
-no garbage, but each garbage collection costs 7 us per factor. Each elimination of a graph frees megabytes of small
-blocks. glibc returns the top of its heap to the system as soon as 128 KiB of it are free, and requests it again page
-by page in the next iteration. Without :func:`calm_memory` an elimination of 3 000 image points takes twice as long, and
-the cost per image point differs between small and large blocks (measured with benchmarks/graph_cost.py).
-
-Dense linear algebra runs in one thread (:func:`one_blas_thread`). The matrices of this package are small: two BLAS
-threads take ten times the processor time of one (measured with 180 unknowns). The order of sums also changes rounding
-errors, so that results of singular systems would depend on the number of cores. Only factors of large reduced systems
-take more threads (``schur_reduced.LapackReduced``).
+Kernels release the interpreter and run in parallel in a few permanent threads. Dense linear algebra runs in one thread
+(:func:`one_blas_thread`). The matrices of this package are small: two BLAS threads take ten times the processor time of
+one (measured with 180 unknowns). The order of sums also changes rounding errors, so that results of singular systems
+would depend on the number of cores. Only factors of large reduced systems take more threads
+(``schur_reduced.LapackReduced``).
 """
 
 from __future__ import annotations
 
-import ctypes
-import gc
 import math
 import os
-import sys
 import threading
 import weakref
 from collections.abc import Callable, Iterator
@@ -135,59 +127,6 @@ def _work(inbox: SimpleQueue[Any], outbox: SimpleQueue[Any]) -> None:
         except BaseException as error:
             outbox.put((None, error))
         del task, kernel, arguments
-
-
-#: Parameters of glibc's ``mallopt`` (malloc.h).
-M_TRIM_THRESHOLD: Final = -1
-M_MMAP_THRESHOLD: Final = -3
-#: Free bytes at the top of the heap that are kept. glibc's own limit is 64 MiB for a process with large arrays.
-KEPT_BYTES: Final = 256 << 20
-#: Rows from which on it is worth the time to give memory back.
-MANY_ROWS: Final = 100_000
-VERY_MANY_ROWS: Final = 500_000
-#: Size from which blocks come directly from the system: upper limit of glibc's adaptive rule, which a value disables.
-OWN_MAPPING_BYTES: Final = 32 << 20
-
-
-@cache
-def keep_freed_memory() -> bool:
-    """Let glibc keep up to `KEPT_BYTES` of freed memory for the rest of the process.
-
-    Returns whether the allocator accepts it; False for other C libraries (musl, macOS, Windows).
-    """
-    if not sys.platform.startswith("linux"):
-        return False
-    library = ctypes.CDLL(None)
-    if not (hasattr(library, "gnu_get_libc_version") and hasattr(library, "mallopt")):
-        return False
-    kept = library.mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
-    return bool(kept and library.mallopt(M_MMAP_THRESHOLD, OWN_MAPPING_BYTES))
-
-
-def return_memory(rows: int) -> None:
-    """Give freed memory back to the system after work on so many rows, if they are many.
-
-    Of very many rows also that of objects that refer to each other: to find them takes 0.1 s.
-    """
-    if rows < MANY_ROWS:
-        return
-    if rows >= VERY_MANY_ROWS:
-        gc.collect()
-    if sys.platform.startswith("linux") and hasattr(ctypes.CDLL(None), "malloc_trim"):  # glibc
-        ctypes.CDLL(None).malloc_trim(0)
-
-
-@contextmanager
-def calm_memory() -> Iterator[None]:
-    """No garbage collection inside, and freed memory is kept for the next iteration."""
-    keep_freed_memory()
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 @cache

@@ -51,10 +51,11 @@ from fg_orient.adjustment.robust import (
     weighted_problem,
     weights_at,
 )
-from fg_orient.adjustment.runtime import calm_memory, one_blas_thread
+from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.stages import FROM_RESECTIONS, PLAIN, plan_of, require_possible, run_stages
 from fg_orient.model.block import Block
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
+from fg_orient.model.machine import calm_memory
 from fg_orient.model.options import Backend, Options
 
 if TYPE_CHECKING:

@@ -15,11 +15,11 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.reduced_cofactors import SummedSystem
 from fg_orient.adjustment.resection import LocatedPoints, locate_points
 from fg_orient.adjustment.robust import are_information, weighted_problem
-from fg_orient.adjustment.runtime import return_memory
 from fg_orient.adjustment.schur import SchurSystem
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.block import Coordinates
 from fg_orient.model.errors import Finding, finding
+from fg_orient.model.machine import return_memory
 from fg_orient.model.names import Role, Status
 from fg_orient.orientation.solution import Seconds, Solution
 from fg_orient.quality import camera, causes, doubts, vendor_datum, verdict

@@ -18,11 +18,11 @@ from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.memory import Need, Parts, within_memory
 from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.runtime import return_memory
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.adjustment.stages import require_possible
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError, finding
+from fg_orient.model.machine import return_memory
 from fg_orient.model.options import Backend, Datum, Options
 from fg_orient.model.parameters import with_options
 from fg_orient.orientation.adjusted import AdjustmentResult

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 from factors._preparation import preparing_seconds, working_clock
 from fg_orient.adjustment.checkpoint import EVERY_S, Checkpoint
-from fg_orient.adjustment.runtime import return_memory
 from fg_orient.adjustment.stages import require_possible
 from fg_orient.formats.atomic import require_free, staged_folder, writing
 from fg_orient.formats.project import read_project
 from fg_orient.formats.table_write import require_writer
 from fg_orient.model.errors import InputError, NoSolutionError, RankDeficientError
+from fg_orient.model.machine import return_memory
 from fg_orient.orientation.orient import Stage, adjust
 from fg_orient.quality.deficiency import Evidence
 from fg_orient.report import write_page

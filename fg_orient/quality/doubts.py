@@ -16,10 +16,10 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import release
-from fg_orient.adjustment.runtime import MANY_ROWS, return_memory
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.distributions import chi_square_tail, sidak
 from fg_orient.model.errors import DECISIVE, Finding, InputError, finding
+from fg_orient.model.machine import MANY_ROWS, return_memory
 from fg_orient.model.messages import CATALOGUE
 from fg_orient.quality.accuracy import CHANCE, PointDifferences
 from fg_orient.quality.cofactors import Cofactors

@@ -16,10 +16,9 @@ from fg_orient.formats.tables import require_table
 from fg_orient.model.errors import InputError
 from fg_orient.model.installation import stamp
 from fg_orient.rectification.options import PointOptions, StudyOptions
-from fg_orient.rectification.outliers import pair_distances
 from fg_orient.rectification.points import DIRECTIONS, fit_points, observations, read_map_points
 from fg_orient.rectification.record import CONTENTS, record_of, write_folder
-from fg_orient.rectification.study import Cell, design_study
+from fg_orient.rectification.study import Cell, design_study, pair_distances
 from fg_orient.rectification.transformation import find_model
 from fg_orient.rpc.points import ids_and_checks
 

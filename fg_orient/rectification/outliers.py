@@ -1,4 +1,4 @@
-"""Tests of points for gross errors; pruning and comparison of pairwise distances of İpbüker 1994.
+"""Tests of points for gross errors; pruning of İpbüker 1994.
 
 A control point is tested against all others, a check point against the fit.
 
@@ -15,14 +15,13 @@ from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.arrays import Array, Index, Mask
 from fg_orient.model.distributions import f_quantile, f_tail
-from fg_orient.model.errors import InputError, NoSolutionError
+from fg_orient.model.errors import NoSolutionError
 from fg_orient.quality.hypotheses import can_be_tested, f_statistics, quadratic
 from fg_orient.quality.rejection import reject
-from fg_orient.rectification.arguments import finite, positive
+from fg_orient.rectification.arguments import positive
 from fg_orient.rectification.fit import Observations, TransformationFit, fit
 
 Rule = Literal["residual", "test"]
@@ -162,46 +161,3 @@ def _worst(fitted: TransformationFit, rule: Rule) -> int:
         return int(np.argmax(np.linalg.norm(fitted.residuals, axis=1)))
     smallest = np.nanmin(tests.probability)
     return int(np.nanargmax(np.where(tests.probability <= smallest, tests.statistic, np.nan)))
-
-
-class PairDistances(NamedTuple):
-    """Differences of the distances of all pairs of points, m.
-
-    ``differences`` (K,): first minus second list, pairs in the order 01, 02, ..., 12, ...; their standard deviation
-    (K - 1 in the divisor) and mean; ``of_point`` (n,): root mean square about the mean of the differences of each
-    point's pairs, large for a gross error.
-    """
-
-    differences: Array
-    standard_deviation: float
-    mean: float
-    of_point: Array
-
-
-def pair_distances(first: npt.ArrayLike, second: npt.ArrayLike) -> PairDistances:
-    """Compare the distances of all pairs of points in two plane systems of one scale, without a transformation.
-
-    İpbüker 1994, appendix EK 3, program KEN.BAS: ``d_ij = s_ij(image in metres) - s_ij(map)`` for i < j. Their standard
-    deviation measures the precision of both lists together. A constant cancels, a scale error does not. With noise
-    alone it is about 1.39 m0 for 30 points.
-
-    Parameters
-    ----------
-    first, second : (n, 2) array_like
-        The same points, both in metres.
-
-    Raises
-    ------
-    InputError
-        Fewer than three points (two pairs are needed), or lists of different shapes.
-    """
-    a, b = (finite("pair distances", values) for values in (first, second))
-    if a.ndim != 2 or a.shape[1] != 2 or b.shape != a.shape or len(a) < 3:
-        raise InputError.of("rectify.points", place="pair distances", value=f"{a.shape}, {b.shape}")
-    n = len(a)
-    i, j = np.triu_indices(n, 1)
-    d = np.hypot(*(a[i] - a[j]).T) - np.hypot(*(b[i] - b[j]).T)
-    mean = float(d.mean())
-    squares = np.zeros((n, n))
-    squares[i, j] = squares[j, i] = (d - mean) ** 2
-    return PairDistances(d, float(d.std(ddof=1)), mean, np.sqrt(squares.sum(axis=1) / (n - 1)))

@@ -18,8 +18,9 @@ from fg_orient.geodesy import area_of_use, to_geographic
 from fg_orient.model.distributions import f_tail
 from fg_orient.model.errors import Finding, as_record, finding, sentences
 from fg_orient.rectification.fit import Observations
-from fg_orient.rectification.outliers import PairDistances, PointTests, check_tests, point_tests
+from fg_orient.rectification.outliers import PointTests, check_tests, point_tests
 from fg_orient.rectification.points import DIRECTIONS, PointFit
+from fg_orient.rectification.study import PairDistances
 from fg_orient.report.chart import INKS, Chart, large, mapped, round_down
 from fg_orient.report.svg import svg
 from fg_orient.report.words import printable, scientific

@@ -1,7 +1,6 @@
 """Data of the live drawings of a page.
 
-Coordinates are Float32 in base64, little endian; a column that is one value everywhere is that value.
-Words are JSON, with every character that could end the element written as an escape.
+Coordinates are Float32 in base64, little endian; a column that is one value everywhere is that value. Words are JSON.
 """
 
 from __future__ import annotations

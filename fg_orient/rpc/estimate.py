@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.adjustment.linear.modern import regularised
 from fg_orient.adjustment.linear.registry import solve
+from fg_orient.adjustment.linear.ridge import regularised
 from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rpc.fit import RfmFit

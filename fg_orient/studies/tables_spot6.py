@@ -20,8 +20,8 @@ from scipy.linalg import eigh
 
 from factors.arrays import Array
 from fg_orient.adjustment.linear.kappa import KappaChoice, clamped
-from fg_orient.adjustment.linear.modern import regularised_system
 from fg_orient.adjustment.linear.registry import attempt
+from fg_orient.adjustment.linear.ridge import regularised_system
 from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem, diagnose
 from fg_orient.model.names import CellKey
 from fg_orient.rpc.estimate import linear_system

@@ -17,8 +17,8 @@ from fg_orient.adjustment.linear.kappa import (
     register_kappa_rule,
     unit_variance,
 )
-from fg_orient.adjustment.linear.modern import regularised, tikhonov
 from fg_orient.adjustment.linear.registry import attempt, register_solver, solve, solver, solvers
+from fg_orient.adjustment.linear.ridge import regularised, tikhonov
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, Breakdown, LinearSolution, LinearSystem, diagnose
 from fg_orient.model.errors import InputError
 

@@ -10,9 +10,8 @@ from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
 from fg_orient.adjustment.linear.kappa import Given, KappaChoice, choose_kappa, clamped, kappa_rules, unit_variance
-from fg_orient.adjustment.linear.modern import regularised, tikhonov
 from fg_orient.adjustment.linear.registry import solve
-from fg_orient.adjustment.linear.ridge import Ridge
+from fg_orient.adjustment.linear.ridge import Ridge, regularised, tikhonov
 from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSystem
 from tests.support.systems import design_system, vandermonde
 

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from fg_orient.adjustment.runtime import calm_memory, keep_freed_memory
+from fg_orient.model.machine import calm_memory, keep_freed_memory
 
 pytestmark = pytest.mark.behaviour
 

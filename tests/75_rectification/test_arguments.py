@@ -12,7 +12,8 @@ from fg_orient.model.errors import InputError
 from fg_orient.rectification import projections, scanner, standards, study
 from fg_orient.rectification.fit import Observations, fit
 from fg_orient.rectification.grid import LevelSurface, MapGrid
-from fg_orient.rectification.outliers import pair_distances, prune
+from fg_orient.rectification.outliers import prune
+from fg_orient.rectification.study import pair_distances
 from fg_orient.rectification.transformation import find_model
 
 pytestmark = pytest.mark.behaviour

@@ -13,8 +13,8 @@ from scipy import optimize, stats
 
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rectification.fit import Observations, TransformationFit, fit
-from fg_orient.rectification.outliers import pair_distances, point_tests, prune
-from fg_orient.rectification.study import design_study
+from fg_orient.rectification.outliers import point_tests, prune
+from fg_orient.rectification.study import design_study, pair_distances
 from fg_orient.rectification.transformation import NAMES, Transformation, find_model, read_transformation
 
 from .conftest import SPATIAL

@@ -1,17 +1,21 @@
-"""Tikhonov solutions of a system for all kappa, with the penalty |x|, from one singular value decomposition.
+"""Tikhonov solutions of a system: for one kappa with any penalty, and for all kappa with the penalty |x|.
 
-With A = U S V^T and beta = U^T l, x = V (s beta/(s^2 + kappa)); |x|^2 = X and |A x - l|^2 = R are sums over the
-singular values. Curves and their derivatives are therefore exact.
+One singular value decomposition gives those for all kappa. With A = U S V^T and beta = U^T l, x = V (s beta/(s^2 +
+kappa)); |x|^2 = X and |A x - l|^2 = R are sums over the singular values. Curves and their derivatives are therefore
+exact.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.adjustment.linear.system import Breakdown, LinearSystem
+from fg_orient.adjustment.linear.kappa import Given, choose_kappa
+from fg_orient.adjustment.linear.registry import solve
+from fg_orient.adjustment.linear.system import Breakdown, LinearSolution, LinearSystem
+from fg_orient.model.errors import InputError
 
 GRID_POINTS = 240
 #: The grid starts at the smallest singular value, but not below 16 roundings of the largest (Hansen 1998).
@@ -115,3 +119,74 @@ class Ridge:
         squares = self.values**2
         terms = (kappa * self.values * self.beta / (squares + kappa) ** 2) ** 2
         return float(np.sum(terms * (squares - kappa) / (squares + kappa)))
+
+
+# --- for one kappa --------------------------------------------------------------------------------
+
+#: Default solver. It uses [A; sqrt(kappa) L], whose condition number is the root of that of the normal matrix.
+MODERN_SOLVER = "svd"
+
+
+def regularised_system(system: LinearSystem, kappa: float, penalty: Array | None = None) -> LinearSystem:
+    """System N + kappa L^T L, and [A; sqrt(kappa) L], [l; 0] where A is known.
+
+    Parameters
+    ----------
+    system : LinearSystem
+    kappa : float
+    penalty : (k, u) array, optional
+        L; default: identity.
+
+    Raises
+    ------
+    InputError
+        Kappa is negative or not finite, or L does not fit.
+    """
+    if not (np.isfinite(kappa) and kappa >= 0.0):
+        raise InputError.of("linear.kappa_value", place="kappa", value=kappa)
+    matrix = np.eye(len(system)) if penalty is None else penalty
+    if matrix.ndim != 2 or matrix.shape[1] != len(system) or not np.isfinite(matrix).all():
+        raise InputError.of("linear.penalty", place="L", value=f"shape {matrix.shape}", unknowns=len(system))
+    if kappa == 0.0:
+        return system
+    normal = system.normal + kappa * (matrix.T @ matrix)
+    if system.design is None or system.observed is None:
+        return LinearSystem(normal, system.rhs)
+    design = np.vstack([system.design, np.sqrt(kappa) * matrix])
+    observed = np.concatenate([system.observed, np.zeros(len(matrix))])
+    return LinearSystem(normal, system.rhs, design, observed)
+
+
+def regularised(
+    system: LinearSystem, kappa: float, penalty: Array | None = None, *, solver: str = MODERN_SOLVER
+) -> LinearSolution:
+    """Tikhonov solution: the x that minimises |A x - l|^2 + kappa |L x|^2.
+
+    ``solver`` solves the :func:`regularised_system`; kappa 0 gives least squares. Breakdown if the solver fails.
+    """
+    solution = solve(solver, regularised_system(system, kappa, penalty))
+    return LinearSolution(solution.x, inverse=solution.inverse, rank=solution.rank, kappa=kappa, notes=solution.notes)
+
+
+def tikhonov(
+    system: LinearSystem, rule: str, given: Given | None = None, *, clamp: bool = False, solver: str = MODERN_SOLVER
+) -> LinearSolution:
+    """Tikhonov solution with the kappa of a rule.
+
+    ``rule``, ``given`` and ``clamp``: see :func:`choose_kappa`; ``solver`` solves the :func:`regularised_system`.
+
+    Returns
+    -------
+    LinearSolution
+        With ``kappa`` and ``rule``.
+
+    Raises
+    ------
+    InputError
+        The rule is unknown or an input is missing.
+    Breakdown
+        The rule finds no kappa, or a solver fails.
+    """
+    choice = choose_kappa(rule, system, given, clamp=clamp)
+    solution = regularised(system, choice.kappa, solver=solver)
+    return replace(solution, rule=rule, notes=(*choice.notes, *solution.notes))
