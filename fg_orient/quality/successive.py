@@ -206,7 +206,7 @@ class _Candidates:
 
     def leave_out(self, i: int) -> tuple[float, int]:
         """Leave out a suspect; decrease of v^T v and of its degrees of freedom."""
-        size, axes = np.linalg.eigh(self.own[i])
+        size, axes = hypotheses.eigen(self.own[i])
         checked = size > hypotheses.CHECKED
         w, d = axes[:, checked] / np.sqrt(size[checked]), int(checked.sum())
         at, block, data = self._at[self._of_point[i]], self._blocks[self._of_point[i]], self._design.data

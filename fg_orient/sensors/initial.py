@@ -63,21 +63,28 @@ def nearest_points(centre_m: Array, direction: Array, point: Index, n_points: in
     convergence_deg : (n_points,) array
         Largest angle between any two rays of the point; 0 for parallel rays and for fewer than two rays.
     """
-    n, b = np.empty((n_points, 3, 3)), np.empty((n_points, 3))
-    count = np.bincount(point, minlength=n_points)
+    n, b = _projections(direction, point, n_points), np.empty((n_points, 3))
     reference = centre_m.mean(axis=0)
     from_reference = centre_m - reference
     along = np.einsum("ni,ni->n", direction, from_reference)
-    for i in range(3):  # sums of I - u u^T and of (I - u u^T) c, element by element: no matrix of each ray
+    for i in range(3):
         b[:, i] = np.bincount(point, from_reference[:, i] - direction[:, i] * along, n_points)
-        for j in range(i, 3):
-            n[:, i, j] = n[:, j, i] = (i == j) * count - np.bincount(point, direction[:, i] * direction[:, j], n_points)
     out = np.full((n_points, 3), np.nan)
-    spread = _largest_angles_deg(direction, point, count)
+    spread = _largest_angles_deg(direction, point, np.bincount(point, minlength=n_points))
     good = np.flatnonzero(spread > MIN_CONVERGENCE_DEG)
     if len(good):
         out[good] = np.linalg.solve(n[good], b[good][:, :, None])[:, :, 0] + reference
     return out, spread
+
+
+def _projections(direction: Array, point: Index, n_points: int) -> Array:
+    """Sums (n_points, 3, 3) of I - u u^T over the rays of each point, element by element: no matrix of each ray."""
+    out, count = np.empty((n_points, 3, 3)), np.bincount(point, minlength=n_points)
+    for i in range(3):
+        for j in range(i, 3):
+            sums = np.bincount(point, direction[:, i] * direction[:, j], n_points)
+            out[:, i, j] = out[:, j, i] = (i == j) * count - sums
+    return out
 
 
 def intersection_covariances(images: tuple[Image, ...], observations: ImagePoints, ground_m: Array) -> Array:
@@ -89,21 +96,18 @@ def intersection_covariances(images: tuple[Image, ...], observations: ImagePoint
 
     The orientation is assumed to be free of error. nan for points of fewer than two rays.
     """
-    shift = np.zeros((len(observations), 3, 2))
-    normal = np.zeros((len(observations), 3, 3))
+    shift, point = np.zeros((len(observations), 3, 2)), observations.point
     for sensor, rows, _ in _by_image(images, observations, None):
-        line, sample, ground = observations.line[rows], observations.sample[rows], ground_m[observations.point[rows]]
-        direction = sensor.rays(line, sample)[1]
-        normal[rows] = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-        shift[rows] = _pixel_shifts(sensor, (line, sample), ground)
+        pixel = observations.line[rows], observations.sample[rows]
+        shift[rows] = _pixel_shifts(sensor, pixel, ground_m[point[rows]])
+    direction = all_rays(images, observations)[1]
     noise = shift * np.stack([observations.sigma_line_px, observations.sigma_sample_px], axis=1)[:, None]
-    spread = normal @ noise
-    n, middle = (np.zeros((len(ground_m), 3, 3)) for _ in range(2))
-    np.add.at(n, observations.point, normal)
-    np.add.at(middle, observations.point, spread @ np.swapaxes(spread, 1, 2))
+    spread = noise - direction[:, :, None] * np.einsum("ni,nij->nj", direction, noise)[:, None]
+    middle = np.zeros((len(ground_m), 3, 3))
+    np.add.at(middle, point, spread @ np.swapaxes(spread, 1, 2))
     out = np.full((len(ground_m), 3, 3), np.nan)
-    good = np.flatnonzero(np.bincount(observations.point, minlength=len(ground_m)) >= 2)
-    inverse = np.linalg.inv(n[good])
+    good = np.flatnonzero(np.bincount(point, minlength=len(ground_m)) >= 2)
+    inverse = np.linalg.inv(_projections(direction, point, len(ground_m))[good])
     out[good] = inverse @ middle[good] @ inverse
     return out
 
