@@ -20,7 +20,6 @@ from factors.arrays import Index
 from factors.cameras import pushbroom
 from fg_orient.adjustment.cofactors import CHUNK, WHOLE_LIMIT, full_statistics
 from fg_orient.adjustment.images_first import Sizes, each_of_one_image
-from fg_orient.adjustment.parts.parts import default_parts
 from fg_orient.adjustment.problem import no_point_is_named
 from fg_orient.adjustment.reduced_choice import (
     ITERATIVE,
@@ -63,6 +62,11 @@ FIXED: Final = 500_000
 #: Numbers per ground point in problem, state and results.
 PER_POINT: Final = 60
 
+#: Default number of image points of a part. The number of parts then depends on the block only, so that the last bit of
+#: a result does not depend on the machines. A task costs a few ms, a part of this size 10 ms.
+PART_SIZE: Final = 20_000
+MAX_PARTS: Final = 256
+
 
 @dataclass(frozen=True)
 class Need:
@@ -99,7 +103,7 @@ class Need:
         if self.kept is None:
             return None
         return finding(
-            "memory.in_parts", value=in_gb(self.whole or 0), allowed=in_gb(self.allowed or 0), parts=self.parts,
+            "adjust.in_parts", value=in_gb(self.whole or 0), allowed=in_gb(self.allowed or 0), parts=self.parts,
             kept=self.kept,
         )  # fmt: skip
 
@@ -220,6 +224,11 @@ def _working(backend: str, block: Block, n: int, u: int, widest: int, wide: _Wid
     unknowns = u + 3 * (len(points.ids) - fixed)
     rows = 2 * n + 3 * (len(points.where(Role.CONTROL)) - fixed) + (u if block.options.priors else 0)
     return 8 * (3 * rows * unknowns + 2 * unknowns**2)  # Jacobian, scaled copy, factorisation; cofactors
+
+
+def default_parts(n_image_points: int) -> int:
+    """Number of parts of a block, from its image points."""
+    return min(max(1, -(-n_image_points // PART_SIZE)), MAX_PARTS)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import pytest
 
 from fg_orient.adjustment import problem as module
 from fg_orient.adjustment.problem import Problem, compile_problem
-from fg_orient.adjustment.rows import unchanged_rows
+from fg_orient.adjustment.rows import held, unchanged_rows
 from fg_orient.model.block import Block, Coordinates, GroundPoints
 from fg_orient.model.names import Role
 from fg_orient.simulate.block import BlockOptions, grid_block
@@ -24,7 +24,7 @@ def block() -> Block:
 
 @pytest.fixture(scope="module")
 def full(block: Block) -> Problem:
-    return compile_problem(block)
+    return held(compile_problem(block), "records")
 
 
 def without(block: Block, row: int) -> Block:
@@ -57,7 +57,7 @@ def test_one_image_point_less_and_back(
     o, rays = block.observations, np.bincount(block.observations.point)
     point = next(int(j) for j in block.points.where(role) if rays[j] > 2)
     smaller, made = without(block, int(np.flatnonzero(o.point == point)[0])), []
-    expected, genuine = compile_problem(smaller), module.whitened_records
+    expected, genuine = held(compile_problem(smaller), "records"), module.whitened_records
     monkeypatch.setattr(module, "whitened_records", lambda m, own, *rest: made.append(own) or genuine(m, own, *rest))
     found = compile_problem(smaller, full)
     assert_equal(found, expected)

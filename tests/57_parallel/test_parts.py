@@ -13,14 +13,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fg_orient as fg
+from fg_orient.adjustment import memory
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.irls import find_loss
 from fg_orient.adjustment.loop import OPTIMIZERS
+from fg_orient.adjustment.parts import tasks
 from fg_orient.adjustment.parts import parts as parts_module
 from fg_orient.adjustment.parts import tasks
 from fg_orient.adjustment.parts.backend import PartedBackend
 from fg_orient.adjustment.parts.execution import Execution
-from fg_orient.adjustment.parts.parts import default_parts, divide, part_file, read_part, rows_of
+from fg_orient.adjustment.parts.parts import divide, part_file, read_part, rows_of
 from fg_orient.adjustment.parts.pool import Pool
 from fg_orient.adjustment.parts.solve import solve_in_parts
 from fg_orient.adjustment.problem import Problem, compile_problem
@@ -65,8 +67,8 @@ def test_parts_hold_every_point_and_ray_once(problem: Problem, count: int) -> No
 def test_the_number_of_parts_follows_from_the_block(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     n = len(problem.observations)
     for size, expected in ((n, 1), (n - 1, 2), (1, n)):
-        monkeypatch.setattr(parts_module, "PART_SIZE", size)
-        assert default_parts(n) == min(expected, parts_module.MAX_PARTS)
+        monkeypatch.setattr(memory, "PART_SIZE", size)
+        assert memory.default_parts(n) == min(expected, memory.MAX_PARTS)
 
 
 @pytest.mark.oracle

@@ -11,7 +11,6 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.adjustment import memory, reduced_choice, schur_reduced
-from fg_orient.adjustment.parts.parts import default_parts
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.model import machine
 from fg_orient.model.block import Block
@@ -100,7 +99,7 @@ def test_statistics_are_left_out_where_only_they_exceed_the_limit(tmp_path: Path
 @pytest.mark.behaviour
 def test_a_block_above_the_limit_is_adjusted_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Some parts are open at once; the note says so."""
-    monkeypatch.setattr("fg_orient.adjustment.parts.parts.PART_SIZE", 400)
+    monkeypatch.setattr("fg_orient.adjustment.memory.PART_SIZE", 400)
     monkeypatch.setattr("fg_orient.quality.deficiency.affordable", lambda problem: False)  # as of a large block
     monkeypatch.setattr("fg_orient.quality.deficiency.ENOUGH", 1000)
     block = fg.read_project(simulate_block(tmp_path / "block", BlockOptions(points=1500)), statistics="basic")
@@ -108,10 +107,10 @@ def test_a_block_above_the_limit_is_adjusted_in_parts(tmp_path: Path, monkeypatc
     least, most = (memory.need_of(block, open_share=share).needed for share in (0.1, 1.0))
     assert least < 0.9 * most
     some = adjust(block, memory_limit_gb=0.5e-9 * (least + most))
-    assert some.memory.parts == default_parts(len(block.observations)) > some.memory.kept >= 1
+    assert some.memory.parts == memory.default_parts(len(block.observations)) > some.memory.kept >= 1
     assert some.memory.needed <= some.memory.allowed < some.memory.whole
     assert "records" not in vars(some.problem), "they were never computed as a whole"
-    (note,) = [one for one in some.findings if one.code == "memory.in_parts"]
+    (note,) = [one for one in some.findings if one.code == "adjust.in_parts"]
     assert f"in {some.memory.parts} parts" in note.message
     assert some.chi2 == pytest.approx(whole.chi2, rel=1e-10)
     moved = np.abs(some.state.image - whole.state.image).max()

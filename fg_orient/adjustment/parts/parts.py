@@ -29,17 +29,8 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.parameters import ImageParameters
 from fg_orient.sensors.base import ImageModel, Sensor
 
-#: Default number of image points of a part. The number of parts then depends on the block only, so that the last bit of
-#: a result does not depend on the machines. A task costs a few ms, a part of this size 10 ms.
-PART_SIZE: Final = 20_000
-MAX_PARTS: Final = 256
 #: Name of the state whose ground points are in the part files.
 START: Final = "start"
-
-
-def default_parts(n_image_points: int) -> int:
-    """Number of parts of a block, from its image points."""
-    return min(max(1, -(-n_image_points // PART_SIZE)), MAX_PARTS)
 
 
 def rays_of_points(problem: Problem, parts: int) -> tuple[Index, Index, Index]:

@@ -13,9 +13,10 @@ import numpy as np
 from factors._contract import NotFiniteError
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.loop import Callback
+from fg_orient.adjustment.memory import default_parts
 from fg_orient.adjustment.parts.backend import PartedBackend
 from fg_orient.adjustment.parts.execution import Execution, opened, work_folder
-from fg_orient.adjustment.parts.parts import default_parts, part_of, part_problem, rows_of
+from fg_orient.adjustment.parts.parts import part_of, part_problem, rows_of
 from fg_orient.adjustment.parts.system import PartedSystem
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import replaced

@@ -87,8 +87,8 @@ class _Part:
         ground = self.backend.retract(self.state(at), step).ground
         write_ground(at.folder, at.part, target, ground)
         self._ground = {name: self._ground[name] for name in {START, at.name}} | {target: ground}
-        length = Largest(np.abs(step.ground).max(initial=0.0))
-        return Sums((length, float(np.sum(step.ground**2)), step.predicted_error))
+        size = np.abs(step.ground).max(initial=0.0)
+        return Sums((Largest(size), float(np.sum(step.ground**2)), step.predicted_error))
 
 
 _PARTS: dict[tuple[str, int], _Part] = {}
@@ -106,7 +106,7 @@ def _task(function: Callable[Concatenate[_Part, At, P], T]) -> Callable[Concaten
                 for other in {folder for folder, _ in _PARTS if not Path(folder).is_dir()}:
                     forget(other)  # its client has ended
                 opened = [known for known in _PARTS if known[0] == at.folder]
-                if at.kept is not None and len(opened) >= at.kept:  # parts follow each other: the last one is due last
+                if len(opened) >= (at.kept or len(opened) + 1):  # parts follow each other: the last one is due last
                     del _PARTS[opened[-1]]
                 _PARTS[key] = _Part(at)
             part = _PARTS[key]
@@ -153,9 +153,8 @@ def front(part: _Part, at: At, damping: float, node: Front, added: Added, name: 
 
 
 def _partial(part: _Part, at: At, damping: float) -> Partial:
-    system = part.system(at)
-    blocks, gradient = system.partial(damping)
-    s, widest = system.structure, int(np.diff(part.backend.problem.first).max())
+    system, widest = part.system(at), int(np.diff(part.backend.problem.first).max())
+    (blocks, gradient), s = system.partial(damping), system.structure
     row, column = s.block_row.astype(np.int64), s.block_column.astype(np.int64)
     return Partial(row, column, blocks[:, :widest, :widest].copy(), gradient, system.error)
 

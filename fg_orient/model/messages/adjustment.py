@@ -28,6 +28,8 @@ initial.behind: its rays meet behind a sensor
 adjust.memory: the adjustment exceeds the memory limit of {allowed}
     -> choose backend schur if it is another one, adjust in parts on several machines (docs/parallel.md), take a
        machine with more memory, or raise <memory_limit_gb>
+adjust.in_parts (note): the whole block needs {value} of memory, {allowed} are allowed: the ground points are adjusted
+    in {parts} parts, whose arrays are in files, {kept} of them in memory at once
 adjust.backend: this backend does not exist in this version
     -> choose one of {known}
 adjust.no_model: images of this sensor cannot be adjusted
@@ -343,8 +345,6 @@ absent.components (warning): not given: {figures!w}; with estimated variance com
 absent.not_converged (warning): not given: {figures!w}; the adjustment did not converge
 absent.covariance (warning): not given: {figures!w}; they need the covariance
 absent.basic (warning): not given: {figures!w}; <statistics> is "basic"
-memory.in_parts (note): the whole block needs {value} of memory, {allowed} are allowed: the ground points are adjusted
-    in {parts} parts, whose arrays are in files, {kept} of them in memory at once
 absent.memory (warning): not given: {figures!w}; with them the adjustment would exceed the memory limit of {allowed}
     -> raise <memory_limit_gb>, or take a machine with more memory
 absent.large (warning): not given: {figures!w}; the block has more than {limit} image points, or too many image
