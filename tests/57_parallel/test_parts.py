@@ -17,7 +17,6 @@ from fg_orient.adjustment import memory
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.irls import find_loss
 from fg_orient.adjustment.loop import OPTIMIZERS
-from fg_orient.adjustment.parts import tasks
 from fg_orient.adjustment.parts import parts as parts_module
 from fg_orient.adjustment.parts import tasks
 from fg_orient.adjustment.parts.backend import PartedBackend
