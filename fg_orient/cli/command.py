@@ -255,7 +255,9 @@ EXTRAPOLATE = declared(Reading)["extrapolate_attitude_s"]
 ModelOf = Annotated[str, option("Model to use if the file contains both.", "auto|rigorous|rpc")]
 Result = Annotated[Path | None, option("Result folder of adjust: its orientation of the image.", "DIR")]
 Dem = Annotated[Path | None, option("DEM, any raster GDAL reads; ellipsoidal unless it says otherwise.")]
-VerticalCrs = Annotated[str, option("Vertical CRS of a DEM without one; EPSG:5773: EGM96.", "EPSG:N")]
+VerticalCrs = Annotated[
+    str, option("Vertical CRS of a DEM without one, such as EGM96, or a geoid file.", "EPSG:N|NAME|FILE")
+]
 Extrapolate = Annotated[
     float,
     option(EXTRAPOLATE.short_help, EXTRAPOLATE.metavar, flag=EXTRAPOLATE.flag, min=0.0, max=MAX_EXTRAPOLATION_S),

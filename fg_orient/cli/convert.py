@@ -24,6 +24,13 @@ def convert(
         list[Path] | None, option("File to write; the second of two is named after it, or given by a second --out.")
     ] = None,
     crs: Annotated[str, option("CRS of IN, where the file does not say it.", "EPSG:N")] = "",
+    geoid: Annotated[Path | None, option("Geoid file: the heights of IN are above it and become ellipsoidal.")] = None,
+    undulation_m: Annotated[
+        float | None, option("Constant undulation of the heights of IN, m.", "METRES", flag="--undulation")
+    ] = None,
+    both_heights: Annotated[
+        Path | None, option("Table id,height_m,ellipsoidal_height_m: estimates the constant undulation.")
+    ] = None,
     to_crs: Annotated[str, option("Transform the points to this CRS.", "EPSG:N")] = "",
     sigma_ground: Annotated[
         tuple[float, float, float] | None,
@@ -51,6 +58,7 @@ def convert(
     What the new format cannot hold is said, one line each.
     """
     from fg_orient.formats.exchange.convert import filled, placed, read_survey, write_survey
+    from fg_orient.formats.heights import ZeroLevel, without_vertical
     from fg_orient.formats.registry import Settings, format_named, format_of
     from fg_orient.formats.registry import formats as all_formats
 
@@ -63,8 +71,8 @@ def convert(
         raise InputError.of("options.value", option="sigma_axes", value=sigma_axes, expected="ecef or enu")
     reader = format_named(source, place="<from>") if source else format_of(files[0], place="<from>")
     writer = format_named(target, place="<to>") if target else format_of(out[0], place="<to>")
-    _require_crs(crs, "crs")
-    _require_crs(to_crs, "to_crs")
+    crs, to_crs = _code(crs, "crs"), _code(to_crs, "to_crs")
+    level = ZeroLevel(geoid, undulation_m, both_heights)
     settings = Settings(crs, image, sigma_axes, image_sizes(image_size))
     if reader.read_model is not None and writer.write_model is not None:
         from fg_orient.formats.exchange.convert import convert_model
@@ -87,6 +95,7 @@ def convert(
         survey = filled(
             survey, sigma_ground_m=sigma_ground, sigma_image_px=sigma_image, height_m=height, check=check or ()
         )
+        survey = level.applied(without_vertical(survey)) if level else survey
         survey = placed(survey, writer, to_crs, str(out[0]))
         settings = Settings(to_crs, image, sigma_axes, settings.image_sizes)
         written, lost = write_survey(survey, out, writer, settings, overwrite=overwrite)
@@ -102,15 +111,18 @@ def convert(
     answer(record, _show, {"note": survey.notes, "remark": remarks, "lost": lost}, counts, written)
 
 
-def _require_crs(crs: str, option: str) -> None:
-    """Raise InputError, with the name of the option, for an unusable CRS; "" is accepted."""
+def _code(crs: str, option: str) -> str:
+    """CRS with codes for names; InputError, with the name of the option, if it is unusable; "" is accepted."""
     from fg_orient.geodesy import crs_kind
+    from fg_orient.geodesy.crs import with_codes
 
     try:
+        crs = with_codes(crs)
         if crs:
             crs_kind(crs)
     except InputError as error:
         raise InputError(*(replace(problem, place="", option=option) for problem in error.problems)) from None
+    return crs
 
 
 def _scenes(paths: list[Path]) -> list[Any]:

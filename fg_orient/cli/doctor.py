@@ -62,12 +62,14 @@ def examine() -> dict[str, Any]:
 
 
 def _proj_findings() -> list[Finding]:
-    """Warnings of variables that redirect PROJ."""
+    """Warnings of variables that redirect PROJ; a folder of grids without a database does no harm."""
     text = (
         "installation.proj_variable (warning): is set to {folder}: PROJ may read the data of another installation "
         "-> unset it"
     )
-    names = filter(os.environ.get, ("PROJ_LIB", "PROJ_DATA"))
+    grids = os.environ.get("PROJ_DATA", "")
+    plain = os.path.isdir(grids) and not os.path.isfile(os.path.join(grids, "proj.db"))
+    names = filter(os.environ.get, ("PROJ_LIB",) if plain else ("PROJ_LIB", "PROJ_DATA"))
     return [finding(text, place=name, folder=os.environ[name]) for name in names]
 
 

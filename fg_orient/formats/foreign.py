@@ -18,6 +18,7 @@ from factors.arrays import Index
 from fg_orient.formats.exchange.convert import filled, read_survey
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.faults import Faults, did_you_mean, sigma_remarks
+from fg_orient.formats.heights import ZeroLevel
 from fg_orient.formats.points import PLAUSIBLE_SIGMA_PX, ObservationFile, PointFile, point_file
 from fg_orient.formats.registry import Holds, Settings, format_named
 from fg_orient.formats.text_files import sha256_of
@@ -103,7 +104,8 @@ def read_foreign_points(table: Table, faults: Faults, scenes: list[Scene]) -> Po
         _require_whole(survey, faults)
         return replace(survey, coordinates=np.where(survey.located[:, None], survey.coordinates, np.nan))
 
-    return point_file(table.path, table.absolute, parse, faults, scenes)
+    level = ZeroLevel.of(table.entry, Path(table.project).parent)
+    return point_file(table.path, table.absolute, parse, faults, scenes, level)
 
 
 def _require_whole(survey: Survey, faults: Faults) -> None:

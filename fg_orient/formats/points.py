@@ -24,6 +24,7 @@ import numpy as np
 from factors.arrays import Array, Mask
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.faults import Faults, sigma_remarks
+from fg_orient.formats.heights import ZeroLevel, on_found_grid, without_vertical
 from fg_orient.formats.scenes import Scene, check_positions
 from fg_orient.formats.tables import Row, Table, read_table
 from fg_orient.formats.text_files import sha256_of
@@ -187,7 +188,9 @@ class PointFile:
         return WithheldCoordinates(tuple(ids), partial(self.opened, tuple(ids)))
 
 
-def read_points(path: Path, crs: str, faults: Faults, scenes: Sequence[Scene] = ()) -> PointFile | None:
+def read_points(
+    path: Path, crs: str, faults: Faults, scenes: Sequence[Scene] = (), level: ZeroLevel | None = None
+) -> PointFile | None:
     """Read a table of ground points.
 
     Parameters
@@ -200,6 +203,8 @@ def read_points(path: Path, crs: str, faults: Faults, scenes: Sequence[Scene] = 
         Receives all faults of the file.
     scenes : sequence of Scene
         Footprints of the images; points far from all of them are refused.
+    level : ZeroLevel, optional
+        Zero level of the heights that replaces the vertical part of the CRS.
 
     Returns
     -------
@@ -213,17 +218,23 @@ def read_points(path: Path, crs: str, faults: Faults, scenes: Sequence[Scene] = 
         The CRS is unusable.
     """
     where = path.absolute()  # the working directory may change before check points are opened
-    return point_file(path, (where,), lambda noted: parse_points(where, crs, noted), faults, scenes)
+    return point_file(path, (where,), lambda noted: parse_points(where, crs, noted), faults, scenes, level)
 
 
 def point_file(
-    path: Path, files: tuple[Path, ...], parse: Parse, faults: Faults, scenes: Sequence[Scene] = ()
+    path: Path,
+    files: tuple[Path, ...],
+    parse: Parse,
+    faults: Faults,
+    scenes: Sequence[Scene] = (),
+    level: ZeroLevel | None = None,
 ) -> PointFile | None:
     """Points of a file of any format, those of check points sealed.
 
-    ``parse`` reads the ``files`` (absolute paths) now, and again to open the seal.
-    """
-    survey = parse(faults)
+    ``parse`` reads the ``files`` (absolute paths) now, and again to open the seal; ``level`` as in
+    :func:`read_points`.
+    """  # fmt: skip
+    survey = _ellipsoidal(parse(faults), level, faults)
     if survey is None:
         return None
     digest = sha256_of(*files)
@@ -232,7 +243,7 @@ def point_file(
 
     def opened(wanted: tuple[str, ...]) -> Coordinates:
         noted = Faults(str(files[0]))
-        again = parse(noted)
+        again = _ellipsoidal(parse(noted), level, noted)
         if again is None or noted or sha256_of(*files) != digest:
             raise InputError.of("points.changed", file=files[0], place="check points")
         row = {name: k for k, name in enumerate(again.ids)}
@@ -244,9 +255,20 @@ def point_file(
     return PointFile(path, survey.crs, digest, points, operation, remarks, opened)
 
 
+def _ellipsoidal(survey: Survey | None, level: ZeroLevel | None, faults: Faults) -> Survey | None:
+    """Survey on the ellipsoid if its zero level is not PROJ's; None, with the faults noted, if that fails."""
+    if survey is None:
+        return None
+    try:
+        return level.applied(without_vertical(survey)) if level else on_found_grid(survey)
+    except InputError as error:
+        faults.take(*error.problems)
+        return None
+
+
 def _remarks(file: str, survey: Survey, operation: Operation | None) -> tuple[Finding, ...]:
     sigma = survey.sigma_enu_m
-    remarks = [*sigma_remarks("remark.sigma_ground", file, sigma, PLAUSIBLE_SIGMA_M, survey.place)]
+    remarks = [*survey.notes, *sigma_remarks("remark.sigma_ground", file, sigma, PLAUSIBLE_SIGMA_M, survey.place)]
     if operation is not None and operation.missing_grids:
         accuracy = "an unknown accuracy" if np.isnan(operation.accuracy_m) else f"{operation.accuracy_m:g} m"
         fields = {"accuracy": accuracy, "grids": ", ".join(operation.missing_grids)}

@@ -14,6 +14,7 @@ from typing import Final
 from fg_orient.formats.assemble import assemble, geometry_remarks
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.foreign import Table, read_foreign_observations, read_foreign_points
+from fg_orient.formats.heights import ZeroLevel
 from fg_orient.formats.points import LOSES_IDS, ObservationFile, PointFile, read_observations, read_points
 from fg_orient.formats.registry import format_named
 from fg_orient.formats.scenes import Scene
@@ -21,6 +22,7 @@ from fg_orient.formats.schema import ProjectFile, constraints_of, validate
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.formats.toml import parse_toml
 from fg_orient.geodesy import crs_kind
+from fg_orient.geodesy.crs import with_codes
 from fg_orient.model.block import Block, Image, Options, Source
 from fg_orient.model.constraint import foreign_members
 from fg_orient.model.declaration import declared, require_declared
@@ -31,6 +33,8 @@ from fg_orient.model.parameters import chosen_datum, eop_set_number
 
 #: Format of our own tables.
 OWN: Final = "csv"
+#: Entries of [points] for our own table.
+OWN_POINTS: Final = {"crs", *ZeroLevel.__dataclass_fields__}
 #: A remark of ``validate`` only: the adjustment gives the same warning about the points that it uses.
 FEW_CHECK_CODE: Final = "remark.few_check"
 
@@ -101,6 +105,7 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
         sources=(
             *(Source(str(file), sha256_of(file)) for file in files),
             *(Source(str(table.path), table.sha256) for table in (points, observations)),
+            *(Source(str(file), sha256_of(file)) for file in ZeroLevel.of(project.points, folder).files),
         ),
         notes=_notes(known, points, [p for p in remarks if p.code != FEW_CHECK_CODE]),
         extra=constraints,  # type: ignore[arg-type]  # the adjustment makes observations of them
@@ -170,7 +175,7 @@ def _navigated(block: Block, project: ProjectFile, folder: Path, file: str) -> B
     if not path.is_file():
         raise InputError.of("project.missing_file", file=file, place="navigation.file", value=entry.file, folder=folder)
     try:
-        crs_kind(entry.crs)
+        crs_kind(with_codes(entry.crs))
     except InputError as error:
         raise InputError(*(replace(p, file=file, place="navigation.crs") for p in error.problems)) from None
     fixes, sha256 = read_navigation(path, entry.crs)
@@ -262,7 +267,8 @@ def _tables(
     if not crs_problems:
         scenes = _scenes(images, (point_path, observation_path))
         if project.points.format == OWN:
-            points = read_points(point_path, project.points.crs or "", point_faults, scenes)
+            level = ZeroLevel.of(project.points, folder)
+            points = read_points(point_path, project.points.crs or "", point_faults, scenes, level)
         else:
             points = read_foreign_points(_foreign(project, folder, file, "points"), point_faults, scenes)
     # names are checked only against lists without faults: no faults that follow from other faults
@@ -309,7 +315,7 @@ def _entry_problems(project: ProjectFile, file: str) -> list[Finding]:
     faults = []
     for name, entry in (("points", project.points), ("observations", project.observations)):
         if entry.format == OWN:
-            given = entry.model_fields_set - {"file", "format"} - ({"crs"} if name == "points" else set())
+            given = entry.model_fields_set - {"file", "format"} - (OWN_POINTS if name == "points" else set())
             faults += [finding("project.own_table", file=file, place=f"{name}.{key}") for key in sorted(given)]
     if project.points.crs is None and project.points.format == OWN:
         expected = 'an EPSG code in quotes, such as "EPSG:4979"'
@@ -317,7 +323,7 @@ def _entry_problems(project: ProjectFile, file: str) -> list[Finding]:
     for name, crs in (("points", project.points.crs), ("observations", project.observations.crs)):
         try:
             if crs is not None:
-                crs_kind(crs)
+                crs_kind(with_codes(crs))
         except InputError as error:
             faults += [replace(p, file=file, place=f"{name}.crs") for p in error.problems]
     return faults

@@ -35,6 +35,19 @@ Switch = Annotated[bool, Field(strict=True)]
 Model = TypeVar("Model", bound=BaseModel)
 
 
+def _with_codes(crs: str) -> str:
+    """CRS with codes in place of names; an unknown name, which the reader refuses, is unchanged."""
+    from fg_orient.geodesy.crs import with_codes  # not above: it loads PROJ
+
+    try:
+        return with_codes(crs)
+    except InputError:
+        return crs
+
+
+Crs = Annotated[Text, AfterValidator(_with_codes)]
+
+
 class Table(BaseModel):
     """A table of a TOML file: unknown keys, nan and infinity are refused."""
 
@@ -61,9 +74,12 @@ class PointsEntry(_Foreign):
     """The ``[points]`` table."""
 
     file: Text = Field(description="the path of the point table in quotes")
-    crs: Text | None = Field(default=None, description='an EPSG code in quotes, such as "EPSG:4979"')
+    crs: Crs | None = Field(default=None, description='an EPSG code in quotes, such as "EPSG:4979"')
     sigma_m: Three | None = Field(default=None, description="three numbers above zero: East, North, Up, m")
     height_m: Number | None = Field(default=None, description="a number, m")
+    geoid: Text | None = Field(default=None, description="the path of a geoid file in quotes")
+    undulation_m: Number | None = Field(default=None, description="a number, m")
+    both_heights: Text | None = Field(default=None, description="the path of a table of both heights in quotes")
     check: tuple[Text, ...] = Field(default=(), description='ids in quotes, such as ["7", "12"]')
 
 
@@ -71,7 +87,7 @@ class ObservationsEntry(_Foreign):
     """The ``[observations]`` table."""
 
     file: Text = Field(description="the path of the observation table in quotes")
-    crs: Text | None = Field(default=None, description='an EPSG code in quotes, such as "EPSG:4979"')
+    crs: Crs | None = Field(default=None, description='an EPSG code in quotes, such as "EPSG:4979"')
     sigma_px: tuple[Positive, Positive] | None = Field(default=None, description="two numbers above zero, px")
     images: dict[str, Text] = Field(default_factory=dict, description='a table such as { "a.tif" = "left" }')
 
@@ -90,7 +106,7 @@ class NavigationEntry(Table):
     """The ``[navigation]`` table: observations of a receiver and an inertial unit on board of frame images."""
 
     file: Text = Field(description="the path of the navigation table in quotes")
-    crs: Text = Field(description='an EPSG code in quotes, such as "EPSG:4979"')
+    crs: Crs = Field(description='an EPSG code in quotes, such as "EPSG:4979"')
     lever_m: Row = Field(default=(0.0, 0.0, 0.0), description="three numbers, m: receiver to projection centre")
     camera_from_body: Annotated[tuple[Row, Row, Row] | None, AfterValidator(_rotation)] = Field(
         default=None, description="three rows of three numbers, a rotation"

@@ -3,13 +3,15 @@
 Inside the package a ground point is Earth-fixed Cartesian (ECEF, WGS84, EPSG:4978) in metres. Files may use any EPSG
 code. Silent behaviour of PROJ is excluded: the axis order is always easting or longitude first, results must be finite,
 a "ballpark" transformation (which returns heights unchanged if a geoid grid is missing) is never used, and the network
-is off. Heights are ellipsoidal, above the ellipsoid of the named CRS, unless a compound code such as ``EPSG:4326+5773``
-names a vertical CRS. One operation, the best for their area, is chosen for all points of a call; its name and accuracy
-are returned for the record.
+is off. Grids are also searched for in the folders of PROJ_DATA, which the wheel of pyproj ignores. Heights are
+ellipsoidal, above the ellipsoid of the named CRS, unless a compound code such as ``EPSG:4326+5773`` names a vertical
+CRS (:mod:`fg_orient.geodesy.heights`). One operation, the best for their area, is chosen for all points of a call; its
+name and accuracy are returned for the record.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import warnings
 from collections.abc import Sequence
@@ -59,17 +61,21 @@ class Operation:
         Its stated accuracy; nan if PROJ states none.
     missing_grids : tuple of str
         Grid files that a more accurate operation would need; empty if the best one was used.
+    height : str
+        "ellipsoidal height" or the name of the vertical CRS; "" if the CRS is geocentric.
     """
 
     crs: str
     name: str
     accuracy_m: float
     missing_grids: tuple[str, ...] = ()
+    height: str = ""
 
     def __str__(self) -> str:
         accuracy = "unknown accuracy" if np.isnan(self.accuracy_m) else f"accuracy {self.accuracy_m:g} m"
         better = f"; a better one needs {', '.join(self.missing_grids)}" if self.missing_grids else ""
-        return f"{self.crs} to {ECEF} by {self.name} ({accuracy}){better}"
+        height = f" ({self.height})" if self.height else ""
+        return f"{self.crs}{height} to {ECEF} by {self.name} ({accuracy}){better}"
 
 
 def crs_kind(crs: str) -> Kind:
@@ -140,7 +146,7 @@ def to_ecef_with_operation(
     source, kind = spatial_crs(crs), crs_kind(crs)
     given = np.stack([first, second, third], axis=1)
     require_finite(crs, given, given, labels)
-    lonlat = _longitude_latitude(crs, source, kind, given, labels)
+    lonlat = longitude_latitude(crs, source, kind, given, labels)
     some = deciding is not None and bool(deciding.any())
     transformer, operation = operation_to_ecef(crs, source, lonlat[deciding] if some else lonlat)
     xyz = np.stack(transformer.transform(first, second, third), axis=1)
@@ -248,64 +254,6 @@ def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
     return None if area is None else (area.west, area.south, area.east, area.north)
 
 
-def vertical_reference(crs: str) -> tuple[str, str]:
-    """Name of the vertical CRS of heights in ``crs`` (WKT or EPSG code), and the unit of its height axis.
-
-    The name of ellipsoidal heights is ``""``; so is the unit if the CRS has no height axis.
-    """
-    whole = known_crs(crs)
-    names = [part.name for part in (whole, *whole.sub_crs_list) if part.is_vertical and not part.is_compound]
-    units = [axis.unit_name for axis in whole.axis_info if axis.direction in ("up", "down")]
-    return (names[0] if names else ""), (units[0] if units else "")
-
-
-def with_vertical(crs: str, vertical: str) -> tuple[str, str]:
-    """Horizontal part of a CRS, and its compound with a vertical CRS ("": its own), as WKT.
-
-    Raises
-    ------
-    InputError
-        A CRS is unknown, or ``vertical`` is not a vertical CRS.
-    """
-    whole = known_crs(crs)
-    flat = _flat(whole)
-    if not vertical:
-        return str(flat.to_wkt()), str(whole.to_wkt())
-    heights = known_crs(vertical)
-    if not heights.is_vertical or heights.is_compound:
-        raise InputError.of("geodesy.not_vertical", place="vertical crs", value=f"{vertical}, {heights.name}")
-    both = offline_pyproj().crs.CompoundCRS(f"{flat.name} + {heights.name}", [flat, heights])
-    return str(flat.to_wkt()), str(both.to_wkt())
-
-
-def undulation_m(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
-    """Height of the zero level of a compound CRS above the WGS84 ellipsoid.
-
-    Parameters
-    ----------
-    crs : str
-    x, y : (N,) array_like
-        Easting and northing, or longitude and latitude, in units of the CRS.
-
-    Returns
-    -------
-    (N,) array
-        m.
-
-    Raises
-    ------
-    InputError
-        The grid of the geoid is missing, or does not cover a point.
-    """
-    source = known_crs(crs)
-    given = np.stack([np.asarray(x, float), np.asarray(y, float), np.zeros(np.shape(x))], axis=1)
-    kind: Kind = "projected" if source.sub_crs_list[0].is_projected else "geographic"
-    lonlat = _longitude_latitude(source.name, source, kind, given, None)
-    xyz = np.stack(operation_to_ecef(source.name, source, lonlat)[0].transform(*given.T), axis=1)
-    require_finite(source.name, xyz, given, None)
-    return ecef_to_geodetic(xyz)[2]
-
-
 def enu_from_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
     """Rotations that turn an ECEF vector into East, North, Up.
 
@@ -325,20 +273,30 @@ def enu_from_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
 
 
 def data_folder() -> str:
-    """Folder from which PROJ reads its database and grids."""
+    """Folders from which PROJ reads its database and grids."""
     proj = offline_pyproj()
     return str(proj.datadir.get_data_dir())
+
+
+def grid_folders() -> tuple[str, ...]:
+    """Folders in which PROJ searches for grids."""
+    proj = offline_pyproj()
+    return (*data_folder().split(os.pathsep), str(proj.datadir.get_user_data_dir()))
 
 
 # --- PROJ, guarded -------------------------------------------------------------------------------
 
 
 def offline_pyproj() -> Any:
-    """Import pyproj with its network access switched off: results must not depend on it."""
+    """Import pyproj: its network access off, since results must not depend on it, and PROJ_DATA searched last."""
     import pyproj
     import pyproj.network
 
     pyproj.network.set_network_enabled(active=False)  # type: ignore[attr-defined]
+    known = pyproj.datadir.get_data_dir().split(os.pathsep)
+    for folder in os.environ.get("PROJ_DATA", "").split(os.pathsep):
+        if folder and folder not in known and os.path.isdir(folder):
+            pyproj.datadir.append_data_dir(folder)
     return pyproj
 
 
@@ -348,7 +306,7 @@ def _transformer(source: str, target: str, *, horizontal: bool = False) -> Trans
     proj = offline_pyproj()
     try:
         goal = proj.CRS.from_user_input(target)
-        goal = _flat(goal) if horizontal else goal
+        goal = horizontal_part(goal) if horizontal else goal
         made: Transformer = proj.Transformer.from_crs(source, goal, always_xy=True, allow_ballpark=False)
     except proj.exceptions.CRSError:
         raise InputError.of("geodesy.unknown_crs", place="crs", value=target) from None
@@ -382,12 +340,12 @@ def known_crs(crs: str) -> CRS:
     return known
 
 
-def _flat(crs: CRS) -> CRS:
+def horizontal_part(crs: CRS) -> CRS:
     """Horizontal part of a CRS."""
     return crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
 
 
-def _longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels: Sequence[str] | None) -> Array:
+def longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels: Sequence[str] | None) -> Array:
     """Longitude, latitude (N, 2) degrees on the CRS's own datum, accurate enough to choose an operation."""
     if kind == "geographic":
         return np.asarray(given[:, :2])
@@ -396,7 +354,7 @@ def _longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels:
         angles = np.stack([np.arctan2(given[:, 1], given[:, 0]), np.arctan2(given[:, 2], p)], axis=1)
         return np.asarray(np.degrees(angles))
     proj = offline_pyproj()
-    flat = _flat(source).to_2d()
+    flat = horizontal_part(source).to_2d()
     back = proj.Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
     lonlat = np.stack(back.transform(given[:, 0], given[:, 1]), axis=1)
     require_finite(crs, lonlat, given, labels)
@@ -428,7 +386,9 @@ def operation_to_ecef(crs: str, source: CRS, lonlat: Array) -> tuple[Transformer
     accuracy = chosen.accuracy if chosen.accuracy >= 0.0 else np.nan
     grids = {grid.short_name for better in group.unavailable_operations[:1] for grid in better.grids}
     missing = () if group.best_available else tuple(sorted(grids))
-    return chosen, Operation(crs, chosen.description, float(accuracy), missing)
+    vertical = next((part.name for part in source.sub_crs_list if part.is_vertical), "ellipsoidal height")
+    height = "" if source.is_geocentric else vertical
+    return chosen, Operation(crs, chosen.description, float(accuracy), missing, height)
 
 
 def require_finite(crs: str, values: Array, given: Array, labels: Sequence[str] | None) -> None:

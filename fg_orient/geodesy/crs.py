@@ -6,6 +6,7 @@ Other programs' files name their CRS by WKT, by a PROJ string or by words; this 
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Sequence
 from functools import cache
@@ -28,8 +29,8 @@ from fg_orient.geodesy import (
     require_finite,
     same_crs,
     spatial_crs,
-    with_vertical,
 )
+from fg_orient.geodesy.heights import with_vertical
 from fg_orient.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -67,6 +68,47 @@ def epsg_code(text: str) -> str:
     parts = crs.sub_crs_list or [crs if len(crs.axis_info) < 3 or crs.to_epsg() else crs.to_2d()]
     codes = [_code_of(_without_null_shift(part)) for part in parts]
     return "" if None in codes else f"EPSG:{'+'.join(map(str, codes))}"
+
+
+def with_codes(text: str) -> str:
+    """CRS as ``EPSG:n`` or ``EPSG:n+m`` whose vertical part may be a name, as in ``EPSG:32636+EGM96``.
+
+    Other texts are unchanged; InputError for a name that EPSG does not have.
+    """
+    flat, plus, vertical = (part.strip() for part in text.partition("+"))
+    if not _CODE.fullmatch(flat) or not vertical or vertical.isdecimal():
+        return text
+    return f"{flat}{plus}{vertical_code(vertical).removeprefix('EPSG:')}"
+
+
+def vertical_code(text: str) -> str:
+    """``EPSG:n`` of a vertical CRS by its code or name, with or without "height"; InputError if it is unknown."""
+    if _CODE.fullmatch(text.strip()) or not text.strip():
+        return text
+    names = _vertical_names()
+    codes = names.get(_plain(text)) or names.get(_plain(f"{text} height")) or ()
+    if len(codes) == 1:
+        return f"EPSG:{codes[0]}"
+    close = difflib.get_close_matches(_plain(f"{text} height"), names, n=3, cutoff=0.5)
+    known = codes or [names[name][0] for name in close]
+    hint = ", ".join(f"{known_crs(f'EPSG:{code}').name} (EPSG:{code})" for code in known) or "EGM96 (EPSG:5773)"
+    raise InputError.of("geodesy.vertical_name", place="crs", value=text, hint=hint)
+
+
+@cache
+def _vertical_names() -> dict[str, list[str]]:
+    """Codes of the vertical CRS of EPSG by their names."""
+    from pyproj.database import query_crs_info
+
+    names: dict[str, list[str]] = {}
+    for one in query_crs_info(auth_name="EPSG", pj_types=[offline_pyproj().enums.PJType.VERTICAL_CRS]):
+        names.setdefault(_plain(one.name), []).append(one.code)
+    return names
+
+
+def _plain(name: str) -> str:
+    """Letters and digits of a name."""
+    return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
 def _without_null_shift(crs: CRS) -> CRS:

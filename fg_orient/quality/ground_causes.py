@@ -13,8 +13,9 @@ import numpy as np
 
 from factors.arrays import Array, Index, Mask
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.geodesy import ecef_to_geodetic, undulation_m
+from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.geodesy.crs import DatumShift, known_shifts
+from fg_orient.geodesy.heights import undulation_m
 from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError
 from fg_orient.model.names import Role

@@ -4,12 +4,13 @@ The intersection is the first hit from above (docs/equations.md 5). Iterating he
 converge behind a ridge. Every ray is therefore followed from the highest DEM value downwards, from one line between
 cell centres to the next, because a bilinear surface has its edges there. The first change of sign, at an edge or at
 the peak of a cell, is bisected. Heights of a raster without vertical CRS are ellipsoidal. Heights with a vertical CRS
-are converted once to ellipsoidal heights, by PROJ and its geoid grids. A missing grid is refused, and so are units
-other than the metre.
+are converted once to ellipsoidal heights, by PROJ and its geoid grids or by a geoid file. A missing
+grid is refused, and so are units other than the metre.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -19,6 +20,7 @@ import numpy.typing as npt
 
 from factors.arrays import Array, Index
 from factors.geometry import ellipsoid
+from fg_orient.geodesy import from_geographic, to_geographic
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.correction import HeightSurface
 
@@ -43,8 +45,8 @@ class RasterDem:
     path : path
         Raster that rasterio reads, with a geographic or projected CRS and heights in m.
     vertical_crs : str, optional
-        CRS of the heights, such as ``EPSG:5773`` (EGM96), if the file has none. Heights without a vertical CRS are
-        ellipsoidal.
+        CRS of the heights, such as ``EPSG:5773`` or its name, ``EGM96``, if the file has none; or a geoid file. Heights
+        without a vertical CRS are ellipsoidal.
 
     Attributes
     ----------
@@ -96,8 +98,9 @@ class RasterDem:
         return (found,)
 
     def _to_ellipsoid(self, unit: str, given: str) -> None:
-        """Add the undulation of a vertical CRS; keep the horizontal CRS."""
-        from fg_orient.geodesy import vertical_reference, with_vertical
+        """Add the undulation of a vertical CRS or geoid file; keep the horizontal CRS."""
+        from fg_orient.geodesy.crs import vertical_code
+        from fg_orient.geodesy.heights import GRID_SUFFIXES, GeoidFile, undulation_m, vertical_reference, with_vertical
 
         stated, axis_unit = vertical_reference(self.crs)
         wrong = [u for u in (axis_unit, unit) if u.strip().lower() not in METRES]
@@ -105,24 +108,27 @@ class RasterDem:
             raise InputError.of("dem.vertical_unit", file=self.path, value=wrong[0])
         if not (stated or given):
             return
-        self.crs, both = with_vertical(self.crs, given)
+        if given.lower().endswith(GRID_SUFFIXES):
+            grid = GeoidFile(given)
+            flat = self.crs = with_vertical(self.crs, "")[0]
+            self.heights_m += self._undulations(lambda x, y: grid.undulation_m(*to_geographic(flat, x, y)))
+            return
+        self.crs, both = with_vertical(self.crs, vertical_code(given))
         if stated and given and vertical_reference(both)[0] != stated:
             raise InputError.of("dem.vertical_crs", file=self.path, value=f"{stated}, not {given}")
-        self.heights_m += self._undulations(both)
+        self.heights_m += self._undulations(lambda x, y: undulation_m(both, x, y))
 
-    def _undulations(self, crs: str) -> Array:
+    def _undulations(self, undulation_of: Callable[[Array, Array], Array]) -> Array:
         """Undulation at the centres of all cells (rows, columns): exact at knots, bilinear between them.
 
         The step of the knots is halved until the error at the middles between them is at most ``UNDULATION_M``.
         """
-        from fg_orient.geodesy import undulation_m
-
         t, shape = ~self._pixel_from_crs, self.heights_m.shape
 
         def exact(row: Array, column: Array) -> Array:
             r, c = (a.ravel() + 0.5 for a in np.meshgrid(row, column, indexing="ij"))
             try:
-                undulation = undulation_m(crs, t.a * c + t.b * r + t.c, t.d * c + t.e * r + t.f)
+                undulation = undulation_of(t.a * c + t.b * r + t.c, t.d * c + t.e * r + t.f)
             except InputError as error:
                 raise InputError.of("dem.geoid", file=self.path, reason=error.problems[0].message,
                                     value=error.problems[0].value) from None  # fmt: skip
@@ -141,8 +147,6 @@ class RasterDem:
 
     def outline(self) -> tuple[Array, Array]:
         """Longitude and latitude (degrees) of points along the border of the raster's cell centres."""
-        from fg_orient.geodesy import to_geographic
-
         rows, columns = self.heights_m.shape
         r, c = (a.ravel() for a in np.meshgrid(*(np.linspace(0.5, n - 0.5, 9) for n in (rows, columns)), indexing="ij"))
         t = ~self._pixel_from_crs
@@ -161,8 +165,6 @@ class RasterDem:
         lon_deg, lat_deg : (N,) array_like
             WGS84.
         """
-        from fg_orient.geodesy import from_geographic
-
         x, y = from_geographic(self.crs, lon_deg, lat_deg)
         t = self._pixel_from_crs
         return np.asarray(t.d * x + t.e * y + t.f - 0.5), np.asarray(t.a * x + t.b * y + t.c - 0.5)

@@ -236,7 +236,8 @@ def test_remark_on_a_better_grid(tmp_path):
     write_points(path, ["a"], [Role.CONTROL], np.array([[4e5, 4e5, 10.0]]), np.ones((1, 3)), kind="projected")
     read = read_points(path, "EPSG:27700", Faults(str(path)))
     assert read is not None
-    (found,) = read.remarks
+    assumed, found = read.remarks
+    assert assumed.code == "heights.ellipsoidal"
     assert found.code == "remark.grid_missing" and "OSTN15" in found.remedy and found.value == "EPSG:27700"
 
 

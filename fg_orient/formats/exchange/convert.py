@@ -14,6 +14,7 @@ from factors.arrays import Array, Index, Mask
 from fg_orient.formats.atomic import require_free_files
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.faults import Faults
+from fg_orient.formats.heights import on_found_grid
 from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.scenes import Scene, check_positions
 from fg_orient.geodesy import area_of_use, crs_kind, to_ecef, to_ecef_with_operation, to_geographic
@@ -171,6 +172,7 @@ def placed(survey: Survey, format_: Format, wanted: str, file: str) -> Survey:
     labels = [f"point {survey.ids[k]}" for k in rows]
     for k in np.flatnonzero(np.isnan(survey.coordinates[rows, 2]))[:1]:
         raise InputError.of("interchange.needs_height", file=file, place=labels[k], what=f"CRS {crs}")
+    survey = on_found_grid(survey)
     coordinates = survey.coordinates.copy()
     xyz, there = to_ecef_with_operation(survey.crs, *coordinates[rows].T, labels=labels)
     coordinates[rows], back = from_ecef(crs, xyz, labels)

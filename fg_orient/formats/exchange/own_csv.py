@@ -16,6 +16,7 @@ from fg_orient.formats.arrow import comments_of
 from fg_orient.formats.exchange.survey import Survey, decided_crs
 from fg_orient.formats.exchange.text import stated_in
 from fg_orient.formats.faults import Faults
+from fg_orient.formats.heights import without_vertical
 from fg_orient.formats.points import COLUMNS, located, parse_points, read_observations
 from fg_orient.formats.points_write import write_observations, write_points
 from fg_orient.formats.registry import Format, Holds, Settings
@@ -35,7 +36,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     crs, notes = decided_crs(stated_in(paths[0], _CRS, comments), settings.crs, paths[0])
     points = parse_points(paths[0], crs, faults)
     if points is not None:
-        located(points, faults)
+        located(without_vertical(points), faults)
     faults.raise_if_any()
     if points is None:
         raise InputError.of("interchange.empty", file=paths[0])

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from factors.arrays import Array, Mask
 from fg_orient.formats.faults import Faults
 from fg_orient.geodesy import crs_kind
-from fg_orient.geodesy.crs import epsg_code, same_horizontal
+from fg_orient.geodesy.crs import epsg_code, same_horizontal, with_codes
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
@@ -108,6 +108,7 @@ def decided_crs(stated: str, given: str, file: object) -> tuple[str, tuple[Findi
     """
     own = epsg_code(stated) if stated.strip() else ""
     if given:
+        given = with_codes(given)
         crs_kind(given)
         if own and not same_horizontal(own, given):
             raise InputError.of("interchange.crs_differs", file=file, place="CRS", value=own, given=given)

@@ -141,8 +141,46 @@ geodesy.axes: the axes of the CRS are not {unit}s to the east and north and metr
     -> convert the coordinates first, for instance to EPSG:4979
 geodesy.not_vertical: this is not a vertical CRS
     -> give one such as EPSG:5773 (EGM96) or EPSG:3855 (EGM2008)
+geodesy.vertical_name: no vertical CRS of EPSG has this name
+    -> give its code, or one of these names: {hint}
 geodesy.no_operation: PROJ has no exact operation to WGS84; it needs {grids}
-    -> install the grid (projsync), or give ellipsoidal heights and no vertical CRS
+    -> install the grid (projsync, or a folder that PROJ_DATA names), give <geoid> a file, or give ellipsoidal heights
+       and no vertical CRS
+geoid.no_rasterio: reading a geoid file needs rasterio
+    -> install the extra: pip install 'fg-orient[geo]'
+geoid.missing: the geoid file does not exist
+    -> check the path
+geoid.unreadable: the geoid file cannot be read
+    -> give a raster of undulations that GDAL reads: GTX, GeoTIFF, ISG, BYN
+geoid.unit: the undulations of the geoid file are not in metres
+    -> convert them to metres
+geoid.outside: the geoid file does not cover a point
+    -> give one that covers the block
+geoid.no_value: the geoid file has no value at a point
+    -> give one that covers the block
+geoid.too_large: the points lie so far apart that too many cells of the geoid file are between them
+    -> give one with larger cells
+geoid.wrong: the geoid file {what}: its values at the points are not those of the Earth's geoid within 30 m
+    -> give undulations in metres, positive where the geoid is above the ellipsoid
+heights.two_ways: more than one way to ellipsoidal heights is given
+    -> give one of <geoid>, <undulation_m>, <both_heights>
+heights.geocentric: geocentric coordinates have no heights above a zero level
+    -> leave <geoid>, <undulation_m> and <both_heights> out
+heights.ellipsoidal (note): heights are taken as ellipsoidal: {crs} says nothing of heights
+heights.geoid (note): heights became ellipsoidal by the undulations of {grid}: {least:.3f} to {most:.3f} m
+heights.found (note): PROJ does not find the grid of {name}: {grid} in its folders takes its place
+heights.constant (note): heights became ellipsoidal by the constant undulation {undulation_m:.3f} m
+heights.estimated (note): heights became ellipsoidal by the constant undulation {undulation_m:.3f} m, standard
+    deviation {sigma_m:.3f} m (of one point {single_m:.3f} m), from {n} points with both heights; the standard
+    deviations of the points do not contain it
+heights.one_point (warning): the constant undulation {undulation_m:.3f} m comes from one point: nothing checks it
+    -> give both heights of more points
+heights.odd_point (warning): the undulation of this point differs from that of the others by {apart_m:+.3f} m,
+    {times:.0f} times its standard deviation
+    -> check its two heights
+heights.odd_constant (warning): the constant undulation {undulation_m:.3f} m is {apart_m:+.1f} m from that of the
+    Earth's geoid{opposite}
+    -> check its sign and unit; a local zero level can differ
 geodesy.outside: the coordinates lie outside the domain of {crs}
     -> check the values, the order of the columns and the CRS
 table.missing_file: the file does not exist

@@ -1,0 +1,239 @@
+"""Heights of a table above a zero level that PROJ does not know: they become ellipsoidal when the table is read.
+
+The zero level is given by a geoid file, by a constant undulation, or by a table of points with both heights, from which
+the constant is estimated. A compound CRS whose grid PROJ does not find is converted by a file of another name in PROJ's
+folders. Then the CRS of the survey has no vertical part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+
+from factors.arrays import Array, Index
+from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.faults import Faults
+from fg_orient.formats.tables import read_table
+from fg_orient.geodesy import (
+    crs_kind,
+    geodetic_to_ecef,
+    known_crs,
+    longitude_latitude,
+    operation_to_ecef,
+    spatial_crs,
+    to_geographic,
+)
+from fg_orient.geodesy.crs import from_ecef
+from fg_orient.geodesy.heights import GeoidFile, found_grid, vertical_reference
+from fg_orient.geodesy.world_geoid import LIMIT_M, world_undulation_m
+from fg_orient.model.errors import Finding, InputError, finding
+
+#: Columns of a table of points with both heights.
+BOTH_COLUMNS: Final = ("id", "height_m", "ellipsoidal_height_m")
+#: Probability that one of all points with right heights is named as odd.
+ODD: Final = 0.01
+#: Semi-major axis and flattening of an ellipsoid that is WGS84's within 0.1 mm.
+_WGS84: Final = (6378137.0, 1.0 / 298.2572)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Constant undulation from points with both heights: mean, its standard deviation and that of one point, m."""
+
+    undulation_m: float
+    sigma_m: float
+    single_m: float
+    notes: tuple[Finding, ...]
+
+
+@dataclass(frozen=True)
+class ZeroLevel:
+    """Statement of a user on the zero level of the heights of a table; at most one of the three.
+
+    Parameters
+    ----------
+    geoid : Path, optional
+        Raster of undulations that GDAL reads.
+    undulation_m : float, optional
+        Height of the zero level above the WGS84 ellipsoid.
+    both_heights : Path, optional
+        Table with the columns ``BOTH_COLUMNS``.
+    """
+
+    geoid: Path | None = None
+    undulation_m: float | None = None
+    both_heights: Path | None = None
+
+    @classmethod
+    def of(cls, entry: object, folder: Path) -> Self:
+        """Statement of an entry of a project file; its paths are relative to ``folder``."""
+        geoid, both = (getattr(entry, name, None) for name in ("geoid", "both_heights"))
+        geoid, both = (None if name is None else (folder / name).absolute() for name in (geoid, both))
+        return cls(geoid, getattr(entry, "undulation_m", None), both)
+
+    def __bool__(self) -> bool:
+        return any(value is not None for value in (self.geoid, self.undulation_m, self.both_heights))
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files that it names."""
+        return tuple(path for path in (self.geoid, self.both_heights) if path is not None)
+
+    def applied(self, survey: Survey) -> Survey:
+        """Survey with ellipsoidal heights, and a note that says how they became so.
+
+        Raises
+        ------
+        InputError
+            More than one way is given, a file is unusable or does not cover a point.
+        """
+        if sum(value is not None for value in (self.geoid, self.undulation_m, self.both_heights)) > 1:
+            raise InputError.of("heights.two_ways")
+        if not self:
+            return survey
+        if survey.crs and crs_kind(survey.crs) == "geocentric":
+            raise InputError.of("heights.geocentric", value=survey.crs)
+        if self.geoid is not None:
+            file = GeoidFile(self.geoid)
+            return _by_geoid(survey, file)
+        estimate = None if self.both_heights is None else estimated(self.both_heights)
+        constant = self.undulation_m if estimate is None else estimate.undulation_m
+        assert constant is not None
+        notes = (finding("heights.constant", undulation_m=constant),) if estimate is None else estimate.notes
+        lonlat, rows = _places(survey)
+        notes += _odd_constant(constant, lonlat)
+        return _raised(survey, rows, lonlat, np.full(len(rows), constant), notes)
+
+
+def without_vertical(survey: Survey) -> Survey:
+    """Survey whose CRS has no vertical part."""
+    return replace(survey, crs=_flat(survey.crs))
+
+
+def _flat(crs: str) -> str:
+    """Code of the horizontal part of a CRS."""
+    own = known_crs(crs) if crs else None
+    return f"EPSG:{own.sub_crs_list[0].to_epsg()}" if own is not None and own.is_compound else crs
+
+
+def on_found_grid(survey: Survey) -> Survey:
+    """Survey with ellipsoidal heights if only a file of another name in PROJ's folders has the grid of its CRS.
+
+    Otherwise it is unchanged but for a note if its CRS does not say that heights are ellipsoidal.
+    """
+    lonlat, rows = _places(survey)
+    if not survey.crs or not len(rows) or crs_kind(survey.crs) == "geocentric":
+        return survey
+    name = vertical_reference(survey.crs)[0]
+    if not name:
+        stated = len(known_crs(survey.crs).axis_info) == 3
+        return survey if stated else _noted(survey, finding("heights.ellipsoidal", crs=survey.crs))
+    try:
+        operation_to_ecef(survey.crs, spatial_crs(survey.crs), lonlat)
+        return survey
+    except InputError as error:
+        grid = found_grid(error)
+        if grid is None:
+            return survey  # refused where it is transformed
+        return _by_geoid(_noted(survey, finding("heights.found", name=name, grid=grid.path.name)), grid)
+
+
+def _noted(survey: Survey, *notes: Finding) -> Survey:
+    return replace(survey, notes=(*survey.notes, *notes))
+
+
+def _places(survey: Survey) -> tuple[Array, Index]:
+    """WGS84 longitude and latitude (n, 2) degrees of the points with coordinates, and their rows (n,)."""
+    rows = np.flatnonzero(survey.located)
+    return _lonlat(survey.crs, survey.coordinates[rows]), rows
+
+
+def _lonlat(crs: str, coordinates: Array) -> Array:
+    """WGS84 longitude and latitude (n, 2) degrees."""
+    if not crs or not len(coordinates):
+        return np.empty((0, 2))
+    if crs_kind(crs) == "geocentric":
+        return longitude_latitude(crs, spatial_crs(crs), "geocentric", coordinates, None)
+    return np.stack(to_geographic(_flat(crs), *coordinates[:, :2].T), axis=1)
+
+
+def _by_geoid(survey: Survey, grid: GeoidFile) -> Survey:
+    """Survey with the undulations of a geoid file added."""
+    lonlat, rows = _places(survey)
+    if not len(rows):
+        return without_vertical(survey)
+    undulation = grid.undulation_m(*lonlat.T)
+    note = finding("heights.geoid", grid=grid.path.name, least=float(undulation.min()), most=float(undulation.max()))
+    return _raised(survey, rows, lonlat, undulation, (note,))
+
+
+def _raised(survey: Survey, rows: Index, lonlat: Array, undulation: Array, notes: Sequence[Finding]) -> Survey:
+    """Survey with undulations (n,) added to the heights of some rows.
+
+    Undulations are above the WGS84 ellipsoid. If the ellipsoid of the CRS is another one, its ellipsoidal heights
+    follow from the place in space.
+    """
+    survey = _noted(without_vertical(survey), *notes)
+    coordinates = survey.coordinates.copy()
+    coordinates[rows, 2] += undulation
+    own = known_crs(survey.crs).ellipsoid
+    if own and (abs(own.semi_major_metre - _WGS84[0]) > 1e-4 or abs(1.0 / own.inverse_flattening - _WGS84[1]) > 1e-9):
+        xyz = geodetic_to_ecef(lonlat[:, 0], lonlat[:, 1], coordinates[rows, 2])
+        coordinates[rows] = from_ecef(survey.crs, xyz)[0]
+    return replace(survey, coordinates=coordinates)
+
+
+def _odd_constant(constant: float, lonlat: Array) -> tuple[Finding, ...]:
+    """Warning of a constant that is not near the undulation of the Earth's geoid at the points."""
+    apart = constant - float(np.median(world_undulation_m(*lonlat.T))) if len(lonlat) else 0.0
+    if abs(apart) <= LIMIT_M:
+        return ()
+    opposite = abs(apart - 2.0 * constant) <= LIMIT_M / 2.0
+    text = "; with the opposite sign it would fit" if opposite else ""
+    return (finding("heights.odd_constant", undulation_m=constant, apart_m=apart, opposite=text),)
+
+
+def estimated(path: Path) -> Estimate:
+    """Constant undulation from a table of points with both heights.
+
+    The mean of the differences of both heights, its standard deviation from their scatter. A point whose difference
+    is not that of the others (externally studentised, ``ODD`` over all points) is named and kept.
+
+    Raises
+    ------
+    InputError
+        The table is faulty.
+    """
+    faults = Faults(str(path))
+    table = read_table(path, [BOTH_COLUMNS], faults)
+    faults.raise_if_any()
+    assert table is not None
+    table.refuse_repeated(list(table.cells["id"]), "points.id_twice", "id")
+    values = table.numbers(*BOTH_COLUMNS[1:])
+    table.report(faults)
+    faults.raise_if_any()
+    difference, n = values[:, 1] - values[:, 0], len(values)
+    mean = float(difference.mean())
+    if n == 1:
+        return Estimate(mean, np.nan, np.nan, (finding("heights.one_point", file=path, undulation_m=mean),))
+    single = float(difference.std(ddof=1))
+    sigma = single / np.sqrt(n)
+    said: dict[str, Any] = {"undulation_m": mean, "sigma_m": sigma, "single_m": single, "n": n}
+    notes = [finding("heights.estimated", file=path, **said)]
+    if n >= 4:
+        from fg_orient.model.distributions import sidak, t_two_sided  # not above: it loads scipy
+
+        others = (difference.sum() - difference) / (n - 1)
+        square = ((difference - mean) ** 2).sum() - (difference - mean) ** 2 * n / (n - 1)  # of the others about theirs
+        spread = np.sqrt(np.maximum(square, 0.0) / (n - 2) * n / (n - 1))
+        apart = difference - others
+        times = np.abs(apart) / np.maximum(spread, np.finfo(float).tiny)
+        k = int(np.argmax(times))
+        if t_two_sided(n - 2, times[k]) < sidak(ODD, n):
+            notes.append(finding("heights.odd_point", file=path, place=f"point {table.cells['id'][k]}",
+                                 apart_m=float(apart[k]), times=float(times[k])))  # fmt: skip
+    return Estimate(mean, float(sigma), single, tuple(notes))
