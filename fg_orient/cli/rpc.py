@@ -28,7 +28,10 @@ Heights = Annotated[
     tuple[float, float] | None, option("Range of heights, m above the ellipsoid.", "LOW HIGH", flag="--heights")
 ]
 To = Annotated[
-    str | None, option("rpc-txt, rpb, dimap or geotiff-tags; default: by the name of --out.", "FORMAT", flag="--to")
+    str | None,
+    option(
+        "rpc-txt, rpb, dimap, ossim-geom, geotiff-tags or vrt; default: by the name of --out.", "FORMAT", flag="--to"
+    ),
 ]
 FIGURES = ("mean", "rms", "max")
 
@@ -70,21 +73,58 @@ def check(
 @app.command("convert")
 @command(FileOptions)
 def convert(
-    file: File,
-    out: Annotated[Path, option("File to write; with geotiff-tags an existing image.", show_default=False)],
+    file: Annotated[
+        Path, argument("FILE|RESULT", "RPC file of any known format, or result folder of adjust: its corrected RPC.")
+    ],
+    out: Annotated[
+        Path,
+        option("File to write; with --for or a RESULT a folder; with geotiff-tags an image.", show_default=False),
+    ],
     options: Mapping[str, Any],
     to: To = None,
+    program: Annotated[
+        str, option("Write what this program reads: gdal, qgis, otb, asp, cars or s2p.", "PROGRAM", flag="--for")
+    ] = "",
+    image: Annotated[
+        list[str] | None,
+        option("Raster of the image: files get its name; for vrt and copies with tags; may be repeated.", "[ID=]FILE"),
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write an RPC in another format, read it back and compare.
+    """Write an RPC in another format or for another program, read it back and compare.
 
-    Tags go into an existing GeoTIFF, so they need --overwrite; its pixels are not changed.
+    Tags go into an existing GeoTIFF, so they need --overwrite, or into a copy of --image; pixels are not changed.
     """
     from fg_orient.rpc.files import describe, target_of, write_as
+    from fg_orient.rpc.handover import hand_over, model_of, models_of
 
-    target, source = target_of(to, out), _opened(file, options)
-    written = write_as(source.model, out, target, overwrite=overwrite)
-    _end({**judged(source.model.notes), "source": describe(source), "out": written}, _show_convert)
+    if program and to is not None:
+        raise InputError.of("options.two_ways", option="for, to")
+    source = None if file.is_dir() else _opened(file, options)
+    if source is not None and not program:
+        target, raster = target_of(to, out), Path(image[-1].rpartition("=")[2]) if image else None
+        written = write_as(source.model, out, target, overwrite=overwrite, image=raster)
+        _end({**judged(source.model.notes), "source": describe(source), "out": written}, _show_convert)
+        return
+    models, notes = models_of(file) if source is None else (model_of(file, source.model), source.model.notes)
+    if not program and to is None:
+        raise InputError.of("handover.no_target", file=file)
+    target = "" if program else target_of(to, out)
+    images = _images(image or [], list(models))
+    files, remarks = hand_over(models, out, program, target=target, images=images, overwrite=overwrite)
+    record = {**judged((*notes, *remarks)), "source": str(file), "program": program, "files": files}
+    _end(record, _show_handover)
+
+
+def _images(words: list[str], names: list[str]) -> dict[str, Path]:
+    """Rasters by image id from ``ID=FILE``; of one image ``FILE`` is sufficient."""
+    pairs = [word.partition("=") for word in words]
+    if len(names) == 1:
+        pairs = [(name, "=", path) if path else (names[0], "=", name) for name, _, path in pairs]
+    for name, _, path in pairs:
+        if not path:
+            raise InputError.of("handover.image_words", option="image", value=name)
+    return {name: Path(path) for name, _, path in pairs}
 
 
 @app.command("refine")
@@ -276,6 +316,13 @@ def _show_out(out: Mapping[str, Any] | None) -> None:
 def _show_convert(record: dict[str, Any]) -> None:
     _show_source(record["source"])
     _show_out(record["out"])
+
+
+def _show_handover(record: dict[str, Any]) -> None:
+    for file in record["files"]:
+        _show_out(file)
+    for use in dict.fromkeys(file["use"] for file in record["files"] if file["use"]):
+        say(f"{record['program']}: {use}")
 
 
 def _show_refine(record: dict[str, Any]) -> None:

@@ -88,7 +88,7 @@ def result_of(
         "seconds": asdict(solution.seconds) | {"total": solution.seconds.total},
     }  # fmt: skip
     files = {f"rpc/{stem}_RPC.TXT": format_rpc_text(models[name].model).encode("ascii")
-             for name, stem in _file_stems(models).items()}  # fmt: skip
+             for name, stem in file_stems(models).items()}  # fmt: skip
     iterations = tuple(plain(asdict(iteration)) for iteration in solution.log)
     points = None if unavailable(solution) else points_within(solution, LIMIT)
     joint = None if points is None else joint_cofactors_of(solution, points)
@@ -132,7 +132,7 @@ def _about(problem: Problem, folder: Path, out: str, command: Sequence[str]) -> 
     }  # fmt: skip
 
 
-def _file_stems(names: Iterable[str]) -> dict[str, str]:
+def file_stems(names: Iterable[str]) -> dict[str, str]:
     """File name of each image id: characters that file names should not have become ``_``; equal names are numbered."""
     stems: dict[str, str] = {}
     for name in names:

@@ -26,6 +26,7 @@ from fg_orient.formats.atomic import require_free_files
 from fg_orient.formats.registry import formats
 from fg_orient.formats.rpc import read_rpc, rpc_writer
 from fg_orient.formats.rpc.fields import USUAL_ORDER
+from fg_orient.formats.rpc.gdal import write_rpc_copy
 from fg_orient.model.errors import InputError, finding
 from fg_orient.rpc.points import statistics
 from fg_orient.sensors.rpc import RpcModel
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 
 #: Ends of the names of RPC files in the image's folder that GDAL prefers to the tags of the image.
 SIDECARS: Final = ("_RPC.TXT", "_rpc.txt", ".RPB", ".rpb")
+#: Formats that are a raster with RPC, and the ends of their names.
+IMAGES: Final = {"geotiff-tags": ".tif", "vrt": ".vrt"}
 #: Values per axis of the cube of normalised coordinates in which two models are compared.
 CUBE: Final = 7
 
@@ -78,25 +81,30 @@ def target_of(name: str | None, out: Path) -> str:
         No such format, or the end of the name belongs to no format.
     """
     if name is None:
-        return rpc_writer(out).name
-    known = [f.name for f in formats("rpc").values() if f.write_rpc]
+        by_end = next((name for name, end in IMAGES.items() if out.suffix.lower() == end), None)
+        return by_end or rpc_writer(out).name
+    known = [f.name for f in formats("rpc").values() if f.write_rpc or f.name in IMAGES]
     if name not in known:
         raise InputError.of("rpc.target_name", option="to", value=name, known=", ".join(known))
     return name
 
 
-def write_as(model: RpcModel, out: Path, target: str, *, overwrite: bool = False) -> dict[str, Any]:
+def write_as(
+    model: RpcModel, out: Path, target: str, *, overwrite: bool = False, image: Path | None = None
+) -> dict[str, Any]:
     """Write a model completely or not at all, read it back and compare.
 
     Parameters
     ----------
     model : RpcModel
     out : Path
-        For "geotiff-tags" an existing image, whose tags are replaced.
+        For "geotiff-tags" without ``image`` an existing image, whose tags are replaced.
     target : str
         Name of a format.
     overwrite : bool
         Replace an existing file.
+    image : Path, optional
+        Raster to which the tags belong: it is copied, or a virtual raster refers to it.
 
     Returns
     -------
@@ -107,7 +115,8 @@ def write_as(model: RpcModel, out: Path, target: str, *, overwrite: bool = False
     Raises
     ------
     InputError
-        The file exists, or cannot be written, or an RPC file beside the image would hide its tags.
+        The file exists, or cannot be written, or an RPC file beside the image would hide its tags, or a virtual raster
+        has no image.
     """
     require_free_files(out, overwrite=overwrite)
     if target == "geotiff-tags":
@@ -115,8 +124,12 @@ def write_as(model: RpcModel, out: Path, target: str, *, overwrite: bool = False
             if beside.exists():
                 raise InputError.of("rpc.sidecar", file=out, value=beside.name)
     write = formats("rpc")[target].write_rpc
-    assert write is not None
-    write(out, model)
+    if image is not None and target in IMAGES:
+        write_rpc_copy(out, model, image)
+    elif write is None:
+        raise InputError.of("handover.needs_image", file=out, option="image", format=target)
+    else:
+        write(out, model)
     back = open_rpc(out)
     line, sample = np.abs(projected_differences(model, back.model)).max(axis=0)
     return {

@@ -115,6 +115,7 @@ OWN_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
     "docs/rfm.md": (page_files.gcp_file,),
     "docs/terminal.md": (page_files.two_campaigns,),
     "docs/how-to/photomodeler.md": (photomodeler.write_projects,),
+    "docs/how-to/refined-rpc.md": (page_files.rpc_project,),
     "docs/closerange.md": (page_files.photos_and_control, page_files.surface_points),
     **{f"docs/formats/{name}.md": write for name, write in FORMAT_FILES.items()},
 }
@@ -123,7 +124,11 @@ OWN_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
 BEFORE: dict[tuple[str, str], Callable[[Path], None]] = {("README.md", "rpc refine"): page_files.rpc_points}
 
 #: Pages that begin with their own files and nothing else.
-ALONE = {"docs/how-to/photomodeler.md", *(f"docs/formats/{name}.md" for name in FORMAT_FILES)}
+ALONE = {
+    "docs/how-to/photomodeler.md",
+    "docs/how-to/refined-rpc.md",
+    *(f"docs/formats/{name}.md" for name in FORMAT_FILES),
+}
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import ecef_to_geodetic
 
 from .command import in_process
+from .rpc_block import rpc_twin, write_folder
 
 _CAMERA = '[[photos]]\nname = "{}"\nfocal = 60.0\n\n'
 _CONSTRAINTS = """[[constraints]]
@@ -101,6 +102,15 @@ def rpc_points(folder: Path) -> None:
     rows = [(k, *p.values(), "control" if k % 4 else "check") for k, p in enumerate(scene_points(folder))]
     _write(folder / "points.csv", ("id", "line", "sample", "lon_deg", "lat_deg", "height_m", "role"), rows)
     write_image(folder / "image.tif")
+
+
+def rpc_project(folder: Path) -> None:
+    """Write a project of two images with RPC, and their rasters."""
+    project = write_folder(folder / "twin", rpc_twin("shift"))
+    for path in project.parent.glob("*.*"):
+        shutil.copy(path, folder)
+    for name in ("left", "right"):
+        write_image(folder / f"IMG_{name}.tif")
 
 
 def gcp_file(folder: Path) -> None:

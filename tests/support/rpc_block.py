@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from factors.cameras.rfm_equation import COMPENSATIONS
+from fg_orient.formats.atomic import write_text
+from fg_orient.formats.points_write import write_observations, write_points, write_project
+from fg_orient.formats.rpc import write_rpc
 from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.model.block import Block, Image, Options
 from fg_orient.model.names import Role
@@ -20,6 +24,8 @@ HEIGHTS = (-200.0, 2200.0)
 SIGMA_PX = 0.3
 #: Prior sigmas of the simulated compensation: shift, other terms (px).
 SHIFT_PX, LINEAR_PX = 20.0, 2.0
+#: Parameters in the table eop.
+TERMS = ("line_0", "sample_0", "line_l1", "sample_l1", "line_s1", "sample_s1")
 
 
 def terms(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -97,3 +103,34 @@ def without_control(block: Block) -> Block:
     ids = block.points.ids
     return replace(block, points=replace(block.points, roles=(Role.TIE,) * len(ids), known=empty),
                    withheld=replace(block.withheld, ids=()))  # fmt: skip
+
+
+def write_folder(folder: Path, twin: RpcTwin, *, control: bool = True, datum: str = "control") -> Path:
+    """Write the twin as a project, truth beside it."""
+    folder.mkdir()
+    block, o = twin.block, twin.block.observations
+    ids = block.points.ids
+    measured, sealed = block.points.known, block.withheld.open()
+    ecef, sigma = measured.ecef_m.copy(), measured.sigma_enu_m.copy()
+    check = [ids.index(name) for name in block.withheld.ids]
+    ecef[check], sigma[check] = sealed.ecef_m, sealed.sigma_enu_m
+    roles = block.points.roles if control else (Role.TIE,) * len(ids)
+    coordinates = np.stack(ecef_to_geodetic(ecef), axis=1)
+    if not control:
+        coordinates[:], sigma[:] = np.nan, np.nan
+    write_points(folder / "points.csv", ids, roles, coordinates, sigma)
+    write_observations(folder / "observations.csv", [block.images[k].id for k in o.image], [ids[j] for j in o.point],
+                       np.stack([o.line, o.sample], axis=1),
+                       np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1))  # fmt: skip
+    for image in block.images:
+        write_rpc(folder / f"{image.id}_RPC.TXT", image.sensor.model)
+    write_project(folder / "project.toml", name="RPC twin", images=[(i.id, f"{i.id}_RPC.TXT") for i in block.images],
+                  options=replace(block.options, datum=datum))  # fmt: skip
+    (folder / "truth").mkdir()
+    rows = [f"{image.id},{name},{float(twin.compensation[k, j])!r}" for k, image in enumerate(block.images)
+            for j, name in enumerate(TERMS)]  # fmt: skip
+    write_text(folder / "truth" / "eop.csv", "\n".join(["image,parameter,value_per_tau", *rows, ""]))
+    lon, lat, h = ecef_to_geodetic(twin.ecef_m)
+    points = [f"{name},{float(lon[j])!r},{float(lat[j])!r},{float(h[j])!r}" for j, name in enumerate(ids)]
+    write_text(folder / "truth" / "points.csv", "\n".join(["id,lon_deg,lat_deg,height_m", *points, ""]))
+    return folder / "project.toml"

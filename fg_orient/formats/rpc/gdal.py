@@ -70,6 +70,32 @@ def write_rpc_raster(path: str | os.PathLike[str], model: RpcModel) -> None:
         raise InputError.of("output.unwritable", file=file, value=error) from error
 
 
+def write_rpc_copy(path: Path, model: RpcModel, image: Path) -> None:
+    """Write an image with a model: a copy as GeoTIFF, or a virtual raster (``.vrt``) that refers to the image.
+
+    Raises
+    ------
+    InputError
+        The image cannot be read, its size is not that of the model, or the file cannot be written.
+    """
+    rasterio = rasterio_of(path, "rpc.no_rasterio")
+    from rasterio.shutil import copy as raster_copy
+
+    kind = "VRT" if path.suffix.lower() == ".vrt" else "GTiff"
+    try:
+        with opened(rasterio, image) as source:
+            size, stated = source.shape, (model.n_lines or source.height, model.n_samples or source.width)
+            if size != stated:
+                raise InputError.of("rpc.image_size", file=image, value=f"{size[0]} x {size[1]}", lines=stated[0],
+                                    samples=stated[1])  # fmt: skip
+        with staged_file(path, suffix=path.suffix) as copy:
+            raster_copy(image, copy, driver=kind)
+            with opened(rasterio, copy, "r+") as target:
+                target.rpcs = rasterio.rpc.RPC.from_gdal(texts_of(model))
+    except rasterio.errors.RasterioError as error:
+        raise InputError.of("output.unwritable", file=path, value=error) from error
+
+
 def read_rpc_vrt(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     """Read the RPC domain of a virtual raster.
 

@@ -2,7 +2,7 @@
 
 ``_RPC.TXT`` has one ``KEY: value unit`` on each line (IKONOS, GeoEye, GDAL). ``.RPB`` of DigitalGlobe has groups of
 ``key = value;``; their XML (root ``isd``) has the same fields. Keyword lists (``.geom`` of OSSIM and the Orfeo Toolbox)
-have ``key: value``; they and the XML are read only.
+have ``key: value``. The XML is read only.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ LIST_NAME: Final = "list of 90 numbers"
 RPB_NAME: Final = "RPB"
 ISD_NAME: Final = "DigitalGlobe ISD"
 GEOM_NAME: Final = "OSSIM .geom"
-#: Axes in the order of most files, latitude before longitude, and their units.
-_UNITS = {"LINE": "pixels", "SAMP": "pixels", "LAT": "degrees", "LONG": "degrees", "HEIGHT": "meters"}
+#: Axes in the order of most files, latitude before longitude.
+_AXES: Final = ("LINE", "SAMP", "LAT", "LONG", "HEIGHT")
 #: Key of ``.RPB`` -> name in ``_RPC.TXT``.
 _RPB_KEYS = {
     "errBias": "ERR_BIAS", "errRand": "ERR_RAND",
     **{f"{name.lower()}{word}": f"{name}_{short}"
-       for word, short in (("Offset", "OFF"), ("Scale", "SCALE")) for name in _UNITS},
+       for word, short in (("Offset", "OFF"), ("Scale", "SCALE")) for name in _AXES},
     **{f"{name[:4].lower()}{name[5:].title()}Coef": f"{name}_COEFF" for name in POLYNOMIALS},
 }  # fmt: skip
 #: OSSIM counts from the centre of the first pixel, and has subtracted 1 from the offsets of Pléiades. Newer versions
@@ -58,11 +58,14 @@ def read_rpc_text(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
 
 
 def format_rpc_text(model: RpcModel) -> str:
-    """Text of a model as ``_RPC.TXT``, with all digits."""
+    """Text of a model as ``_RPC.TXT``, with all digits, and without units as GDAL writes it.
+
+    GDAL gives a unit as part of the number, which programs that read the tags of the image, such as rpcm, then refuse.
+    """
     texts = texts_of(model)
-    lines = [f"{name}: {texts[name]} meters" for name in ERRORS if name in texts]
+    lines = [f"{name}: {texts[name]}" for name in ERRORS if name in texts]
     for word in ("OFF", "SCALE"):
-        lines += [f"{axis}_{word}: {texts[f'{axis}_{word}']} {unit}" for axis, unit in _UNITS.items()]
+        lines += [f"{axis}_{word}: {texts[f'{axis}_{word}']}" for axis in _AXES]
     for stem in POLYNOMIALS:
         lines += [f"{stem}_COEFF_{k}: {text}" for k, text in enumerate(texts[f"{stem}_COEFF"].split(), 1)]
     return "\n".join(lines) + "\n"
@@ -82,7 +85,7 @@ def read_rpc_list(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     if reading.first_pixel is None:
         raise InputError.of("rpc.origin", file=file)
     fields = RpcFields(file, reading)
-    names = [f"{axis}_{word}" for word in ("OFF", "SCALE") for axis in _UNITS]
+    names = [f"{axis}_{word}" for word in ("OFF", "SCALE") for axis in _AXES]
     names += [f"{stem}_COEFF_{k}" for stem in POLYNOMIALS for k in range(1, 21)]
     for k, (name, text) in enumerate(zip(names, words, strict=True), 1):
         fields.add(name, text, f"number {k}")
@@ -172,8 +175,25 @@ def read_rpc_geom(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     return fields.model(GEOM_NAME, shift, notes=tuple(notes), **extra)
 
 
+def format_rpc_geom(model: RpcModel) -> str:
+    """Text of a model as keyword list, with all digits; unknown errors are 0.
+
+    shareloc recognises the file by the beginning of its type, and OTB by the keys of the coefficients.
+    """
+    values = {"type": "ossimRpcModel", "polynomial_format": "B", **dict.fromkeys(_OSSIM_ERRORS, "0")}
+    names = {name: key for key, name in _OSSIM_ERRORS.items()}
+    for name, text in texts_of(model).items():
+        stem = names.get(name, name.lower())
+        words = text.split()
+        values |= {f"{stem}_{k:02d}": word for k, word in enumerate(words)} if len(words) > 1 else {stem: text}
+    sizes = {"number_lines": model.n_lines, "number_samples": model.n_samples}
+    values |= {key: str(size) for key, size in sizes.items() if size is not None}
+    return "".join(f"{key}:  {value}\n" for key, value in sorted(values.items()))
+
+
 GEOM_FORMAT = Format(
-    name="ossim-geom", title=GEOM_NAME, read_rpc=read_rpc_geom,
+    name="ossim-geom", title=GEOM_NAME, suffixes=(".geom",), read_rpc=read_rpc_geom,
+    write_rpc=lambda path, model: write_bytes(path, format_rpc_geom(model).encode("ascii")),
     sniff=has_line("(?:line_num_coeff_0?0|line_den_coeff_0?0|polynomial_format)\\s*:"),
 )  # fmt: skip
 RPB_FORMAT = Format(

@@ -159,6 +159,31 @@ rpc.foreign_option: {option} does not apply to {source}
     -> leave it out
 rpc.target: the name does not say in which format to write
     -> end it with _RPC.TXT, .RPB, .XML or .TIF
+rpc.image_size: the image has not the {lines} x {samples} pixels of the RPC
+    -> give the image to which the RPC belongs
+handover.program: no such program
+    -> give one of: {known}
+handover.no_target: a result folder has several RPC: nothing says for which program or in which format
+    -> give <for> gdal, qgis, otb, asp, cars or s2p, or <to> and a format
+handover.no_rpc: no image of the result has an RPC
+    -> fit one: fg-orient rpc fit METADATA <result> RESULT <heights> LOW HIGH
+handover.no_image: no RPC image has this id
+    -> give one of: {known}
+handover.image_words: this says not to which image the raster belongs
+    -> write ID=FILE
+handover.needs_image: the format {format} is a raster: it needs the image
+    -> give it by <image>
+handover.names: two images would get files of the same name
+    -> give rasters of different names
+handover.rigorous (warning): the image has a rigorous model and no RPC: nothing is written for it
+    -> fit one: fg-orient rpc fit METADATA <result> RESULT <heights> LOW HIGH
+handover.doubt (doubt): the adjustment ended not trustworthy
+    -> read its findings before the RPC are used
+handover.adjust (note): with the vendor's RPC, bundle_adjust_prefix of ASP: largest difference {most_px:.2g} px; in
+    the name, adjust is the prefix, then follows the name of the image
+handover.no_translation (warning): no .adjust file: the compensation is no translation of the camera, the nearest one
+    differs by up to {most_px:.2g} px, above {limit:g}
+    -> use the RPB, which holds the compensation
 rpc.pole_inside (doubt): a denominator is not positive everywhere inside the image: {where}
 rpc.near_zero_inside (doubt): a denominator comes near zero inside the image: {least:.3g}
 rpc.near_zero (doubt): a denominator comes near zero: {least:.3g}
