@@ -73,7 +73,7 @@ def convert(
     writer = format_named(target, place="<to>") if target else format_of(out[0], place="<to>")
     crs, to_crs = _code(crs, "crs"), _code(to_crs, "to_crs")
     level = ZeroLevel(geoid, undulation_m, both_heights)
-    settings = Settings(crs, image, sigma_axes, image_sizes(image_size))
+    settings = Settings(crs, image, sigma_axes, image_sizes(image_size), incomplete=True)
     if reader.read_model is not None and writer.write_model is not None:
         from fg_orient.formats.exchange.convert import convert_model
         from fg_orient.formats.exchange.ties import model_survey

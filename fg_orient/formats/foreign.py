@@ -154,7 +154,7 @@ def _images(survey: Survey, known: list[str], entry: PointsEntry | ObservationsE
         own = next((n for n in (renamed.get(name, ""), name, Path(name).stem) if n in known), None)
         if own is None:
             hint = did_you_mean(name, known)
-            faults.add("observations.image_unknown", place=f"image {name}", value=repr(name), hint=hint)
+            faults.add("observations.image_unknown", place=f"image {name}", value=repr(name), times="", hint=hint)
         else:
             out[k] = known.index(own)
     if not faults and len(set(out.tolist())) < len(out):

@@ -38,33 +38,47 @@ _SIGMA_XYZ: Final = ("sigma_x_m", "sigma_y_m", "sigma_z_m")
 FIXED: Final = "fixed"
 
 
-def _layouts(first: Kind) -> list[tuple[str, ...]]:
+def _layouts(first: Kind, incomplete: bool) -> list[tuple[str, ...]]:
     kinds: list[Kind] = sorted(COORDINATE_COLUMNS, key=lambda kind: kind != first)
-    usual = [("id", "role", *COORDINATE_COLUMNS[kind], *SIGMA_COLUMNS) for kind in kinds]
+    usual: list[tuple[str, ...]] = [("id", "role", *COORDINATE_COLUMNS[kind], *SIGMA_COLUMNS) for kind in kinds]
+    if incomplete:  # of layouts with the same columns of a table the first counts: the one that lacks fewest
+        lacking = (("role", *SIGMA_COLUMNS), SIGMA_COLUMNS, ("role",), ())
+        usual = [tuple(name for name in layout if name not in out) for out in lacking for layout in usual]
     return [*usual, ("id", "role", *COORDINATE_COLUMNS["geocentric"], *_SIGMA_XYZ)]
 
 
-def parse_points(path: Path, crs: str, faults: Faults) -> Survey | None:
-    """Read a table of ground points, check points included; see :func:`read_points`."""
+def parse_points(path: Path, crs: str, faults: Faults, *, incomplete: bool = False) -> Survey | None:
+    """Read a table of ground points, check points included; see :func:`read_points`.
+
+    An ``incomplete`` table may lack roles, heights and standard deviations: points with coordinates are control points
+    then, and the values are nan.
+    """
     kind = crs_kind(crs)
-    table = read_table(path, _layouts(kind), faults)
+    table = read_table(path, _layouts(kind, incomplete), faults)
     if table is None or not _columns_fit(table, kind, faults):
         return None
+    if incomplete:
+        table = table.completed("role", *SIGMA_COLUMNS)
     ids = tuple(table.cells["id"])
     table.refuse([not name for name in ids], "points.id_missing", "id")
     table.refuse_repeated([name or k for k, name in enumerate(ids)], "points.id_twice", "id")
     known: dict[str, Role] = {str(role): role for role in Role}
+    filled = {name: ~table.where(name, "") for name in (*COORDINATE_COLUMNS[kind], *SIGMA_COLUMNS)}
+    located = np.any([filled[name] for name in COORDINATE_COLUMNS[kind]], axis=0)
     roles = tuple(map(known.get, table.cells["role"]))
+    if incomplete:
+        table_roles = zip(table.cells["role"], roles, located.tolist(), strict=True)
+        roles = tuple(role if name else (Role.CONTROL if has else Role.TIE) for name, role, has in table_roles)
     table.refuse(_are(roles, None), "points.role", "role", value=lambda row: repr(row.cells["role"]))
     tie = _are(roles, Role.TIE)
     measured = ~(tie | _are(roles, None))
-    filled = {name: ~table.where(name, "") for name in (*COORDINATE_COLUMNS[kind], *SIGMA_COLUMNS)}
     wrong = np.zeros(len(table), bool)
     for name, is_filled in filled.items():
         table.refuse(is_filled & tie & ~wrong, "points.tie_coordinates", name)
         wrong |= is_filled
-    given = _coordinates(table, kind, measured, np.any([filled[n] for n in COORDINATE_COLUMNS[kind]], axis=0))
-    sigma, fixed = _sigmas(table, _are(roles, Role.CHECK), measured)
+    given = _coordinates(table, kind, measured, located, incomplete)
+    stated = np.any([filled[name] for name in SIGMA_COLUMNS], axis=0) | (not incomplete)
+    sigma, fixed = _sigmas(table, _are(roles, Role.CHECK), measured & stated)
     table.report(faults)
     known_roles = tuple(role or Role.TIE for role in roles)
     return Survey(crs, ids, known_roles, given, sigma, fixed, lines=table.lines, unit=table.unit)
@@ -88,14 +102,16 @@ def _columns_fit(table: Table, kind: Kind, faults: Faults) -> bool:
     return True
 
 
-def _coordinates(table: Table, kind: Kind, measured: Mask, filled: Mask) -> Array:
-    """Coordinates (n, 3) of measured points; nan where refused."""
+def _coordinates(table: Table, kind: Kind, measured: Mask, filled: Mask, incomplete: bool) -> Array:
+    """Coordinates (n, 3) of measured points; nan where refused, and for heights that an incomplete table lacks."""
     columns = COORDINATE_COLUMNS[kind]
+    flat = measured & filled & table.where(columns[2], "") & (incomplete and kind != "geocentric")
     empty = {"value": _id, "role": lambda row: row.cells["role"]}
     table.refuse(measured & ~filled, "points.no_coordinates", columns[0], **empty)
-    values = table.numbers(*columns, rows=measured & filled)
+    values = table.numbers(*columns, rows=measured & filled & ~flat)
+    values[flat, :2] = table.numbers(*columns[:2], rows=flat)[flat]
     if kind == "geographic":
-        whole = np.isfinite(values).all(axis=1)
+        whole = np.isfinite(values[:, :2]).all(axis=1)
         lon, lat = np.abs(values[:, :2].T)
         beyond, swapped = whole & (lat > 90.0), (lon <= 90.0) & (lat <= 180.0)
         table.refuse(beyond & swapped, "points.swapped_range", "lat_deg")
@@ -150,7 +166,14 @@ def located(survey: Survey, faults: Faults) -> tuple[Coordinates, Operation | No
 
 
 #: Faults after which the list of ids differs from the one that the user meant.
-LOSES_IDS: Final = {"table.cell_count", "table.quotes", "table.long_line", "points.id_twice", "points.id_missing"}
+LOSES_IDS: Final = {
+    "table.no_records",
+    "table.cell_count",
+    "table.quotes",
+    "table.long_line",
+    "points.id_twice",
+    "points.id_missing",
+}
 #: Standard deviations outside this range are more likely a wrong unit than a survey: 0.01 mm, 10 km.
 PLAUSIBLE_SIGMA_M: Final = (1e-5, 1e4)
 #: Reads the points of a file, check points included; None, with the faults noted, if it is unusable.
@@ -221,6 +244,17 @@ def read_points(
     return point_file(path, (where,), lambda noted: parse_points(where, crs, noted), faults, scenes, level)
 
 
+def no_points(path: Path, ties: tuple[str, ...] = ()) -> PointFile:
+    """Points of a project without a point table: tie points that its observations (``path``) name."""
+
+    def nothing(names: tuple[str, ...]) -> Coordinates:
+        none = np.full((len(names), 3), np.nan)
+        return Coordinates(none, none, np.zeros(len(names), bool))
+
+    points = GroundPoints(ties, (Role.TIE,) * len(ties), nothing(ties))
+    return PointFile(path, "", "", points, None, (), nothing)
+
+
 def point_file(
     path: Path,
     files: tuple[Path, ...],
@@ -286,16 +320,23 @@ PLAUSIBLE_SIGMA_PX: Final = (1e-4, 1e3)
 
 @dataclass(frozen=True)
 class ObservationFile:
-    """Image observations as read, the SHA-256 of the file and remarks about it."""
+    """Image observations as read, the SHA-256 of the file, remarks about it, and the ids of its points."""
 
     path: Path
     sha256: str
     observations: ImagePoints
     remarks: tuple[Finding, ...]
+    ids: tuple[str, ...] = ()
 
 
 def read_observations(
-    path: Path, sizes: Mapping[str, tuple[int, int] | None] | None, point_ids: Sequence[str] | None, faults: Faults
+    path: Path,
+    sizes: Mapping[str, tuple[int, int] | None] | None,
+    point_ids: Sequence[str] | None,
+    faults: Faults,
+    *,
+    ties: bool = False,
+    incomplete: bool = False,
 ) -> ObservationFile | None:
     """Read a table of image observations.
 
@@ -310,21 +351,31 @@ def read_observations(
         Ids of the ground points; None if they are unknown (ids are then not checked).
     faults : Faults
         Receives all faults of the file.
+    ties : bool
+        There are no ground points: all points are tie points, in the order of the file.
+    incomplete : bool
+        The standard deviations may be left out: they are nan.
 
     Returns
     -------
     ObservationFile or None
         None if anything is wrong; the reasons are then in ``faults``.
-    """
-    table = read_table(path, [COLUMNS], faults)
+    """  # fmt: skip
+    table = read_table(path, [COLUMNS[:4], COLUMNS] if incomplete else [COLUMNS], faults)
     if table is None:
         return None
+    table = table.completed(*COLUMNS[4:])
+    if ties:
+        point_ids = tuple(dict.fromkeys(table.cells["id"]))
     image = table.positions("image", None if sizes is None else list(sizes), "observations.image_unknown")
     point = table.positions("id", point_ids, "observations.point_unknown")
     keys = image * (int(point.max(initial=0)) + 1) + point
     pair = {"value": lambda row: f"{row.cells['id']} in {row.cells['image']}"}
     table.refuse_repeated(keys, "observations.twice", "id", **pair)
-    values = table.numbers(*COLUMNS[2:])
+    bare = np.all([table.where(name, "") for name in COLUMNS[4:]], axis=0) if incomplete else np.zeros(len(table), bool)
+    values = table.numbers(*COLUMNS[2:], rows=~bare if incomplete else None)
+    if bare.any():
+        values[bare, :2] = table.numbers(*COLUMNS[2:4], rows=bare)[bare]
     size = np.array([n or (np.inf, np.inf) for n in (sizes or {"": None}).values()], float)
     last = np.append(size, [[np.inf, np.inf]], axis=0)[np.minimum(image, len(size))] - 0.5
     for j, axis in enumerate(("line", "sample")):
@@ -338,4 +389,5 @@ def read_observations(
     remarks = sigma_remarks(
         "remark.sigma_image", faults.file, values[:, 2:], PLAUSIBLE_SIGMA_PX, lambda k: table.row(k).place()
     )
-    return ObservationFile(path, sha256_of(path), ImagePoints(image, point, *values.T), remarks)
+    ids = tuple(point_ids) if ties else ()
+    return ObservationFile(path, sha256_of(path), ImagePoints(image, point, *values.T), remarks, ids)

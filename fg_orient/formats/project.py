@@ -15,10 +15,17 @@ from fg_orient.formats.assemble import assemble, geometry_remarks
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.foreign import Table, read_foreign_observations, read_foreign_points
 from fg_orient.formats.heights import ZeroLevel
-from fg_orient.formats.points import LOSES_IDS, ObservationFile, PointFile, read_observations, read_points
+from fg_orient.formats.points import (
+    LOSES_IDS,
+    ObservationFile,
+    PointFile,
+    no_points,
+    read_observations,
+    read_points,
+)
 from fg_orient.formats.registry import format_named
 from fg_orient.formats.scenes import Scene
-from fg_orient.formats.schema import ProjectFile, constraints_of, validate
+from fg_orient.formats.schema import PointsEntry, ProjectFile, constraints_of, validate
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.formats.toml import parse_toml
 from fg_orient.geodesy import crs_kind
@@ -104,7 +111,7 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
         options=options,
         sources=(
             *(Source(str(file), sha256_of(file)) for file in files),
-            *(Source(str(table.path), table.sha256) for table in (points, observations)),
+            *(Source(str(table.path), table.sha256) for table in (points, observations) if table.sha256),
             *(Source(str(file), sha256_of(file)) for file in ZeroLevel.of(project.points, folder).files),
         ),
         notes=_notes(known, points, [p for p in remarks if p.code != FEW_CHECK_CODE]),
@@ -148,7 +155,8 @@ def require_files(path: str | Path, **overrides: object) -> None:
     path = Path(path)
     project = _read_toml(path, overrides)
     problems = list(filter(None, (_missing(project, k, path) for k in range(len(project.images)))))
-    if problems or not all((path.parent / table.file).exists() for table in (project.points, project.observations)):
+    tables = [table.file for table in (project.points, project.observations) if table.file]
+    if problems or not all((path.parent / name).exists() for name in tables):
         problems += _tables(project, path.parent, str(path), {})[2]
     if problems:
         raise InputError(*problems)
@@ -261,10 +269,14 @@ def _tables(
     project: ProjectFile, folder: Path, file: str, images: Mapping[str, Image | None]
 ) -> tuple[PointFile | None, ObservationFile | None, tuple[Finding, ...]]:
     """Points, then the observations, whose names are checked against the points; and faults of both."""
-    point_path, observation_path = folder / project.points.file, folder / project.observations.file
+    observation_path = folder / project.observations.file
+    point_path = folder / project.points.file if project.points.file else observation_path
     point_faults, observation_faults = Faults(str(point_path)), Faults(str(observation_path))
     points, crs_problems = None, _entry_problems(project, file)
-    if not crs_problems:
+    ties = not project.points.file
+    if ties:
+        points = no_points(point_path)
+    elif not crs_problems:
         scenes = _scenes(images, (point_path, observation_path))
         if project.points.format == OWN:
             level = ZeroLevel.of(project.points, folder)
@@ -278,7 +290,8 @@ def _tables(
     observations = None
     if project.observations.format == OWN:
         ids = sound.points.ids if sound is not None else None
-        observations = read_observations(observation_path, known_images, ids, observation_faults)
+        observations = read_observations(observation_path, known_images, ids, observation_faults, ties=ties)
+        points = no_points(point_path, observations.ids) if ties and observations else points
     else:
         table = _foreign(project, folder, file, "observations")
         both = read_foreign_observations(table, known_images, sound, observation_faults)
@@ -298,9 +311,10 @@ def _scenes(images: Mapping[str, Image | None], tables: Sequence[Path]) -> list[
 def _foreign(project: ProjectFile, folder: Path, file: str, name: str) -> Table:
     """Files of another program's table; the tables of a format with two files name one file each."""
     entry = project.points if name == "points" else project.observations
-    paths: tuple[Path, ...] = (folder / entry.file,)
-    if project.points.format == project.observations.format and project.points.file != project.observations.file:
-        both = (folder / project.points.file, folder / project.observations.file)
+    paths: tuple[Path, ...] = (folder / str(entry.file),)
+    of_points = project.points.file
+    if of_points and project.points.format == project.observations.format and of_points != project.observations.file:
+        both = (folder / of_points, folder / project.observations.file)
         paths = both if len(format_named(entry.format, place=f"{name}.format").files) > 1 else paths
     if name == "observations" and project.points.format == entry.format:  # entries of the points apply to both
         given: dict[str, object] = {"crs": entry.crs or project.points.crs}
@@ -317,7 +331,10 @@ def _entry_problems(project: ProjectFile, file: str) -> list[Finding]:
         if entry.format == OWN:
             given = entry.model_fields_set - {"file", "format"} - (OWN_POINTS if name == "points" else set())
             faults += [finding("project.own_table", file=file, place=f"{name}.{key}") for key in sorted(given)]
-    if project.points.crs is None and project.points.format == OWN:
+    if not project.points.file and project.points.model_fields_set:
+        expected = PointsEntry.model_fields["file"].description
+        faults.append(finding("project.missing", file=file, place="points.file", expected=expected))
+    elif project.points.file and project.points.crs is None and project.points.format == OWN:
         expected = 'an EPSG code in quotes, such as "EPSG:4979"'
         faults.append(finding("project.missing", file=file, place="points.crs", expected=expected))
     for name, crs in (("points", project.points.crs), ("observations", project.observations.crs)):

@@ -81,12 +81,15 @@ class Settings:
         "ecef" or "enu": axes of the standard deviations in ASP's .gcp.
     image_sizes : mapping of str to (n_lines, n_samples)
         Sizes of the images, for formats that count from another corner or from the middle.
+    incomplete : bool
+        Our own tables may lack roles, heights and standard deviations, which the user gives.
     """
 
     crs: str = ""
     image: str = ""
     sigma_axes: str = "ecef"
     image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=lambda: MappingProxyType({}))
+    incomplete: bool = False
 
     def require_images(self, names: Sequence[str], file: object) -> None:
         """Raise InputError for sizes of images that a file does not have; it names the first one."""

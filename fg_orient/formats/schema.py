@@ -73,7 +73,7 @@ class _Foreign(Table):
 class PointsEntry(_Foreign):
     """The ``[points]`` table."""
 
-    file: Text = Field(description="the path of the point table in quotes")
+    file: Text | None = Field(default=None, description="the path of the point table in quotes")
     crs: Crs | None = Field(default=None, description='an EPSG code in quotes, such as "EPSG:4979"')
     sigma_m: Three | None = Field(default=None, description="three numbers above zero: East, North, Up, m")
     height_m: Number | None = Field(default=None, description="a number, m")
@@ -173,7 +173,7 @@ class ProjectFile(Table):
     images: tuple[ImageEntry, ...] = Field(
         min_length=1, description="at least one [[images]] table with id and metadata"
     )
-    points: PointsEntry = Field(description="a table [points] with file and crs")
+    points: PointsEntry = Field(default_factory=PointsEntry, description="a table [points] with file and crs")
     observations: ObservationsEntry = Field(description="a table [observations] with file")
     navigation: NavigationEntry | None = Field(default=None, description="a table [navigation] with file and crs")
     constraints: tuple[ConstraintEntry, ...] = Field(default=(), description="[[constraints]] tables with kind")

@@ -11,7 +11,7 @@ import difflib
 import math
 import re
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -99,7 +99,7 @@ class Table:
         return out
 
     def positions(self, column: str, known: Sequence[str] | None, code: str) -> Index:
-        """Position (n,) of each cell in ``known``; other cells get positions beyond it, and are refused.
+        """Position (n,) of each cell in ``known``; other cells get positions beyond it, and each is refused once.
 
         Nothing is refused if ``known`` is None.
         """
@@ -109,11 +109,21 @@ class Table:
         except KeyError:
             out = np.array([place.setdefault(cell, len(place)) for cell in cells], np.intp)
         if known is not None:
+            _, first, counts = np.unique(out, return_index=True, return_counts=True)
+            once, times = np.zeros(len(out), bool), np.full(len(out), "", dtype=object)
+            once[first] = out[first] >= len(known)
+            times[first] = [f" in {n} {self.unit}s" if n > 1 else "" for n in counts.tolist()]
             self.refuse(
-                out >= len(known), code, column, value=lambda row: repr(row.cells[column]),
+                once, code, column, value=lambda row: repr(row.cells[column]), times=times,
                 hint=lambda row: did_you_mean(row.cells[column], list(known)),
             )  # fmt: skip
         return out
+
+    def completed(self, *columns: str) -> Table:
+        """Table that has these columns, with empty cells where it lacks them."""
+        empty = Cells([""] * len(self))
+        lacking = tuple(name for name in columns if name not in self.columns)
+        return replace(self, columns=self.columns + lacking, cells=self.cells | dict.fromkeys(lacking, empty))
 
     def refuse(self, wrong: npt.ArrayLike, code: str, column: str, **fields: Any) -> None:
         """Refuse records (n,) for the text of a cell, which is the value of the message by default.

@@ -35,6 +35,8 @@ Record = dict[str, Any]
 OCCASION: Final = (
     "seconds", "memory", "us_per_observation_iteration", "resumed_at_iteration", "out", "provenance",
 )  # fmt: skip
+#: Folders beside a result that are searched for its project file.
+_BESIDE: Final = 1000
 #: Files of both results that are compared.
 TABLES: Final = (*RESULT_TABLES, "rpc/*_RPC.TXT")
 
@@ -162,9 +164,17 @@ def _read(folder: Path) -> tuple[Record, Record]:
 
 
 def _project_file(folder: Path, old: Mapping[str, Any], given: Path | None) -> Path:
-    """Project file: the first input of a run."""
-    name = old["provenance"]["inputs"][0]["file"]
-    path = folder.parent / name if given is None else given
+    """Project file: the first input of a run.
+
+    It is in the folder above the result, or a file of the recorded content in a folder above or beside the result.
+    """
+    first = old["provenance"]["inputs"][0]
+    name, path = first["file"], folder.parent / first["file"] if given is None else given
+    if given is None and not path.is_file():
+        above = list(folder.resolve().parents)
+        beside = sorted(one for one in above[0].iterdir() if one.is_dir())[:_BESIDE]
+        same = (one / name for one in (*above[1:], *beside) if (one / name).is_file())
+        path = next((one for one in same if sha256_of(one) == first["sha256"]), path)
     if not path.is_file():
         raise InputError.of("replay.project", file=path, option="project", name=name)
     return path

@@ -182,3 +182,29 @@ def test_a_crs_that_is_none_is_refused_by_its_option(tmp_path: Path, option: str
     words = ("convert", tmp_path / "points.csv", "--from", "csv", option, "WGS84", "--out", tmp_path / "points.geojson")
     (error,) = in_process(*words, "--json").json["errors"]
     assert (error["code"], error["place"], error["value"]) == ("geodesy.not_epsg", option, "WGS84")
+
+
+@pytest.mark.truth
+def test_missing_roles_heights_and_sigmas_are_filled(tmp_path: Path) -> None:
+    """Columns and cells; values that are there stay, and without the options the missing ones are named."""
+    (tmp_path / "points.csv").write_text(
+        "# crs: EPSG:32636\nid,easting_m,northing_m,height_m\na,400000,4580000,100\nb,400100,4580000,\nt,,,\n", "utf-8"
+    )
+    (tmp_path / "observations.csv").write_text("image,id,line,sample\nleft,a,1,2\nleft,t,3,4\n", "utf-8")
+    files = (tmp_path / "points.csv", tmp_path / "observations.csv", "--from", "csv", "--to", "csv")
+    out = (tmp_path / "a.csv", "--out", tmp_path / "b.csv")
+    refused = in_process("convert", *files, "--out", *out)
+    assert refused.code == 2 and "--height" in refused.stderr and refused.stderr.count("\n") == 1
+    given = ("--sigma-ground", 0.1, 0.2, 0.3, "--sigma-image", 0.5, 0.6, "--height", 12)
+    assert in_process("convert", *files, *given, "--out", *out).code == 0
+    assert (tmp_path / "a.csv").read_text("utf-8").splitlines()[2:] == [
+        "a,control,400000.0,4580000.0,100.0,0.1,0.2,0.3",
+        "b,control,400100.0,4580000.0,12.0,0.1,0.2,0.3",
+        "t,tie,,,,,,",
+    ]
+    assert (tmp_path / "b.csv").read_text("utf-8").splitlines()[1:] == [
+        "left,a,1.0,2.0,0.5,0.6",
+        "left,t,3.0,4.0,0.5,0.6",
+    ]
+    told = in_process("validate", tmp_path / "points.csv", "--format", "csv")
+    assert told.code == 2 and "a column is missing" in told.stderr

@@ -202,7 +202,7 @@ def test_a_further_option_is_one_edit(repository: Path, tmp_path: Path) -> None:
     assert run_edited(ONE_EDIT, repository, tmp_path) == [
         "4",
         "f, adjustment.further: the value is not allowed (found 10); give a whole number from 1 to 9",
-        "1", *[f"option further: {refused}"] * 2, "schema name images points observations", "True", "True",
+        "1", *[f"option further: {refused}"] * 2, "schema name images observations", "True", "True",
     ]  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+from pathlib import Path
 
 import numpy as np
 import pyproj
@@ -266,3 +267,43 @@ def test_the_documented_example_is_a_valid_project(folder, repository):
     folder.observations.write_text(observations + rows, encoding="utf-8")
     block = read_project(folder.project)
     assert block.points.ids == ("P1", "P2", "P3", "T1") and block.options.look_polynomial == 2
+
+
+# --- tie points alone, wrong names ---------------------------------------------------------------
+
+
+@pytest.mark.consistency
+@pytest.mark.parametrize("entry", ["", "[points]\n"])
+def test_a_project_without_points_has_tie_points_alone(folder, entry):
+    """As with a table of tie points: order, ids and pixels."""
+    folder.change("project.toml", "max_iterations = 50", 'max_iterations = 50\ndatum = "priors"')
+    header, rows = folder.points.read_text().splitlines()[1], ("01", "1", "c3", "c4", "k1", "k2", "t1")
+    folder.points.write_text(f"{header}\n" + "".join(f"{name},tie,,,,,,\n" for name in rows), encoding="utf-8")
+    with_table = read_project(folder.project)
+    folder.change("project.toml", '[points]\nfile = "points.csv"\ncrs = "EPSG:4979"\n', entry)
+    folder.points.unlink()
+    alone = read_project(folder.project)
+    assert (alone.points.ids, set(alone.points.roles)) == (with_table.points.ids, {Role.TIE})
+    assert np.array_equal(alone.observations.point, with_table.observations.point)
+    assert np.array_equal(alone.observations.line, with_table.observations.line)
+    assert [Path(source.path).name for source in alone.sources].count("observations.csv") == 1
+
+
+@pytest.mark.behaviour
+def test_a_point_table_without_file_or_records(folder):
+    folder.change("project.toml", 'file = "points.csv"\n', "")
+    assert [(p.code, p.place) for p in checked_project(folder.project)[1]] == [("project.missing", "points.file")]
+    folder.change("project.toml", 'crs = "EPSG:4979"', 'crs = "EPSG:4979"\nfile = "points.csv"')
+    folder.points.write_text(folder.points.read_text().split("\n01,")[0] + "\n", encoding="utf-8")
+    assert [p.code for p in checked_project(folder.project)[1]] == ["table.no_records"]
+
+
+@pytest.mark.behaviour
+def test_a_wrong_name_is_one_error(folder):
+    """Seven rows of one image: one line that counts them; a name that stands once is not counted."""
+    text = folder.observations.read_text().replace("right,", "rigth,").replace("left,k2,", "left,k3,")
+    folder.observations.write_text(text, encoding="utf-8")
+    wrong = {p.value: str(p) for p in checked_project(folder.project)[1]}
+    assert set(wrong) == {"'rigth'", "'k3'"}
+    assert "no such image in 7 lines" in wrong["'rigth'"] and "did you mean right?" in wrong["'rigth'"]
+    assert "no such id (found" in wrong["'k3'"]

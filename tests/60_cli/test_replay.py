@@ -149,3 +149,19 @@ def test_what_people_read(capsys: pytest.CaptureFixture[str]) -> None:
     for words in ("numpy: 2.0.0 then, 2.1.0 now", "values that differ: 30 of 100", "the first 20; --json gives all",
                   "eop.csv differs", "the repeated run differs", "written: again"):  # fmt: skip
         assert words in out
+
+
+@pytest.mark.behaviour
+def test_the_project_is_found_by_its_content(run: Any, spoiled: Path, tmp_path: Path) -> None:
+    """Beside the result, in a folder above it; another file of the same name is passed over."""
+    work = tmp_path / "work"
+    (work / "decoy").mkdir(parents=True)
+    (work / "decoy" / "project.toml").write_text("schema = 1\n", "utf-8")
+    shutil.move(spoiled / "result", work / "result")
+    refused = run("replay", work / "result", "--out", tmp_path / "again")
+    assert refused.code == 2 and "neither in a folder above it nor in one beside it" in refused.stderr
+    shutil.move(spoiled, work / "scene")
+    assert run("replay", work / "result", "--out", tmp_path / "again", "--json").json["equal"]
+    deep = work / "scene" / "a" / "b" / "result"
+    shutil.move(work / "result", deep)
+    assert run("replay", deep, "--out", tmp_path / "more", "--json").json["equal"]

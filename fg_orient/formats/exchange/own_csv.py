@@ -34,7 +34,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     comments = comments_of(paths[0], faults) if is_binary(paths[0]) else None
     faults.raise_if_any()
     crs, notes = decided_crs(stated_in(paths[0], _CRS, comments), settings.crs, paths[0])
-    points = parse_points(paths[0], crs, faults)
+    points = parse_points(paths[0], crs, faults, incomplete=settings.incomplete)
     if points is not None:
         located(without_vertical(points), faults)
     faults.raise_if_any()
@@ -42,9 +42,11 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
         raise InputError.of("interchange.empty", file=paths[0])
     if len(paths) > 1:
         faults = Faults(str(paths[1]))
-        table = read_table(paths[1], [COLUMNS], faults)
+        table = read_table(paths[1], [COLUMNS[:4], COLUMNS] if settings.incomplete else [COLUMNS], faults)
         images = tuple(dict.fromkeys(table.cells["image"])) if table is not None else ()
-        read = None if faults else read_observations(paths[1], dict.fromkeys(images), points.ids, faults)
+        images_of = dict.fromkeys(images)
+        read = (None if faults else
+                read_observations(paths[1], images_of, points.ids, faults, incomplete=settings.incomplete))  # fmt: skip
         faults.raise_if_any()
         points = points if read is None else replace(points, images=images, observed=read.observations)
     return replace(points, notes=notes)

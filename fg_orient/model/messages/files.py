@@ -269,8 +269,8 @@ points.far: the point lies {distance_km:.0f} km from the centre of the nearest i
     -> check the coordinates, the columns and the crs of the project file
 points.changed: the file has changed since it was read
     -> run the adjustment again
-observations.image_unknown: the project has no such image
-observations.point_unknown: the point file has no such id
+observations.image_unknown: the project has no such image{times}
+observations.point_unknown: the point file has no such id{times}
 project.unknown_key: unknown entry
     -> {hint}
 observations.twice: the point is measured twice in this image, first on {first}

@@ -36,7 +36,7 @@ output.unwritable: the file cannot be written
     -> check folder, permissions and free space
 replay.record: the result does not say how to repeat its run
     -> it is damaged or of an older version: run fg-orient adjust again
-replay.project: the project file of this result is not in the folder above it
+replay.project: the project file of this result is neither in a folder above it nor in one beside it
     -> give it: <project> FOLDER/{name}
 replay.dem: the elevation model of this run is not in the project's folder
     -> put it there, or a link to it
