@@ -101,7 +101,7 @@ def write_project(
     *,
     name: str,
     images: Sequence[tuple[str, str]],
-    points: str = "points.csv",
+    points: str | None = "points.csv",
     crs: str = "EPSG:4979",
     observations: str = "observations.csv",
     options: Options | None = None,
@@ -116,8 +116,8 @@ def write_project(
     name : str
         Name of the block.
     images : sequence of (id, metadata path)
-    points, observations : str
-        Paths of the tables.
+    points, observations : str or None, str
+        Paths of the tables; no table is named if ``points`` is None.
     crs : str
         EPSG code of the points.
     options : Options, optional
@@ -130,7 +130,7 @@ def write_project(
     lines = [*comment_lines(comments), *entries({"schema": 1, "name": name})]
     tables: list[tuple[str, Mapping[str, object]]] = [
         *(("[[images]]", {"id": image, "metadata": metadata}) for image, metadata in images),
-        ("[points]", {"file": points, "crs": crs}), ("[observations]", {"file": observations}),
+        *((("[points]", {"file": points, "crs": crs}), ("[observations]", {"file": observations})) if points else ()),
         ("[orientation]", _options(options or Options(), "orientation")),
         ("[adjustment]", {**_options(options or Options(), "adjustment"), "points_seen_once": points_seen_once}),
     ]  # fmt: skip

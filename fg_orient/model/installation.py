@@ -29,7 +29,7 @@ REQUIRED: Final = (
     "threadpoolctl", "orjson",
 )  # fmt: skip
 #: Those of the extras.
-OPTIONAL: Final = ("rasterio", "pyogrio", "shapely", "pandas", "pyarrow", "matplotlib", "dask")
+OPTIONAL: Final = ("rasterio", "pyogrio", "shapely", "pandas", "openpyxl", "pyarrow", "matplotlib", "dask")
 _HOME: Final = Path(__file__).resolve().parents[2]
 _OURS: Final = _HOME / "factors"
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support import page_files, pages, photomodeler
+from tests.support import office, page_files, pages, photomodeler
 from tests.support.format_files import FORMAT_FILES, MARKER_FILES, MODEL_FILES
 from tests.support.pages import Command, Fence
 
@@ -107,7 +107,13 @@ def camera_file(folder: Path) -> None:
 
 #: What is written for a page beside the prepared files, or in their place.
 OWN_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
-    "README.md": (page_files.map_points, page_files.photos_and_control, *MODEL_FILES, *MARKER_FILES),
+    "README.md": (
+        page_files.map_points,
+        page_files.photos_and_control,
+        office.office_folder,
+        *MODEL_FILES,
+        *MARKER_FILES,
+    ),
     "docs/frame-cameras.md": (camera_file,),
     "docs/quickstart.md": (camera_file, *MARKER_FILES),
     "docs/rpc-commands.md": (page_files.rpc_points,),
@@ -116,6 +122,7 @@ OWN_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
     "docs/terminal.md": (page_files.two_campaigns,),
     "docs/how-to/photomodeler.md": (photomodeler.write_projects,),
     "docs/how-to/refined-rpc.md": (page_files.rpc_project,),
+    "docs/how-to/surveyors-table.md": (office.office_folder,),
     "docs/closerange.md": (page_files.photos_and_control, page_files.surface_points),
     **{f"docs/formats/{name}.md": write for name, write in FORMAT_FILES.items()},
 }
@@ -127,6 +134,7 @@ BEFORE: dict[tuple[str, str], Callable[[Path], None]] = {("README.md", "rpc refi
 ALONE = {
     "docs/how-to/photomodeler.md",
     "docs/how-to/refined-rpc.md",
+    "docs/how-to/surveyors-table.md",
     *(f"docs/formats/{name}.md" for name in FORMAT_FILES),
 }
 

@@ -134,7 +134,7 @@ IMAGE: Final = "image_points"
 GPKG_OPTIONS: Final = {"VERSION": "1.2"}
 
 
-def _libraries(file: Path) -> tuple[Any, Any]:
+def libraries(file: Path) -> tuple[Any, Any]:
     """Pyogrio and shapely, imported on demand."""
     try:
         with plain_case():
@@ -154,7 +154,7 @@ def _layer(pyogrio: Any, path: Path, layer: str) -> tuple[dict[str, Any], Any, d
 def read_geopackage(paths: tuple[Path, ...], settings: Settings) -> Survey:
     """Read both layers; the second may be missing."""
     path = paths[0]
-    pyogrio, shapely = _libraries(path)
+    pyogrio, shapely = libraries(path)
     if not path.is_file():
         raise InputError.of("table.missing_file", file=path)
     try:
@@ -200,7 +200,7 @@ def _take_image(gathered: Gathering, columns: dict[str, Any], path: Path) -> Non
 
 def write_geopackage(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
     """Write both layers; the second only if there are image points."""
-    pyogrio, shapely = _libraries(paths[0])
+    pyogrio, shapely = libraries(paths[0])
     geometry: npt.NDArray[np.object_] = shapely.to_wkb(shapely.points(np.nan_to_num(survey.coordinates)))
     geometry[~survey.located] = None
     flat = survey.located & np.isnan(survey.coordinates[:, 2])

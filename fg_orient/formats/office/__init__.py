@@ -1,0 +1,1 @@
+"""Tables of offices and surveyors, whose form is found out: encoding, separator, header, columns, units, CRS."""

@@ -1,0 +1,317 @@
+"""Header, data and columns of a sheet whose form is unknown."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from factors.arrays import Array
+from fg_orient.formats.faults import Faults, did_you_mean
+from fg_orient.formats.office.decisions import Choice, Decisions, Question
+from fg_orient.formats.office.numbers import ANY, USUAL, Style, angle_of, angles, possible_styles, value_of, values
+from fg_orient.formats.office.sheets import Sheet
+from fg_orient.formats.office.words import ANGLES, LENGTHS, NAMES, PIXELS, Named, heights_of, named, plain
+from fg_orient.formats.office.workbook import Cell
+from fg_orient.model.errors import InputError
+
+#: Keys of columns that ``columns`` may name.
+KEYS: Final = (
+    *(key for key in NAMES if key not in ("x", "y")),
+    "X",
+    "Y",
+    "Z",
+    "sE",
+    "sN",
+    "sH",
+    "sEN",
+    "sline",
+    "ssample",
+    "spx",
+)
+#: Words of a last row that is no point.
+_SUMMARY: Final = frozenset(
+    "mean average total sum std ortalama toplam summe mittel mittelwert moyenne somme media suma min max".split()
+)
+#: Header rows at most.
+_HEADERS: Final = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A sheet with its columns.
+
+    Parameters
+    ----------
+    sheet : Sheet
+    headers : list of str
+        Header of each column as it is shown; ``#2`` for a column without one.
+    names : list of Named
+    columns : list of lists
+        Cells of each column, without header.
+    rows : list of int
+        Row of the sheet of each record.
+    titles : str
+        Text above the header.
+    style : Style
+        How its numbers are written.
+    stated : frozenset of int
+        Columns that the user names.
+    """
+
+    sheet: Sheet
+    headers: list[str]
+    names: list[Named]
+    columns: list[list[Cell]]
+    rows: list[int]
+    titles: str = ""
+    style: Style = USUAL
+    stated: frozenset[int] = frozenset()
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def file(self) -> str:
+        """Name of the file, for messages."""
+        return str(self.sheet.path)
+
+    def place(self, k: int, column: int | None = None) -> str:
+        """Place of a record for messages."""
+        return self.sheet.place(self.rows[k], "" if column is None else self.headers[column])
+
+    def having(self, key: str) -> list[int]:
+        """Columns with a key."""
+        return [k for k, one in enumerate(self.names) if one.key == key]
+
+    def one(self, key: str) -> int | None:
+        """Column with a key; None if there is none. InputError if several have it."""
+        found = self.having(key)
+        if len(found) > 1:
+            stated = [k for k in found if k in self.stated]
+            if len(stated) == 1:
+                return stated[0]
+            names = [self.headers[k] for k in found]
+            raise InputError.of("office.columns_alike", file=self.file, place=self.sheet.name, option="columns",
+                                key=key, value=", ".join(names), example=f"{key}={names[0]}")  # fmt: skip
+        return found[0] if found else None
+
+    def filled(self, column: int) -> Array:
+        """Records (n,) with a cell in this column."""
+        return np.array([cell != "" for cell in self.columns[column]], bool)
+
+    @cached_property
+    def numeric(self) -> list[int]:
+        """Columns of numbers or angles."""
+        out = []
+        for k, cells in enumerate(self.columns):
+            filled = [cell for cell in cells if cell != ""]
+            if filled and np.mean([is_number(cell) for cell in filled]) > 0.5:
+                out.append(k)
+        return out
+
+    def texts(self, column: int) -> list[str]:
+        """Cells as ids: whole numbers of a workbook without decimals."""
+        return [str(int(c)) if isinstance(c, float) and c.is_integer() else str(c) for c in self.columns[column]]
+
+    def numbers(self, column: int) -> Array:
+        """Plain numbers (n,), nan where there is none."""
+        return values(self.columns[column], self.style)
+
+    def angles(self, column: int) -> Array | None:
+        """Degrees (n,) if the cells are written with minutes and seconds or a hemisphere, else None."""
+        return angles(self.columns[column])
+
+    def require_numbers(self, column: int, found: Array, faults: Faults, *, blank: bool = False) -> None:
+        """Note the cells of a column that are no finite numbers; ``blank`` cells are allowed."""
+        for k in np.flatnonzero(~np.isfinite(found)).tolist():
+            cell = self.columns[column][k]
+            if cell == "" and not blank:
+                faults.add("table.cell_empty", place=self.place(k, column))
+            elif cell != "":
+                faults.add("office.not_a_number", place=self.place(k, column), value=repr(cell))
+
+
+def is_number(cell: Cell) -> bool:
+    """Whether a cell is a number with either decimal sign, or an angle."""
+    if not isinstance(cell, str):
+        return True
+    return any(np.isfinite([*(value_of(cell, style) for style in ANY), angle_of(cell)]))
+
+
+def table_of(sheet: Sheet, decisions: Decisions, columns: Mapping[str, str]) -> Table | None:
+    """Find header, data and columns of a sheet; None if it has no rows with numbers.
+
+    Raises
+    ------
+    InputError
+        A row does not fit the others, or nothing decides on the decimal sign.
+    """
+    counts = [sum(map(is_number, row)) for row in sheet.rows]
+    filled = [sum(cell != "" for cell in row) for row in sheet.rows]
+    n = len(counts)
+    enough = next((k for k in range(n) if counts[k] >= 2 and (k + 1 >= n or max(counts[k + 1 : k + 3]) >= 2)), None)
+    if enough is None:
+        return None
+    start, headers, titles = _header(sheet, counts, filled, enough)
+    rows = [k for k in range(start, n) if filled[k]]
+    while rows and (not counts[rows[-1]] or plain(str(_first(sheet.rows[rows[-1]]))) in _SUMMARY):
+        last = rows.pop()
+        decisions.note(
+            f"{sheet.place(last)} of {sheet.path.name}", "left out", "it is no record: " + _joined(sheet.rows[last])
+        )
+    width = max([len(headers), *(len(sheet.rows[k]) for k in rows)] if not headers else [len(headers)])
+    _require_width(sheet, rows, width)
+    cells = [[(sheet.rows[k][j] if j < len(sheet.rows[k]) else "") for k in rows] for j in range(width)]
+    shown = [headers[j] if j < len(headers) and headers[j] else f"#{j + 1}" for j in range(width)]
+    used = [j for j in range(width) if any(cell != "" for cell in cells[j]) or (j < len(headers) and headers[j])]
+    shown, cells = [shown[j] for j in used], [cells[j] for j in used]
+    names = [Named("") if header.startswith("#") else named(header) for header in shown]
+    stated = _stated(shown, names, columns)
+    table = Table(sheet, shown, names, cells, rows, titles, stated=stated)
+    return replace(table, style=_style(table, decisions))
+
+
+def _first(row: list[Cell]) -> Cell:
+    return next((cell for cell in row if cell != ""), "")
+
+
+def _joined(row: list[Cell]) -> str:
+    return " ".join(str(cell) for cell in row if cell != "")[:60]
+
+
+def _header(sheet: Sheet, counts: list[int], filled: list[int], enough: int) -> tuple[int, list[str], str]:
+    """First row of the data, headers by column, and the text above."""
+    block: list[int] = []
+    k = enough - 1
+    while k >= 0 and len(block) < _HEADERS + 2:
+        if filled[k] and not counts[k] and filled[k] >= 2:
+            block.insert(0, k)
+        elif block and filled[k]:
+            break
+        k -= 1
+    scores = {k: sum(bool(named(str(cell)).key) for cell in sheet.rows[k] if cell != "") for k in block}
+    if not block or not max(scores.values()):
+        base = block[-1] if block else -1
+        if base < 0:
+            begin = next(k for k in range(len(counts)) if counts[k] >= 1 and filled[k] >= 2)
+            return begin, [], _titles(sheet, begin)
+    else:
+        base = max(block, key=lambda k: (scores[k], k))
+    width = max(len(sheet.rows[k]) for k in block)
+    headers = [str(cell) for cell in _padded(sheet.rows[base], width)]
+    start = base + 1
+    for k in (k for k in block if k > base):
+        if k != start or not _is_units(sheet.rows[k]):
+            break
+        units = _padded(sheet.rows[k], width)
+        headers = [f"{h} [{str(u).strip('[]()')}]" if h and u != "" else h for h, u in zip(headers, units, strict=True)]
+        start = k + 1
+    above = [k for k in block if k < base][-(_HEADERS - 1) :]
+    for k in reversed(above):
+        last = ""
+        row = _padded(sheet.rows[k], width)
+        for j in range(width):
+            last = str(row[j]) if row[j] != "" else last
+            headers[j] = f"{last} {headers[j]}".strip() if headers[j] or row[j] != "" else ""
+    return start, headers, _titles(sheet, above[0] if above else base)
+
+
+def _padded(row: list[Cell], width: int) -> list[Cell]:
+    return [*row, *[""] * (width - len(row))]
+
+
+def _titles(sheet: Sheet, end: int) -> str:
+    return " | ".join(_joined(row) for row in sheet.rows[:end] if any(cell != "" for cell in row))
+
+
+def _is_units(row: list[Cell]) -> bool:
+    """Whether a row names units."""
+    words = [plain(str(cell).strip("[]() ")) for cell in row if str(cell).strip("-– ") != ""]
+    known = [word for word in words if word in LENGTHS or word in ANGLES or word in PIXELS or word in ("", "°")]
+    return bool(words) and 2 * len(known) >= len(words)
+
+
+def _require_width(sheet: Sheet, rows: list[int], width: int) -> None:
+    """Refuse rows with more cells than the header, and rows without numbers among the others."""
+    faults = Faults(str(sheet.path))
+    usual = Counter(len(sheet.rows[k]) for k in rows).most_common(1)
+    for k in rows:
+        row = sheet.rows[k]
+        if len(row) > width:
+            faults.add("office.row_width", place=sheet.place(k), value=f"{len(row)} cells", width=width)
+        elif not any(map(is_number, row)):
+            faults.add("office.no_record", place=sheet.place(k), value=_joined(row))
+    if faults and usual and usual[0][0] > width:
+        raise InputError(*faults.problems[:1])
+    faults.raise_if_any()
+
+
+def _stated(headers: list[str], names: list[Named], columns: Mapping[str, str]) -> frozenset[int]:
+    """Give the columns that the user names their keys, and take the keys from other columns."""
+    stated = set()
+    for key, header in columns.items():
+        at = next((k for k, own in enumerate(headers) if header == own or plain(header) == plain(own)), None)
+        if at is None and re.fullmatch(r"#[0-9]+", header) and int(header[1:]) <= len(headers):
+            at = int(header[1:]) - 1
+        if at is None:
+            continue
+        own = {"X": "X", "Y": "Y", "Z": "Z"}.get(key, key)
+        for k, one in enumerate(names):
+            if one.key == own:
+                names[k] = Named("")
+        names[at] = Named(own, names[at].unit or named(headers[at]).unit, "", names[at].heights)
+        stated.add(at)
+    return frozenset(stated)
+
+
+def require_known(columns: Mapping[str, str], tables: list[Table]) -> None:
+    """Refuse names of columns that no table has, and keys that do not exist."""
+    headers = [header for table in tables for header in table.headers]
+    for key, header in columns.items():
+        if key not in KEYS:
+            raise InputError.of("office.key", option="columns", value=key, hint=did_you_mean(key, list(KEYS)))
+        known = {plain(own) for own in headers}
+        if plain(header) not in known and not re.fullmatch(r"#[0-9]+", header):
+            raise InputError.of("office.no_column", option="columns", value=header, hint=did_you_mean(header, headers))
+
+
+def _style(table: Table, decisions: Decisions) -> Style:
+    """How the numbers of a table are written; its ids do not count."""
+    columns = [table.columns[k] for k in table.numeric if table.names[k].key != "id" and table.angles(k) is None]
+    possible = possible_styles(columns)
+    given = decisions.given.get("decimal", "")
+    if given:
+        sign = {"comma": ",", "point": "."}[given]
+        return next((style for style in possible if style.decimal == sign), Style(sign))
+    subject = f"decimal sign of {table.sheet.title}"
+    if len(possible) == 1:
+        if possible[0].decimal == ",":
+            decisions.note(subject, "comma", "its numbers cannot be read otherwise", "decimal")
+        if possible[0].grouped and any(value_of(c, possible[0]._replace(grouped=False)) != value_of(c, possible[0])
+                                       and is_number(c) for cells in columns for c in cells):  # fmt: skip
+            decisions.note(
+                f"groups of thousands in {table.sheet.title}", "read", "no number above 999 is without", "decimal"
+            )
+        return possible[0]
+    comma, point = sorted(possible)
+    example = next(
+        str(c) for cells in columns for c in cells if is_number(c) and value_of(c, comma) != value_of(c, point)
+    )
+    choices = [Choice(word, f"{example} is {value_of(example, style):.10g}")
+               for word, style in (("comma", comma), ("point", point))]  # fmt: skip
+    choice = decisions.settle(
+        Question("decimal", subject, choices, reason="its numbers can be read with both"), table.file
+    )
+    return comma if choice is not None and choice.value == "comma" else point
+
+
+def stated_heights(table: Table, column: int | None) -> str:
+    """Heights named by the header or by the text above it: "ellipsoidal", "orthometric" or ""."""
+    own = table.names[column].heights if column is not None else ""
+    return own or heights_of(table.titles)

@@ -1,0 +1,135 @@
+"""Cells as numbers: decimal comma or point, groups of thousands, degrees with minutes and seconds."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from factors.arrays import Array
+from fg_orient.formats.office.workbook import Cell
+
+
+class Style(NamedTuple):
+    """Decimal sign of texts, and whether thousands may be grouped by the other sign, blanks or apostrophes."""
+
+    decimal: str = "."
+    grouped: bool = False
+
+
+#: Share of the cells that have to be numbers in a style, of those in the best style.
+NEARLY_ALL: Final = 0.9
+USUAL: Final = Style()
+#: All texts that are numbers in some table.
+ANY: Final = (Style(".", True), Style(",", True))
+_PLAIN: Final = {
+    ".": re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"),
+    ",": re.compile(r"[+-]?(?:[0-9]+,?[0-9]*|,[0-9]+)(?:[eE][+-]?[0-9]+)?"),
+}
+_GROUPED: Final = {
+    ".": re.compile(r"[+-]?[0-9]{1,3}(?:(?P<mark>[ ,'’])[0-9]{3})(?:(?P=mark)[0-9]{3})*(?:\.[0-9]*)?"),
+    ",": re.compile(r"[+-]?[0-9]{1,3}(?:(?P<mark>[ .'’])[0-9]{3})(?:(?P=mark)[0-9]{3})*(?:,[0-9]*)?"),
+}
+_ANGLE: Final = re.compile(
+    r"""(?P<before>[NSEWKGDB])?\s*(?P<sign>[+-])?\s*(?P<d>[0-9]{1,3})\s*[°ºd:\s-]\s*(?P<m>[0-9]{1,2})\s*['′’m:\s-]\s*
+    (?P<s>[0-9]{1,2}(?:[.,][0-9]+)?)\s*(?:"|″|”|''|′′|s)?\s*(?P<after>[NSEWKGDB])?""", re.VERBOSE,
+)  # fmt: skip
+_DEGREES: Final = re.compile(
+    r"(?P<before>[NSEWKGDB])?\s*(?P<number>[+-]?[0-9]+(?:[.,][0-9]+)?)\s*[°º]?\s*(?P<after>[NSEWKGDB])?"
+)
+#: Letters of the hemispheres in English, German, French, Spanish; Turkish: Kuzey, Güney, Doğu, Batı.
+_SOUTH_OR_WEST: Final = "SWGB"
+
+
+def bare(cell: str) -> str:
+    """Cell without blanks at its ends and with a usual minus and blank."""
+    return cell.replace("\u2212", "-").replace("\u00a0", " ").replace("\u202f", " ").strip()
+
+
+def value_of(cell: Cell, style: Style) -> float:
+    """Number of a cell in this style; nan if it is none."""
+    if not isinstance(cell, str):
+        return float(cell) if math.isfinite(cell) else math.nan
+    text = bare(cell)
+    if not _PLAIN[style.decimal].fullmatch(text):
+        if not (style.grouped and _GROUPED[style.decimal].fullmatch(text)):
+            return math.nan
+        text = re.sub("[ ,'’]" if style.decimal == "." else "[ .'’]", "", text)
+    value = float(text.replace(",", "."))
+    return value if math.isfinite(value) else math.nan
+
+
+def angle_of(cell: Cell) -> float:
+    """Degrees of a cell with minutes and seconds, or with a sign of degrees or a hemisphere; nan if it has none."""
+    if not isinstance(cell, str):
+        return math.nan
+    text = bare(cell)
+    found = _ANGLE.fullmatch(text)
+    if found:
+        minutes, seconds = int(found["m"]), float(found["s"].replace(",", "."))
+        if minutes >= 60 or seconds >= 60.0 or (found["before"] and found["after"]):
+            return math.nan
+        value = int(found["d"]) + minutes / 60.0 + seconds / 3600.0
+        letter = found["before"] or found["after"] or ""
+        if letter and found["sign"]:
+            return math.nan
+        return -value if found["sign"] == "-" or (letter and letter in _SOUTH_OR_WEST) else value
+    found = _DEGREES.fullmatch(text)
+    letter = (found["before"] or found["after"] or "") if found else ""
+    if not found or not (letter or "°" in text or "º" in text) or (found["before"] and found["after"]):
+        return math.nan
+    value = float(found["number"].replace(",", "."))
+    if letter and found["number"][0] in "+-":
+        return math.nan
+    return -value if letter and letter in _SOUTH_OR_WEST else value
+
+
+def angles(cells: Sequence[Cell]) -> Array | None:
+    """Degrees (n,) of cells that are all angles or blank; None if most are not."""
+    values = np.array([angle_of(cell) for cell in cells])
+    filled = np.array([cell != "" for cell in cells], bool)
+    return values if filled.any() and np.isfinite(values[filled]).mean() > 0.5 else None
+
+
+def values(cells: Sequence[Cell], style: Style) -> Array:
+    """Numbers (n,) of cells, nan where there is none."""
+    return np.array([value_of(cell, style) for cell in cells], float)
+
+
+def possible_styles(columns: Sequence[Sequence[Cell]]) -> tuple[Style, ...]:
+    """Styles in which nearly all cells of these columns are numbers; one if all give the same numbers.
+
+    Groups of thousands are not in use if a number above 999 has none.
+    """
+    texts = [cell for cells in columns for cell in cells if isinstance(cell, str) and cell != ""]
+    found: dict[Style, Array] = {}
+    for decimal in (".", ","):
+        plain = np.array([value_of(cell, Style(decimal)) for cell in texts])
+        style = Style(decimal, not (np.abs(plain[np.isfinite(plain)]) >= 1000.0).any())
+        found[style] = np.array([value_of(cell, style) for cell in texts])
+    most = max((int(np.isfinite(read).sum()) for read in found.values()), default=0)
+    kept = {style: read for style, read in found.items() if np.isfinite(read).sum() >= NEARLY_ALL * most}
+    if len(kept) == 2:
+        one, other = kept.values()
+        both = np.isfinite(one) & np.isfinite(other)
+        if np.array_equal(one[both], other[both]):
+            return (max(kept, key=lambda style: int(np.isfinite(kept[style]).sum())),)
+    return tuple(kept)
+
+
+def unpacked(values: Array, form: str) -> Array:
+    """Degrees of plain numbers (n,): "deg", "gon", "rad", "dms" (dddmmss.s) or "d.mmss"; nan where impossible."""
+    if form == "deg":
+        return values
+    if form == "gon":
+        return values * 0.9
+    if form == "rad":
+        return np.degrees(values)
+    whole = np.round(np.abs(values) * (1.0 if form == "dms" else 1e4), 9)
+    d, rest = np.divmod(whole, 1e4)
+    m, s = np.divmod(rest, 100.0)
+    out = np.sign(values) * (d + m / 60.0 + s / 3600.0)
+    return np.where((m < 60.0) & (s < 60.0), out, np.nan)

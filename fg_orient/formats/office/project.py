@@ -1,0 +1,182 @@
+"""A project made from the files of an office: images, tables of unknown form, and what was assumed about them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fg_orient.formats.atomic import Contents, require_free, staged_folder
+from fg_orient.formats.exchange.convert import filled
+from fg_orient.formats.exchange.own_csv import write
+from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.office.decisions import Decisions, Question
+from fg_orient.formats.office.images import FoundImage, read_images, sorted_files
+from fg_orient.formats.office.sheets import read_sheets
+from fg_orient.formats.office.survey import Office, read_survey
+from fg_orient.formats.points_write import write_project
+from fg_orient.formats.project import read_project_with_remarks
+from fg_orient.formats.registry import Settings
+from fg_orient.model.errors import Finding, InputError
+from fg_orient.model.names import Role
+
+#: Files of a new project.
+PROJECT: Final = Contents("project.toml", ("project.toml", "points.csv", "observations.csv"))
+_POINTS, _OBSERVATIONS = "points.csv", "observations.csv"
+
+
+@dataclass(frozen=True)
+class Given:
+    """Values that tables may lack.
+
+    Parameters
+    ----------
+    sigma_ground_m, sigma_image_px : tuple of float, optional
+        East, North, Up; line, sample.
+    height_m : float, optional
+    check : sequence of str
+        Ids of check points.
+    """
+
+    sigma_ground_m: tuple[float, float, float] | None = None
+    sigma_image_px: tuple[float, float] | None = None
+    height_m: float | None = None
+    check: Sequence[str] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """A project before it is written: images, survey (None without tables) and files that were read."""
+
+    images: list[FoundImage]
+    survey: Survey | None
+    files: list[Path]
+
+
+def draft(sources: Sequence[Path], out: Path, office: Office, given: Given, decisions: Decisions, *,
+          overwrite: bool = False) -> Draft:  # fmt: skip
+    """Read the files of an office.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        Files and folders.
+    out : Path
+        Folder of the project, which is not read as a source.
+    office, given : Office, Given
+        What the user states.
+    decisions : Decisions
+        Receives the assumptions, and asks.
+    overwrite : bool
+
+    Raises
+    ------
+    InputError
+        A file is unusable, or nobody answers a question.
+    """
+    require_free(out, overwrite=overwrite, contents=PROJECT)
+    image_files, tables = sorted_files(sources)
+    inside = out.absolute()
+    image_files = [one for one in image_files if inside not in one[0].absolute().parents]
+    tables = [path for path in tables if inside not in path.absolute().parents]
+    images = read_images(image_files, decisions)
+    if not images:
+        raise InputError.of("office.no_images", file=sources[0])
+    sheets = [sheet for path in tables for sheet in read_sheets(path)]
+    survey = None
+    if sheets:
+        survey = read_survey(sheets, office, decisions, {image.id: image.sensor for image in images})
+        survey = _completed(survey, given, decisions, str(sheets[0].path))
+    decisions.require_answers()
+    return Draft(images, survey, [*(image.path for image in images), *tables])
+
+
+def _completed(survey: Survey, given: Given, decisions: Decisions, file: str) -> Survey:
+    """Survey with the given values; missing ones are asked for."""
+    survey = filled(survey, sigma_ground_m=given.sigma_ground_m, sigma_image_px=given.sigma_image_px,
+                    height_m=given.height_m, check=given.check)  # fmt: skip
+    known, o = survey.located & np.array([r is not Role.TIE for r in survey.roles], bool), survey.observed
+    for option, lacking, subject, example, names in (
+        ("height", known & np.isnan(survey.coordinates[:, 2]), "the height of points without one, m", "120", 1),
+        ("sigma_ground", known & ~survey.fixed & np.isnan(survey.sigma_enu_m).any(axis=1),
+         "standard deviations of ground points East, North, Up, m", "0.05 0.05 0.1", 3),
+        ("sigma_image", np.isnan(o.sigma_line_px) | np.isnan(o.sigma_sample_px),
+         "standard deviations of image points, line and sample, px", "0.5 0.5", 2),
+    ):  # fmt: skip
+        if not lacking.any():
+            continue
+        question = Question(option, subject, (), False, f"{int(lacking.sum())} without", example)
+        answer = decisions.settle(question, file, later=True)
+        if answer is None:
+            continue
+        values = _numbers(answer.value, names, option)
+        survey = filled(survey, **{
+            "height": {"height_m": values[0]}, "sigma_ground": {"sigma_ground_m": values},
+            "sigma_image": {"sigma_image_px": values},
+        }[option])  # type: ignore[arg-type]  # fmt: skip
+    return survey
+
+
+def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:
+    parts = text.replace(",", " ").split()
+    try:
+        values = tuple(float(part) for part in parts)
+    except ValueError:
+        values = ()
+    if len(values) == 1:
+        values *= count
+    if len(values) != count or not np.isfinite(values).all() or (option != "height" and min(values) <= 0.0):
+        raise InputError.of("office.value", option=option, value=text, expected=f"{count} number(s)")
+    return values
+
+
+def write_draft(made: Draft, out: Path, decisions: Decisions, *, overwrite: bool = False) -> tuple[Finding, ...]:
+    """Write a project; it is read again by the strict reader before it takes its place.
+
+    Returns
+    -------
+    tuple of Finding
+        Remarks of the strict reader.
+
+    Raises
+    ------
+    InputError
+        The strict reader refuses it, or it cannot be written.
+    """
+    target = out.absolute()
+    comments = ["made by fg-orient new from " + ", ".join(path.name for path in made.files)]
+    comments += [f"assumed: {_line(one.subject, one.value, one.reason, one.option)}" for one in decisions.assumed]
+    with staged_folder(out, overwrite=overwrite, contents=PROJECT) as folder:
+        tables = made.survey is not None
+        if made.survey is not None:
+            write(made.survey, (folder / _POINTS, folder / _OBSERVATIONS), Settings())
+        write_project(
+            folder / "project.toml", name=target.name, images=[(i.id, _relative(i.path, target)) for i in made.images],
+            points=_POINTS if tables else None, crs=made.survey.crs if made.survey is not None else "",
+            observations=_OBSERVATIONS,
+            comments=comments,
+        )  # fmt: skip
+        if not tables or not len(made.survey.observed):  # type: ignore[union-attr]
+            return ()
+        try:
+            return _shown(read_project_with_remarks(folder / "project.toml")[1], folder, out)
+        except InputError as error:
+            raise InputError(*_shown(error.problems, folder, out)) from None
+
+
+def _shown(found: Sequence[Finding], folder: Path, out: Path) -> tuple[Finding, ...]:
+    """Findings about the files of the output, in place of the folder that was written first."""
+    return tuple(replace(one, file=one.file.replace(str(folder), str(out))) for one in found)
+
+
+def _line(subject: str, value: str, reason: str, option: str) -> str:
+    flag = f" [--{option.replace('_', '-')}]" if option else ""
+    return " ".join(f"{subject}: {value} ({reason}){flag}".split())
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return Path(os.path.relpath(path.absolute(), folder)).as_posix()

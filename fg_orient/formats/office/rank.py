@@ -1,0 +1,236 @@
+"""The reading of ground points that fits the images best, or a question where several fit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import permutations
+from typing import Any, Final
+
+import numpy as np
+
+from fg_orient.formats.office.decisions import Choice, Decisions, Question
+from fg_orient.formats.office.fit import SAME_PX, Fit, Reading, in_ecef, lonlat, possible_crs, scene_box, usual_first
+from fg_orient.formats.office.layout import Table
+from fg_orient.formats.office.parts import Triple, match_image
+from fg_orient.geodesy import crs_kind, known_crs
+from fg_orient.model.errors import InputError
+
+#: Most images whose names are tried in all orders.
+MOST_IMAGES: Final = 4
+#: Words of a title or header, and the beginning of the names of their CRS.
+_DATUMS: Final = (
+    (r"\bED ?50\b", ("ED50",)), (r"\bWGS ?84\b", ("WGS 84",)), (r"\b(ITRF ?\d*|TUREF)\b", ("TUREF", "ITRF")),
+    (r"\bETRS ?89\b", ("ETRS89",)), (r"\bRGF ?93\b", ("RGF93",)), (r"\bNTF\b", ("NTF",)), (r"\bDHDN\b", ("DHDN",)),
+)  # fmt: skip
+_CODE: Final = re.compile(r"\bEPSG ?:? ?([0-9]{4,6}(?:\+[0-9]{4,6})?)\b", re.IGNORECASE)
+_ZONE: Final = re.compile(r"\b(?:UTM(?: zone)?[ /-]*|zone )([0-9]{1,2}) ?([NS])?\b", re.IGNORECASE)
+
+
+def stated_crs(table: Table) -> str:
+    """CRS that a file, its titles or its headers name by number; "" if none."""
+    if table.sheet.crs:
+        return table.sheet.crs
+    codes = {found[1] for text in (table.titles, *table.headers) for found in _CODE.finditer(text)}
+    return f"EPSG:{codes.pop()}" if len(codes) == 1 else ""
+
+
+def label_images(labels: Sequence[str], images: Sequence[str], given: Mapping[str, str], decisions: Decisions,
+                 file: str) -> list[tuple[str, ...]]:  # fmt: skip
+    """Possible images of the labels of a table: one by the names, else all orders."""
+    found = [given.get(label) or match_image(label, images) for label in labels]
+    if len(labels) == 1 and not found[0] and len(images) == 1:
+        found = [images[0]]
+    known = [name for name in found if name]
+    if len(known) == len(labels) and len(set(known)) == len(labels):
+        changed = [f"{label} = {name}" for label, name in zip(labels, found, strict=True) if label != name]
+        if changed:
+            decisions.note("images", ", ".join(changed), "by their names", "image")
+        return [tuple(found)]
+    if len(labels) > len(images):
+        unknown = next((label for label, name in zip(labels, found, strict=True) if not name), labels[0])
+        raise InputError.of("office.image_unknown", file=file, option="image", value=unknown, known=", ".join(images))
+    if len(images) > MOST_IMAGES:
+        unknown = next((label for label, name in zip(labels, found, strict=True) if not name), labels[0])
+        raise InputError.of("office.image_unknown", file=file, option="image", value=unknown, known=", ".join(images))
+    fixed = dict(zip(labels, found, strict=True)) if len(set(known)) == len(known) else {}
+    free = [name for name in images if name not in fixed.values()]
+    open_labels = [label for label in labels if not fixed.get(label)]
+    return [
+        tuple(fixed.get(label) or dict(zip(open_labels, order, strict=True))[label] for label in labels)
+        for order in permutations(free, len(open_labels))
+    ]
+
+
+def readings(
+    triples: Sequence[Triple], crs: str, labels: Sequence[tuple[str, ...]], fit: Fit, exchange: bool
+) -> list[Reading]:
+    """All readings of which more than half of the points lie near the images."""
+    box = scene_box(fit.sensors) if fit.sensors else None
+    out = []
+    for triple in triples:
+        codes = [crs] if crs else possible_crs(triple.kind, triple.coordinates, box)
+        for code in codes:
+            if crs and crs_kind(code) != triple.kind:
+                continue
+            ecef = in_ecef(code, triple.coordinates, fit.sensors)
+            if ecef is None or not fit.near(ecef[np.isfinite(ecef).all(axis=1)]):
+                continue
+            pixels = fit.predicted(ecef)
+            for images in labels:
+                for exchanged in (False, True) if exchange else (False,):
+                    evidence, where = fit.evidence(pixels, images, exchanged)
+                    if not fit.sensors:
+                        where = np.empty((0, 2))
+                    elif not len(where):
+                        whole = ecef[np.isfinite(ecef).all(axis=1)]
+                        where = lonlat(whole) / 1e-6 if len(whole) else np.empty((0, 2))  # 0.1 m
+                    out.append(Reading(triple, code, images, exchanged, evidence, where))
+    return out
+
+
+def best_reading(
+    table: Table, triples: Sequence[Triple], found: list[Reading], named_pixels: bool, decisions: Decisions
+) -> Reading:
+    """Best reading; what it assumes is listed.
+
+    Raises
+    ------
+    InputError
+        None fits, or nothing decides and nobody answers.
+    """
+    given = decisions.given
+    if not found:
+        crs = str(given.get("crs") or stated_crs(table))
+        kinds = sorted({triple.kind for triple in triples})
+        raise InputError.of(
+            "office.nowhere", file=table.file, place=table.sheet.name, option="crs", value=crs or ", ".join(kinds)
+        )
+    found = _titled(table, found, decisions)
+    found = _distinct(sorted(found, key=_preference))
+    believable = [one for one in found if one.evidence.believable]
+    if not believable:
+        best = min(found, key=lambda one: one.evidence.scatter_px)
+        raise InputError.of("office.no_fit", file=table.file, place=table.sheet.name, option="columns, crs",
+                            value=f"{best.triple.words(table)} in {best.crs}: {best.evidence.words()}")  # fmt: skip
+    best = _champion(believable)
+    left = [one for one in found if one is best or not best.evidence.beats(one.evidence)]
+    if any(one.triple.named and not one.exchanged for one in left):
+        left = [one for one in left if one.triple.named]
+    if named_pixels and any(not one.exchanged for one in left):
+        left = [one for one in left if not one.exchanged]
+    for option, subject, word in _dimensions(table):
+        values = list(dict.fromkeys(word(one) for one in left))
+        if len(values) > 1:
+            reason = "several fit the images" if not np.isnan(best.evidence.move_px) else "nothing else decides"
+            order = {value: next(one for one in left if word(one) == value) for value in values}
+            question = Question(
+                option, subject, [Choice(v, one.evidence.words()) for v, one in order.items()], False, reason
+            )
+            choice = decisions.settle(question, table.file)
+            left = [one for one in left if choice is not None and word(one) == choice.value] or left
+    chosen = left[0] if best not in left else best
+    _list(table, chosen, found, named_pixels, decisions)
+    return chosen
+
+
+def _preference(one: Reading) -> tuple[Any, ...]:
+    return not one.triple.named, one.exchanged, one.triple.kind, usual_first(one.crs), one.triple.units != "m"
+
+
+def _titled(table: Table, found: list[Reading], decisions: Decisions) -> list[Reading]:
+    """Readings in the datum and zone that titles or headers name; all if none is."""
+    text = " ".join((table.titles, *table.headers)).replace("_", " ")
+    for pattern, names in _DATUMS:
+        if re.search(pattern, text, re.IGNORECASE):
+            own = [one for one in found if known_crs(one.crs).name.startswith(names)]
+            if own and len(own) < len(found):
+                decisions.note(f"datum of {table.sheet.title}", names[0], "named in the table", "crs")
+                found = own
+    zone = _ZONE.search(text)
+    if zone:
+        own = [
+            one
+            for one in found
+            if re.search(rf"UTM zone {int(zone[1])}{(zone[2] or '').upper()}", known_crs(one.crs).name)
+        ]
+        found = own or found
+    return found
+
+
+def _distinct(found: list[Reading]) -> list[Reading]:
+    """Readings that differ in the images; the first of those that do not names the others."""
+    out: list[Reading] = []
+    for one in found:
+        for k, other in enumerate(out):
+            same = other.images == one.images and other.exchanged == one.exchanged
+            if same and one.predicted.shape == other.predicted.shape and _alike(one, other):
+                if one.crs not in (other.crs, *other.same):
+                    out[k] = replace(other, same=(*other.same, one.crs))
+                break
+        else:
+            out.append(one)
+    return out
+
+
+def _alike(one: Reading, other: Reading) -> bool:
+    if not len(one.predicted):
+        return one.crs == other.crs and one.triple is other.triple
+    apart = np.abs(one.predicted - other.predicted)
+    both = np.isfinite(apart)
+    return bool(both.any() and apart[both].max() <= SAME_PX)
+
+
+def _champion(believable: list[Reading]) -> Reading:
+    """Reading that no other beats; among several the one with the least scatter and move."""
+    unbeaten = [one for one in believable if not any(other.evidence.beats(one.evidence) for other in believable)]
+    if not believable[0].evidence.fewest:
+        return (unbeaten or believable)[0]
+    key = lambda one: (round(one.evidence.scatter_px, 1), round(one.evidence.move_px, 1))  # noqa: E731
+    return min(unbeaten or believable, key=key)
+
+
+def _dimensions(table: Table) -> list[tuple[str, str, Callable[[Reading], str]]]:
+    return [
+        ("image", "images of the table", lambda one: ",".join(one.images)),
+        ("columns", f"columns of {table.sheet.title}", lambda one: one.triple.words(table)),
+        ("units", f"units of {table.sheet.title}", lambda one: one.triple.units),
+        ("columns", "line and sample", lambda one: "exchanged" if one.exchanged else "as named"),
+        ("crs", f"CRS of {table.sheet.title}", lambda one: one.crs),
+    ]
+
+
+def _list(table: Table, chosen: Reading, found: list[Reading], named_pixels: bool, decisions: Decisions) -> None:
+    """List what the chosen reading assumes."""
+    seen = not np.isnan(chosen.evidence.move_px)
+    figures = chosen.evidence.words()
+    by_fit = f"it fits the images best: {figures}" if seen else "its points lie in the images"
+    if not chosen.triple.named:
+        decisions.note(f"columns of {table.sheet.title}", chosen.triple.words(table), by_fit, "columns")
+    else:
+        decisions.note(f"columns of {table.sheet.title}", chosen.triple.words(table), "by the headers", "columns")
+    if chosen.triple.units not in ("m", "deg", "m, heights m", "deg, heights m") or _units_open(table, chosen.triple):
+        reason = by_fit if _units_open(table, chosen.triple) else "by headers or cells"
+        decisions.note(f"units of {table.sheet.title}", chosen.triple.units, reason, "units")
+    if chosen.exchanged or not named_pixels:
+        words = "exchanged" if chosen.exchanged else "in this order"
+        decisions.note("line and sample", words, by_fit, "columns")
+    if not (decisions.given.get("crs") or stated_crs(table)):
+        same = (
+            f"; {len(chosen.same)} more CRS give the same places ({', '.join(chosen.same[:3])})" if chosen.same else ""
+        )
+        decisions.note("CRS", f"{chosen.crs} ({known_crs(chosen.crs).name})", by_fit + same, "crs")
+    if seen:
+        others = [one for one in found if one is not chosen]
+        next_one = min(others, key=lambda one: (one.evidence.scatter_px, one.evidence.move_px), default=None)
+        rest = (
+            ""
+            if next_one is None
+            else f"; next: {next_one.triple.words(table)}, {next_one.crs}, {next_one.evidence.words()}"
+        )
+        decisions.note("fit before the adjustment", figures, f"{len(chosen.predicted)} image points{rest}")
+
+
+def _units_open(table: Table, triple: Triple) -> bool:
+    return any(k >= 0 and not table.names[k].unit for k in triple.columns)

@@ -1,0 +1,127 @@
+"""Roles and standard deviations of the points of tables of unknown form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from factors.arrays import Array, Index, Mask
+from fg_orient.formats.exchange.survey import UNKNOWN
+from fg_orient.formats.faults import Faults
+from fg_orient.formats.office.decisions import Choice, Decisions, Question
+from fg_orient.formats.office.layout import Table
+from fg_orient.formats.office.parts import id_column_of
+from fg_orient.formats.office.words import LENGTHS, role_of
+from fg_orient.formats.points import FIXED
+from fg_orient.model.names import Role
+
+#: Standard deviations in m of surveys; below the second one a value without a unit is taken as m.
+_SURVEYED_M: Final = (5e-4, 1.0)
+_SURELY_M: Final = 0.5
+
+
+def pixel_sigmas(table: Table) -> Array:
+    """Standard deviations (n, 2) px of line and sample, nan where there is none."""
+    both = table.one("spx")
+    columns = [both, both] if both is not None else [table.one("sline"), table.one("ssample")]
+    faults = Faults(table.file)
+    out = [np.full(len(table), np.nan) if k is None else _positive(table, k, 1.0, faults) for k in columns]
+    faults.raise_if_any()
+    return np.column_stack(out)
+
+
+def _positive(table: Table, column: int, factor: float, faults: Faults) -> Array:
+    """Standard deviations (n,) of a column; nan where blank or the word "fixed"."""
+    cells = table.columns[column]
+    values = table.numbers(column) * factor
+    open_ = np.array([isinstance(c, str) and c.lower() in ("", FIXED) for c in cells], bool)
+    table.require_numbers(column, np.where(open_, 0.0, values), faults)
+    for k in np.flatnonzero(values <= 0.0).tolist():
+        faults.add("points.sigma_not_positive", place=table.place(k, column), value=cells[k])
+    return np.where(open_, np.nan, values)
+
+
+def roles_and_sigmas(
+    tables: Sequence[Table],
+    row: Mapping[str, int],
+    coordinates: Array,
+    units: Mapping[str, str],
+    role_column: str,
+    decisions: Decisions,
+) -> tuple[list[Role], Array, Mask]:
+    """Roles, standard deviations (n, 3) m and fixed points (n,) of the ground points."""
+    known = np.asarray(np.isfinite(coordinates[:, :2]).all(axis=1))
+    roles = [Role.CONTROL if yes else Role.TIE for yes in known]
+    sigma, fixed = np.full((len(row), 3), np.nan), np.zeros(len(row), bool)
+    stated = False
+    for table in tables:
+        at = np.array([row[name] for name in table.texts(id_column_of(table))], np.intp)
+        column = None if role_column == "none" else table.one("role")
+        if column is not None:
+            stated = True
+            _take_roles(table, column, at, roles, known, decisions)
+        own, held = _ground_sigmas(table, units, decisions)
+        sigma[at] = np.where(np.isfinite(own), own, sigma[at])
+        fixed[at] |= held
+    if tables and not stated:
+        decisions.note("roles", "all points with coordinates are control", "no column names roles", "role_column")
+    tie = np.array([role is Role.TIE for role in roles], bool)
+    return roles, np.where(tie[:, None], UNKNOWN, sigma), fixed & ~tie
+
+
+def _take_roles(table: Table, column: int, at: Index, roles: list[Role], known: Mask, decisions: Decisions) -> None:
+    faults, words = Faults(table.file), dict[str, list[Role]]()
+    for k, (cell, n) in enumerate(zip(table.texts(column), at.tolist(), strict=True)):
+        role = role_of(cell) if cell else (Role.CONTROL if known[n] else Role.TIE)
+        if role is None:
+            faults.add("office.role", place=table.place(k, column), value=repr(cell), option="")
+        elif role is not Role.TIE and not known[n]:
+            faults.add("points.no_coordinates", place=table.place(k, column), value=cell, role=cell)
+        else:
+            words.setdefault(cell or "a blank cell", []).append(role)
+            roles[n] = role
+    faults.raise_if_any()
+    listed = ", ".join(f"{word} = {own[0]} ({len(own)})" for word, own in words.items())
+    decisions.note(f"roles of {table.sheet.title}", listed, f"by column {table.headers[column]}", "role_column")
+
+
+def _ground_sigmas(table: Table, units: Mapping[str, str], decisions: Decisions) -> tuple[Array, Mask]:
+    """Standard deviations East, North, Up (n, 3) m of a table, nan where there is none, and fixed points (n,)."""
+    plane = table.one("sEN")
+    own = [table.one(key) for key in ("sE", "sN", "sH")]
+    x, y = table.one("sx"), table.one("sy")
+    columns = [own[0], own[1], own[2]]
+    if plane is not None:
+        columns[:2] = [plane, plane]
+    elif own[0] is None and own[1] is None and x is not None and y is not None:
+        columns[:2] = [x, y]
+    faults, out = Faults(table.file), []
+    fixed = np.zeros(len(table), bool)
+    for column in columns:
+        if column is None:
+            out.append(np.full(len(table), np.nan))
+            continue
+        fixed |= np.array([isinstance(c, str) and c.lower() == FIXED for c in table.columns[column]], bool)
+        unit = units.get(table.names[column].key) or table.names[column].unit
+        plain = _positive(table, column, 1.0, faults)
+        faults.raise_if_any()
+        out.append(plain * _sigma_factor(table, column, unit, plain, decisions))
+    return np.column_stack(out), fixed
+
+
+def _sigma_factor(table: Table, column: int, unit: str, values: Array, decisions: Decisions) -> float:
+    if unit in LENGTHS:
+        return LENGTHS[unit]
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return 1.0
+    middle = float(np.median(known))
+    names = [name for name in ("m", "cm", "mm") if _SURVEYED_M[0] <= middle * LENGTHS[name] <= _SURVEYED_M[1]] or ["m"]
+    clear = names[0] == "m" and middle < _SURELY_M
+    choices = [Choice(f"{table.names[column].key}={name}", f"{middle:g} {name}") for name in names]
+    reason = "usual size of the values in m" if clear else "the header names no unit"
+    question = Question("units", f"unit of {table.headers[column]}", choices, clear, reason)
+    choice = decisions.settle(question, table.file)
+    return LENGTHS.get(choice.value.partition("=")[2], 1.0) if choice is not None else 1.0
