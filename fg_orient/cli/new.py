@@ -100,7 +100,8 @@ def office_of(
     first_pixel: float | None = None, image: list[str] | None = None,
 ) -> Any:  # fmt: skip
     """Options about tables of unknown form; InputError for values that are not understood."""
-    from fg_orient.formats.office.survey import FIRST_PIXELS, Office
+    from fg_orient.formats.office.pixels import FIRST_PIXELS
+    from fg_orient.formats.office.survey import Office
     from fg_orient.formats.office.words import ANGLES, LENGTHS
     from fg_orient.geodesy import crs_kind
 

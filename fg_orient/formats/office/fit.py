@@ -8,6 +8,7 @@ only between readings that are far apart, or if the images prove accurate.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final, NamedTuple
@@ -17,7 +18,15 @@ import numpy as np
 from factors.arrays import Array, Index
 from fg_orient.formats.office.parts import Triple
 from fg_orient.formats.scenes import REACH, Scene
-from fg_orient.geodesy import crs_kind, ecef_to_geodetic, offline_pyproj, operation_to_ecef, spatial_crs, to_ecef
+from fg_orient.geodesy import (
+    crs_kind,
+    ecef_to_geodetic,
+    from_geographic,
+    offline_pyproj,
+    operation_to_ecef,
+    spatial_crs,
+    to_ecef,
+)
 from fg_orient.geodesy.crs import WGS84
 from fg_orient.model.errors import InputError
 
@@ -27,8 +36,8 @@ LEAST_PX: Final = 0.5
 #: Fewest points in an image by whose scatter a reading is judged.
 FEWEST: Final = 5
 #: It is turned down, too, if its images would be moved by so much (m) and so many times more than in another one.
-FAR_M: Final = 100.0
-FAR_RATIO: Final = 5.0
+FAR_M: Final = 40.0
+FAR_RATIO: Final = 8.0
 #: Largest move of images whose orientation has proved accurate, px.
 ACCURATE_PX: Final = 2.0
 #: A reading is believed if scatter (px) and move (m) are not larger.
@@ -40,9 +49,11 @@ SAME_PX: Final = 0.1
 _MARGIN_DEG: Final = 1.0
 _MARGIN_M: Final = 20_000.0
 #: Width of the area of a national datum, degrees.
-WIDEST_DEG: Final = 60.0
+WIDEST_DEG: Final = 70.0
+#: Difference of coordinates in two datums that agree, degrees.
+_AGREES_DEG: Final = 1e-9
 #: Names of CRS that are left out: older global datums, and realisations of systems that offices name WGS84 or ETRS89.
-_LEFT_OUT: Final = ("WGS 72", "WGS 66", "NSWC", "PZ-90", "ITRF", "ETRF", "IGS", "IGb", "WGS 84 (", "NSIDC",
+_LEFT_OUT: Final = ("WGS 72", "WGS 66", "NSWC", "PZ-90", "ITRF", "ETRF", "IGS", "IGb", "WGS 84 (", "NSIDC", "ETRS89/",
                     "Hughes")  # fmt: skip
 
 
@@ -86,7 +97,7 @@ NO_EVIDENCE: Final = Evidence(np.nan, np.nan, np.nan, 0)
 class Marks:
     """Image points as read: name of the image in the table, id of the point, first and second pixel coordinate.
 
-    ``first`` is the line, unless line and sample are exchanged.
+    ``first`` is the line, unless line and sample are exchanged. ``places`` are file and place of each, for messages.
     """
 
     labels: tuple[str, ...]
@@ -94,6 +105,7 @@ class Marks:
     ids: tuple[str, ...]
     first: Array
     second: Array
+    places: tuple[tuple[str, str], ...] = ()
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -241,12 +253,17 @@ def _projected(box: tuple[float, ...]) -> list[tuple[str, Any]]:
 
 @cache
 def _geographic(box: tuple[float, ...]) -> list[str]:
-    """Geographic CRS of the countries of a box."""
+    """Geographic CRS of the countries of a box that have projected CRS, too, and do not agree with WGS84."""
+    mapped = {info.name.partition(" / ")[0] for info in _query("PROJECTED_CRS", box)}
     out = []
-    for info in _query("GEOGRAPHIC_2D_CRS", box):
-        area = info.area_of_use
-        if area is not None and (area.east - area.west + 360.0 * (area.east < area.west)) < WIDEST_DEG:
-            out.append(f"EPSG:{info.code}")
+    for info in (one for one in _query("GEOGRAPHIC_2D_CRS", box) if one.name in mapped):
+        area, code = info.area_of_use, f"EPSG:{info.code}"
+        if area is None or (area.east - area.west + 360.0 * (area.east < area.west)) > WIDEST_DEG:
+            continue
+        with suppress(InputError):
+            there = from_geographic(code, box[0], box[1])
+            if not np.allclose(np.ravel(there), box[:2], rtol=0.0, atol=_AGREES_DEG):
+                out.append(code)
     return sorted(out, key=usual_first)
 
 
@@ -259,10 +276,12 @@ def in_ecef(crs: str, coordinates: Array, sensors: Mapping[str, Any]) -> Array |
         return out
     given = np.where(np.isfinite(coordinates), coordinates, float(np.mean(heights)))[whole]
     try:
-        if sensors:  # one search of the operation for all readings
-            xyz = np.stack(_transformer(crs, scene_box(sensors)).transform(*given.T), axis=1)
-        else:
+        if not sensors:
             xyz = to_ecef(crs, *given.T)
+        elif (operation := _transformer(crs, scene_box(sensors))) is not None:
+            xyz = np.stack(operation.transform(*given.T), axis=1)
+        else:
+            return None
     except InputError:
         return None
     if not np.isfinite(xyz).all():
@@ -273,8 +292,11 @@ def in_ecef(crs: str, coordinates: Array, sensors: Mapping[str, Any]) -> Array |
 
 @cache
 def _transformer(crs: str, box: tuple[float, float, float, float]) -> Any:
-    """Operation from a CRS to ECEF for a box in degrees; InputError if there is none."""
-    return operation_to_ecef(crs, spatial_crs(crs), np.array(box).reshape(2, 2))[0]
+    """Operation from a CRS to ECEF for a box in degrees, searched once for all readings; None if there is none."""
+    try:
+        return operation_to_ecef(crs, spatial_crs(crs), np.array(box).reshape(2, 2))[0]
+    except InputError:
+        return None
 
 
 def lonlat(ecef: Array) -> Array:

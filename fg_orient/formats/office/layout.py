@@ -14,9 +14,9 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.formats.faults import Faults, did_you_mean
 from fg_orient.formats.office.decisions import Choice, Decisions, Question
-from fg_orient.formats.office.numbers import ANY, USUAL, Style, angle_of, angles, possible_styles, value_of, values
+from fg_orient.formats.office.numbers import USUAL, Style, angles, is_number, possible_styles, value_of, values
 from fg_orient.formats.office.sheets import Sheet
-from fg_orient.formats.office.words import ANGLES, LENGTHS, NAMES, PIXELS, Named, heights_of, named, plain
+from fg_orient.formats.office.words import ANGLES, LENGTHS, NAMES, PIXELS, Named, heights_of, named, plain, role_of
 from fg_orient.formats.office.workbook import Cell
 from fg_orient.model.errors import InputError
 
@@ -38,6 +38,10 @@ KEYS: Final = (
 _SUMMARY: Final = frozenset(
     "mean average total sum std ortalama toplam summe mittel mittelwert moyenne somme media suma min max".split()
 )
+#: Largest heights, m (30 000 ft), and pixels of images.
+_LARGEST: Final = {"H": 30_000.0, "line": 300_000.0, "sample": 300_000.0}
+#: Rows that are searched for a header.
+_LOOKED_AT: Final = 30
 #: Header rows at most.
 _HEADERS: Final = 3
 
@@ -137,13 +141,6 @@ class Table:
                 faults.add("office.not_a_number", place=self.place(k, column), value=repr(cell))
 
 
-def is_number(cell: Cell) -> bool:
-    """Whether a cell is a number with either decimal sign, or an angle."""
-    if not isinstance(cell, str):
-        return True
-    return any(np.isfinite([*(value_of(cell, style) for style in ANY), angle_of(cell)]))
-
-
 def table_of(sheet: Sheet, decisions: Decisions, columns: Mapping[str, str]) -> Table | None:
     """Find header, data and columns of a sheet; None if it has no rows with numbers.
 
@@ -173,8 +170,15 @@ def table_of(sheet: Sheet, decisions: Decisions, columns: Mapping[str, str]) -> 
     shown, cells = [shown[j] for j in used], [cells[j] for j in used]
     names = [Named("") if header.startswith("#") else named(header) for header in shown]
     stated = _stated(shown, names, columns)
+    if not any(one.key == "role" for one in names):
+        _find_roles(cells, names)
     table = Table(sheet, shown, names, cells, rows, titles, stated=stated)
     return replace(table, style=_style(table, decisions))
+
+
+def names_columns(sheet: Sheet) -> bool:
+    """Whether a row of a sheet has two usual names of columns."""
+    return any(sum(bool(named(str(cell)).key) for cell in row if cell != "") > 1 for row in sheet.rows[:_LOOKED_AT])
 
 
 def _first(row: list[Cell]) -> Cell:
@@ -270,6 +274,14 @@ def _stated(headers: list[str], names: list[Named], columns: Mapping[str, str]) 
     return frozenset(stated)
 
 
+def _find_roles(cells: list[list[Cell]], names: list[Named]) -> None:
+    """Give a column of unknown name, whose cells are all words for roles, the key of roles."""
+    told = [any(own) and all(c == "" or (isinstance(c, str) and role_of(c)) for c in own) for own in cells]
+    found = [k for k, one in enumerate(names) if told[k] and not one.key]
+    if len(found) == 1:
+        names[found[0]] = Named("role")
+
+
 def require_known(columns: Mapping[str, str], tables: list[Table]) -> None:
     """Refuse names of columns that no table has, and keys that do not exist."""
     headers = [header for table in tables for header in table.headers]
@@ -290,6 +302,8 @@ def _style(table: Table, decisions: Decisions) -> Style:
         sign = {"comma": ",", "point": "."}[given]
         return next((style for style in possible if style.decimal == sign), Style(sign))
     subject = f"decimal sign of {table.sheet.title}"
+    if len(possible) == 2:
+        possible = tuple(style for style in possible if _plausible(table, style)) or possible
     if len(possible) == 1:
         if possible[0].decimal == ",":
             decisions.note(subject, "comma", "its numbers cannot be read otherwise", "decimal")
@@ -309,6 +323,17 @@ def _style(table: Table, decisions: Decisions) -> Style:
         Question("decimal", subject, choices, reason="its numbers can be read with both"), table.file
     )
     return comma if choice is not None and choice.value == "comma" else point
+
+
+def _plausible(table: Table, style: Style) -> bool:
+    """Whether heights and pixels of a table are possible in a style."""
+    for key, limit in _LARGEST.items():
+        for k in table.having(key):
+            found = np.abs(values(table.columns[k], style)) * LENGTHS.get(table.names[k].unit, 1.0)
+            known = found[np.isfinite(found)]
+            if len(known) and float(np.median(known)) > limit:
+                return False
+    return True
 
 
 def stated_heights(table: Table, column: int | None) -> str:

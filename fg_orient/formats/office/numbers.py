@@ -87,6 +87,13 @@ def angle_of(cell: Cell) -> float:
     return -value if letter and letter in _SOUTH_OR_WEST else value
 
 
+def is_number(cell: Cell) -> bool:
+    """Whether a cell is a number in any style, or an angle."""
+    if not isinstance(cell, str):
+        return True
+    return any(np.isfinite([*(value_of(cell, style) for style in ANY), angle_of(cell)]))
+
+
 def angles(cells: Sequence[Cell]) -> Array | None:
     """Degrees (n,) of cells that are all angles or blank; None if most are not."""
     values = np.array([angle_of(cell) for cell in cells])

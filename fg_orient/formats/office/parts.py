@@ -88,18 +88,24 @@ class ImagePart:
 
 
 def id_column(table: Table) -> int:
-    """Column of ids; the first column of unique cells if no header names it."""
+    """Column of the points' ids; without a usual name the first one, of points that occur once the first unique one."""
     named = table.one("id")
     if named is not None:
         return named
-    for k, one in enumerate(table.names):
-        cells = table.texts(k)
-        whole = all(c == "" or not isinstance(c, float) or c.is_integer() for c in table.columns[k])
-        if not one.key and whole and "" not in cells and len(set(cells)) == len(cells):
-            return k
-    raise InputError.of(
-        "office.no_ids", file=table.file, place=table.sheet.name, option="columns", value=", ".join(table.headers)
-    )
+    free = [k for k, one in enumerate(table.names) if not one.key]
+    if not table.having("image") and not table.having("line"):
+        free = [k for k in free if _are_ids(table, k)]
+    if not free:
+        raise InputError.of("office.no_ids", file=table.file, place=table.sheet.name, option="columns",
+                            value=", ".join(table.headers))  # fmt: skip
+    return free[0]
+
+
+def _are_ids(table: Table, column: int) -> bool:
+    """Whether the cells of a column are unique, and text or whole numbers."""
+    cells = table.texts(column)
+    whole = all(not isinstance(c, float) or c.is_integer() for c in table.columns[column])
+    return whole and "" not in cells and len(set(cells)) == len(cells)
 
 
 def ground_triples(table: Table, units: dict[str, str]) -> list[Triple]:
@@ -162,7 +168,7 @@ def _geocentric(table: Table, columns: tuple[int, int, int]) -> list[Triple]:
     if not _RADIUS[0] < radius < _RADIUS[1]:
         return []
     named = [table.names[k].key for k in columns] in (["x", "y", "H"], ["X", "Y", "Z"])
-    return [Triple("geocentric", columns, xyz, named, "m")]
+    return [Triple("geocentric", columns, xyz, named, "E=m,H=m")]
 
 
 def _refuse_geocentric(table: Table) -> list[Triple]:
@@ -174,8 +180,9 @@ def _triples(table: Table, columns: tuple[int, int, int], named: bool, units: di
     out = []
     heights = _heights(table, columns[2], units)
     for kind, horizontal, unit in _horizontals(table, columns[:2], units):
+        key = "lon" if kind == "geographic" else "E"
         for h, h_unit in heights:
-            both = f"{unit}, heights {h_unit}" if h_unit else unit
+            both = ",".join([f"{key}={unit}"] * bool(unit) + [f"H={h_unit}"] * bool(h_unit))
             out.append(Triple(kind, columns, np.column_stack([horizontal, h]), named, both))
     return out
 
@@ -200,7 +207,7 @@ def _horizontals(table: Table, columns: Sequence[int], units: dict[str, str]) ->
     angles = [table.angles(k) for k in columns]
     known = [a for a in angles if a is not None]
     if known:
-        return [("geographic", np.column_stack(known), "degrees, minutes, seconds")] if len(known) == 2 else []
+        return [("geographic", np.column_stack(known), "")] if len(known) == 2 else []
     values = np.column_stack([table.numbers(k) for k in columns])
     keys = {table.names[k].key for k in columns}
     named = {units.get(key, "") for key in ("E", "N", "lon", "lat")} | {table.names[k].unit for k in columns}
@@ -246,25 +253,12 @@ def image_part(table: Table, images: Sequence[str]) -> ImagePart | None:
     groups = rests[0] if len(lines) > 1 else [rests[0][0] or _about(table, images)]
     return ImagePart(
         table,
-        id_column_of(table),
+        id_column(table),
         -1 if image is None else image,
         list(zip(lines, samples, strict=True)),
         groups,
         named,
     )
-
-
-def id_column_of(table: Table) -> int:
-    """Column of the points' ids in a table of image points, where ids repeat."""
-    named = table.one("id")
-    if named is not None:
-        return named
-    free = [k for k, one in enumerate(table.names) if not one.key and k not in table.having("image")]
-    if not free:
-        raise InputError.of(
-            "office.no_ids", file=table.file, place=table.sheet.name, option="columns", value=", ".join(table.headers)
-        )
-    return free[0]
 
 
 def _about(table: Table, images: Sequence[str]) -> str:

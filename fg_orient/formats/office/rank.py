@@ -19,6 +19,8 @@ from fg_orient.model.errors import InputError
 
 #: Most images whose names are tried in all orders.
 MOST_IMAGES: Final = 4
+#: Usual units.
+_USUAL: Final = ("", "H=m", "E=m", "E=m,H=m", "lon=deg", "lon=deg,H=m")
 #: Words of a title or header, and the beginning of the names of their CRS.
 _DATUMS: Final = (
     (r"\bED ?50\b", ("ED50",)), (r"\bWGS ?84\b", ("WGS 84",)), (r"\b(ITRF ?\d*|TUREF)\b", ("TUREF", "ITRF")),
@@ -136,7 +138,7 @@ def best_reading(
 
 
 def _preference(one: Reading) -> tuple[Any, ...]:
-    return not one.triple.named, one.exchanged, one.triple.kind, usual_first(one.crs), one.triple.units != "m"
+    return not one.triple.named, one.exchanged, one.triple.kind, usual_first(one.crs), one.triple.units not in _USUAL
 
 
 def _titled(table: Table, found: list[Reading], decisions: Decisions) -> list[Reading]:
@@ -183,12 +185,11 @@ def _alike(one: Reading, other: Reading) -> bool:
 
 
 def _champion(believable: list[Reading]) -> Reading:
-    """Reading that no other beats; among several the one with the least scatter and move."""
+    """Reading that no other beats; among several the one that moves the images least."""
     unbeaten = [one for one in believable if not any(other.evidence.beats(one.evidence) for other in believable)]
     if not believable[0].evidence.fewest:
         return (unbeaten or believable)[0]
-    key = lambda one: (round(one.evidence.scatter_px, 1), round(one.evidence.move_px, 1))  # noqa: E731
-    return min(unbeaten or believable, key=key)
+    return min(unbeaten or believable, key=lambda one: round(one.evidence.move_px, 1))
 
 
 def _dimensions(table: Table) -> list[tuple[str, str, Callable[[Reading], str]]]:
@@ -210,8 +211,9 @@ def _list(table: Table, chosen: Reading, found: list[Reading], named_pixels: boo
         decisions.note(f"columns of {table.sheet.title}", chosen.triple.words(table), by_fit, "columns")
     else:
         decisions.note(f"columns of {table.sheet.title}", chosen.triple.words(table), "by the headers", "columns")
-    if chosen.triple.units not in ("m", "deg", "m, heights m", "deg, heights m") or _units_open(table, chosen.triple):
-        reason = by_fit if _units_open(table, chosen.triple) else "by headers or cells"
+    if chosen.triple.units not in _USUAL or _units_open(table, chosen.triple):
+        units = by_fit if seen else "usual"
+        reason = units if _units_open(table, chosen.triple) else "by headers or cells"
         decisions.note(f"units of {table.sheet.title}", chosen.triple.units, reason, "units")
     if chosen.exchanged or not named_pixels:
         words = "exchanged" if chosen.exchanged else "in this order"

@@ -8,6 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +17,7 @@ import numpy as np
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.gdal import plain_case
 from fg_orient.formats.office.decisions import Assumption
+from fg_orient.formats.office.numbers import is_number
 from fg_orient.formats.office.workbook import Cell, Rows, read_workbook
 from fg_orient.formats.text_files import read_data
 from fg_orient.model.errors import InputError
@@ -26,6 +28,8 @@ WORKBOOKS: Final = (".xlsx", ".xlsm", ".ods")
 LAYERS: Final = (".gpkg", ".shp")
 #: Largest text, bytes.
 MAX_TEXT: Final = 256_000_000
+#: Cells by which a separator is judged.
+_LOOKED_AT: Final = 2000
 #: Letters of Windows-1254 (Turkish) that are others in Windows-1252.
 _TURKISH: Final = re.compile(rb"[\xd0\xdd\xde\xf0\xfd\xfe]")
 _SEPARATORS: Final = {
@@ -156,16 +160,18 @@ def _text(path: Path) -> Sheet:
 
 
 def _split(lines: Sequence[str]) -> tuple[str, Rows]:
-    """Separator by which most lines have the same number of cells, at least two; and the cells."""
-    best: tuple[float, str, Rows] = (-1.0, ";", [[line.strip()] for line in lines])
+    """Separator by which most lines have the same number of cells, and most cells are numbers; and the cells."""
+    best: tuple[float, str, Rows] = (0.0, ";", [[line.strip()] for line in lines])
     for mark in _SEPARATORS:
         rows: Rows = [_cells(line, mark) for line in lines]
         widths = Counter(len(row) for row in rows if len(row) > 1)
         if not widths:
             continue
         width, count = max(widths.items(), key=lambda item: (item[1], item[0]))
-        score = count / len(lines) + (0.2 if width > 2 else 0.0)
-        if score > best[0] + 0.15:  # an earlier separator is kept unless a later one is clearly better
+        records = (row for row in rows if len(row) == width and any(map(is_number, row)))
+        cells = list(islice((cell for row in records for cell in row if cell != ""), _LOOKED_AT))
+        score = count / len(lines) + sum(map(is_number, cells)) / max(len(cells), 1)
+        if score > best[0] + 1e-9:  # an earlier separator is kept if both are as good
             best = (score, mark, rows)
     return best[1], best[2]
 

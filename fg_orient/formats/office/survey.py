@@ -13,27 +13,25 @@ from fg_orient.formats.exchange.survey import Survey, decided_crs, no_image_poin
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.office.decisions import Choice, Decisions, Question
 from fg_orient.formats.office.fit import Evidence, Fit, Marks, Reading, in_ecef
-from fg_orient.formats.office.layout import Table, require_known, stated_heights, table_of
+from fg_orient.formats.office.layout import Table, names_columns, require_known, stated_heights, table_of
 from fg_orient.formats.office.parts import (
     ImagePart,
     Triple,
     ground_triples,
-    id_column_of,
+    id_column,
     image_part,
     note_numbers,
 )  # fmt: skip
+from fg_orient.formats.office.pixels import first_pixel, read_marks, require_inside
 from fg_orient.formats.office.rank import best_reading, label_images, readings, stated_crs
 from fg_orient.formats.office.sheets import Sheet
-from fg_orient.formats.office.weights import pixel_sigmas, roles_and_sigmas
-from fg_orient.formats.points import COLUMNS
+from fg_orient.formats.office.weights import roles_and_sigmas
 from fg_orient.geodesy import crs_kind
 from fg_orient.geodesy.crs import WGS84
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 
-#: Places of the centre of the first pixel in programs.
-FIRST_PIXELS: Final = (0.0, 1.0, 0.5)
 #: Vertical CRS that are proposed: EGM96, EGM2008.
 _GEOIDS: Final = (("EPSG:5773", "above EGM96"), ("EPSG:3855", "above EGM2008"))
 
@@ -96,6 +94,8 @@ def read_survey(sheets: Sequence[Sheet], office: Office, decisions: Decisions, s
         for one in sheet.assumed:
             decisions.note(one.subject, one.value, one.reason)
         table = table_of(sheet, decisions, columns)
+        if table is None and names_columns(sheet):
+            raise InputError.of("office.no_numbers", file=sheet.path, place=sheet.name)
         if table is None:
             decisions.note(f"table {sheet.title}", "left out", "no rows of numbers")
         else:
@@ -114,41 +114,8 @@ def read_survey(sheets: Sequence[Sheet], office: Office, decisions: Decisions, s
         if triples:
             grounds.append((table, triples))
     georeferenced = {name: s for name, s in sensors.items() if s.georeferenced and s.orients}
-    marks, sigmas = _marks(parts, list(sensors), decisions)
+    marks, sigmas = read_marks(parts)
     return _survey(grounds, parts, marks, sigmas, office, decisions, sensors, georeferenced)
-
-
-def _marks(parts: Sequence[ImagePart], images: Sequence[str], decisions: Decisions) -> tuple[Marks, Array]:
-    """Image points of all tables, and their standard deviations (n, 2), nan where there is none."""
-    labels: dict[str, int] = {}
-    label, ids, pixels, sigmas = list[int](), list[str](), list[list[float]](), list[list[float]]()
-    seen: dict[tuple[int, str], str] = {}
-    for part in parts:
-        table, faults = part.table, Faults(part.table.file)
-        names = table.texts(part.id)
-        for (line, sample), group in zip(part.pairs, part.groups, strict=True):
-            filled = np.logical_or(table.filled(line), table.filled(sample))
-            values = [np.where(filled, table.numbers(k), 0.0) for k in (line, sample)]
-            for column, own in zip((line, sample), values, strict=True):
-                table.require_numbers(column, own, faults)
-            own_sigma = pixel_sigmas(table)
-            named = table.texts(part.image) if part.image >= 0 else [group] * len(table)
-            for k in np.flatnonzero(filled).tolist():
-                if not names[k] or (part.image >= 0 and not named[k]):
-                    faults.add("interchange.name_missing", place=table.place(k))
-                    continue
-                which = labels.setdefault(named[k], len(labels))
-                if (which, names[k]) in seen:
-                    faults.add("observations.twice", place=table.place(k), first=seen[which, names[k]],
-                               value=f"{names[k]} in {named[k] or 'the image'}")  # fmt: skip
-                seen[which, names[k]] = table.place(k)
-                label.append(which)
-                ids.append(names[k])
-                pixels.append([values[0][k], values[1][k]])
-                sigmas.append(own_sigma[k].tolist())
-        faults.raise_if_any()
-    xy = np.array(pixels, float).reshape(-1, 2)
-    return Marks(tuple(labels), np.array(label, np.intp), tuple(ids), *xy.T), np.array(sigmas, float).reshape(-1, 2)
 
 
 def _survey(
@@ -162,6 +129,8 @@ def _survey(
         else [marks.labels]
     )
     row, places = _rows(grounds)
+    if grounds and len(marks):
+        _require_common(marks, row, file)
     fit = Fit(georeferenced, marks, row) if len(georeferenced) == len(sensors) else Fit({}, marks, row)
     crs, coordinates, reading = "", np.full((len(row), 3), np.nan), None
     if grounds:
@@ -174,11 +143,13 @@ def _survey(
         labels = [one for one in labels if chosen is not None and ",".join(one) == chosen.value]
     images = reading.images if reading is not None else labels[0]
     exchanged = reading is not None and reading.exchanged
-    origin = _first_pixel(office, parts, marks, fit, reading, crs, coordinates, decisions) if len(marks) else 0.0
+    origin = (
+        first_pixel(office.first_pixel, parts, marks, fit, reading, crs, coordinates, decisions) if len(marks) else 0.0
+    )
+    require_inside(marks, images, exchanged, fit.sensors, origin)
     known = list(row)
     extra = [name for name in dict.fromkeys(marks.ids) if name not in row]
     if extra and grounds:
-        _require_common(marks, row, file)
         decisions.note("tie points", f"{len(extra)} ids", "image points without ground coordinates")
     ids = tuple(known + extra)
     at = {name: k for k, name in enumerate(ids)}
@@ -206,7 +177,7 @@ def _rows(grounds: list[tuple[Table, list[Triple]]]) -> tuple[dict[str, int], li
     places: list[int] = []
     for table, _ in grounds:
         faults, seen = Faults(table.file), dict[str, int]()
-        for k, name in enumerate(table.texts(id_column_of(table))):
+        for k, name in enumerate(table.texts(id_column(table))):
             if not name:
                 faults.add("points.id_missing", place=table.place(k))
             elif name in seen and len(table.having("image")) == 0:
@@ -268,7 +239,7 @@ class Spread:
     def of(table: Table, triple: Triple, row: Mapping[str, int]) -> Triple:
         """Triple whose coordinates (n, 3) stand in the rows of the survey; nan in rows of other tables."""
         out = np.full((len(row), 3), np.nan)
-        for k, name in enumerate(table.texts(id_column_of(table))):
+        for k, name in enumerate(table.texts(id_column(table))):
             if name in row:
                 out[row[name]] = triple.coordinates[k]
         return Triple(triple.kind, triple.columns, out, triple.named, triple.units)
@@ -278,13 +249,13 @@ def _take(table: Table, triple: Triple, row: Mapping[str, int], coordinates: Arr
     """Take the coordinates of a table; they must agree with those of other tables."""
     columns = [k for k in triple.columns if k >= 0]
     filled = np.any([table.filled(k) for k in columns], axis=0)
-    at = np.array([row[name] for name in table.texts(id_column_of(table))], np.intp)
+    at = np.array([row[name] for name in table.texts(id_column(table))], np.intp)
     own = triple.coordinates[at]
     note_numbers(table, Triple(triple.kind, triple.columns, own, triple.named, triple.units), filled, decisions)
     faults = Faults(table.file)
     before = coordinates[at]
     for k in np.flatnonzero((np.abs(before - own) > 1e-9 * np.maximum(np.abs(own), 1.0)).any(axis=1)).tolist():
-        faults.add("office.two_places", place=table.place(k), value=table.texts(id_column_of(table))[k])
+        faults.add("office.two_places", place=table.place(k), value=table.texts(id_column(table))[k])
     if triple.kind == "geographic":
         for k in np.flatnonzero(np.abs(own[:, 1]) > 90.0).tolist():
             faults.add("points.latitude", place=table.place(k), value=f"{own[k, 1]:.10g}")
@@ -340,45 +311,3 @@ def _tried(best: Reading, choice: Choice, fit: Fit, coordinates: Array) -> Evide
     code = best.crs if choice.value == "ellipsoidal" else f"{best.crs}+{choice.value.partition(':')[2]}"
     ecef = in_ecef(code, coordinates, fit.sensors)
     return None if ecef is None else fit.evidence(fit.predicted(ecef), best.images, best.exchanged)[0]
-
-
-def _first_pixel(
-    office: Office, parts: Sequence[ImagePart], marks: Marks, fit: Fit, reading: Reading | None, crs: str,
-    coordinates: Array, decisions: Decisions,
-) -> float:  # fmt: skip
-    """Coordinate of the centre of the first pixel."""
-    if office.first_pixel is not None:
-        return office.first_pixel
-    if all(set(COLUMNS) <= set(part.table.headers) for part in parts):
-        decisions.note("first pixel", "0", "these are tables of fg_orient", "first_pixel")
-        return 0.0
-    possible = list(FIRST_PIXELS)
-    sizes = {name: (s.n_lines, s.n_samples) for name, s in fit.sensors.items()}
-    images = reading.images if reading is not None else ()
-    exchanged = reading is not None and reading.exchanged
-    for k, name in enumerate(images if sizes else ()):
-        own = marks.label == k
-        for values, size in zip((marks.first, marks.second), sizes[name][:: -1 if exchanged else 1], strict=True):
-            if own.any():
-                low, high = float(values[own].min()), float(values[own].max())
-                possible = [c for c in possible if low >= c - 0.5 and high <= size - 0.5 + c]
-    evidence: dict[float, Evidence] = {}
-    if reading is not None and fit.sensors and len(fit.used):
-        ecef = in_ecef(crs if not decisions.unanswered else reading.crs, coordinates, fit.sensors)
-        if ecef is not None:
-            pixels = fit.predicted(ecef)
-            evidence = {c: fit.evidence(pixels, images, exchanged, c)[0] for c in possible}
-    best = min(evidence, key=lambda c: evidence[c].move_px) if evidence else None
-    beaten = best is not None and all(c == best or evidence[best].beats(e) for c, e in evidence.items())
-    clear = len(possible) == 1 or (beaten and not decisions.unanswered)
-    ranked = sorted(possible, key=lambda c: evidence[c].move_px) if evidence else possible
-    if not possible:
-        raise InputError.of("office.outside", file=parts[0].table.file, option="columns, first_pixel")
-    reason = (
-        "other values lie outside the image" if len(possible) == 1 else "the images prove accurate, and it fits best"
-    )
-    choices = [Choice(f"{c:g}", evidence[c].words() if c in evidence else "") for c in ranked]
-    question = Question("first_pixel", "coordinate of the centre of the first pixel", choices, clear,
-                        reason if clear else "the images are not accurate enough to tell")  # fmt: skip
-    choice = decisions.settle(question, parts[0].table.file, later=True)
-    return float(choice.value) if choice is not None else 0.0

@@ -12,7 +12,7 @@ from fg_orient.formats.exchange.survey import UNKNOWN
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.office.decisions import Choice, Decisions, Question
 from fg_orient.formats.office.layout import Table
-from fg_orient.formats.office.parts import id_column_of
+from fg_orient.formats.office.parts import id_column
 from fg_orient.formats.office.words import LENGTHS, role_of
 from fg_orient.formats.points import FIXED
 from fg_orient.model.names import Role
@@ -57,7 +57,7 @@ def roles_and_sigmas(
     sigma, fixed = np.full((len(row), 3), np.nan), np.zeros(len(row), bool)
     stated = False
     for table in tables:
-        at = np.array([row[name] for name in table.texts(id_column_of(table))], np.intp)
+        at = np.array([row[name] for name in table.texts(id_column(table))], np.intp)
         column = None if role_column == "none" else table.one("role")
         if column is not None:
             stated = True

@@ -54,8 +54,8 @@ office.nowhere: the points lie in no image, in any order of the columns and in n
     -> check that images and table are of one place; give <crs> and <columns>
 office.no_fit: no reading of the table fits the images; the best one is
     -> give <crs>, <columns> and <units>; check ids, and that lines and samples are those of these images
-office.outside: image points lie outside the images
-    -> check that the table is of these images, whole and not reduced; or say <first_pixel> and <columns>
+office.outside: the image point lies outside the image {image}
+    -> check that the table is of this image, whole and not reduced; or say <first_pixel> and <columns>
 office.image_unknown: the table names an image that cannot be assigned: {known}
     -> say it: <image> NAME_IN_TABLE=IMAGE
 office.no_common: ground points and image points have no id in common
