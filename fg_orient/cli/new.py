@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.command import argument, command, option
-from fg_orient.cli.common import Overwrite
+from fg_orient.cli.command import Overwrite, argument, command, option
 from fg_orient.cli.log import session
 from fg_orient.cli.output import answer, flag, note, say, tell
 from fg_orient.model.errors import InputError, finding
