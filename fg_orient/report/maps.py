@@ -106,7 +106,9 @@ def point_map(result: Result, *, up: bool = False, most: int | None = None) -> C
     for role in ("tie", "control", "check"):
         mine = rows[roles[rows] == role]
         if len(mine):
-            tips = [_tip(role, table.words["id"][k], enu[k]) for k in mine.tolist()]
+            # a tip for each of some of many points would take more of the page than they do
+            every = len(rows) == len(located)
+            tips = [_tip(role, table.words["id"][k], enu[k]) for k in mine.tolist()] if every else []
             label = f"{role} ({int((roles[located] == role).sum())})"
             chart.add(
                 "dots", role, place[mine, 0], place[mine, 1], label=label, tips=tips, vectors=vectors[mine], thick=up

@@ -1,6 +1,8 @@
 """Data of the live drawings of a page.
 
-Coordinates are Float32 in base64, little endian; a column that is one value everywhere is that value. Words are JSON.
+Columns are numbers of 1 to 4 bytes in base64, little endian; a column that is one value everywhere is that value.
+Places are whole steps of 3 bytes, as fine as Float32, numbers of points their differences. Residuals and standard
+deviations are Float32, or, where not all image points fit, Float16, with three digits. Words are JSON.
 """
 
 from __future__ import annotations
@@ -8,7 +10,7 @@ from __future__ import annotations
 import base64
 import json
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,16 +22,33 @@ from fg_orient.result.record import Result
 
 #: Maximum number of image points in the page; of more the page contains a sample.
 LIMIT: Final = 200_000
-#: Bytes of all points in the page, which with its other parts stays below 8 MB; bytes of an image point and of a point.
-BUDGET: Final = 5_000_000
-RAY_BYTES: Final = 40
-POINT_BYTES: Final = 40
+#: Bytes of all points in the page, which with its other parts stays below 8 MB.
+BUDGET: Final = 6_500_000
+#: Control and check points in the page at most; of more it contains those with the largest differences and a sample.
+MOST_KNOWN: Final = 12_000
+#: Steps of a place from the least to the largest one.
+STEPS: Final = 2**24 - 1
 #: Seed of that sample.
 SEED: Final = 1
 #: Limit of flagged residuals, in their own sigmas.
 FLAG: Final = 3.0
 #: Order of the points in the page, and of the roles' numbers.
 ROLES: Final = ("control", "check", "tie")
+
+
+class Width(NamedTuple):
+    """Bytes of an image point and of a point in the page, without its id; ``kind`` of residuals and sigmas."""
+
+    ray: int
+    point: int
+    kind: str
+
+
+#: Bytes of the differences of a control or check point.
+KNOWN: Final = 16
+#: If all image points fit, and if not.
+FINE: Final = Width(31, 24, "f4")
+COARSE: Final = Width(21, 16, "f2")
 
 
 @dataclass(frozen=True)
@@ -62,12 +81,43 @@ def pack(values: npt.ArrayLike, kind: str = "f4") -> dict[str, Any]:
     ----------
     values : (n,) array
     kind : str
-        ``f4``, ``u1``, ``u2`` or ``u4``.
+        ``f4``, ``f2``; ``u3``: whole steps from the least value, finite; ``d``: differences of whole numbers.
     """
-    column = np.ascontiguousarray(values, dtype=f"<{kind}")
+    if kind == "u3":
+        return _pack_steps(np.asarray(values, float))
+    if kind == "d":
+        return _pack_differences(np.asarray(values, np.int64))
+    with np.errstate(over="ignore"):  # larger numbers than Float16 has are infinite
+        column = np.ascontiguousarray(values, dtype=f"<{kind}")
     if len(column) > 1 and np.isfinite(column[0]) and (column == column[0]).all():
         return {"one": float(column[0]), "n": len(column)}
     return {"kind": kind, "n": len(column), "base64": base64.b64encode(column.tobytes()).decode()}
+
+
+def _pack_steps(values: Array) -> dict[str, Any]:
+    """Pack a column of finite numbers in 3 bytes each."""
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
+    step = (high - low) / STEPS
+    if len(values) > 1 and (values == values[0]).all():
+        return {"one": float(values[0]), "n": len(values)}
+    steps = np.rint((values - low) / (step or 1.0)).astype("<u4")
+    data = steps.view(np.uint8).reshape(-1, 4)[:, :3].tobytes()
+    return {"kind": "u3", "n": len(values), "low": low, "step": step, "base64": base64.b64encode(data).decode()}
+
+
+def _pack_differences(values: Index) -> dict[str, Any]:
+    """Pack whole numbers as differences: 7 bits in each byte, the lowest first, the sign as the lowest of all.
+
+    The 8th bit says that a byte follows. Numbers below 2^27; of an image with many points most differences take a byte.
+    """
+    change = np.diff(values, prepend=0)
+    folded = np.where(change < 0, -2 * change - 1, 2 * change)
+    size = 1 + (folded[:, None] >= 128 ** np.arange(1, 4)).sum(axis=1)
+    digits = (folded[:, None] >> (7 * np.arange(4))) & 127
+    place = np.arange(4)
+    digits += 128 * (place < size[:, None] - 1)
+    data = digits[place < size[:, None]].astype(np.uint8).tobytes()
+    return {"kind": "d", "n": len(values), "base64": base64.b64encode(data).decode()}
 
 
 def payload(result: Result) -> Payload | None:
@@ -76,7 +126,7 @@ def payload(result: Result) -> Payload | None:
     if not located.any():
         return None
     kept, more = chosen_points(result)
-    rays, words = chosen_rays(result, kept)
+    rays, words, width = chosen_rays(result, kept)
     words = " ".join(filter(None, (words, more)))
     place = {name: k for k, name in enumerate(result.points.words["id"])}
     of_ray = np.fromiter((place[result.residuals.words["id"][k]] for k in rays.tolist()), np.intp, len(rays))
@@ -95,8 +145,8 @@ def payload(result: Result) -> Payload | None:
     centre = 0.5 * (np.nanmin(everything, axis=0) + np.nanmax(everything, axis=0))
     data = {
         "view": None if view is None else np.round(_kilometres(view, centre), 4).tolist(),
-        "points": _point_columns(result, points, role[points], centre),
-        "rays": _ray_columns(result, rays[drawn], number[of_ray[drawn]]),
+        "points": _point_columns(result, points, role[points], centre, width.kind),
+        "rays": _ray_columns(result, rays[drawn], number[of_ray[drawn]], width.kind),
         "images": [
             {"id": image["id"], "lines": image["n_lines"], "samples": image["n_samples"],
              "foot": np.round(_kilometres(np.array(image["footprint_lon_lat_deg"], float), centre), 4).tolist()}
@@ -108,29 +158,45 @@ def payload(result: Result) -> Payload | None:
     return Payload(data, words)
 
 
-def chosen_rays(result: Result, points: Mask) -> tuple[Index, str]:
-    """Rows of the image points in the page, and a sentence on those that are not; flagged ones before others.
+def chosen_rays(result: Result, points: Mask) -> tuple[Index, str, Width]:
+    """Rows of the image points in the page, a sentence on those that are not, and their width.
 
-    ``points`` (N,): those of :func:`chosen_points`.
+    Flagged image points come first, then all image points of points that are drawn at random. ``points`` (N,): those of
+    :func:`chosen_points`.
     """
     n, known = len(result.residuals), int(np.count_nonzero(points & (_role_numbers(result) < 2)))
-    if n <= LIMIT and n * RAY_BYTES + len(result.points) * POINT_BYTES <= BUDGET:
-        return np.arange(n), ""
-    most = max(BUDGET - known * POINT_BYTES, 0) // (RAY_BYTES + POINT_BYTES)
+    if n <= LIMIT and n * FINE.ray + len(result.points) * _point_bytes(result, FINE) + known * KNOWN <= BUDGET:
+        return np.arange(n), "", FINE
+    names = result.residuals.words["id"]
+    place = {name: k for k, name in enumerate(result.points.words["id"])}
+    of_ray = np.fromiter(map(place.__getitem__, names), np.intp, n)
+    each, rays = _point_bytes(result, COARSE), n / max(int(np.count_nonzero(np.bincount(of_ray))), 1)
+    room = max(BUDGET - known * (each + KNOWN), 0)
     ratio = np.nan_to_num(np.abs(result.normalised[0]).max(axis=1), nan=0.0)
-    rows, flagged = _flagged_first(ratio > FLAG, ratio, most, min(LIMIT, most))
+    order = np.random.default_rng(SEED).permutation(len(place))[of_ray]
+    most, largest = int(room / (COARSE.ray + each)), int(room / (COARSE.ray + each / rays))
+    rows, flagged = _flagged_first(ratio > FLAG, ratio, most, min(LIMIT, largest), order)
     words = (
         f"The moving drawings hold {len(rows):,} of {n:,} image points: {_share(flagged, ratio > FLAG)} with a "
-        f"residual beyond {FLAG:g} σ and a random sample of the others (seed {SEED}), and the tie points of these "
-        "image points. The tables in the folder hold all."
+        f"residual beyond {FLAG:g} σ and those of points drawn at random (seed {SEED}), and the tie points of these "
+        "image points. Their residuals and standard deviations have three digits. The tables in the folder hold all."
     )
-    return rows, words
+    return rows, words, COARSE
+
+
+def _point_bytes(result: Result, width: Width) -> float:
+    """Bytes of a point in the page, with its id."""
+    names = result.points.words["id"]
+    return width.point + 3.0 + sum(map(len, names)) / max(len(names), 1)
 
 
 def chosen_points(result: Result) -> tuple[Mask, str]:
     """Points (N,) that may be in the page, and a sentence on control and check points that are not."""
     known, axes = np.flatnonzero(_role_numbers(result) < 2), ("east", "north", "up")
-    out, most = np.ones(len(result.points), bool), BUDGET // 2 // POINT_BYTES
+    out, most = (
+        np.ones(len(result.points), bool),
+        min(int(BUDGET / 2 / (_point_bytes(result, FINE) + KNOWN)), MOST_KNOWN),
+    )
     if len(known) <= most:
         return out, ""
     differences, sigma, own = (
@@ -138,7 +204,8 @@ def chosen_points(result: Result) -> tuple[Mask, str]:
         for name in ("difference_{}_m", "sigma_{}_m", "own_sigma_{}_m")
     )
     ratio = np.nan_to_num(np.abs(differences) / np.sqrt(sigma**2 + own**2)).max(axis=1)
-    rows, flagged = _flagged_first(ratio > FLAG, ratio, most, most)
+    order = np.random.default_rng(SEED).permutation(len(ratio))
+    rows, flagged = _flagged_first(ratio > FLAG, ratio, most, most, order)
     out[np.delete(known, rows)] = False
     return out, (
         f"Of {len(known):,} control and check points they hold {len(rows):,}: {_share(flagged, ratio > FLAG)} with a "
@@ -152,12 +219,11 @@ def _role_numbers(result: Result) -> Index:
     return np.array([number.get(word, 2) for word in result.points.words["role"]], np.intp)
 
 
-def _flagged_first(flagged: Mask, ratio: Array, most: int, room: int) -> tuple[Index, int]:
+def _flagged_first(flagged: Mask, ratio: Array, most: int, room: int, order: Index) -> tuple[Index, int]:
     """Rows, and how many are flagged: the largest flagged ones (at most ``most``), then others up to ``room``."""
     worst, others = np.flatnonzero(flagged), np.flatnonzero(~flagged)
     worst = worst[np.argsort(-ratio[worst], kind="stable")][:most]
-    left = min(max(room - len(worst), 0), len(others))
-    sample = np.random.default_rng(SEED).choice(others, left, replace=False)
+    sample = others[np.argsort(order[others], kind="stable")][: max(room - len(worst), 0)]
     return np.sort(np.append(worst, sample)), len(worst)
 
 
@@ -172,29 +238,33 @@ def _kilometres(lon_lat_deg: Array, centre: Array) -> Array:
     return np.asarray((lon_lat_deg - centre) * KM_PER_DEGREE * np.array([shrink_at(float(centre[1])), 1.0]))
 
 
-def _point_columns(result: Result, rows: Index, role: Index, centre: Array) -> dict[str, Any]:
+def _point_columns(result: Result, rows: Index, role: Index, centre: Array, kind: str) -> dict[str, Any]:
     """Columns of the points; differences of control and check points only, which come first."""
     table = result.points
     km = _kilometres(table.numbers("lon_deg", "lat_deg", rows=rows), centre)
     known = int(np.searchsorted(role, 2))
-    out: dict[str, Any] = {"id": [table.words["id"][k] for k in rows.tolist()], "role": pack(role, "u1"),
-                           "x": pack(km[:, 0]), "y": pack(km[:, 1])}  # fmt: skip
+    out: dict[str, Any] = {
+        "id": [table.words["id"][k] for k in rows.tolist()],
+        "role": {"counts": np.bincount(role, minlength=len(ROLES)).tolist()},
+        "x": pack(km[:, 0], "u3"), "y": pack(km[:, 1], "u3"),
+    }  # fmt: skip
     for axis in ("east", "north", "up"):
         out[axis] = pack(table.figures[f"difference_{axis}_m"][rows[:known]])
-        out[f"sigma_{axis}"] = pack(table.figures[f"sigma_{axis}_m"][rows])
+        out[f"sigma_{axis}"] = pack(table.figures[f"sigma_{axis}_m"][rows], kind)
     return out
 
 
-def _ray_columns(result: Result, rows: Index, point: Index) -> dict[str, Any]:
+def _ray_columns(result: Result, rows: Index, point: Index, kind: str) -> dict[str, Any]:
     """Columns of the image points, those of an image together."""
-    table = result.residuals
-    image = table.codes("image", [facts["id"] for facts in result.record["images"]])[rows]
-    order = np.argsort(image, kind="stable")
-    rows, point, image = rows[order], point[order], image[order]
-    columns = {"line": "line", "sample": "sample", "vl": "v_line_px", "vs": "v_sample_px"}
-    own, tested = result.normalised[0][rows], result.normalised[1]
+    table, images = result.residuals, [facts["id"] for facts in result.record["images"]]
+    image = table.codes("image", images)[rows]
+    order = np.lexsort((point, image))
+    rows, point = rows[order], point[order]
+    figures, own, tested = table.figures, result.normalised[0][rows], result.normalised[1]
     return {
-        "image": pack(image, "u2"), "point": pack(point, "u4"),
-        **{name: pack(table.figures[column][rows]) for name, column in columns.items()},
-        "wl": pack(own[:, 0]), "ws": pack(own[:, 1]), "tested": tested,
+        "image": {"counts": np.bincount(image, minlength=len(images)).tolist()},
+        "point": pack(point, "d"),
+        "line": pack(figures["line"][rows], "u3"), "sample": pack(figures["sample"][rows], "u3"),
+        "vl": pack(figures["v_line_px"][rows], kind), "vs": pack(figures["v_sample_px"][rows], kind),
+        "wl": pack(own[:, 0], kind), "ws": pack(own[:, 1], kind), "tested": tested,
     }  # fmt: skip

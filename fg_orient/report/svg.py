@@ -16,6 +16,8 @@ from fg_orient.report.words import signed
 
 Box = tuple[float, float, float, float]
 
+#: Marks that are drawn as points of a line.
+TINY: Final = "dot-foot"
 #: Width of a digit of the ticks.
 _DIGIT: Final = 7.5
 #: Places of a name about its point: across, down, anchor; the first free one is taken. Then width of a letter.
@@ -100,7 +102,9 @@ class _Drawing:
     def _dots(self, mark: Mark) -> None:
         ink, at = INKS[mark.kind], self._at(mark)
         sizes = [ink.radius] * len(at) if mark.sizes is None else mark.sizes.tolist()
-        symbols = [symbol(ink.marker, x, y, r) for (x, y), r in zip(at, sizes, strict=True)]
+        tiny = mark.sizes is None and mark.kind == TINY  # a point of a line with round ends: a quarter of the text
+        symbols = [f"M{x:.1f} {y:.1f}h0" if tiny else symbol(ink.marker, x, y, r)
+                   for (x, y), r in zip(at, sizes, strict=True)]  # fmt: skip
         if ink.radius >= 4.0:
             self.taken += [(x - r, x + r, y - r, y + r) for (x, y), r in zip(at, sizes, strict=True)]
         lines = [""] * len(at)
@@ -114,7 +118,7 @@ class _Drawing:
             if any(lines):
                 self._path(kind, "".join(lines))
             if symbols:
-                self._path(mark.kind, "".join(symbols))
+                self._path(f"{mark.kind} tiny" if tiny else mark.kind, "".join(symbols))
             return
         for tip, line, shape in zip(mark.tips, lines, symbols, strict=True):
             stroke = f'<path class="{kind}" d="{line}"/>' if line else ""

@@ -37,7 +37,21 @@ def unpacked(column: dict[str, Any]) -> Any:
     """Read a packed column as the script does."""
     if "one" in column:
         return np.full(column["n"], column["one"])
-    return np.frombuffer(base64.b64decode(column["base64"]), f"<{column['kind']}")
+    if "counts" in column:
+        return np.repeat(np.arange(len(column["counts"])), column["counts"])
+    data = base64.b64decode(column["base64"])
+    if column["kind"] == "u3":
+        digits = np.frombuffer(data, np.uint8).reshape(-1, 3)
+        return column["low"] + column["step"] * (digits @ np.array([1, 256, 65536]))
+    if column["kind"] == "d":
+        out, change, weight = [0], 0, 1
+        for byte in data:
+            change, weight = change + (byte & 127) * weight, weight * 128
+            if byte < 128:
+                out.append(out[-1] + (-(change + 1) // 2 if change % 2 else change // 2))
+                change, weight = 0, 1
+        return np.array(out[1:])
+    return np.frombuffer(data, f"<{column['kind']}")
 
 
 @pytest.fixture(scope="session")
@@ -85,9 +99,13 @@ def test_packed_columns_are_the_tables(result: Result, data: Any) -> None:
     image = unpacked(rays["image"]).astype(int)
     names = [data["images"][k]["id"] for k in image]
     ids = [data["points"]["id"][k] for k in unpacked(rays["point"]).astype(int)]
-    assert (names, ids) == (table.words["image"], table.words["id"])
+    row = {key: k for k, key in enumerate(zip(table.words["image"], table.words["id"], strict=True))}
+    rows = [row[key] for key in zip(names, ids, strict=True)]
+    assert sorted(rows) == list(range(len(table)))
     for packed, column in (("line", "line"), ("vs", "v_sample_px"), ("wl", "w_line")):
-        np.testing.assert_allclose(unpacked(rays[packed]), table.figures[column], rtol=6e-8)
+        np.testing.assert_allclose(
+            unpacked(rays[packed]), table.figures[column][rows], rtol=6e-8, atol=1e-3 * (packed == "line")
+        )
     place = {name: k for k, name in enumerate(result.points.words["id"])}
     rows = [place[name] for name in data["points"]["id"]]
     degrees = np.stack([unpacked(data["points"][axis]) / data["kmPerDegree"][k] + data["centre"][k]
@@ -96,6 +114,17 @@ def test_packed_columns_are_the_tables(result: Result, data: Any) -> None:
     up = unpacked(data["points"]["up"])
     np.testing.assert_allclose(up, result.points.figures["difference_up_m"][rows][: len(up)], rtol=6e-8)
     assert len(up) == sum(role != "tie" for role in result.points.words["role"])
+
+
+@pytest.mark.consistency
+def test_packed_columns_are_read_again(rng: np.random.Generator) -> None:
+    numbers = rng.integers(0, 2**26, 500) >> rng.integers(0, 26, 500)
+    assert unpacked(payload.pack(numbers, "d")).tolist() == numbers.tolist()
+    assert payload.pack([], "d")["base64"] == "" == payload.pack([], "u3")["base64"]
+    places = rng.uniform(-40.0, 60.0, 500)
+    np.testing.assert_allclose(unpacked(payload.pack(places, "u3")), places, atol=100.0 / 2**24)
+    small = rng.normal(size=500) * 10.0 ** rng.integers(-3, 4, 500)
+    np.testing.assert_allclose(unpacked(payload.pack(small, "f2")), small, rtol=5e-4, atol=4e-8)
 
 
 @pytest.mark.behaviour
@@ -111,11 +140,14 @@ def test_large_blocks_keep_what_is_flagged(result: Result, monkeypatch: pytest.M
     figures = {**table.columns, "w_line": table.figures["w_line"].copy()}
     figures["w_line"][[3, 50, 90]] = [4.0, -3.5, 9.0]
     planted = with_columns(result, "residuals", figures)
-    bytes_of_points = 94 * payload.RAY_BYTES + len(planted.points) * payload.POINT_BYTES
+    known = sum(role != "tie" for role in planted.points.words["role"])
+    each, less = (payload._point_bytes(planted, width) for width in (payload.FINE, payload.COARSE))
+    bytes_of_points = 94 * payload.FINE.ray + len(planted.points) * each + known * payload.KNOWN
     data = {**payload.payload(planted).data, "images": []}  # type: ignore[union-attr]
     assert len(payload.Payload(data, "").json()) < bytes_of_points + 2000  # names of the columns
     monkeypatch.setattr(payload, "LIMIT", 20)
-    rows, words = payload.chosen_rays(planted, payload.chosen_points(planted)[0])
+    rows, words, width = payload.chosen_rays(planted, payload.chosen_points(planted)[0])
+    assert width == payload.COARSE
     assert {3, 50, 90} <= set(rows.tolist()) and len(rows) == 20 == len(set(rows.tolist()))
     assert rows.tolist() == payload.chosen_rays(planted, payload.chosen_points(planted)[0])[0].tolist()
     assert "20 of 94 image points: all 3 with a residual beyond 3 σ" in words and "seed 1" in words
@@ -127,15 +159,16 @@ def test_large_blocks_keep_what_is_flagged(result: Result, monkeypatch: pytest.M
     monkeypatch.setattr(payload, "LIMIT", 2)
     assert payload.chosen_rays(planted, payload.chosen_points(planted)[0])[0].tolist() == [3, 50, 90]
     # 23 of 47 control and check points, and two image points, fit into these bytes
-    monkeypatch.setattr(payload, "BUDGET", 2 * 23 * payload.POINT_BYTES)
-    monkeypatch.setattr(payload, "RAY_BYTES", 10 * payload.POINT_BYTES)
-    rows, words = payload.chosen_rays(planted, payload.chosen_points(planted)[0])
+    monkeypatch.setattr(payload, "BUDGET", 2 * 23 * (each + payload.KNOWN))
+    room = payload.BUDGET - 23 * (less + payload.KNOWN)
+    monkeypatch.setattr(payload, "COARSE", payload.COARSE._replace(ray=room / 2 - less))
+    rows, words, _ = payload.chosen_rays(planted, payload.chosen_points(planted)[0])
     assert rows.tolist() == [3, 90] and "the largest 2 of 3 with a residual beyond 3 σ" in words
     kept, words = payload.chosen_points(planted)
     known = np.array([role != "tie" for role in planted.points.words["role"]])
     assert (kept & known).sum() == 23 and "Of 47 control and check points they hold 23" in words
     drawn = json.loads(elements(render(planted))[0][1])
-    assert drawn["points"]["role"]["n"] <= 23 + 2 and drawn["rays"]["line"]["n"] <= 2
+    assert sum(drawn["points"]["role"]["counts"]) <= 23 + 2 and drawn["rays"]["line"]["n"] <= 2
 
 
 @pytest.mark.behaviour

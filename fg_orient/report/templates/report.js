@@ -72,14 +72,41 @@
     return (value > 0 && Number(text) !== 0 ? "+" : "") + text;
   };
 
-  const typed = { f4: Float32Array, u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
+  // A number of 16 bits: sign, exponent (5), fraction (10).
+  const half = (bits) => {
+    const sign = bits & 0x8000 ? -1 : 1;
+    const exponent = (bits >> 10) & 31;
+    const fraction = bits & 1023;
+    if (exponent === 31) return fraction ? NaN : sign * Infinity;
+    return sign * (exponent ? (1 + fraction / 1024) * 2 ** (exponent - 15) : fraction * 2 ** -24);
+  };
+
+  const typed = {
+    f4: (bytes) => new Float32Array(bytes.buffer),
+    f2: (bytes) => Float32Array.from(new Uint16Array(bytes.buffer), half),
+    d: (bytes, { n }) => {
+      let [at, value] = [0, 0];
+      return Uint32Array.from({ length: n }, () => {
+        let [change, weight, byte] = [0, 1, 128];
+        for (; byte & 128; weight *= 128) {
+          byte = bytes[at++];
+          change += (byte & 127) * weight;
+        }
+        value += change % 2 ? -(change + 1) / 2 : change / 2;
+        return value;
+      });
+    },
+    u3: (bytes, { low, step, n }) =>
+      Float64Array.from({ length: n }, (_, k) => low + step * (bytes[3 * k] | (bytes[3 * k + 1] << 8) | (bytes[3 * k + 2] << 16))),
+  };
 
   const unpack = (column) => {
     if ("one" in column) return new Float32Array(column.n).fill(column.one);
+    if ("counts" in column) return Uint16Array.from(column.counts.flatMap((n, k) => new Array(n).fill(k)));
     const text = atob(column.base64);
     const bytes = new Uint8Array(text.length);
     for (let k = 0; k < text.length; k++) bytes[k] = text.charCodeAt(k);
-    return new typed[column.kind](bytes.buffer);
+    return typed[column.kind](bytes, column);
   };
 
   // --- which point lies near a place -------------------------------------------------------------------------------
