@@ -50,8 +50,8 @@ myst_update_mathjax = False
 html_math_renderer = "mathml"
 nitpicky = False
 
-# Reference pages, made at each build, of what users and extenders import. Left out is what stands behind the command
-# line, the loops inside the backends and the printed values; a module takes a third of a second of a processor.
+# Reference pages, made at each build, of what users and extenders import: one for each package. Left out is what stands
+# behind the command line, the loops inside the backends and the printed values.
 _ROOT = Path(__file__).resolve().parents[1]
 _INTERNAL = """
     fg_orient/__main__.py fg_orient/model/public.py
@@ -94,7 +94,6 @@ def _left_out():
 
 _common = {
     "max_depth": 4,
-    "separate_modules": True,
     "include_private": True,
     "module_first": True,
     "exclude_patterns": _left_out(),
@@ -104,6 +103,7 @@ apidoc_modules = [
     {"path": "../factors", "destination": "api/factors", **_common},
     {"path": "../fg_orient", "destination": "api/fg_orient", **_common},
 ]
+toc_object_entries = False  # each page copies the contents of all others: with objects in them 100 of 170 s of a build
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_use_type_comments = False  # there are none, and looking for them parses every function once more
