@@ -29,7 +29,8 @@ SHELLS: Final = ("bash", "zsh", "fish")
 #: Modules of this package, and the names of their commands in the order of the help. A command is a function or a group
 #: of its name, or the group ``app`` of its module.
 COMMANDS: Final = {name: module for module, names in (
-    ("new", "new"), ("adjust", "adjust graph"), ("studies", "compare"), ("adjust", "reduce"), ("results", "accuracy"),
+    ("new", "new"), ("match", "match"), ("adjust", "adjust graph"), ("studies", "compare"), ("adjust", "reduce"),
+    ("results", "accuracy"),
     ("geometry", "locate project intersect footprint"), ("convert", "convert"), ("checks", "validate"),
     ("app", "completion"), ("checks", "doctor"), ("results", "report replay"), ("studies", "reproduce"),
     ("simulate", "simulate"), ("rpc", "rpc"), ("convert", "camera"), ("rectify", "rectify"),

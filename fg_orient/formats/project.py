@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from fg_orient.formats.assemble import assemble, geometry_remarks
 from fg_orient.formats.faults import Faults
@@ -25,7 +25,14 @@ from fg_orient.formats.points import (
 )
 from fg_orient.formats.registry import format_named
 from fg_orient.formats.scenes import Scene
-from fg_orient.formats.schema import PointsEntry, ProjectFile, constraints_of, validate
+from fg_orient.formats.schema import (
+    ImageEntry,
+    ObservationsEntry,
+    PointsEntry,
+    ProjectFile,
+    constraints_of,
+    validate,
+)
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.formats.toml import parse_toml
 from fg_orient.geodesy import crs_kind
@@ -42,6 +49,10 @@ from fg_orient.model.parameters import chosen_datum, eop_set_number
 OWN: Final = "csv"
 #: Entries of [points] for our own table.
 OWN_POINTS: Final = {"crs", *ZeroLevel.__dataclass_fields__}
+#: Entries of the tables in a project that has only images so far.
+TABLES: Final = {
+    "points": {"file": "points.csv", "crs": "EPSG:4979"}, "observations": {"file": "observations.csv"},
+}  # fmt: skip
 #: A remark of ``validate`` only: the adjustment gives the same warning about the points that it uses.
 FEW_CHECK_CODE: Final = "remark.few_check"
 
@@ -118,6 +129,40 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
         extra=constraints,  # type: ignore[arg-type]  # the adjustment makes observations of them
     )
     return _navigated(block, project, folder, str(path)), remarks
+
+
+class ProjectImages(NamedTuple):
+    """Images of a project, their entries, its options, and tables that the file does not name."""
+
+    name: str
+    images: tuple[Image, ...]
+    entries: tuple[ImageEntry, ...]
+    options: Options
+    points: PointsEntry
+    observations: ObservationsEntry
+    missing: tuple[str, ...]
+
+
+def read_images(path: str | Path) -> ProjectImages:
+    """Read the images and options of a project; its tables may be missing, in the file and on the disk.
+
+    Raises
+    ------
+    InputError
+        Faults of the project file and of the metadata.
+    """
+    path = Path(path)
+    content = parse_toml(path)
+    missing = tuple(name for name in TABLES if name not in content)
+    content |= {name: dict(TABLES[name]) for name in missing}
+    project = validate(content, str(path), ProjectFile)
+    options, problems = _options(project, str(path), {})
+    images, image_problems = _images(project, path.parent, str(path))
+    problems += [*image_problems, *_entry_problems(project, str(path))]
+    if problems:
+        raise InputError(*problems)
+    known = tuple(image for image in images.values() if image is not None)
+    return ProjectImages(project.name, known, project.images, options, project.points, project.observations, missing)
 
 
 def checked_project(path: str | Path, **overrides: object) -> tuple[Block | None, list[Finding]]:

@@ -59,6 +59,10 @@ class ImageEntry(Table):
 
     id: Text = Field(description='a name in quotes, such as "left"')
     metadata: Text = Field(description="the path of the metadata file in quotes")
+    pixels: Text | None = Field(default=None, description="the path of the raster with the pixels in quotes")
+    pixels_origin: tuple[Number, Number] | None = Field(
+        default=None, description="two numbers: line and sample of the raster's first pixel in the scene"
+    )
 
 
 class _Foreign(Table):

@@ -29,7 +29,9 @@ REQUIRED: Final = (
     "threadpoolctl", "orjson",
 )  # fmt: skip
 #: Those of the extras.
-OPTIONAL: Final = ("rasterio", "pyogrio", "shapely", "pandas", "openpyxl", "pyarrow", "matplotlib", "dask")
+OPTIONAL: Final = (
+    "rasterio", "pyogrio", "shapely", "opencv-python-headless", "pandas", "openpyxl", "pyarrow", "matplotlib", "dask",
+)  # fmt: skip
 _HOME: Final = Path(__file__).resolve().parents[2]
 _OURS: Final = _HOME / "factors"
 

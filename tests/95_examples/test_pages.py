@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support import office, page_files, pages, photomodeler
+from tests.support import office, page_files, pages, photomodeler, rendered_pair
 from tests.support.format_files import FORMAT_FILES, MARKER_FILES, MODEL_FILES
 from tests.support.pages import Command, Fence
 
@@ -44,6 +44,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "env",
     ): "makes an environment of its own, minutes; docs/newcomer.sh does so",
     ("docs/geometry.md", "--dem-vertical-crs EPSG:5773"): "needs a grid of PROJ that its wheel does not bring",
+    ("README.md", "fg-orient match"): "the twin has no pixels; docs/how-to/two-images.md runs it on rendered ones",
     ("docs/parallel.md", "head:8786"): "needs a cluster of several machines",
     ("docs/rfm.md", "--data SPOT6_"): "reads a file that is not published; tests/45_rfm reproduces these tables",
 }
@@ -123,6 +124,7 @@ OWN_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
     "docs/how-to/photomodeler.md": (photomodeler.write_projects,),
     "docs/how-to/refined-rpc.md": (page_files.rpc_project,),
     "docs/how-to/surveyors-table.md": (office.office_folder,),
+    "docs/how-to/two-images.md": (rendered_pair.write_example,),
     "docs/closerange.md": (page_files.photos_and_control, page_files.surface_points),
     **{f"docs/formats/{name}.md": write for name, write in FORMAT_FILES.items()},
 }
@@ -135,6 +137,7 @@ ALONE = {
     "docs/how-to/photomodeler.md",
     "docs/how-to/refined-rpc.md",
     "docs/how-to/surveyors-table.md",
+    "docs/how-to/two-images.md",
     *(f"docs/formats/{name}.md" for name in FORMAT_FILES),
 }
 

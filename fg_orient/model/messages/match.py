@@ -1,0 +1,40 @@
+"""Messages about tie points measured in the pixels of images."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from fg_orient.model.messages.entry import words
+
+WORDS: Final = words("""
+match.no_opencv: matching needs OpenCV
+    -> install the extra: pip install 'fg-orient[match]'
+match.no_rasterio: reading pixels needs rasterio
+    -> install the extra: pip install 'fg-orient[match]'
+match.one_image: tie points need at least two images
+    -> add [[images]] tables
+match.local: the image has no position on the Earth, so its epipolar lines are not known
+    -> take tie points of a photogrammetry program (docs/formats)
+match.no_pixels: no raster with the pixels of the image is known: {value} does not exist, or no raster beside it has its
+    name
+    -> name it in the project file: pixels = "image.tif" in the [[images]] table
+match.pixels: the raster cannot be read: {reason}
+    -> give a raster of numbers that GDAL reads
+match.no_overlap: no two images have common ground at heights from {low:g} to {high:g} m
+    -> give <lowest_m> and <highest_m>, or check the metadata
+match.none: no pair of images matches: {reason}
+    -> give <lowest_m> and <highest_m>, a DEM, or realistic prior sigmas of the orientation
+match.table_form: tie points are added to CSV tables of this program only
+    -> convert the table first: fg-orient convert
+match.matched: the table has matched points of an earlier run
+    -> give <overwrite> to replace them
+match.table_unreadable: the table cannot be read
+    -> save it as CSV in UTF-8
+match.pair_failed (warning): no tie points: {reason}
+match.image_without (warning): the image has no tie points
+match.many_rejected (warning): {share:.1f} % of the matches have y-parallaxes beyond 4 standard deviations from a smooth
+    trend
+    -> the orientation may change fast along the lines (jitter); look at the residuals of the adjustment
+match.many_wrong (warning): {share:.2f} % of the accepted matches are wrong, as predicted from those beyond the limit
+    -> adjust with <snoop> or a robust loss
+""")

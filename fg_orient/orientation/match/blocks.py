@@ -1,0 +1,300 @@
+"""Matching of one block of an image with all images that see it: features, candidates, least-squares matching.
+
+A block is a window of the first image. It holds one or more cells of the grid that distributes the points. Each block
+is a task of its own: it reads its windows, and its result depends on nothing else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from factors.arrays import Array, Index, Mask
+from fg_orient.kernels.matching import AFFINE, CURVED, FIT, SHIFT, SLOPE, fit_windows
+from fg_orient.orientation.match.consistency import Trend, fits_neighbours
+from fg_orient.orientation.match.epipolar import Pair, inside
+from fg_orient.orientation.match.features import Features, candidates, detect
+from fg_orient.orientation.match.options import MatchOptions
+from fg_orient.orientation.match.rasters import Grey, Raster
+
+MODELS: Final = {"slope": SLOPE, "curved": CURVED, "affine": AFFINE, "shift": SHIFT}
+#: Iterations of least-squares matching; largest distance from the feature's position, px.
+ITERATIONS: Final = 15
+REACH_PX: Final = 3.0
+#: Forward and backward matching must agree within this, px.
+BACKWARD_PX: Final = 0.5
+#: Width of the second window of a match. An error that grows with the square of the width is twice as large in it, so
+#: that the difference of both is the error of the first.
+WIDER: Final = 2.0**0.5
+#: Relief between neighbours, px along the curve.
+RELIEF_PX: Final = 2.0
+#: Border of windows, px: features near a border have no descriptor.
+BORDER: Final = 16
+
+
+class Expected(NamedTuple):
+    """What the coarse level says about a pair in a block: range of t, trend of the y-parallax, half width, px."""
+
+    t_low: float
+    t_high: float
+    trend: Trend
+    width_px: float
+
+
+class Window(NamedTuple):
+    """First pixel and size of a window, in pixels of a raster."""
+
+    row: int
+    column: int
+    rows: int
+    columns: int
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Matches of a pair in a block.
+
+    Parameters
+    ----------
+    pixel_a : (n, 2) array
+        Line and sample in the scene of image a.
+    pixel_b : (n, 2) array
+    covariance : (n, 3) array
+        Of least-squares matching, px^2 of b: line line, line sample, sample sample.
+    t, parallax_px : (n,) arrays
+        Height parameter and y-parallax, the expected trend not removed.
+    direction : (n, 2) array
+        Unit vector along the curve in b.
+    wider_px, wider_variance : (n,) arrays
+        Place along the curve by a window ``WIDER`` times as wide, minus that of the window, and its variance along the
+        curve: the difference shows relief that the geometric unknowns of a window do not follow.
+    correlation, strength : (n,) arrays
+        Of the windows; of the features.
+    """
+
+    pixel_a: Array
+    pixel_b: Array
+    covariance: Array
+    t: Array
+    parallax_px: Array
+    direction: Array
+    half_px: Array
+    wider_px: Array
+    wider_variance: Array
+    correlation: Array
+    strength: Array
+
+    def take(self, rows: Index | Mask) -> Matches:
+        """Some of the matches."""
+        return Matches(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+class Counts(NamedTuple):
+    """Numbers of candidates that each test leaves over."""
+
+    candidates: int = 0
+    neighbours: int = 0
+    fitted: int = 0
+    backward: int = 0
+
+    def plus(self, other: Counts) -> Counts:
+        """Sum of both."""
+        return Counts(*(x + y for x, y in zip(self, other, strict=True)))
+
+
+def match_block(
+    raster_a: Raster, window: Window, others: list[tuple[Pair, Raster, Expected]], options: MatchOptions, most: int,
+) -> list[tuple[Matches, Counts]]:  # fmt: skip
+    """Match a block of image a with other images; one result of at most ``most`` matches for each of them.
+
+    All results have the same features of a, so that the same pixel of a is one point in all images.
+    """
+    border = BORDER + round(WIDER * (options.window // 2))
+    top, left = window.row - border, window.column - border
+    grey = raster_a.window(top, left, window.rows + 2 * border, window.columns + 2 * border)
+    found = detect(grey)
+    own = (found.pixel >= border - 0.5) & (found.pixel < border - 0.5 + np.array([window.rows, window.columns]))
+    found = found.take(own.all(axis=1))
+    first = np.array([raster_a.place.line + top, raster_a.place.sample + left])
+    out = []
+    for pair, raster_b, expected in others:
+        if not len(found.pixel):
+            out.append((_none(), Counts()))
+            continue
+        out.append(_match_pair(grey, first, found, pair, raster_b, expected, options, most))
+    return out
+
+
+def joined(parts: list[Matches]) -> Matches:
+    """All matches of several blocks."""
+    if not parts:
+        return _none()
+    return Matches(*(np.concatenate([getattr(p, name) for p in parts]) for name in Matches.__dataclass_fields__))
+
+
+def spread(pixel: Array, strength: Array, distance_px: float, most: int) -> Index:
+    """Rows of at most ``most`` pixels, ``distance_px`` apart: first the strongest of each of ``most`` squares."""
+    n = len(pixel)
+    if not n:
+        return np.empty(0, np.intp)
+    low = pixel.min(axis=0)
+    edge = max(float(np.sqrt(np.prod(np.ptp(pixel, axis=0) + 1.0) / most)), distance_px, 1.0)
+    square = np.floor((pixel - low) / edge).astype(int)
+    number = square[:, 0] * (square[:, 1].max() + 1) + square[:, 1]
+    by_square = np.lexsort((-strength, number))
+    rank = np.empty(n, int)
+    starts = np.flatnonzero(np.r_[True, np.diff(number[by_square]) > 0])
+    rank[by_square] = np.arange(n) - np.repeat(starts, np.diff(np.r_[starts, n]))
+    return _apart(pixel, np.lexsort((-strength, rank)), distance_px, most)
+
+
+def _apart(pixel: Array, order: Index, distance_px: float, most: int) -> Index:
+    """First ``most`` rows in an order that are ``distance_px`` from each other."""
+    if not distance_px > 0.0:
+        return order[:most]
+    taken: dict[tuple[int, int], list[tuple[float, float]]] = {}
+    kept = []
+    for k in order.tolist():
+        line, sample = pixel[k].tolist()
+        i, j = int(line // distance_px), int(sample // distance_px)
+        near = (p for di in (-1, 0, 1) for dj in (-1, 0, 1) for p in taken.get((i + di, j + dj), ()))
+        if all((line - x) ** 2 + (sample - y) ** 2 >= distance_px**2 for x, y in near):
+            taken.setdefault((i, j), []).append((line, sample))
+            kept.append(k)
+            if len(kept) == most:
+                break
+    return np.array(kept, np.intp)
+
+
+def _none() -> Matches:
+    return Matches(*(np.empty((0, 2)),) * 2, np.empty((0, 3)), *(np.empty(0),) * 2, np.empty((0, 2)),
+                   *(np.empty(0),) * 5)  # fmt: skip
+
+
+def _match_pair(
+    grey: Grey, first: Array, found: Features, pair: Pair, raster_b: Raster, expected: Expected,
+    options: MatchOptions, most: int,
+) -> tuple[Matches, Counts]:  # fmt: skip
+    """Matches of the features of a window of a with image b."""
+    place = raster_b.place
+    pixel = found.pixel + first
+    curves = pair.curves(*pixel.T)
+    band = expected.trend.at(pixel)
+    ends = [
+        curves.at(np.full(len(pixel), t)) + band[:, None] * curves.across for t in (expected.t_low, expected.t_high)
+    ]
+    reach = expected.width_px + BORDER + options.window
+    seen = inside(ends[0], place, -reach) | inside(ends[1], place, -reach)
+    if not seen.any():
+        return _none(), Counts()
+    corners = np.concatenate([ends[0][seen], ends[1][seen]]) - [place.line, place.sample]
+    low = np.maximum(np.floor(corners.min(axis=0) - reach), 0.0).astype(int)
+    high = np.minimum(np.ceil(corners.max(axis=0) + reach), [place.rows, place.columns]).astype(int)
+    if (high - low < 2 * BORDER).any():
+        return _none(), Counts()
+    other = raster_b.window(low[0], low[1], high[0] - low[0], high[1] - low[1])
+    origin_b = np.array([place.line + low[0], place.sample + low[1]])
+    centre = pixel.mean(axis=0)
+    matrix = pair.matrix(centre[0], centre[1], float(pair.height_m(np.array(0.5 * (expected.t_low + expected.t_high)))))
+    rotation = float(np.degrees(np.arctan2(matrix[0, 1] - matrix[1, 0], matrix[0, 0] + matrix[1, 1])))
+    there = detect(other, rotation)
+    rows = np.flatnonzero(seen)
+    moved = curves.take(rows)
+    moved = moved._replace(c0=moved.c0 - origin_b)
+    ranges = np.full(len(rows), expected.t_low), np.full(len(rows), expected.t_high)
+    scale = float(np.sqrt(abs(np.linalg.det(matrix))))
+    chosen = candidates(
+        found.take(rows), there, moved, ranges, (band[rows], expected.width_px), options.ratio, scale,
+        expected.width_px,
+    )  # fmt: skip
+    counts = Counts(candidates=len(chosen.a))
+    a = rows[chosen.a]
+    good = fits_neighbours(pixel[a], chosen.t * curves.half_px[a], RELIEF_PX)
+    a, b = a[good], chosen.b[good]
+    counts = counts._replace(neighbours=len(a))
+    kept = spread(pixel[a], found.response[a], options.distance_px, most)
+    a, b = a[kept], b[kept]
+    if not len(a):
+        return _none(), counts
+    centre, direction = np.rint(found.pixel[a]), moved.along[np.searchsorted(rows, a)]
+    start = _start(there.pixel[b] + (centre - found.pixel[a]) @ matrix.T, matrix)
+    ways = Ways(grey, spline_of(grey), other, spline_of(other), MODELS[options.model], options.window // 2)
+    fits, done = ways.forward(centre, start, direction)
+    done &= fits[:, FIT.correlation] >= options.correlation
+    a, centre, direction, fits = a[done], centre[done], direction[done], fits[done]
+    counts = counts._replace(fitted=len(a))
+    wide, done = ways.wider().forward(centre, np.hstack([fits[:, FIT.place], fits[:, FIT.affine]]), direction)
+    done &= ways.returns(centre, fits, direction)
+    a, direction, fits, wide = a[done], direction[done], fits[done], wide[done]
+    counts = counts._replace(backward=len(a))
+    if not len(a):
+        return _none(), counts
+    pixel_a = np.rint(found.pixel[a]) + first
+    pixel_b = fits[:, FIT.place] + origin_b
+    exact = pair.curves(*pixel_a.T)
+    t, parallax = exact.coordinates(pixel_b)
+    apart = np.einsum("ni,ni->n", wide[:, FIT.place] - fits[:, FIT.place], direction)
+    return Matches(pixel_a, pixel_b, fits[:, FIT.covariance], t, parallax, exact.along, exact.half_px, apart,
+                   variance_along(wide[:, FIT.covariance], direction), fits[:, FIT.correlation],
+                   found.response[a]), counts  # fmt: skip
+
+
+def variance_along(covariance: Array, direction: Array) -> Array:
+    """Variances (n,) along unit vectors (n, 2) of covariances (n, 3): line line, line sample, sample sample."""
+    (ll, ls, ss), (x, y) = covariance.T, direction.T
+    return np.asarray(x * x * ll + 2.0 * x * y * ls + y * y * ss)
+
+
+def _start(place: Array, matrix: Array) -> Array:
+    """Approximate places (n, 2) and matrices of windows: (n, 6)."""
+    return np.hstack([place, np.broadcast_to(matrix.reshape(-1, 4), (len(place), 4))])
+
+
+class Ways(NamedTuple):
+    """Two windows with their splines, for least-squares matching in both directions."""
+
+    grey: Grey
+    grey_spline: Grey
+    other: Grey
+    other_spline: Grey
+    kind: int
+    half: int
+
+    def wider(self) -> Ways:
+        """The same with wider windows."""
+        return self._replace(half=round(WIDER * self.half))
+
+    def forward(self, centre: Array, start: Array, direction: Array) -> tuple[Array, Mask]:
+        """Results (n, FIT.size) of windows of the first image about pixels (n, 2), and whether they converged."""
+        out, done = np.zeros((len(centre), FIT.size)), np.zeros(len(centre), bool)
+        fit_windows(self.grey, self.other_spline, centre, start, np.ascontiguousarray(direction), self.kind, self.half,
+                    0.5 * self.half, ITERATIONS, REACH_PX, out, done)  # fmt: skip
+        return out, done
+
+    def returns(self, centre: Array, fits: Array, direction: Array) -> Mask:
+        """Whether matching from the second image back to the first one returns to the pixel."""
+        n = len(centre)
+        if not n:
+            return np.zeros(0, bool)
+        there = np.rint(fits[:, FIT.place])
+        back = np.linalg.inv(fits[:, FIT.affine].reshape(-1, 2, 2))
+        expected = centre + np.einsum("nij,nj->ni", back, there - fits[:, FIT.place])
+        along = np.einsum("nij,nj->ni", back, direction)
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        reverse = self._replace(grey=self.other, other=self.grey, other_spline=self.grey_spline)
+        out, done = reverse.forward(there, np.hstack([expected, back.reshape(n, 4)]), along)
+        return np.asarray(done & (np.linalg.norm(out[:, FIT.place] - expected, axis=1) <= BACKWARD_PX))
+
+
+def spline_of(grey: Grey) -> Grey:
+    """Coefficients of the cubic B-spline of an image (Unser 1999); nan at and next to nodata."""
+    empty = ~np.isfinite(grey)
+    if not empty.any():
+        return np.asarray(ndimage.spline_filter(grey, order=3, output=np.float32, mode="mirror"))
+    filled = np.where(empty, np.float32(np.nanmedian(grey)), grey)
+    out = ndimage.spline_filter(filled, order=3, output=np.float32, mode="mirror")
+    out[ndimage.binary_dilation(empty, iterations=3)] = np.nan
+    return np.asarray(out)

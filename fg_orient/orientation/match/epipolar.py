@@ -1,0 +1,150 @@
+"""Where the sensor models expect a pixel of one image in another one: the epipolar curve and its band.
+
+A pixel of image a and the heights of the ground give a short curve in image b, ``P(t) = c0 + c1 t + c2 t^2``, t = -1 at
+the lowest and 1 at the highest height. A candidate has two coordinates: t, which is a height, and its distance across
+the curve, the y-parallax. The prior sigmas of the orientation give the standard deviation of the distance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from factors.arrays import Array, Mask
+from fg_orient.geodesy import ecef_to_geodetic
+from fg_orient.model.block import Options
+from fg_orient.sensors.rpc_sensor import RpcSensor
+
+#: Heights below and above the mean height of a scene without a range of heights, m.
+BELOW_M, ABOVE_M = 1000.0, 3000.0
+#: Distance of pixels for derivatives.
+STEP_PX: Final = 8.0
+#: Shorter curves (pixels) have no direction of their own: the images see the ground from the same side.
+LEAST_CURVE_PX: Final = 1e-3
+
+
+class Curves(NamedTuple):
+    """Epipolar curves of n pixels: coefficients (n, 2) of P(t), unit vectors (n, 2) along and across, half length."""
+
+    c0: Array
+    c1: Array
+    c2: Array
+    along: Array
+    across: Array
+    half_px: Array
+
+    def at(self, t: Array) -> Array:
+        """Points (n, 2) at t (n,)."""
+        t = np.asarray(t)[:, None]
+        return self.c0 + t * (self.c1 + t * self.c2)
+
+    def take(self, rows: Any) -> Curves:
+        """Curves of some pixels."""
+        return Curves(*(part[rows] for part in self))
+
+    def coordinates(self, points: Array) -> tuple[Array, Array]:
+        """T and y-parallax (px) of points (n, 2), one for each curve."""
+        t = np.einsum("ni,ni->n", points - self.c0, self.along) / self.half_px
+        for _ in range(2):  # the curve is almost straight
+            t = t - np.einsum("ni,ni->n", self.at(t) - points, self.along) / self.half_px
+        return t, np.einsum("ni,ni->n", points - self.at(t), self.across)
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two images and the heights of their common ground.
+
+    Parameters
+    ----------
+    a, b : Sensor
+    low_m, high_m : float
+        Ellipsoidal heights at t = -1 and 1.
+    """
+
+    a: Any
+    b: Any
+    low_m: float
+    high_m: float
+
+    def project(self, line: Array, sample: Array, height_m: Array | float) -> Array:
+        """Pixels (n, 2) in b of pixels of a at heights."""
+        s = self.a
+        line = np.clip(line, s.first_line - 0.5, s.last_line + 0.5)
+        sample = np.clip(sample, s.first_sample - 0.5, s.last_sample + 0.5)
+        return np.stack(self.b.project(s.locate(line, sample, height_m=height_m)), axis=1)
+
+    def curves(self, line: Array, sample: Array) -> Curves:
+        """Epipolar curves of n pixels of a."""
+        middle = 0.5 * (self.low_m + self.high_m)
+        low, centre, high = (self.project(line, sample, h) for h in (self.low_m, middle, self.high_m))
+        c1, c2 = 0.5 * (high - low), 0.5 * (high + low) - centre
+        half = np.linalg.norm(c1, axis=1)
+        short = half < LEAST_CURVE_PX
+        along = np.where(short[:, None], [0.0, 1.0], c1 / np.maximum(half, LEAST_CURVE_PX)[:, None])
+        across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        return Curves(centre, c1, c2, along, across, np.maximum(half, LEAST_CURVE_PX))
+
+    def height_m(self, t: Array) -> Array:
+        """Heights (n,) of t."""
+        return np.asarray(0.5 * (self.low_m + self.high_m) + 0.5 * (self.high_m - self.low_m) * t)
+
+    def t_of(self, height_m: float) -> float:
+        """Parameter of a height."""
+        return (2.0 * height_m - self.low_m - self.high_m) / (self.high_m - self.low_m)
+
+    def matrix(self, line: float, sample: float, height_m: float) -> Array:
+        """Derivatives (2, 2) of a pixel of b by the pixel of a, at one height."""
+        lines = np.array([line - STEP_PX, line + STEP_PX, line, line])
+        samples = np.array([sample, sample, sample - STEP_PX, sample + STEP_PX])
+        s = self.a
+        lines = np.clip(lines, s.first_line - 0.5, s.last_line + 0.5)
+        samples = np.clip(samples, s.first_sample - 0.5, s.last_sample + 0.5)
+        p = self.project(lines, samples, height_m)
+        return np.stack([(p[1] - p[0]) / (lines[1] - lines[0]), (p[3] - p[2]) / (samples[3] - samples[2])], axis=1)
+
+
+def height_range(sensors: tuple[Any, ...], low_m: float | None, high_m: float | None) -> tuple[float, float]:
+    """Heights of the ground of all images: those given, else of the RPC, else about the mean height of the scenes."""
+    lows, highs = [], []
+    for sensor in sensors:
+        if isinstance(sensor, RpcSensor):
+            low, high = sensor.model.validity.height_m
+        else:
+            low, high = sensor.mean_height_m - BELOW_M, sensor.mean_height_m + ABOVE_M
+        lows.append(low)
+        highs.append(high)
+    low, high = (max(lows), min(highs)) if max(lows) < min(highs) else (min(lows), max(highs))
+    return (low if low_m is None else low_m), (high if high_m is None else high_m)
+
+
+def prior_covariance(sensor: Any, options: Options, line: float, sample: float, height_m: float) -> Array:
+    """Covariance (2, 2) px^2 of the pixel of a ground point by the prior sigmas of the image's unknowns."""
+    model = sensor.image_model(options)
+    ground = sensor.locate([line], [sample], height_m=height_m)
+    there = np.stack(sensor.project(ground), axis=1)
+    moved = []
+    for unknown in np.eye(len(model.parameters)):
+        moved.append((np.stack(sensor.project(ground, model.correction(unknown)), axis=1) - there)[0])
+    shifts = np.nan_to_num(np.array(moved).reshape(-1, 2))
+    return np.asarray(shifts.T @ shifts)
+
+
+def dem_range(dem: Any, pair: Pair, line: Array, sample: Array, sigma_m: float) -> tuple[float, float] | None:
+    """Lowest and highest height of a DEM about pixels of a, widened by 3 sigma; None where the DEM has no height."""
+    heights = []
+    for h in (dem.range_m[0], 0.5 * sum(dem.range_m), dem.range_m[1]):
+        lon, lat, _ = ecef_to_geodetic(pair.a.locate(line, sample, height_m=h))
+        heights.append(dem.height_m(lon, lat))
+    found = np.concatenate(heights)
+    if not np.isfinite(found).any():
+        return None
+    return float(np.nanmin(found)) - 3.0 * sigma_m, float(np.nanmax(found)) + 3.0 * sigma_m
+
+
+def inside(points: Array, place: Any, border: float = 0.0) -> Mask:
+    """Whether pixels (n, 2) of the sensor lie in a raster, ``border`` pixels from its edge."""
+    row, column = points[:, 0] - place.line, points[:, 1] - place.sample
+    good = (row >= border) & (row <= place.rows - 1 - border)
+    return np.asarray(good & (column >= border) & (column <= place.columns - 1 - border))

@@ -1,0 +1,215 @@
+"""From a project with images to its tie points: pairs, coarse level, cells, tests, tables and report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from factors._preparation import working_clock
+from fg_orient.adjustment.parts.execution import Execution, opened
+from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
+from fg_orient.formats.project import ProjectImages, read_images
+from fg_orient.geodesy import ecef_to_geodetic
+from fg_orient.model.errors import InputError, finding
+from fg_orient.model.names import Progress
+from fg_orient.orientation.match import kept
+from fg_orient.orientation.match.blocks import Counts, Matches, joined
+from fg_orient.orientation.match.coarse import Coarse
+from fg_orient.orientation.match.epipolar import Pair, height_range, inside
+from fg_orient.orientation.match.features import cv2_of
+from fg_orient.orientation.match.options import MatchOptions
+from fg_orient.orientation.match.rasters import Place, missing, place_of, raster_beside
+from fg_orient.orientation.match.record import record_of, write_report
+from fg_orient.orientation.match.tables import require_tables, write_tables
+from fg_orient.orientation.match.tasks import Setup, cell_task, cell_windows, coarse_task
+from fg_orient.orientation.match.tracks import PairResult, accept, tie_points
+
+#: Contents of the folder of the report.
+CONTENTS: Final = Contents("match.json", ("match.json", "report.html"))
+#: Least common part of the first image of a pair.
+OVERLAP: Final = 0.01
+#: Points along each side of an image that are looked for in another one.
+SIDE: Final = 9
+
+
+def match_project(
+    project: str | Path,
+    out: str | Path | None = None,
+    *,
+    options: MatchOptions | None = None,
+    dem: str | Path | None = None,
+    vertical_crs: str = "",
+    workers: int = 1,
+    overwrite: bool = False,
+    resume: bool = False,
+    progress: Progress | None = None,
+    command: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Measure tie points in the pixels of a project's images and add them to its tables.
+
+    Parameters
+    ----------
+    project : path
+        Project file; it may have no tables yet.
+    out : path, optional
+        Folder of the quality report; default ``match`` beside the project file.
+    options : MatchOptions, optional
+    dem : path, optional
+        Elevation model that restricts the search.
+    vertical_crs : str
+        See :class:`fg_orient.sensors.surface.RasterDem`.
+    workers : int
+        Processes; the result does not depend on it.
+    overwrite : bool
+        Replace the matched points and the report of an earlier run.
+    resume : bool
+        Continue a run that was interrupted.
+    progress : callable, optional
+        Called with the number of finished tasks, the number of all tasks, and a text.
+    command : sequence of str
+        Words of the command line, for the record.
+
+    Returns
+    -------
+    dict
+        Record of the run, as in ``match.json``.
+
+    Raises
+    ------
+    InputError
+        Fewer than two images, images without pixels, without georeference or without common ground, tables that cannot
+        be extended, pairs that do not match.
+    """
+    path, chosen = Path(project), options or MatchOptions()
+    target = path.parent / "match" if out is None else Path(out)
+    begin = working_clock()
+    read = read_images(path)
+    require_free(target, overwrite=overwrite, contents=CONTENTS)
+    require_tables(path, read, overwrite=overwrite)
+    cv2_of()
+    places = _places(path, read)
+    low, high = _heights(read, chosen)
+    setup = Setup(str(path), places, low, high, chosen, "" if dem is None else str(dem), vertical_crs)
+    pairs = overlapping(read, places, low, high)
+    if not pairs:
+        raise InputError.of("match.no_overlap", file=path, low=low, high=high)
+    store = kept.Store(path, setup, resume=resume)
+    with opened(Execution(workers=workers)) as pool:
+        coarse = store.each(pool, coarse_task, [(setup, a, b) for a, b in pairs], "pairs", progress)
+        found = _match_cells(pool, store, setup, pairs, [c for c, _ in coarse], progress)
+    results, failed = _accepted(read, setup, pairs, coarse, found)
+    if not results:
+        raise InputError.of("match.none", file=path, reason="; ".join(f"{a} and {b}: {why}" for a, b, why in failed))
+    ties = tie_points(results, places, chosen)
+    record = record_of(read, setup, results, failed, ties, working_clock() - begin, command)
+    with staged_folder(target, overwrite=overwrite, contents=CONTENTS) as folder, writing(target):
+        write_report(folder, record, results, ties, setup)
+        record["files"] = write_tables(path, read, ties)
+    record["out"] = str(target)
+    store.remove()
+    return record
+
+
+def _places(path: Path, read: ProjectImages) -> tuple[Place, ...]:
+    """Rasters of the images; all faults in one error."""
+    if len(read.images) < 2:
+        raise InputError.of("match.one_image", file=path, place="images", value=len(read.images))
+    faults, places = [], []
+    for image, entry in zip(read.images, read.entries, strict=True):
+        metadata = path.parent / entry.metadata
+        if not image.sensor.georeferenced:
+            faults.append(finding("match.local", file=path, place=f"image {image.id}"))
+            continue
+        raster = path.parent / entry.pixels if entry.pixels is not None else raster_beside(metadata)
+        if raster is None or not raster.is_file():
+            faults.append(missing(image.id, str(path), metadata if raster is None else raster))
+            continue
+        try:
+            places.append(place_of(raster, entry.pixels_origin, image.id, str(path)))
+        except InputError as error:
+            faults += error.problems
+    if faults:
+        raise InputError(*faults)
+    return tuple(places)
+
+
+def _heights(read: ProjectImages, options: MatchOptions) -> tuple[float, float]:
+    low, high = height_range(tuple(i.sensor for i in read.images), options.lowest_m, options.highest_m)
+    if not low < high:
+        raise InputError.of("options.value", option="lowest_m, highest_m", value=f"{low:g}, {high:g}",
+                            expected="a lowest height below the highest one")  # fmt: skip
+    return low, high
+
+
+def overlapping(read: ProjectImages, places: tuple[Place, ...], low_m: float, high_m: float) -> list[tuple[int, int]]:
+    """Pairs of images with common ground at some height of the range."""
+    boxes, pixels = [], []
+    for image, place in zip(read.images, places, strict=True):
+        s = image.sensor
+        ends = (place.line, place.line + place.rows - 1.0), (place.sample, place.sample + place.columns - 1.0)
+        line, sample = (a.ravel() for a in np.meshgrid(*(np.linspace(*e, SIDE) for e in ends), indexing="ij"))
+        line, sample = np.clip(line, s.first_line, s.last_line), np.clip(sample, s.first_sample, s.last_sample)
+        pixels.append((line, sample))
+        lon, lat = np.hstack([ecef_to_geodetic(s.locate(line, sample, height_m=h))[:2] for h in (low_m, high_m)])
+        boxes.append((lon.min(), lat.min(), lon.max(), lat.max()))
+    found = []
+    for a, b in combinations(range(len(places)), 2):
+        (w, s_, e, n), (w2, s2, e2, n2) = boxes[a], boxes[b]
+        if w > e2 or w2 > e or s_ > n2 or s2 > n:
+            continue
+        pair = Pair(read.images[a].sensor, read.images[b].sensor, low_m, high_m)
+        heights = np.linspace(low_m, high_m, 5)
+        share = max(float(np.mean(inside(pair.project(*pixels[a], h), places[b]))) for h in heights)
+        if share > OVERLAP:
+            found.append((a, b))
+    return found
+
+
+def _match_cells(
+    pool: Any, store: kept.Store, setup: Setup, pairs: list[tuple[int, int]], coarse: list[Coarse],
+    progress: Progress | None,
+) -> dict[tuple[int, int], tuple[Matches, Counts]]:  # fmt: skip
+    """Matches of all pairs that the coarse level connects."""
+    arguments = []
+    for a in sorted({a for a, _ in pairs}):
+        others = tuple(
+            (b, c) for (first, b), c in zip(pairs, coarse, strict=True) if first == a and c.trend is not None
+        )
+        if others:
+            arguments += [(setup, a, window, others) for window in cell_windows(setup.places[a], setup.options.cells)]
+    out: dict[tuple[int, int], tuple[list[Matches], Counts]] = {}
+    for (_, a, _, others), results in zip(
+        arguments, store.each(pool, cell_task, arguments, "cells", progress), strict=True
+    ):
+        for (b, _), (matches, counts) in zip(others, results, strict=True):
+            parts, total = out.get((a, b), ([], Counts()))
+            out[a, b] = [*parts, matches], total.plus(counts)
+    return {key: (joined(parts), counts) for key, (parts, counts) in out.items()}
+
+
+def _accepted(
+    read: ProjectImages, setup: Setup, pairs: list[tuple[int, int]], coarse: list[tuple[Coarse, float]],
+    found: dict[tuple[int, int], tuple[Matches, Counts]],
+) -> tuple[list[PairResult], list[tuple[str, str, str]]]:  # fmt: skip
+    """Results of the pairs, and the pairs without result with the reason."""
+    results, failed = [], []
+    for (a, b), (level, sigma) in zip(pairs, coarse, strict=True):
+        names = read.images[a].id, read.images[b].id
+        if level.trend is None:
+            failed.append((*names, level.reason))
+            continue
+        matches, counts = found[a, b]
+        place = setup.places[a]
+        pair = Pair(read.images[a].sensor, read.images[b].sensor, setup.low_m, setup.high_m)
+        height = float(pair.height_m(np.array(np.median(level.t))))
+        matrix = pair.matrix(place.line + 0.5 * place.rows, place.sample + 0.5 * place.columns, height)
+        result = accept(a, b, matches, counts, level, sigma, matrix, setup.options)
+        if result is None:
+            failed.append((*names, f"{len(matches.t)} matches do not agree"))
+        else:
+            results.append(result)
+    return results, failed

@@ -1,0 +1,134 @@
+"""Pixels of the images: the file of an image, windows of it, and a reduced picture, read without the whole raster.
+
+Pixels are (line, sample) of the sensor. A raster may be a part of the scene: its first pixel is then at an offset,
+which the geotransform of the file gives if it has pixel size 1 and no CRS.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.formats.gdal import opened, rasterio_of
+from fg_orient.model.errors import InputError, finding
+
+Grey = npt.NDArray[np.float32]
+#: Ends of names of rasters.
+ENDS: Final = (".tif", ".tiff", ".ntf", ".jp2", ".vrt", ".img", ".png", ".jpg", ".jpeg")
+#: Ends of names of metadata beside a raster of the same name.
+_METADATA_ENDS: Final = ("_rpc", ".rpc", "_rpb", "_metadata")
+#: Cache of GDAL for blocks of a file, bytes.
+CACHE_BYTES: Final = 32_000_000
+
+
+def raster_beside(metadata: Path) -> Path | None:
+    """Raster of a metadata file: the file itself, or the only one beside it that has its name; None without one."""
+    if metadata.suffix.lower() in ENDS:
+        return metadata
+    folder = metadata.parent
+    if not folder.is_dir():
+        return None
+    rasters = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in ENDS and path.is_file()]
+    if metadata.name.upper() == "METADATA.DIM":
+        named = [path for path in rasters if path.stem.upper() == "IMAGERY"]
+    else:
+        stem = metadata.stem
+        stems = {stem.casefold()}
+        stems |= {stem[: -len(end)].casefold() for end in _METADATA_ENDS if stem.lower().endswith(end)}
+        stems |= {f"img_{stem[4:]}".casefold() for start in ("dim_", "rpc_") if stem.lower().startswith(start)}
+        named = [p for p in rasters if p.stem.casefold() in stems or p.stem.casefold().startswith(
+            tuple(f"{s}_r1c1" for s in stems))]  # fmt: skip
+    return named[0] if len(named) == 1 else None
+
+
+@dataclass(frozen=True)
+class Place:
+    """Raster of an image and its position in the scene.
+
+    Parameters
+    ----------
+    path : str
+    line, sample : float
+        Sensor pixel of the centre of the raster's first pixel.
+    rows, columns : int
+    nodata : float or None
+        Value of empty pixels; without one in the file it is 0.
+    """
+
+    path: str
+    line: float
+    sample: float
+    rows: int
+    columns: int
+    nodata: float | None
+
+
+def place_of(path: Path, origin: tuple[float, float] | None, image: str, project: str) -> Place:
+    """Size and position of a raster.
+
+    Raises
+    ------
+    InputError
+        rasterio is missing, or the file cannot be read.
+    """
+    rasterio = rasterio_of(path, "match.no_rasterio")
+    try:
+        with opened(rasterio, path) as source:
+            t, crs, nodata = source.transform, source.crs, source.nodata
+            rows, columns, kind = source.height, source.width, np.dtype(source.dtypes[0]).kind
+    except rasterio.errors.RasterioError as error:
+        raise InputError.of("match.pixels", file=project, place=f"image {image}", value=path, reason=error) from None
+    if kind not in "iuf":
+        raise InputError.of("match.pixels", file=project, place=f"image {image}", value=path, reason=f"kind {kind}")
+    if origin is None:
+        part = crs is None and (t.a, t.b, t.d, t.e) == (1.0, 0.0, 0.0, 1.0)
+        origin = (float(t.f), float(t.c)) if part else (0.0, 0.0)
+    return Place(str(path), *origin, rows, columns, 0.0 if nodata is None else float(nodata))
+
+
+class Raster:
+    """Windows of a raster; the file is opened once in each process."""
+
+    def __init__(self, place: Place) -> None:
+        self.place = place
+        self._rasterio = rasterio_of(place.path, "match.no_rasterio")
+        self._env = self._rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES)
+        with self._env:
+            self._source = opened(self._rasterio, place.path)
+
+    def window(self, row: int, column: int, rows: int, columns: int) -> Grey:
+        """Grey values (rows, columns) from a first pixel of the raster; nan outside the raster and at nodata."""
+        out = np.full((rows, columns), np.nan, np.float32)
+        top, left = max(row, 0), max(column, 0)
+        bottom, right = min(row + rows, self.place.rows), min(column + columns, self.place.columns)
+        if bottom > top and right > left:
+            window = self._rasterio.windows.Window(left, top, right - left, bottom - top)
+            with self._env:
+                values = self._source.read(1, window=window, out_dtype="float32")
+            out[top - row : bottom - row, left - column : right - column] = self._clean(values)
+        return out
+
+    def reduced(self, factor: int) -> Grey:
+        """Means of ``factor`` x ``factor`` pixels of the whole raster; incomplete ones at its end are left out."""
+        rows, columns = self.place.rows // factor, self.place.columns // factor
+        out = np.empty((rows, columns), np.float32)
+        strip = max(1, 2_000_000 // (self.place.columns * factor))
+        for first in range(0, rows, strip):
+            n = min(strip, rows - first)
+            values = self.window(first * factor, 0, n * factor, columns * factor)
+            out[first : first + n] = values.reshape(n, factor, columns, factor).mean(axis=(1, 3))
+        return out
+
+    def _clean(self, values: Any) -> Any:
+        if self.place.nodata is not None and np.isfinite(self.place.nodata):
+            values[values == np.float32(self.place.nodata)] = np.nan
+        return values
+
+
+def missing(image: str, project: str, metadata: Path) -> Any:
+    """Finding of an image without pixels."""
+    return finding("match.no_pixels", file=project, place=f"image {image}", value=metadata)
