@@ -187,12 +187,19 @@ def read_raster(path: Path) -> np.ndarray:
 def write_pair(folder: Path, scene: Scene, views: tuple[View, ...], snr: float, seed: int = 7) -> Path:
     """Write images, models and a project without tables; returns the project file."""
     folder.mkdir(parents=True, exist_ok=True)
-    rng, lines = np.random.default_rng(seed), ["# rendered", "schema = 1", 'name = "rendered"']
+    rng = np.random.default_rng(seed)
     for view in views:
         image = scene.render(view, snr, rng)
         write_raster(folder / f"{view.name}.tif", image)
         view.write_rpc(folder)
-        lines += ["", "[[images]]", f'id = "{view.name}"', f'metadata = "{view.name}_RPC.TXT"']
+    return write_project(folder, {view.name: f"{view.name}_RPC.TXT" for view in views})
+
+
+def write_project(folder: Path, metadata: dict[str, str]) -> Path:
+    """Write a project of images without tables."""
+    lines = ["# rendered", "schema = 1", 'name = "rendered"']
+    for name, file in metadata.items():
+        lines += ["", "[[images]]", f'id = "{name}"', f'metadata = "{file}"']
     path = folder / "project.toml"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
