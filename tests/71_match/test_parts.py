@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import ndimage, optimize
 
+from fg_orient.formats.project import read_images
 from fg_orient.kernels.matching import AFFINE, CURVED, FIT, SHIFT, SLOPE, fit_window
 from fg_orient.orientation.match.blocks import spline_of, spread, variance_along
 from fg_orient.orientation.match.consistency import calibrate, fits_neighbours, trend_of
-from fg_orient.orientation.match.epipolar import Curves
+from fg_orient.orientation.match.epipolar import Curves, Pair, parallax_sigma_px
 from fg_orient.orientation.match.features import Features, candidates
+from tests.support.command import in_process
 
 SIZE, CENTRE = 64, 32
 
@@ -184,3 +188,24 @@ def test_variance_along_a_direction() -> None:
     covariance, direction = np.array([[4.0, 1.0, 9.0]]), np.array([[0.6, 0.8]])
     full = np.array([[4.0, 1.0], [1.0, 9.0]])
     assert variance_along(covariance, direction)[0] == pytest.approx(direction[0] @ full @ direction[0])
+
+
+@pytest.mark.oracle
+def test_prior_sigma_of_the_y_parallax(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Of a rigorous, an RPC and a frame image: orientations drawn from the priors move a ray of a in image b."""
+    assert in_process("simulate", "mixed", "--out", tmp_path / "mixed").code == 0
+    read = read_images(tmp_path / "mixed" / "project.toml")
+    sensors = {image.id: image.sensor for image in read.images}
+    for a, b in (("spot1", "pleiades1"), ("pleiades1", "pleiades2"), ("frame1", "frame2"), ("spot2", "spot1")):
+        pair = Pair(sensors[a], sensors[b], 0.0, 1500.0)
+        s = pair.a
+        at = 0.5 * (s.first_line + s.last_line), 0.5 * (s.first_sample + s.last_sample)
+        first, second = (sensors[name].image_model(read.options) for name in (a, b))
+        curve = pair.curves(np.array([at[0]]), np.array([at[1]]))
+        moved = []
+        for _ in range(300):
+            x, y = (rng.normal(size=len(m.parameters)) for m in (first, second))
+            ground = pair.a.locate(*at, height_m=750.0, correction=first.correction(x))
+            there = np.stack(pair.b.project(ground, second.correction(y)), axis=1)
+            moved.append(float(curve.coordinates(there)[1][0]))
+        assert parallax_sigma_px(pair, read.options, *at) == pytest.approx(np.std(moved), rel=0.15), (a, b)

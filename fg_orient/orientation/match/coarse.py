@@ -23,6 +23,8 @@ from fg_orient.orientation.match.rasters import Raster
 SIZE: Final = 1000
 #: Relief between neighbours, reduced pixels.
 RELIEF_PX: Final = 3.0
+#: Largest ratio of the pixels of two images: least-squares matching compares grey values of the same resolution.
+SCALE: Final = 2.5
 #: Ratio test without a narrow band.
 RATIO: Final = 0.8
 #: Least half width of the band at full resolution, px.
@@ -92,19 +94,19 @@ def match_coarse(
     options : MatchOptions
     """
     factor = reduction(raster_a, raster_b)
-    place = raster_a.place
-    centre = place.line + 0.5 * (place.rows - 1), place.sample + 0.5 * (place.columns - 1)
-    matrix = pair.matrix(*centre, 0.5 * (pair.low_m + pair.high_m))
+    matrix = pair.matrix(*raster_a.place.centre, 0.5 * (pair.low_m + pair.high_m))
+    scale = float(np.sqrt(abs(np.linalg.det(matrix))))
+    none = np.empty((0, 2)), np.empty(0), 1.0, factor
+    if not 1.0 / SCALE <= scale <= SCALE:
+        return Coarse(*none, None, 0, f"a pixel of the first image has {scale:.2g} times the edge of one of the second")
     rotation = float(np.degrees(np.arctan2(matrix[0, 1] - matrix[1, 0], matrix[0, 0] + matrix[1, 1])))
     a = _reduced(raster_a, factor, 0.0)
     b = _reduced(raster_b, factor, rotation)
-    none = np.empty((0, 2)), np.empty(0), 1.0, factor
     if len(a.pixel) < 12 or len(b.pixel) < 12:
         return Coarse(*none, None, 0, "an image has no features")
     curves = pair.curves(*a.pixel.T)
     whole = np.ones(len(a.pixel))
     half_width_px += 3.0 * factor
-    scale = float(np.sqrt(abs(np.linalg.det(matrix))))
     found = candidates(
         a, b, curves, (-whole, whole), (0.0 * whole, half_width_px), min(RATIO, options.ratio), scale, 3.0 * factor
     )

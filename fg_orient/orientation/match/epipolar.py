@@ -131,6 +131,18 @@ def prior_covariance(sensor: Any, options: Options, line: float, sample: float, 
     return np.asarray(shifts.T @ shifts)
 
 
+def parallax_sigma_px(pair: Pair, options: Options, line: float, sample: float) -> float:
+    """Prior standard deviation of the y-parallax of a pair at a pixel of a, px of b."""
+    height = 0.5 * (pair.low_m + pair.high_m)
+    there, s = pair.project(np.array([line]), np.array([sample]), height)[0], pair.b
+    at = np.clip(there, [s.first_line, s.first_sample], [s.last_line, s.last_sample])
+    matrix = pair.matrix(line, sample, height)
+    in_a = matrix @ prior_covariance(pair.a, options, line, sample, height) @ matrix.T
+    covariance: Array = in_a + prior_covariance(pair.b, options, at[0], at[1], height)
+    across = pair.curves(np.array([line]), np.array([sample])).across[0]
+    return float(np.sqrt(across @ covariance @ across))
+
+
 def dem_range(dem: Any, pair: Pair, line: Array, sample: Array, sigma_m: float) -> tuple[float, float] | None:
     """Lowest and highest height of a DEM about pixels of a, widened by 3 sigma; None where the DEM has no height."""
     heights = []

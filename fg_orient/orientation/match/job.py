@@ -203,10 +203,9 @@ def _accepted(
             failed.append((*names, level.reason))
             continue
         matches, counts = found[a, b]
-        place = setup.places[a]
         pair = Pair(read.images[a].sensor, read.images[b].sensor, setup.low_m, setup.high_m)
         height = float(pair.height_m(np.array(np.median(level.t))))
-        matrix = pair.matrix(place.line + 0.5 * place.rows, place.sample + 0.5 * place.columns, height)
+        matrix = pair.matrix(*setup.places[a].centre, height)
         result = accept(a, b, matches, counts, level, sigma, matrix, setup.options)
         if result is None:
             failed.append((*names, f"{len(matches.t)} matches do not agree"))

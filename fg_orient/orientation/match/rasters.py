@@ -66,6 +66,11 @@ class Place:
     columns: int
     nodata: float | None
 
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Line and sample of its middle."""
+        return self.line + 0.5 * (self.rows - 1), self.sample + 0.5 * (self.columns - 1)
+
 
 def place_of(path: Path, origin: tuple[float, float] | None, image: str, project: str) -> Place:
     """Size and position of a raster.

@@ -18,7 +18,7 @@ from fg_orient.formats.project import read_images
 from fg_orient.model.block import Image, Options
 from fg_orient.orientation.match.blocks import Counts, Expected, Matches, Window, joined, match_block
 from fg_orient.orientation.match.coarse import Coarse, match_coarse
-from fg_orient.orientation.match.epipolar import Pair, dem_range, prior_covariance
+from fg_orient.orientation.match.epipolar import Pair, dem_range, parallax_sigma_px
 from fg_orient.orientation.match.options import MatchOptions
 from fg_orient.orientation.match.rasters import Place, Raster
 
@@ -77,21 +77,6 @@ class Work:
         """Pair of two images."""
         return Pair(self.images[a].sensor, self.images[b].sensor, self.setup.low_m, self.setup.high_m)
 
-    def prior_sigma_px(self, a: int, b: int) -> float:
-        """Prior standard deviation of the y-parallax of a pair, px of b."""
-        pair, place = self.pair(a, b), self.setup.places[a]
-        line, sample = place.line + 0.5 * (place.rows - 1), place.sample + 0.5 * (place.columns - 1)
-        height = 0.5 * (pair.low_m + pair.high_m)
-        there = pair.project(np.array([line]), np.array([sample]), height)[0]
-        matrix = pair.matrix(line, sample, height)
-        s = pair.b
-        there = np.clip(there, [s.first_line, s.first_sample], [s.last_line, s.last_sample])
-        in_a = prior_covariance(pair.a, self.options, line, sample, height)
-        in_b = prior_covariance(pair.b, self.options, there[0], there[1], height)
-        covariance: Array = matrix @ in_a @ matrix.T + in_b
-        across = pair.curves(np.array([line]), np.array([sample])).across[0]
-        return float(np.sqrt(across @ covariance @ across))
-
 
 @lru_cache(maxsize=1)
 def work_of(setup: Setup) -> Work:
@@ -101,9 +86,9 @@ def work_of(setup: Setup) -> Work:
 
 def coarse_task(setup: Setup, a: int, b: int) -> tuple[Coarse, float]:
     """Coarse level of a pair, and the prior standard deviation of its y-parallax."""
-    work = work_of(setup)
-    sigma = work.prior_sigma_px(a, b)
-    return match_coarse(work.rasters[a], work.rasters[b], work.pair(a, b), PRIOR_SIGMAS * sigma, setup.options), sigma
+    work, pair, place = work_of(setup), work_of(setup).pair(a, b), setup.places[a]
+    sigma = parallax_sigma_px(pair, work.options, *place.centre)
+    return match_coarse(work.rasters[a], work.rasters[b], pair, PRIOR_SIGMAS * sigma, setup.options), sigma
 
 
 def cell_windows(place: Place, cells: int) -> list[Window]:
