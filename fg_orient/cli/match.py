@@ -33,7 +33,7 @@ def match(
     """
     require_project(project)
     if dem is not None:
-        open_dem(dem, dem_vertical_crs)  # its errors before the work
+        open_dem(dem, dem_vertical_crs)  # warns of implausible heights
     from fg_orient.orientation.match.job import match_project
 
     with progress_bar("matching") as callback:

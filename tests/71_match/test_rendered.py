@@ -158,6 +158,22 @@ def test_wrong_input_is_refused(project: Path, change: Callable[[Path], Any], co
 
 
 @pytest.mark.behaviour
+def test_a_dem_restricts_the_search(project: Path, matched: Matched, scene: Scene) -> None:
+    """Nearly the same points are found; heights 500 m too high leave none."""
+    scene.write_dem(project.parent / "dem.tif", 5.0)
+    ended = in_process("match", project, "--dem", project.parent / "dem.tif", "--dem-sigma", 5, "--json")
+    assert ended.code == 0, ended.stderr
+    record = ended.json
+    assert record["heights_m"][1] - record["heights_m"][0] < 100.0 < np.ptp(matched[1]["heights_m"])
+    assert record["n_points"] == pytest.approx(matched[1]["n_points"], rel=0.1)
+    assert errors(project.parent, scene, VIEWS).is_wrong().mean() <= 0.002
+    scene.write_dem(project.parent / "dem.tif", 5.0, 500.0)
+    ended = in_process("match", project, "--dem", project.parent / "dem.tif", "--dem-sigma", 5, "--overwrite")
+    assert ended.code == 2
+    assert "no two images have common ground" in ended.stderr or "no pair of images matches" in ended.stderr
+
+
+@pytest.mark.behaviour
 def test_images_that_show_different_ground_do_not_match(project: Path) -> None:
     """By chance alone no trend is found: the pair is refused, with the reason."""
     write_raster(project.parent / "b.tif", read_raster(project.parent / "b.tif")[::-1, ::-1])

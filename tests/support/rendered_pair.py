@@ -126,6 +126,16 @@ class Scene:
         """Heights (n,) at x and y (2, n), bilinear."""
         return np.asarray(ndimage.map_coordinates(self.heights, self._cells(xy), order=1, mode="nearest"))
 
+    def write_dem(self, path: Path, step_m: float, error_m: float = 0.0) -> None:
+        """Write heights of the surface on a grid of longitude and latitude."""
+        every = round(step_m / self.CELL_M)
+        heights = self.heights[every // 2 :: every, every // 2 :: every]  # x by rows, y by columns
+        west, north = LON - self.extent_m / PER_LON, LAT + self.extent_m / PER_LAT
+        transform = rasterio.Affine(step_m / PER_LON, 0.0, west, 0.0, -step_m / PER_LAT, north)
+        with rasterio.open(path, "w", driver="GTiff", width=heights.shape[0], height=heights.shape[1], count=1,
+                           dtype="float32", crs="EPSG:4326", transform=transform) as sink:  # fmt: skip
+            sink.write(np.float32(heights.T[::-1] + error_m), 1)
+
     def meet(self, view: View, pixel: np.ndarray) -> np.ndarray:
         """Ground points (3, n) that pixels (n, 2) see: first intersections from above."""
         lean = max(float(np.hypot(*view.lean)), 0.05)

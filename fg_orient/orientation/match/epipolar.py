@@ -68,12 +68,16 @@ class Pair:
     low_m: float
     high_m: float
 
-    def project(self, line: Array, sample: Array, height_m: Array | float) -> Array:
-        """Pixels (n, 2) in b of pixels of a at heights."""
+    def ground(self, line: Array, sample: Array, height_m: Array | float) -> Array:
+        """Ground points (n, 3) ECEF m of pixels of a at heights; pixels beyond the model's edge are moved to it."""
         s = self.a
         line = np.clip(line, s.first_line - 0.5, s.last_line + 0.5)
         sample = np.clip(sample, s.first_sample - 0.5, s.last_sample + 0.5)
-        return np.stack(self.b.project(s.locate(line, sample, height_m=height_m)), axis=1)
+        return np.asarray(s.locate(line, sample, height_m=height_m))
+
+    def project(self, line: Array, sample: Array, height_m: Array | float) -> Array:
+        """Pixels (n, 2) in b of pixels of a at heights."""
+        return np.stack(self.b.project(self.ground(line, sample, height_m)), axis=1)
 
     def curves(self, line: Array, sample: Array) -> Curves:
         """Epipolar curves of n pixels of a."""
@@ -147,7 +151,7 @@ def dem_range(dem: Any, pair: Pair, line: Array, sample: Array, sigma_m: float) 
     """Lowest and highest height of a DEM about pixels of a, widened by 3 sigma; None where the DEM has no height."""
     heights = []
     for h in (dem.range_m[0], 0.5 * sum(dem.range_m), dem.range_m[1]):
-        lon, lat, _ = ecef_to_geodetic(pair.a.locate(line, sample, height_m=h))
+        lon, lat, _ = ecef_to_geodetic(pair.ground(line, sample, h))
         heights.append(dem.height_m(lon, lat))
     found = np.concatenate(heights)
     if not np.isfinite(found).any():

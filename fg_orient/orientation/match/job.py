@@ -27,6 +27,7 @@ from fg_orient.orientation.match.record import record_of, write_report
 from fg_orient.orientation.match.tables import require_tables, write_tables
 from fg_orient.orientation.match.tasks import Setup, cell_task, cell_windows, coarse_task
 from fg_orient.orientation.match.tracks import PairResult, accept, tie_points
+from fg_orient.sensors.surface import RasterDem
 
 #: Contents of the folder of the report.
 CONTENTS: Final = Contents("match.json", ("match.json", "report.html"))
@@ -92,7 +93,8 @@ def match_project(
     require_tables(path, read, overwrite=overwrite)
     cv2_of()
     places = _places(path, read)
-    low, high = _heights(read, chosen)
+    surface = None if dem is None else RasterDem(dem, vertical_crs=vertical_crs)
+    low, high = _heights(read, chosen, surface)
     setup = Setup(str(path), places, low, high, chosen, "" if dem is None else str(dem), vertical_crs)
     pairs = overlapping(read, places, low, high)
     if not pairs:
@@ -137,8 +139,14 @@ def _places(path: Path, read: ProjectImages) -> tuple[Place, ...]:
     return tuple(places)
 
 
-def _heights(read: ProjectImages, options: MatchOptions) -> tuple[float, float]:
-    low, high = height_range(tuple(i.sensor for i in read.images), options.lowest_m, options.highest_m)
+def _heights(read: ProjectImages, options: MatchOptions, dem: RasterDem | None) -> tuple[float, float]:
+    """Lowest and highest height of the ground: given, of the DEM, or of the sensor models."""
+    low, high = options.lowest_m, options.highest_m
+    if dem is not None:
+        lowest, highest = dem.range_m
+        margin = 3.0 * options.dem_sigma_m
+        low, high = lowest - margin if low is None else low, highest + margin if high is None else high
+    low, high = height_range(tuple(i.sensor for i in read.images), low, high)
     if not low < high:
         raise InputError.of("options.value", option="lowest_m, highest_m", value=f"{low:g}, {high:g}",
                             expected="a lowest height below the highest one")  # fmt: skip
