@@ -108,8 +108,9 @@ def test_an_interrupted_run_goes_on(
     project: Path, matched: Matched, monkeypatch: pytest.MonkeyPatch,
     interrupted: Callable[[int], Callable[[int, int, str], None]],
 ) -> None:  # fmt: skip
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt) as caught:
         match_project(project, progress=interrupted(1))
+    assert caught.value.args[0].code == "match.interrupted"
     assert not (project.parent / "points.csv").exists()
     asked: list[int] = []
     monkeypatch.setattr(kept, "_read", lambda file, read=kept._read: asked.append(1) or read(file))

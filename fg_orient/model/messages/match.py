@@ -30,6 +30,8 @@ match.matched: the table has matched points of an earlier run
     -> give <overwrite> to replace them
 match.table_unreadable: the table cannot be read
     -> save it as CSV in UTF-8
+match.interrupted (note): interrupted: {done} of {total} {name} are matched and kept
+    -> go on with <resume>
 match.pair_failed (warning): no tie points: {reason}
 match.image_without (warning): the image has no tie points
 match.many_rejected (warning): {share:.1f} % of the matches have y-parallaxes beyond 4 standard deviations from a smooth

@@ -19,6 +19,7 @@ import numpy as np
 from fg_orient import __version__
 from fg_orient.adjustment.parts.pool import Pool
 from fg_orient.formats.atomic import write_bytes, writing
+from fg_orient.model.errors import finding
 from fg_orient.model.names import Progress
 from fg_orient.orientation.match.blocks import Counts, Matches
 from fg_orient.orientation.match.coarse import Coarse
@@ -65,13 +66,17 @@ class Store:
         if open_:
             with writing(self._folder):
                 self._folder.mkdir(parents=True, exist_ok=True)
-        for number, result in pool.each(task, [arguments[k] for k in open_]):
-            stream = io.BytesIO()
-            np.savez(stream, allow_pickle=False, **pack(result))
-            write_bytes(files[open_[number]], stream.getvalue(), durable=False)
-            found[open_[number]] = result
-            if progress is not None:
-                progress(len(found), len(arguments), f"matching {name}")
+        try:
+            for number, result in pool.each(task, [arguments[k] for k in open_]):
+                stream = io.BytesIO()
+                np.savez(stream, allow_pickle=False, **pack(result))
+                write_bytes(files[open_[number]], stream.getvalue(), durable=False)
+                found[open_[number]] = result
+                if progress is not None:
+                    progress(len(found), len(arguments), f"matching {name}")
+        except KeyboardInterrupt:
+            stopped = finding("match.interrupted", done=len(found), total=len(arguments), name=name)
+            raise KeyboardInterrupt(stopped) from None
         return [found[k] for k in range(len(arguments))]
 
     def remove(self) -> None:

@@ -14,6 +14,7 @@ from fg_orient.formats.points_write import write_observations, write_points
 from fg_orient.formats.project import OWN, TABLES, ProjectImages
 from fg_orient.formats.table_write import is_binary, quoted, texts
 from fg_orient.formats.toml import entries
+from fg_orient.geodesy import crs_kind
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 from fg_orient.orientation.match.tracks import TiePoints
@@ -57,7 +58,8 @@ def write_tables(path: Path, project: ProjectImages, ties: TiePoints) -> list[st
         _append(points, {"id": names, "role": [str(Role.TIE)] * len(names)})
     else:
         empty = np.full((len(names), 3), np.nan)
-        write_points(points, names, [Role.TIE] * len(names), empty, empty)
+        kind = crs_kind(project.points.crs or "")
+        write_points(points, names, [Role.TIE] * len(names), empty, empty, kind=kind)
     pixel, sigma = np.round(ties.pixel, 4), np.round(ties.sigma_px, 4)
     if observations.exists():
         numbers = [texts(column) for column in (*pixel.T, *sigma.T)]

@@ -75,8 +75,10 @@ def accept(
         Derivatives of a pixel of b by the pixel of a.
     options : MatchOptions
     """
-    n, width = len(matches.t), coarse.width_px()
-    if n < FEWEST:
+    # two features beside the border of two blocks may be rounded to the same pixel
+    matches = matches.take(np.sort(np.unique(matches.pixel_a, axis=0, return_index=True)[1]))
+    width = coarse.width_px()
+    if len(matches.t) < FEWEST:
         return None
     along = matches.t * matches.half_px
     local = fits_neighbours(matches.pixel_a, along, RELIEF_PX)
