@@ -19,6 +19,10 @@ def match(
     options: Mapping[str, Any],
     dem: Dem = None,
     dem_vertical_crs: VerticalCrs = "",
+    control: Annotated[
+        Path | None,
+        option("Control points to measure by chips: GeoPackage or table; ID.tif beside it or in a folder of its name."),
+    ] = None,
     workers: Annotated[int, option("Processes; the result is the same for any.", "N", min=1)] = 1,
     out: Annotated[Path | None, option("Folder of the quality report; default: match, beside the project.")] = None,
     overwrite: Overwrite = False,
@@ -39,7 +43,7 @@ def match(
     with progress_bar("matching") as callback:
         record = match_project(
             project, out, options=MatchOptions(**options), dem=dem, vertical_crs=dem_vertical_crs, workers=workers,
-            overwrite=overwrite, resume=resume, progress=callback, command=command_line(),
+            overwrite=overwrite, resume=resume, control=control, progress=callback, command=command_line(),
         )  # fmt: skip
     answer(record, _show)
 
@@ -58,6 +62,9 @@ def _show(record: dict[str, Any]) -> None:
         [i["id"], i["points"], number(i["mean_rays"], 2), f"{i['cells_with_points']} of {i['cells']}"]
         for i in record["images"]
     ])  # fmt: skip
+    if "control" in record:
+        c = record["control"]
+        say(f"control points: {c['measured']} of {c['points']} measured, {c['image_points']} image points")
     say(f"sigma of an image point: median {number(record['sigma_px']['median'])} px")
     say(f"written: {', '.join(record['files'])}")
     say(f"report: {Path(record['out']) / 'report.html'}")

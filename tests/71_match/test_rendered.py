@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 
 import fg_orient as fg
 from fg_orient.model.errors import InputError
@@ -19,6 +20,7 @@ from fg_orient.orientation.match.job import match_project
 from fg_orient.orientation.match.options import MatchOptions
 from tests.support.command import in_process
 from tests.support.matched_points import errors, rays, table
+from tests.support.page import structure
 from tests.support.rendered_pair import Scene, View, read_raster, write_pair, write_raster
 
 from .conftest import VIEWS
@@ -73,8 +75,10 @@ def test_tables_of_the_project_can_be_adjusted(matched: Matched) -> None:
     assert solution.sigma0 == pytest.approx(1.0, abs=0.2)
     assert {row["role"] for row in table(folder / "points.csv")} == {"tie"}
     assert json.loads((folder / "match" / "match.json").read_text())["n_points"] == record["n_points"]
-    page = (folder / "match" / "report.html").read_text()
-    assert page.count("data:image/jpeg;base64,") == 3 and "Tie points measured" in page
+    page = structure(folder / "match" / "report.html")
+    assert page.tags.count("img") == 3 and "svg" in page.tags
+    assert any("Tie points measured" in text for text in page.text)
+    assert len(set(page.ids)) == len(page.ids)
     assert not list(folder.glob(".project.match"))
 
 
@@ -172,6 +176,44 @@ def test_a_dem_restricts_the_search(project: Path, matched: Matched, scene: Scen
     ended = in_process("match", project, "--dem", project.parent / "dem.tif", "--dem-sigma", 5, "--overwrite")
     assert ended.code == 2
     assert "no two images have common ground" in ended.stderr or "no pair of images matches" in ended.stderr
+
+
+@pytest.mark.oracle
+def test_control_points_by_chips(project: Path, scene: Scene) -> None:
+    """At their true pixels, although the models are wrong; a chip of other ground is left out, with a warning."""
+    rng, package = np.random.default_rng(8), project.parent / "chips.gpkg"
+    xy = rng.uniform(-22.0, 22.0, (2, 14))
+    heights = scene.write_chips(package, xy, 20, rng)
+    project.write_text(project.read_text("utf-8") + "\n[orientation]\nrpc_shift_sigma_px = 3.0\n", "utf-8")
+    with rasterio.open(project.parent / "chips" / "g0.tif", "r+") as target:
+        target.write(target.read(1)[::-1], 1)
+    ended = in_process("match", project, "--control", package, "--per-cell", 2, "--json")
+    assert ended.code == 0, ended.stderr
+    found = rays(project.parent)
+    error, sigma = [], []
+    for k in range(1, 14):
+        for view in VIEWS:
+            if view.name in (marks := found.get(f"match-chip-g{k}", {})):
+                true = view.project(xy[:1, k], xy[1:, k], heights[k : k + 1])[0]
+                error.append(marks[view.name][0] - true)
+                sigma.append(marks[view.name][1])
+    print(
+        len(error),
+        np.sqrt(np.mean(np.square(error), axis=0)),
+        np.mean((np.array(error) / np.array(sigma)) ** 2),
+        np.median(sigma),
+    )
+    assert len(error) >= 25 and "match-chip-g0" not in found
+    assert float(np.sqrt(np.mean(np.square(error)))) < 0.2
+    assert 0.5 < np.mean((np.array(error) / np.array(sigma)) ** 2) < 1.5
+    assert ended.json["control"]["measured"] == len({name for name in found if "chip" in name})
+    assert any(f["code"] == "match.chip_lost" and "g0" in f["place"] for f in ended.json["findings"])
+    control = [row for row in table(project.parent / "points.csv") if row["role"] == "control"]
+    assert {row["id"] for row in control} == {name for name in found if "chip" in name}
+    block = fg.read_project(project)
+    solution = fg.adjust(block)
+    assert solution.sigma0 < 2.0
+    assert abs(solution.correction("b")[:2] + np.array(VIEWS[1].shift_px)).max() < 0.3
 
 
 @pytest.mark.behaviour

@@ -16,6 +16,11 @@ import numpy as np
 import rasterio
 from scipy import ndimage
 
+from fg_orient.formats.exchange.gis import write_geopackage
+from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.registry import Settings
+from fg_orient.model.names import Role
+
 #: Standard deviation of the point spread function: exp(-2 pi^2 s^2 / 4) = 0.15.
 BLUR_PX = np.sqrt(2.0 * np.log(1.0 / 0.15)) / np.pi
 #: Point samples along each side of a pixel; ground sampling distance, m.
@@ -136,6 +141,30 @@ class Scene:
                            dtype="float32", crs="EPSG:4326", transform=transform) as sink:  # fmt: skip
             sink.write(np.float32(heights.T[::-1] + error_m), 1)
 
+    def write_chips(self, package: Path, xy: np.ndarray, half: int, rng: np.random.Generator) -> np.ndarray:
+        """Write control points (2, n) of sigma 0.1 m as GeoPackage, and orthoimages about them; their heights (n,)."""
+        survey = Survey(
+            "EPSG:4979", tuple(f"g{k}" for k in range(xy.shape[1])), (Role.CONTROL,) * xy.shape[1],
+            np.stack([LON + xy[0] / PER_LON, LAT + xy[1] / PER_LAT, self.height(xy)], axis=1),
+            np.full((xy.shape[1], 3), 0.1), np.zeros(xy.shape[1], bool),
+        )  # fmt: skip
+        write_geopackage(survey, (package,), Settings())
+        folder = package.with_suffix("")
+        folder.mkdir()
+        blurred = ndimage.gaussian_filter(self.texture, BLUR_PX * GSD_M / self.CELL_M)
+        for name, (x, y) in zip(survey.ids, xy.T, strict=True):
+            # the point lies at a random place in its pixel
+            west, north = x - (half + rng.uniform(0.2, 0.8)) * GSD_M, y + (half + rng.uniform(0.2, 0.8)) * GSD_M
+            step = (np.arange(2 * half + 1) + 0.5) * GSD_M
+            at = np.stack([a.ravel() for a in np.meshgrid(west + step, north - step)])
+            grey = ndimage.map_coordinates(blurred, self._cells(at), order=1).reshape(2 * half + 1, -1)
+            transform = rasterio.Affine(GSD_M / PER_LON, 0.0, LON + west / PER_LON,
+                                        0.0, -GSD_M / PER_LAT, LAT + north / PER_LAT)  # fmt: skip
+            with rasterio.open(folder / f"{name}.tif", "w", driver="GTiff", width=grey.shape[1], height=grey.shape[0],
+                               count=1, dtype="float32", crs="EPSG:4326", transform=transform) as sink:  # fmt: skip
+                sink.write(np.float32(grey), 1)
+        return self.height(xy)
+
     def meet(self, view: View, pixel: np.ndarray) -> np.ndarray:
         """Ground points (3, n) that pixels (n, 2) see: first intersections from above."""
         lean = max(float(np.hypot(*view.lean)), 0.05)
@@ -218,4 +247,6 @@ def write_project(folder: Path, metadata: dict[str, str]) -> Path:
 def write_example(folder: Path) -> None:
     """Write the pair of the how-to page."""
     views = (View("a", (0.25, -0.05), 160), View("b", (-0.25, 0.1), 160, 4.0, (2.5, -1.5), 1.3, 40.0))
-    write_pair(folder, Scene(75.0, 3, relief_m=5.0, walls=2), views, 50.0)
+    scene, rng = Scene(75.0, 3, relief_m=5.0, walls=2), np.random.default_rng(8)
+    write_pair(folder, scene, views, 50.0)
+    scene.write_chips(folder / "chips.gpkg", rng.uniform(-20.0, 20.0, (2, 9)), 20, rng)

@@ -30,6 +30,14 @@ match.matched: the table has matched points of an earlier run
     -> give <overwrite> to replace them
 match.table_unreadable: the table cannot be read
     -> save it as CSV in UTF-8
+match.no_chip: the point needs {missing}
+    -> coordinates, sigmas and a chip are needed: ID.tif in the folder that has the file's name, or beside the file
+match.chip_crs: the chip has no coordinate system
+    -> give a georeferenced raster, such as a part of an orthoimage
+match.control_crs: control points in {crs} cannot be written to this table
+    -> convert them to the CRS of the table: fg-orient convert
+match.chip_lost (warning): no image shows the chip clearly
+match.chip_apart (warning): the chip was found {distance:.1f} px from where the other chips of the image are; left out
 match.interrupted (note): interrupted: {done} of {total} {name} are matched and kept
     -> go on with <resume>
 match.pair_failed (warning): no tie points: {reason}

@@ -14,19 +14,20 @@ from fg_orient.adjustment.parts.execution import Execution, opened
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
 from fg_orient.formats.project import ProjectImages, read_images
 from fg_orient.geodesy import ecef_to_geodetic
-from fg_orient.model.errors import InputError, finding
+from fg_orient.model.errors import Finding, InputError, as_record, finding, findings_of
 from fg_orient.model.names import Progress
 from fg_orient.orientation.match import kept
 from fg_orient.orientation.match.blocks import Counts, Matches, joined
+from fg_orient.orientation.match.chips import Control, coordinates_in, measure, read_control, sigmas_of
 from fg_orient.orientation.match.coarse import Coarse
 from fg_orient.orientation.match.epipolar import Pair, height_range, inside
 from fg_orient.orientation.match.features import cv2_of
 from fg_orient.orientation.match.options import MatchOptions
 from fg_orient.orientation.match.rasters import Place, missing, place_of, raster_beside
 from fg_orient.orientation.match.record import record_of, write_report
-from fg_orient.orientation.match.tables import require_tables, write_tables
-from fg_orient.orientation.match.tasks import Setup, cell_task, cell_windows, coarse_task
-from fg_orient.orientation.match.tracks import PairResult, accept, tie_points
+from fg_orient.orientation.match.tables import ControlRows, require_tables, write_tables
+from fg_orient.orientation.match.tasks import Setup, cell_task, cell_windows, coarse_task, work_of
+from fg_orient.orientation.match.tracks import LEAST_SIGMA_PX, PairResult, accept, tie_points
 from fg_orient.sensors.surface import RasterDem
 
 #: Contents of the folder of the report.
@@ -47,6 +48,7 @@ def match_project(
     workers: int = 1,
     overwrite: bool = False,
     resume: bool = False,
+    control: str | Path | None = None,
     progress: Progress | None = None,
     command: Sequence[str] = (),
 ) -> dict[str, Any]:
@@ -69,6 +71,8 @@ def match_project(
         Replace the matched points and the report of an earlier run.
     resume : bool
         Continue a run that was interrupted.
+    control : path, optional
+        Points of known position to measure by chips (:func:`fg_orient.orientation.match.chips.read_control`).
     progress : callable, optional
         Called with the number of finished tasks, the number of all tasks, and a text.
     command : sequence of str
@@ -93,6 +97,9 @@ def match_project(
     require_tables(path, read, overwrite=overwrite)
     cv2_of()
     places = _places(path, read)
+    known = None if control is None else read_control(Path(control))
+    if known is not None:
+        coordinates_in(known, read.points.crs or "", path)  # its errors before the work
     surface = None if dem is None else RasterDem(dem, vertical_crs=vertical_crs)
     low, high = _heights(read, chosen, surface)
     setup = Setup(str(path), places, low, high, chosen, "" if dem is None else str(dem), vertical_crs)
@@ -108,9 +115,14 @@ def match_project(
         raise InputError.of("match.none", file=path, reason="; ".join(f"{a} and {b}: {why}" for a, b, why in failed))
     ties = tie_points(results, places, chosen)
     record = record_of(read, setup, results, failed, ties, working_clock() - begin, command)
+    rows = None
+    if known is not None:
+        rows, found_chips = _control_rows(known, setup, path, read, results)
+        record |= as_record([*findings_of(record), *found_chips])
+        record["control"] = {"points": len(known.chips), "measured": len(rows.ids), "image_points": len(rows.image)}
     with staged_folder(target, overwrite=overwrite, contents=CONTENTS) as folder, writing(target):
         write_report(folder, record, results, ties, setup)
-        record["files"] = write_tables(path, read, ties)
+        record["files"] = write_tables(path, read, ties, rows)
     record["out"] = str(target)
     store.remove()
     return record
@@ -137,6 +149,23 @@ def _places(path: Path, read: ProjectImages) -> tuple[Place, ...]:
     if faults:
         raise InputError(*faults)
     return tuple(places)
+
+
+def _control_rows(
+    known: Control, setup: Setup, path: Path, read: ProjectImages, results: list[PairResult]
+) -> tuple[ControlRows, list[Finding]]:
+    """Measure control points; their noise has the median factor of the pairs, as they show no y-parallax."""
+    work = work_of(setup)
+    marks, findings = measure(known, work.images, work.rasters, work.options, setup.options)
+    factor = float(np.median([r.record["sigma_factor"] for r in results]))
+    used = sorted({m.point for m in marks})
+    rows = ControlRows(
+        [known.survey.ids[k] for k in used], coordinates_in(known, read.points.crs or "", path)[used],
+        known.survey.sigma_enu_m[used], np.array([m.image for m in marks], np.intp),
+        np.array([used.index(m.point) for m in marks], np.intp), np.array([m.pixel for m in marks]).reshape(-1, 2),
+        np.maximum(sigmas_of(marks, factor), LEAST_SIGMA_PX),
+    )  # fmt: skip
+    return rows, findings
 
 
 def _heights(read: ProjectImages, options: MatchOptions, dem: RasterDem | None) -> tuple[float, float]:

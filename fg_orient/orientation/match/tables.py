@@ -4,30 +4,44 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from factors.arrays import Array, Index
 from fg_orient.formats.atomic import write_lines
-from fg_orient.formats.points import COLUMNS
+from fg_orient.formats.points import COLUMNS, SIGMA_COLUMNS
 from fg_orient.formats.points_write import write_observations, write_points
 from fg_orient.formats.project import OWN, TABLES, ProjectImages
 from fg_orient.formats.table_write import is_binary, quoted, texts
 from fg_orient.formats.toml import entries
-from fg_orient.geodesy import crs_kind
+from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 from fg_orient.orientation.match.tracks import TiePoints
 
 #: Ids of matched points: this prefix and a number.
 PREFIX: Final = "match-"
-_OWN_ID: Final = re.compile(rf'"?{PREFIX}\d+"?$')
+CHIP: Final = f"{PREFIX}chip-"
+_OWN_ID: Final = re.compile(rf'"?({PREFIX}\d+|{CHIP}.+)"?$')
 
 
 def ids_of(n: int) -> list[str]:
     """Ids of n points."""
     width = max(6, len(str(n)))
     return [f"{PREFIX}{k + 1:0{width}d}" for k in range(n)]
+
+
+class ControlRows(NamedTuple):
+    """Control points measured by chips: ids, coordinates (n, 3) in the project's CRS, sigmas (n, 3) m; their marks."""
+
+    ids: list[str]
+    coordinates: Array
+    sigma_m: Array
+    image: Index
+    point: Index
+    pixel: Array
+    sigma_px: Array
 
 
 def require_tables(path: Path, project: ProjectImages, *, overwrite: bool) -> None:
@@ -47,23 +61,38 @@ def require_tables(path: Path, project: ProjectImages, *, overwrite: bool) -> No
             raise InputError.of("match.matched", file=file, option="overwrite")
 
 
-def write_tables(path: Path, project: ProjectImages, ties: TiePoints) -> list[str]:
-    """Write tie points to the tables of a project, in place of those of an earlier run; returns the files."""
+def write_tables(path: Path, project: ProjectImages, ties: TiePoints, control: ControlRows | None = None) -> list[str]:
+    """Write points to the tables of a project, in place of those of an earlier run; returns the files."""
     folder, names = path.parent, ids_of(ties.n_points)
     points, observations = folder / project.points.file, folder / project.observations.file
     images = [entry.id for entry in project.entries]
     of_image = [images[k] for k in ties.image.tolist()]
     of_point = [names[k] for k in ties.point.tolist()]
+    coordinates, sigma_m, roles = (
+        np.full((len(names), 3), np.nan),
+        np.full((len(names), 3), np.nan),
+        [Role.TIE] * len(names),
+    )
+    pixel, sigma = ties.pixel, ties.sigma_px
+    if control is not None:
+        added = [f"{CHIP}{name}" for name in control.ids]
+        of_image += [images[k] for k in control.image.tolist()]
+        of_point += [added[k] for k in control.point.tolist()]
+        names, roles = names + added, roles + [Role.CONTROL] * len(added)
+        coordinates, sigma_m = np.vstack([coordinates, control.coordinates]), np.vstack([sigma_m, control.sigma_m])
+        pixel, sigma = np.vstack([pixel, control.pixel]), np.vstack([sigma, control.sigma_px])
+    kind = crs_kind(project.points.crs or "")
     if points.exists():
-        _append(points, {"id": names, "role": [str(Role.TIE)] * len(names)})
+        numbers = dict(zip(COORDINATE_COLUMNS[kind], coordinates.T, strict=True))
+        numbers |= zip(SIGMA_COLUMNS, sigma_m.T, strict=True)
+        words = {name: ["" if text == "nan" else text for text in texts(column)] for name, column in numbers.items()}
+        _append(points, {"id": names, "role": [str(role) for role in roles], **words})
     else:
-        empty = np.full((len(names), 3), np.nan)
-        kind = crs_kind(project.points.crs or "")
-        write_points(points, names, [Role.TIE] * len(names), empty, empty, kind=kind)
-    pixel, sigma = np.round(ties.pixel, 4), np.round(ties.sigma_px, 4)
+        write_points(points, names, roles, coordinates, sigma_m, kind=kind)
+    pixel, sigma = np.round(pixel, 4), np.round(sigma, 4)
     if observations.exists():
-        numbers = [texts(column) for column in (*pixel.T, *sigma.T)]
-        _append(observations, dict(zip(COLUMNS, (of_image, of_point, *numbers), strict=True)))
+        columns = (of_image, of_point, *(texts(column) for column in (*pixel.T, *sigma.T)))
+        _append(observations, dict(zip(COLUMNS, columns, strict=True)))
     else:
         write_observations(observations, of_image, of_point, pixel, sigma)
     if project.missing:
