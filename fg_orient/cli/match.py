@@ -6,8 +6,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from fg_orient.cli.command import command, option
-from fg_orient.cli.common import Dem, Overwrite, Project, VerticalCrs, command_line, open_dem, require_project
+from fg_orient.cli.command import (
+    Dem,
+    Overwrite,
+    Project,
+    VerticalCrs,
+    command,
+    command_line,
+    open_dem,
+    option,
+    require_project,
+)
 from fg_orient.cli.output import answer, number, say, table, tell_findings
 from fg_orient.cli.progress import progress_bar
 from fg_orient.orientation.match.options import MatchOptions
