@@ -49,10 +49,8 @@ from fg_orient.model.parameters import chosen_datum, eop_set_number
 OWN: Final = "csv"
 #: Entries of [points] for our own table.
 OWN_POINTS: Final = {"crs", *ZeroLevel.__dataclass_fields__}
-#: Entries of the tables in a project that has only images so far.
-TABLES: Final = {
-    "points": {"file": "points.csv", "crs": "EPSG:4979"}, "observations": {"file": "observations.csv"},
-}  # fmt: skip
+#: Entry of the image points of a project that has only images so far.
+NEW_OBSERVATIONS: Final = {"file": "observations.csv"}
 #: A remark of ``validate`` only: the adjustment gives the same warning about the points that it uses.
 FEW_CHECK_CODE: Final = "remark.few_check"
 
@@ -132,7 +130,7 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
 
 
 class ProjectImages(NamedTuple):
-    """Images of a project, their entries, its options, and tables that the file does not name."""
+    """Images of a project, their entries, its options and tables; whether the file names no image points."""
 
     name: str
     images: tuple[Image, ...]
@@ -140,11 +138,11 @@ class ProjectImages(NamedTuple):
     options: Options
     points: PointsEntry
     observations: ObservationsEntry
-    missing: tuple[str, ...]
+    is_new: bool
 
 
 def read_images(path: str | Path) -> ProjectImages:
-    """Read the images and options of a project; its tables may be missing, in the file and on the disk.
+    """Read the images and options of a project; its tables may be missing, in the project file and on the disk.
 
     Raises
     ------
@@ -153,8 +151,8 @@ def read_images(path: str | Path) -> ProjectImages:
     """
     path = Path(path)
     content = parse_toml(path)
-    missing = tuple(name for name in TABLES if name not in content)
-    content |= {name: dict(TABLES[name]) for name in missing}
+    is_new = "observations" not in content
+    content.setdefault("observations", dict(NEW_OBSERVATIONS))
     project = validate(content, str(path), ProjectFile)
     options, problems = _options(project, str(path), {})
     images, image_problems = _images(project, path.parent, str(path))
@@ -162,7 +160,7 @@ def read_images(path: str | Path) -> ProjectImages:
     if problems:
         raise InputError(*problems)
     known = tuple(image for image in images.values() if image is not None)
-    return ProjectImages(project.name, known, project.images, options, project.points, project.observations, missing)
+    return ProjectImages(project.name, known, project.images, options, project.points, project.observations, is_new)
 
 
 def checked_project(path: str | Path, **overrides: object) -> tuple[Block | None, list[Finding]]:

@@ -52,8 +52,7 @@ def test_pleiades_pair_of_s2p(real_data: Path, tmp_path: Path) -> None:
             shutil.copyfile(source / image, tmp_path / name / image)
         write_project(tmp_path / name, {"im1": "img_01.tif", "im2": "img_02.tif"})
     record = match_project(tmp_path / "matched" / "project.toml")
-    for table in ("points.csv", "observations.csv"):
-        shutil.copyfile(source / table, tmp_path / "sift" / table)
+    shutil.copyfile(source / "observations.csv", tmp_path / "sift" / "observations.csv")
     shutil.copyfile(tmp_path / "matched" / "project.toml", tmp_path / "sift" / "project.toml")
     (solution, ours, parallax), (_, theirs, sift_parallax) = (
         adjusted(tmp_path / name / "project.toml") for name in ("matched", "sift")

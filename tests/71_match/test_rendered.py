@@ -68,12 +68,10 @@ def test_tables_of_the_project_can_be_adjusted(matched: Matched) -> None:
     folder, record = matched
     text = (folder / "project.toml").read_text("utf-8")
     assert text.startswith("# rendered\nschema = 1\n")
-    assert text.endswith(
-        '[points]\nfile = "points.csv"\ncrs = "EPSG:4979"\n\n[observations]\nfile = "observations.csv"\n'
-    )
+    assert text.endswith('\n\n[observations]\nfile = "observations.csv"\n') and "[points]" not in text
     solution = fg.adjust(fg.read_project(folder / "project.toml"))
     assert solution.sigma0 == pytest.approx(1.0, abs=0.2)
-    assert {row["role"] for row in table(folder / "points.csv")} == {"tie"}
+    assert not (folder / "points.csv").exists()  # all are tie points
     assert json.loads((folder / "match" / "match.json").read_text())["n_points"] == record["n_points"]
     page = structure(folder / "match" / "report.html")
     assert page.tags.count("img") == 3 and "svg" in page.tags
@@ -115,13 +113,12 @@ def test_an_interrupted_run_goes_on(
     with pytest.raises(KeyboardInterrupt) as caught:
         match_project(project, progress=interrupted(1))
     assert caught.value.args[0].code == "match.interrupted"
-    assert not (project.parent / "points.csv").exists()
+    assert not (project.parent / "observations.csv").exists()
     asked: list[int] = []
     monkeypatch.setattr(kept, "_read", lambda file, read=kept._read: asked.append(1) or read(file))
     match_project(project, resume=True)
     assert asked
-    for name in ("points.csv", "observations.csv"):
-        assert (project.parent / name).read_bytes() == (matched[0] / name).read_bytes()
+    assert (project.parent / "observations.csv").read_bytes() == (matched[0] / "observations.csv").read_bytes()
 
 
 @pytest.mark.behaviour
@@ -231,8 +228,7 @@ def test_images_that_show_different_ground_do_not_match(project: Path) -> None:
 @pytest.mark.consistency
 def test_processes_give_the_same(project: Path, matched: Matched) -> None:
     match_project(project, workers=2)
-    for name in ("points.csv", "observations.csv"):
-        assert (project.parent / name).read_bytes() == (matched[0] / name).read_bytes()
+    assert (project.parent / "observations.csv").read_bytes() == (matched[0] / "observations.csv").read_bytes()
 
 
 @pytest.mark.slow

@@ -31,6 +31,10 @@ BACKWARD_PX: Final = 0.5
 WIDER: Final = 2.0**0.5
 #: Relief between neighbours, px along the curve.
 RELIEF_PX: Final = 2.0
+#: Features of a that are compared for each one that may be matched by least squares.
+SPARE: Final = 3
+#: Response of a feature of b, as a part of the weakest one of a, below which it is not the same.
+WEAKEST: Final = 0.3
 #: Border of windows, px: features near a border have no descriptor.
 BORDER: Final = 16
 
@@ -115,9 +119,13 @@ def match_block(
     border = BORDER + round(WIDER * (options.window // 2))
     top, left = window.row - border, window.column - border
     grey = raster_a.window(top, left, window.rows + 2 * border, window.columns + 2 * border)
-    found = detect(grey)
-    own = (found.pixel >= border - 0.5) & (found.pixel < border - 0.5 + np.array([window.rows, window.columns]))
-    found = found.take(own.all(axis=1))
+    size = np.array([window.rows, window.columns])
+
+    def wanted(pixel: Array, response: Array) -> Index:
+        own = np.flatnonzero(np.all((pixel >= border - 0.5) & (pixel < border - 0.5 + size), axis=1))
+        return own[spread(pixel[own], response[own], 0.0, SPARE * most)]
+
+    found = detect(grey, chosen=wanted)
     first = np.array([raster_a.place.line + top, raster_a.place.sample + left])
     out = []
     for pair, raster_b, expected in others:
@@ -200,7 +208,8 @@ def _match_pair(
     centre = pixel.mean(axis=0)
     matrix = pair.matrix(centre[0], centre[1], float(pair.height_m(np.array(0.5 * (expected.t_low + expected.t_high)))))
     rotation = float(np.degrees(np.arctan2(matrix[0, 1] - matrix[1, 0], matrix[0, 0] + matrix[1, 1])))
-    there = detect(other, rotation)
+    weakest = WEAKEST * float(found.response.min())
+    there = detect(other, rotation, lambda _, response: np.flatnonzero(response >= weakest))
     rows = np.flatnonzero(seen)
     moved = curves.take(rows)
     moved = moved._replace(c0=moved.c0 - origin_b)

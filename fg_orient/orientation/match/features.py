@@ -7,6 +7,7 @@ has about the same size; it is taken if both features are each other's best one 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -63,8 +64,18 @@ def cv2_of() -> Any:
     return cv2
 
 
-def detect(grey: Grey, rotation_deg: float = 0.0) -> Features:
-    """Features of a window, with descriptors along ``rotation_deg`` (from the sample axis to the line axis)."""
+def detect(grey: Grey, rotation_deg: float = 0.0, chosen: Callable[[Array, Array], Index] | None = None) -> Features:
+    """Features of a window.
+
+    Parameters
+    ----------
+    grey : (P, Q) float array
+        nan: nodata.
+    rotation_deg : float
+        Direction of the descriptors, from the sample axis to the line axis.
+    chosen : callable, optional
+        Gives the rows of the features that are wanted, from their pixels (n, 2) and responses (n,).
+    """
     cv2 = cv2_of()
     valid = np.isfinite(grey)
     empty = Features(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty((0, 1), np.float32))
@@ -78,16 +89,21 @@ def detect(grey: Grey, rotation_deg: float = 0.0) -> Features:
     inner = None
     if not valid.all():
         inner = cv2.erode(valid.astype(np.uint8) * 255, np.ones((9, 9), np.uint8))
-    points = list(engine.detect(picture, inner))
-    points = _distinct(points)
+    points = _distinct(list(engine.detect(picture, inner)))
+    if points and chosen is not None:
+        points = [points[k] for k in chosen(*_places(points)).tolist()]
     for point in points:
         point.angle = rotation_deg % 360.0
     points, descriptors = engine.compute(picture, points)
     if not points:
         return empty
-    pixel = np.array([(p.pt[1], p.pt[0]) for p in points])
-    size, response = np.array([p.size for p in points]), np.array([p.response for p in points])
-    return Features(pixel, size, response, _unit(descriptors))
+    pixel, response = _places(points)
+    return Features(pixel, np.array([p.size for p in points]), response, _unit(descriptors))
+
+
+def _places(points: Sequence[Any]) -> tuple[Array, Array]:
+    """Pixels (n, 2) and responses (n,)."""
+    return np.array([(p.pt[1], p.pt[0]) for p in points]), np.array([p.response for p in points])
 
 
 def _distinct(points: list[Any]) -> list[Any]:

@@ -10,8 +10,10 @@ from typing import Any, Final
 import numpy as np
 
 from factors._preparation import working_clock
+from factors.arrays import Array
 from fg_orient.adjustment.parts.execution import Execution, opened
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
+from fg_orient.formats.heights import ZeroLevel
 from fg_orient.formats.project import ProjectImages, read_images
 from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.model.errors import Finding, InputError, as_record, finding, findings_of
@@ -25,7 +27,7 @@ from fg_orient.orientation.match.features import cv2_of
 from fg_orient.orientation.match.options import MatchOptions
 from fg_orient.orientation.match.rasters import Place, missing, place_of, raster_beside
 from fg_orient.orientation.match.record import record_of, write_report
-from fg_orient.orientation.match.tables import ControlRows, require_tables, write_tables
+from fg_orient.orientation.match.tables import NEW_POINTS, ControlRows, require_tables, write_tables
 from fg_orient.orientation.match.tasks import Setup, cell_task, cell_windows, coarse_task, work_of
 from fg_orient.orientation.match.tracks import LEAST_SIGMA_PX, PairResult, accept, tie_points
 from fg_orient.sensors.surface import RasterDem
@@ -99,7 +101,7 @@ def match_project(
     places = _places(path, read)
     known = None if control is None else read_control(Path(control))
     if known is not None:
-        coordinates_in(known, read.points.crs or "", path)  # its errors before the work
+        _coordinates(known, read, path)  # its errors before the work
     surface = None if dem is None else RasterDem(dem, vertical_crs=vertical_crs)
     low, high = _heights(read, chosen, surface)
     setup = Setup(str(path), places, low, high, chosen, "" if dem is None else str(dem), vertical_crs)
@@ -151,6 +153,12 @@ def _places(path: Path, read: ProjectImages) -> tuple[Place, ...]:
     return tuple(places)
 
 
+def _coordinates(known: Control, read: ProjectImages, path: Path) -> Array:
+    """Coordinates of control points in the CRS of the project's table of points."""
+    level = ZeroLevel.of(read.points, path.parent)
+    return coordinates_in(known, "heights above a geoid" if level else read.points.crs or NEW_POINTS["crs"], path)
+
+
 def _control_rows(
     known: Control, setup: Setup, path: Path, read: ProjectImages, results: list[PairResult]
 ) -> tuple[ControlRows, list[Finding]]:
@@ -160,7 +168,7 @@ def _control_rows(
     factor = float(np.median([r.record["sigma_factor"] for r in results]))
     used = sorted({m.point for m in marks})
     rows = ControlRows(
-        [known.survey.ids[k] for k in used], coordinates_in(known, read.points.crs or "", path)[used],
+        [known.survey.ids[k] for k in used], _coordinates(known, read, path)[used],
         known.survey.sigma_enu_m[used], np.array([m.image for m in marks], np.intp),
         np.array([used.index(m.point) for m in marks], np.intp), np.array([m.pixel for m in marks]).reshape(-1, 2),
         np.maximum(sigmas_of(marks, factor), LEAST_SIGMA_PX),

@@ -12,14 +12,17 @@ from factors.arrays import Array, Index
 from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.points import COLUMNS, SIGMA_COLUMNS
 from fg_orient.formats.points_write import write_observations, write_points
-from fg_orient.formats.project import OWN, TABLES, ProjectImages
+from fg_orient.formats.project import NEW_OBSERVATIONS, OWN, ProjectImages
 from fg_orient.formats.table_write import is_binary, quoted, texts
+from fg_orient.formats.tables import require_table
 from fg_orient.formats.toml import entries
 from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 from fg_orient.orientation.match.tracks import TiePoints
 
+#: Table of points of a project that had none.
+NEW_POINTS: Final = {"file": "points.csv", "crs": "EPSG:4979"}
 #: Ids of matched points: this prefix and a number.
 PREFIX: Final = "match-"
 CHIP: Final = f"{PREFIX}chip-"
@@ -52,8 +55,9 @@ def require_tables(path: Path, project: ProjectImages, *, overwrite: bool) -> No
     InputError
         A table of another format or of binary form, or one with matched points, which only ``overwrite`` replaces.
     """
-    for name in TABLES:
-        entry = getattr(project, name)
+    for name, entry in (("points", project.points), ("observations", project.observations)):
+        if entry.file is None:
+            continue
         file = path.parent / entry.file
         if entry.format != OWN or is_binary(file):
             raise InputError.of("match.table_form", file=path, place=f"{name}.file", value=entry.file)
@@ -64,40 +68,59 @@ def require_tables(path: Path, project: ProjectImages, *, overwrite: bool) -> No
 def write_tables(path: Path, project: ProjectImages, ties: TiePoints, control: ControlRows | None = None) -> list[str]:
     """Write points to the tables of a project, in place of those of an earlier run; returns the files."""
     folder, names = path.parent, ids_of(ties.n_points)
-    points, observations = folder / project.points.file, folder / project.observations.file
-    images = [entry.id for entry in project.entries]
-    of_image = [images[k] for k in ties.image.tolist()]
-    of_point = [names[k] for k in ties.point.tolist()]
-    coordinates, sigma_m, roles = (
-        np.full((len(names), 3), np.nan),
-        np.full((len(names), 3), np.nan),
-        [Role.TIE] * len(names),
-    )
-    pixel, sigma = ties.pixel, ties.sigma_px
+    observations, images = folder / project.observations.file, [entry.id for entry in project.entries]
+    of_image, of_point = [images[k] for k in ties.image.tolist()], [names[k] for k in ties.point.tolist()]
+    pixel, sigma, added = ties.pixel, ties.sigma_px, list[str]()
     if control is not None:
         added = [f"{CHIP}{name}" for name in control.ids]
         of_image += [images[k] for k in control.image.tolist()]
         of_point += [added[k] for k in control.point.tolist()]
-        names, roles = names + added, roles + [Role.CONTROL] * len(added)
-        coordinates, sigma_m = np.vstack([coordinates, control.coordinates]), np.vstack([sigma_m, control.sigma_m])
         pixel, sigma = np.vstack([pixel, control.pixel]), np.vstack([sigma, control.sigma_px])
-    kind = crs_kind(project.points.crs or "")
-    if points.exists():
-        numbers = dict(zip(COORDINATE_COLUMNS[kind], coordinates.T, strict=True))
-        numbers |= zip(SIGMA_COLUMNS, sigma_m.T, strict=True)
-        words = {name: ["" if text == "nan" else text for text in texts(column)] for name, column in numbers.items()}
-        _append(points, {"id": names, "role": [str(role) for role in roles], **words})
-    else:
-        write_points(points, names, roles, coordinates, sigma_m, kind=kind)
+    written, entries_ = [observations], list[str]()
+    if project.points.file is not None or added:
+        # a project without a table of points has tie points alone: its control points need one, with all ids
+        others = _ids(observations) if project.points.file is None else []
+        points = folder / (project.points.file or NEW_POINTS["file"])
+        _write_points(points, project.points.crs or NEW_POINTS["crs"], [*others, *names], added, control)
+        written.append(points)
+        entries_ += [] if project.points.file else ["", "[points]", *entries(NEW_POINTS)]
     pixel, sigma = np.round(pixel, 4), np.round(sigma, 4)
     if observations.exists():
         columns = (of_image, of_point, *(texts(column) for column in (*pixel.T, *sigma.T)))
         _append(observations, dict(zip(COLUMNS, columns, strict=True)))
     else:
         write_observations(observations, of_image, of_point, pixel, sigma)
-    if project.missing:
-        _add_tables(path, project)
-    return [str(points), str(observations), *([str(path)] if project.missing else [])]
+    entries_ += ["", "[observations]", *entries(NEW_OBSERVATIONS)] if project.is_new else []
+    if entries_:
+        write_lines(path, [path.read_bytes().decode("utf-8-sig").rstrip(), *entries_])
+        written.append(path)
+    return [str(file) for file in written]
+
+
+def _write_points(
+    file: Path, crs: str, ties: list[str], added: list[str], control: ControlRows | None
+) -> None:  # fmt: skip
+    """Write tie points and control points to a table of points."""
+    kind, names = crs_kind(crs), [*ties, *added]
+    roles = [Role.TIE] * len(ties) + [Role.CONTROL] * len(added)
+    coordinates, sigma_m = np.full((len(names), 3), np.nan), np.full((len(names), 3), np.nan)
+    if control is not None:
+        coordinates[len(ties) :], sigma_m[len(ties) :] = control.coordinates, control.sigma_m
+    if not file.exists():
+        write_points(file, names, roles, coordinates, sigma_m, kind=kind)
+        return
+    numbers = dict(zip(COORDINATE_COLUMNS[kind], coordinates.T, strict=True))
+    numbers |= zip(SIGMA_COLUMNS, sigma_m.T, strict=True)
+    words = {name: ["" if text == "nan" else text for text in texts(column)] for name, column in numbers.items()}
+    _append(file, {"id": names, "role": [str(role) for role in roles], **words})
+
+
+def _ids(observations: Path) -> list[str]:
+    """Ids of the points in a table of image points, matched ones left out."""
+    if not observations.exists():
+        return []
+    table = require_table(observations, [COLUMNS])
+    return [name for name in dict.fromkeys(table.cells["id"]) if not _OWN_ID.match(name)]
 
 
 def _lines(file: Path) -> list[str]:
@@ -122,12 +145,3 @@ def _append(file: Path, columns: dict[str, list[str]]) -> None:
     n = len(next(iter(columns.values())))
     cells = [[quoted(cell) for cell in columns[name]] if name in columns else [""] * n for name in order]
     write_lines(file, [*lines, *(",".join(row) for row in zip(*cells, strict=True))])
-
-
-def _add_tables(path: Path, project: ProjectImages) -> None:
-    """Name the tables at the end of the project file; all that is there stays."""
-    text = path.read_bytes().decode("utf-8-sig").rstrip()
-    lines = [text]
-    for name in project.missing:
-        lines += ["", f"[{name}]", *entries(TABLES[name])]
-    write_lines(path, lines)
