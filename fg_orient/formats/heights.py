@@ -10,14 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import numpy as np
 
 from factors.arrays import Array, Index
+from fg_orient.formats.both_heights import estimated
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.faults import Faults
-from fg_orient.formats.tables import read_table
 from fg_orient.geodesy import (
     crs_kind,
     geodetic_to_ecef,
@@ -28,26 +27,12 @@ from fg_orient.geodesy import (
     to_geographic,
 )
 from fg_orient.geodesy.crs import from_ecef
-from fg_orient.geodesy.heights import GeoidFile, found_grid, vertical_reference
-from fg_orient.geodesy.world_geoid import LIMIT_M, world_undulation_m
+from fg_orient.geodesy.geoid import LIMIT_M, GeoidFile, world_undulation_m
+from fg_orient.geodesy.heights import found_grid, vertical_reference
 from fg_orient.model.errors import Finding, InputError, finding
 
-#: Columns of a table of points with both heights.
-BOTH_COLUMNS: Final = ("id", "height_m", "ellipsoidal_height_m")
-#: Probability that one of all points with right heights is named as odd.
-ODD: Final = 0.01
 #: Semi-major axis and flattening of an ellipsoid that is WGS84's within 0.1 mm.
 _WGS84: Final = (6378137.0, 1.0 / 298.2572)
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Constant undulation from points with both heights: mean, its standard deviation and that of one point, m."""
-
-    undulation_m: float
-    sigma_m: float
-    single_m: float
-    notes: tuple[Finding, ...]
 
 
 @dataclass(frozen=True)
@@ -61,7 +46,7 @@ class ZeroLevel:
     undulation_m : float, optional
         Height of the zero level above the WGS84 ellipsoid.
     both_heights : Path, optional
-        Table with the columns ``BOTH_COLUMNS``.
+        Table of points with both heights.
     """
 
     geoid: Path | None = None
@@ -195,45 +180,3 @@ def _odd_constant(constant: float, lonlat: Array) -> tuple[Finding, ...]:
     opposite = abs(apart - 2.0 * constant) <= LIMIT_M / 2.0
     text = "; with the opposite sign it would fit" if opposite else ""
     return (finding("heights.odd_constant", undulation_m=constant, apart_m=apart, opposite=text),)
-
-
-def estimated(path: Path) -> Estimate:
-    """Constant undulation from a table of points with both heights.
-
-    The mean of the differences of both heights, its standard deviation from their scatter. A point whose difference
-    is not that of the others (externally studentised, ``ODD`` over all points) is named and kept.
-
-    Raises
-    ------
-    InputError
-        The table is faulty.
-    """
-    faults = Faults(str(path))
-    table = read_table(path, [BOTH_COLUMNS], faults)
-    faults.raise_if_any()
-    assert table is not None
-    table.refuse_repeated(list(table.cells["id"]), "points.id_twice", "id")
-    values = table.numbers(*BOTH_COLUMNS[1:])
-    table.report(faults)
-    faults.raise_if_any()
-    difference, n = values[:, 1] - values[:, 0], len(values)
-    mean = float(difference.mean())
-    if n == 1:
-        return Estimate(mean, np.nan, np.nan, (finding("heights.one_point", file=path, undulation_m=mean),))
-    single = float(difference.std(ddof=1))
-    sigma = single / np.sqrt(n)
-    said: dict[str, Any] = {"undulation_m": mean, "sigma_m": sigma, "single_m": single, "n": n}
-    notes = [finding("heights.estimated", file=path, **said)]
-    if n >= 4:
-        from fg_orient.model.distributions import sidak, t_two_sided  # not above: it loads scipy
-
-        others = (difference.sum() - difference) / (n - 1)
-        square = ((difference - mean) ** 2).sum() - (difference - mean) ** 2 * n / (n - 1)  # of the others about theirs
-        spread = np.sqrt(np.maximum(square, 0.0) / (n - 2) * n / (n - 1))
-        apart = difference - others
-        times = np.abs(apart) / np.maximum(spread, np.finfo(float).tiny)
-        k = int(np.argmax(times))
-        if t_two_sided(n - 2, times[k]) < sidak(ODD, n):
-            notes.append(finding("heights.odd_point", file=path, place=f"point {table.cells['id'][k]}",
-                                 apart_m=float(apart[k]), times=float(times[k])))  # fmt: skip
-    return Estimate(mean, float(sigma), single, tuple(notes))

@@ -100,7 +100,8 @@ class RasterDem:
     def _to_ellipsoid(self, unit: str, given: str) -> None:
         """Add the undulation of a vertical CRS or geoid file; keep the horizontal CRS."""
         from fg_orient.geodesy.crs import vertical_code
-        from fg_orient.geodesy.heights import GRID_SUFFIXES, GeoidFile, undulation_m, vertical_reference, with_vertical
+        from fg_orient.geodesy.geoid import GRID_SUFFIXES, GeoidFile
+        from fg_orient.geodesy.heights import undulation_m, vertical_reference, with_vertical
 
         stated, axis_unit = vertical_reference(self.crs)
         wrong = [u for u in (axis_unit, unit) if u.strip().lower() not in METRES]

@@ -10,11 +10,12 @@ import numpy as np
 import pyproj
 import pytest
 
-from fg_orient.formats.heights import ZeroLevel, estimated
+from fg_orient.formats.both_heights import estimated
+from fg_orient.formats.heights import ZeroLevel
 from fg_orient.formats.project import checked_project, read_project
 from fg_orient.geodesy.crs import vertical_code, with_codes
-from fg_orient.geodesy.heights import GeoidFile, undulation_m
-from fg_orient.geodesy.world_geoid import LIMIT_M, world_undulation_m
+from fg_orient.geodesy.geoid import LIMIT_M, GeoidFile, world_undulation_m
+from fg_orient.geodesy.heights import undulation_m
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.surface import RasterDem
 from tests.support.command import in_process

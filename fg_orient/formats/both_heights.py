@@ -1,0 +1,70 @@
+"""Constant undulation estimated from a table of points with both heights, ellipsoidal and above a zero level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from fg_orient.formats.faults import Faults
+from fg_orient.formats.tables import read_table
+from fg_orient.model.errors import Finding, finding
+
+#: Columns of a table of points with both heights.
+BOTH_COLUMNS: Final = ("id", "height_m", "ellipsoidal_height_m")
+#: Probability that one of all points with right heights is named as odd.
+ODD: Final = 0.01
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Constant undulation from points with both heights: mean, its standard deviation and that of one point, m."""
+
+    undulation_m: float
+    sigma_m: float
+    single_m: float
+    notes: tuple[Finding, ...]
+
+
+def estimated(path: Path) -> Estimate:
+    """Constant undulation from a table of points with both heights.
+
+    The mean of the differences of both heights, its standard deviation from their scatter. A point whose difference
+    is not that of the others (externally studentised, ``ODD`` over all points) is named and kept.
+
+    Raises
+    ------
+    InputError
+        The table is faulty.
+    """
+    faults = Faults(str(path))
+    table = read_table(path, [BOTH_COLUMNS], faults)
+    faults.raise_if_any()
+    assert table is not None
+    table.refuse_repeated(list(table.cells["id"]), "points.id_twice", "id")
+    values = table.numbers(*BOTH_COLUMNS[1:])
+    table.report(faults)
+    faults.raise_if_any()
+    difference, n = values[:, 1] - values[:, 0], len(values)
+    mean = float(difference.mean())
+    if n == 1:
+        return Estimate(mean, np.nan, np.nan, (finding("heights.one_point", file=path, undulation_m=mean),))
+    single = float(difference.std(ddof=1))
+    sigma = single / np.sqrt(n)
+    said: dict[str, Any] = {"undulation_m": mean, "sigma_m": sigma, "single_m": single, "n": n}
+    notes = [finding("heights.estimated", file=path, **said)]
+    if n >= 4:
+        from fg_orient.model.distributions import sidak, t_two_sided  # not above: it loads scipy
+
+        others = (difference.sum() - difference) / (n - 1)
+        square = ((difference - mean) ** 2).sum() - (difference - mean) ** 2 * n / (n - 1)  # of the others about theirs
+        spread = np.sqrt(np.maximum(square, 0.0) / (n - 2) * n / (n - 1))
+        apart = difference - others
+        times = np.abs(apart) / np.maximum(spread, np.finfo(float).tiny)
+        k = int(np.argmax(times))
+        if t_two_sided(n - 2, times[k]) < sidak(ODD, n):
+            notes.append(finding("heights.odd_point", file=path, place=f"point {table.cells['id'][k]}",
+                                 apart_m=float(apart[k]), times=float(times[k])))  # fmt: skip
+    return Estimate(mean, float(sigma), single, tuple(notes))
