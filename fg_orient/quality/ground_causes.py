@@ -15,6 +15,7 @@ from factors.arrays import Array, Index, Mask
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.geodesy.crs import DatumShift, known_shifts
+from fg_orient.geodesy.geoid import world_undulation_m
 from fg_orient.geodesy.heights import undulation_m
 from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError
@@ -178,8 +179,9 @@ class GroundErrors:
             # a measured height that is too small by the undulation is orthometric
             text = f"heights of the {name} look orthometric: ellipsoidal heights are {-theta[0]:+.2f} +- " \
                    f"{sigma[0]:.2f} m above them"  # fmt: skip
+            cure = "give the zero level of the table: crs such as EPSG:32636+EGM96, a geoid file, or undulation_m"
             yield Cause(
-                text, "give the vertical datum of the table by crs, such as EPSG:4326+5773", t, 1, t - penalty, name,
+                text, cure, t, 1, t - penalty, name,
                 partial(mended.shifted, roles=roles, error_m=theta[0] * flat), detail=partial(self._geoid, members),
             )  # fmt: skip
         elif p:
@@ -274,12 +276,13 @@ class GroundErrors:
         return ecef_to_geodetic(self.given_m)
 
     def _geoid(self, members: Mask) -> str:
-        """Mean undulation of EGM96 at the points of a group in words, "" if its grid is not installed."""
+        """Mean undulation at the points of a group in words: of EGM96, or coarse if its grid is not installed."""
         lon, lat, _ = self._geodetic()
         try:
             return f", EGM96 gives {np.mean(undulation_m(_EGM96, lon[members], lat[members])):+.1f} m"
         except FgOrientError:
-            return ""
+            world_m = np.mean(world_undulation_m(lon[members], lat[members]))
+            return f", the Earth's geoid is there at about {world_m:+.0f} m"
 
 
 def _best_part(g: Array, normal: Array) -> tuple[Mask, float]:

@@ -15,6 +15,7 @@ import fg_orient as fg
 from factors.conditions.control import POINT
 from fg_orient.adjustment.dense import assemble
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
+from fg_orient.geodesy.geoid import world_undulation_m
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
@@ -347,8 +348,13 @@ def test_a_refusal_names_exchanged_metadata() -> None:
 @pytest.mark.behaviour
 def test_the_cause_is_on_the_first_screen(block: Block) -> None:
     wrong = with_control(block, written(lambda x, y, h: (x, y, h - 36.0)))
-    page = render(fg.adjust(wrong).result)
+    solution = fg.adjust(wrong)
+    page = render(solution.result)
     assert "look orthometric" in page[: page.index("<nav")]
+    control = block.points.known.ecef_m[block.points.where(Role.CONTROL)]
+    geoid = world_undulation_m(*ecef_to_geodetic(control)[:2]).mean()
+    told = f"the Earth's geoid is there at about {geoid:+.0f} m"
+    assert told in cause(solution) or "EGM96 gives" in cause(solution)  # with its grid
 
 
 @pytest.mark.behaviour
