@@ -10,6 +10,7 @@ import typer
 
 from fg_orient.cli.command import argument, command, option
 from fg_orient.cli.log import session
+from fg_orient.cli.new import OFFICE
 from fg_orient.cli.output import answer, emit, fault, flag, note, say, table, tell, tell_findings
 from fg_orient.model.errors import FgOrientError, Finding, InputError
 from fg_orient.model.machine import in_gb
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from fg_orient.model.block import Block
 
 
-@command()
+@command(several=OFFICE)
 def validate(
     sources: Annotated[
         list[Path], argument("PROJECT.toml", "Project file; or, with --format, one file of points or more.")
@@ -28,10 +29,13 @@ def validate(
         str, option("Check files of points of another program instead.", "FORMAT", flag="--format")
     ] = "",
     crs: Annotated[str, option("Its CRS, where the file does not say it.", "EPSG:N")] = "",
+    office: Any = None,
 ) -> None:
     """Check a project and all its files: errors (exit code 2) and remarks."""
     if format_name:
-        _validate_points(sources, format_name, crs)
+        from fg_orient.formats.registry import Settings
+
+        _validate_points(sources, format_name, Settings(crs, office=office))
         return
     project = sources[0]
     if len(sources) > 1:
@@ -74,12 +78,12 @@ def _finish(record: dict[str, Any], errors: list[Finding], remarks: list[Finding
         raise typer.Exit(InputError.exit_code)
 
 
-def _validate_points(paths: list[Path], format_name: str, crs: str) -> None:
+def _validate_points(paths: list[Path], format_name: str, settings: Settings) -> None:
     """Check points of another program; unverified formats are remarked.
 
     The files of a format with several files are one survey; otherwise each file is a survey.
     """
-    from fg_orient.formats.registry import Settings, format_named
+    from fg_orient.formats.registry import format_named
 
     format_ = format_named(format_name, place="<format>")
     surveys = [paths] if len(format_.files) > 1 else [[path] for path in paths]
@@ -87,7 +91,7 @@ def _validate_points(paths: list[Path], format_name: str, crs: str) -> None:
     remarks: list[Finding] = []
     lines, files = [], []
     for survey in surveys:
-        counts, own_errors, own_remarks = _checked_points(survey, format_, Settings(crs))
+        counts, own_errors, own_remarks = _checked_points(survey, format_, settings)
         names = [str(path) for path in survey]
         files.append({"files": names, **counts, "n_errors": len(own_errors), "n_remarks": len(own_remarks)})
         if not own_errors:
@@ -111,7 +115,8 @@ def _checked_points(
         survey, remarks = read_survey(paths, format_, settings, accept_unverified=True)
     except InputError as error:
         return {"points": 0, "image_points": 0, "crs": ""}, error.problems, ()
-    return {"points": len(survey.ids), "image_points": len(survey.observed), "crs": survey.crs}, (), remarks
+    counts = {"points": len(survey.ids), "image_points": len(survey.observed), "crs": survey.crs}
+    return counts, (), (*survey.notes, *remarks)
 
 
 def _impossible(block: Block, project: Path) -> list[Finding]:

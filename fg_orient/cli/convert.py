@@ -9,11 +9,12 @@ from typing import Annotated, Any
 import typer
 
 from fg_orient.cli.command import ImageSize, Overwrite, argument, command, image_sizes, option
+from fg_orient.cli.new import LEVEL, OFFICE, crs_code
 from fg_orient.cli.output import answer, flag, say, table, tell
 from fg_orient.model.errors import Finding, InputError
 
 
-@command()
+@command(several=OFFICE | LEVEL)
 def convert(
     files: Annotated[list[Path] | None, argument("IN [IN2]", "File to read, or both of a format that has two.")] = None,
     source: Annotated[str, option("Format of IN; default: by the end of its name.", "FORMAT", flag="--from")] = "",
@@ -24,13 +25,6 @@ def convert(
         list[Path] | None, option("File to write; the second of two is named after it, or given by a second --out.")
     ] = None,
     crs: Annotated[str, option("CRS of IN, where the file does not say it.", "EPSG:N")] = "",
-    geoid: Annotated[Path | None, option("Geoid file: the heights of IN are above it and become ellipsoidal.")] = None,
-    undulation_m: Annotated[
-        float | None, option("Constant undulation of the heights of IN, m.", "METRES", flag="--undulation")
-    ] = None,
-    both_heights: Annotated[
-        Path | None, option("Table id,height_m,ellipsoidal_height_m: estimates the constant undulation.")
-    ] = None,
     to_crs: Annotated[str, option("Transform the points to this CRS.", "EPSG:N")] = "",
     sigma_ground: Annotated[
         tuple[float, float, float] | None,
@@ -52,15 +46,18 @@ def convert(
     ] = False,
     formats: Annotated[bool, option("List the formats and end.", flag="--formats")] = False,
     overwrite: Overwrite = False,
+    office: Any = None,
+    level: Any = None,
 ) -> None:
     """Bring ground and image points from one format into another.
 
     What the new format cannot hold is said, one line each.
     """
     from fg_orient.formats.exchange.convert import filled, placed, read_survey, write_survey
-    from fg_orient.formats.heights import ZeroLevel, without_vertical
+    from fg_orient.formats.heights import without_vertical
     from fg_orient.formats.registry import Settings, format_named, format_of
     from fg_orient.formats.registry import formats as all_formats
+    from fg_orient.formats.sensor import read_sensor
 
     if formats:
         _list()
@@ -71,9 +68,10 @@ def convert(
         raise InputError.of("options.value", option="sigma_axes", value=sigma_axes, expected="ecef or enu")
     reader = format_named(source, place="<from>") if source else format_of(files[0], place="<from>")
     writer = format_named(target, place="<to>") if target else format_of(out[0], place="<to>")
-    crs, to_crs = _code(crs, "crs"), _code(to_crs, "to_crs")
-    level = ZeroLevel(geoid, undulation_m, both_heights)
-    settings = Settings(crs, image, sigma_axes, image_sizes(image_size), incomplete=True)
+    crs, to_crs = crs_code(crs), crs_code(to_crs, "to_crs")
+    sensors = {path.stem: read_sensor(path) for path in metadata or []}
+    sizes = image_sizes(image_size)
+    settings = Settings(crs, image, sigma_axes, sizes, incomplete=True, office=office, sensors=sensors)
     if reader.read_model is not None and writer.write_model is not None:
         from fg_orient.formats.exchange.convert import convert_model
         from fg_orient.formats.exchange.ties import model_survey
@@ -90,7 +88,7 @@ def convert(
             raise InputError.of("interchange.needs_model", file=out[0], option="to", value=writer.name,
                                 source=reader.name, known=known)  # fmt: skip
         survey, remarks = read_survey(
-            files, reader, settings, accept_unverified=accept_unverified, scenes=_scenes(metadata or [])
+            files, reader, settings, accept_unverified=accept_unverified, scenes=_scenes(sensors)
         )
         survey = filled(
             survey, sigma_ground_m=sigma_ground, sigma_image_px=sigma_image, height_m=height, check=check or ()
@@ -111,25 +109,10 @@ def convert(
     answer(record, _show, {"note": survey.notes, "remark": remarks, "lost": lost}, counts, written)
 
 
-def _code(crs: str, option: str) -> str:
-    """CRS with codes for names; InputError, with the name of the option, if it is unusable; "" is accepted."""
-    from fg_orient.geodesy import crs_kind
-    from fg_orient.geodesy.crs import with_codes
-
-    try:
-        crs = with_codes(crs)
-        if crs:
-            crs_kind(crs)
-    except InputError as error:
-        raise InputError(*(replace(problem, place="", option=option) for problem in error.problems)) from None
-    return crs
-
-
-def _scenes(paths: list[Path]) -> list[Any]:
+def _scenes(sensors: dict[str, Any]) -> list[Any]:
     from fg_orient.formats.scenes import Scene
-    from fg_orient.formats.sensor import read_sensor
 
-    return [Scene.from_footprint(path.name, read_sensor(path).footprint()) for path in paths]
+    return [Scene.from_footprint(name, sensor.footprint()) for name, sensor in sensors.items()]
 
 
 def _show(findings: dict[str, tuple[Finding, ...]], counts: dict[str, int], written: tuple[Path, ...]) -> None:

@@ -4,41 +4,123 @@ from __future__ import annotations
 
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from fg_orient.cli.command import Overwrite, argument, command, option
+from fg_orient.cli.command import Overwrite, Several, argument, command, option
 from fg_orient.cli.log import session
 from fg_orient.cli.output import answer, flag, note, say, tell
 from fg_orient.model.errors import InputError, finding
 
 if TYPE_CHECKING:
-    from fg_orient.formats.office.decisions import Assumption, Decisions, Question
+    from fg_orient.formats.heights import ZeroLevel
+    from fg_orient.formats.office.decisions import Assumption, Decisions, Office, Question
 
-_PAIR = re.compile(r",(?=\s*[A-Za-z]\w*\s*=)")
-Columns = Annotated[str, option("Headers of columns (#2: the second one).", "E=HEADER,N=HEADER,...")]
-RoleColumn = Annotated[str, option("Header of the column of roles; none: all are control.", "HEADER")]
-FirstPixel = Annotated[
-    float | None, option("Coordinate of the centre of the first pixel in the table: 0, 1 or 0.5.", "NUMBER")
-]
-Units = Annotated[str, option("Units that the headers do not name.", "E=km,H=ft")]
-Decimal = Annotated[str, option("Decimal sign, where the numbers can be read with both.", "comma|point")]
-Heights = Annotated[str, option("Heights of the table: ellipsoidal, or the vertical CRS.", "ellipsoidal|EPSG:N")]
+_PAIR: Final = re.compile(r",(?=\s*[A-Za-z]\w*\s*=)")
 
 
-@command()
+def _office(
+    columns: str, heights: str, units: str, decimal: str, role_column: str, first_pixel: float | None
+) -> Office:
+    """What the user states about tables of unknown form; InputError for values that are not understood."""
+    from fg_orient.formats.office.decisions import Office
+    from fg_orient.formats.office.pixels import FIRST_PIXELS
+    from fg_orient.formats.office.words import ANGLES, LENGTHS
+    from fg_orient.geodesy.crs import vertical_code
+
+    own = _pairs(units, "units")
+    wrong = next((f"{key}={unit}" for key, unit in own.items() if unit not in LENGTHS and unit not in ANGLES), "")
+    for name, value, is_wrong, expected in (
+        ("decimal", decimal, decimal not in ("", "comma", "point"), "comma or point"),
+        ("first_pixel", first_pixel, first_pixel not in (None, *FIRST_PIXELS), "0, 1 or 0.5"),
+        ("units", wrong, bool(wrong), "E=km,H=ft or lon=gon"),
+    ):
+        if is_wrong:
+            raise InputError.of("office.value", option=name, value=value, expected=expected)
+    if heights not in ("", "ellipsoidal"):
+        try:
+            heights = vertical_code(heights)
+        except InputError as error:
+            raise InputError(*(replace(problem, place="", option="heights") for problem in error.problems)) from None
+    return Office(_pairs(columns, "columns"), "", heights, decimal, own, role_column, first_pixel)
+
+
+def _pairs(text: str, name: str) -> dict[str, str]:
+    """Values by key of ``E=Doğu,N=Kuzey``."""
+    out = {}
+    for part in _PAIR.split(text) if text else []:
+        key, equals, value = (word.strip() for word in part.partition("="))
+        if not equals or not key or not value:
+            raise InputError.of("office.value", option=name, value=part, expected="KEY=VALUE,KEY=VALUE")
+        out[key] = value
+    return out
+
+
+def crs_code(crs: str, option: str = "crs") -> str:
+    """CRS with codes for names; InputError, with the name of the option, if it is unusable; "" is accepted."""
+    from fg_orient.geodesy import crs_kind
+    from fg_orient.geodesy.crs import with_codes
+
+    try:
+        crs = with_codes(crs)
+        if crs:
+            crs_kind(crs)
+    except InputError as error:
+        raise InputError(*(replace(problem, place="", option=option) for problem in error.problems)) from None
+    return crs
+
+
+#: Options about tables of unknown form, in place of the parameter ``office`` of a command.
+OFFICE: Final = {"office": Several({
+    "columns": (
+        Annotated[str, option("Headers of columns (without header: #1, #2).", "E=HEADER,N=HEADER,...")], ""
+    ),
+    "heights": (
+        Annotated[str, option("Heights: ellipsoidal, or a vertical CRS.", "ellipsoidal|EPSG:N|NAME")], ""
+    ),
+    "units": (Annotated[str, option("Units that the headers do not name.", "E=km,H=ft")], ""),
+    "decimal": (Annotated[str, option("Decimal sign, where the numbers can be read with both.", "comma|point")], ""),
+    "role_column": (Annotated[str, option("Column of roles; none: all are control.", "HEADER")], ""),
+    "first_pixel": (
+        Annotated[float | None, option("Coordinate of the centre of the first pixel: 0, 1 or 0.5.", "NUMBER")], None
+    ),
+}, _office)}  # fmt: skip
+
+
+def _level(geoid: Path | None, undulation_m: float | None, both_heights: Path | None) -> ZeroLevel:
+    from fg_orient.formats.heights import ZeroLevel
+
+    return ZeroLevel(geoid, undulation_m, both_heights)
+
+
+#: Options about the zero level of heights, in place of the parameter ``level`` of a command.
+LEVEL: Final = {"level": Several({
+    "geoid": (
+        Annotated[Path | None, option("Geoid file: the heights of IN are above it and become ellipsoidal.")], None
+    ),
+    "undulation_m": (
+        Annotated[float | None, option("Constant undulation of the heights of IN, m.", "METRES", flag="--undulation")],
+        None,
+    ),
+    "both_heights": (
+        Annotated[Path | None, option("Table id,height_m,ellipsoidal_height_m: estimates the constant undulation.")],
+        None,
+    ),
+}, _level)}  # fmt: skip
+
+
+@command(several=OFFICE | LEVEL)
 def new(
     sources: Annotated[
         list[Path], argument("FOLDER_OR_FILES...", "Images or their metadata, tables, or their folder.")
     ],
     out: Annotated[Path, option("Folder of the project to make.", "PROJECT")],
-    columns: Columns = "",
+    office: Any = None,
+    level: Any = None,
     crs: Annotated[str, option("CRS of the ground points.", "EPSG:N[+M]")] = "",
-    heights: Heights = "",
-    units: Units = "",
-    decimal: Decimal = "",
     sigma_ground: Annotated[
         tuple[float, float, float] | None,
         option("Standard deviations of ground points without any, m.", "EAST NORTH UP"),
@@ -47,9 +129,7 @@ def new(
         tuple[float, float] | None, option("Standard deviations of image points without any, pixels.", "LINE SAMPLE")
     ] = None,
     height: Annotated[float | None, option("Height of points without one, m.")] = None,
-    role_column: RoleColumn = "",
     check: Annotated[list[str] | None, option("Make this a check point; may be repeated.", "ID")] = None,
-    first_pixel: FirstPixel = None,
     image: Annotated[list[str] | None, option("Image of a name in the tables; may be repeated.", "NAME=IMAGE")] = None,
     yes: Annotated[bool, option("Accept the assumptions, which are listed.", flag="--yes")] = False,
     overwrite: Overwrite = False,
@@ -63,11 +143,10 @@ def new(
     from fg_orient.formats.office.decisions import Decisions
     from fg_orient.formats.office.project import Given, draft, write_draft
 
-    office = office_of(columns, crs, heights, units, decimal, role_column, first_pixel, image or [])
+    office = replace(office, crs=crs_code(crs), images=_named_images(image or []))
     terminal = sys.stdin.isatty() and sys.stdout.isatty() and not session().as_json
-    given = {"crs": office.crs, "decimal": office.decimal, "columns": office.columns}
-    decisions = Decisions(given, _ask if terminal else None)
-    values = Given(sigma_ground, sigma_image, height, tuple(check or ()))
+    decisions = Decisions(office.given, _ask if terminal else None)
+    values = Given(sigma_ground, sigma_image, height, tuple(check or ()), level)
     made = draft(sources, out, office, values, decisions, overwrite=overwrite)
     if not session().as_json:
         tell_assumptions(decisions)
@@ -94,51 +173,15 @@ def _show(record: dict[str, Any], counts: dict[str, int], remarks: Any) -> None:
     say(f"written: {record['project']}")
 
 
-def office_of(
-    columns: str = "", crs: str = "", heights: str = "", units: str = "", decimal: str = "", role_column: str = "",
-    first_pixel: float | None = None, image: list[str] | None = None,
-) -> Any:  # fmt: skip
-    """Options about tables of unknown form; InputError for values that are not understood."""
-    from fg_orient.formats.office.pixels import FIRST_PIXELS
-    from fg_orient.formats.office.survey import Office
-    from fg_orient.formats.office.words import ANGLES, LENGTHS
-    from fg_orient.geodesy import crs_kind
-
-    if crs:
-        try:
-            crs_kind(crs)
-        except InputError as error:
-            raise InputError.of("office.value", option="crs", value=crs, expected=error.problems[0].message) from None
-    if heights and heights != "ellipsoidal" and not re.fullmatch(r"EPSG:[0-9]{4,5}", heights):
-        raise InputError.of(
-            "office.value", option="heights", value=heights, expected="ellipsoidal or EPSG:N, such as EPSG:5773"
-        )
-    if decimal not in ("", "comma", "point"):
-        raise InputError.of("office.value", option="decimal", value=decimal, expected="comma or point")
-    if first_pixel is not None and first_pixel not in FIRST_PIXELS:
-        raise InputError.of("office.value", option="first_pixel", value=first_pixel, expected="0, 1 or 0.5")
-    own = _pairs(units, "units")
-    for key, unit in own.items():
-        if unit not in LENGTHS and unit not in ANGLES:
-            raise InputError.of("office.value", option="units", value=f"{key}={unit}", expected="E=km,H=ft or lon=gon")
+def _named_images(words: list[str]) -> dict[str, str]:
+    """Images by their names in tables, of words ``NAME=IMAGE``."""
     images = {}
-    for word in image or []:
-        name, equals, found = word.rpartition("=")
-        if not equals or not name or not found:
+    for word in words:
+        name, _, found = word.rpartition("=")
+        if not name or not found:
             raise InputError.of("office.value", option="image", value=word, expected="NAME=IMAGE")
         images[name] = found
-    return Office(_pairs(columns, "columns"), crs, heights, decimal, own, role_column, first_pixel, images)
-
-
-def _pairs(text: str, name: str) -> dict[str, str]:
-    """Values by key of ``E=Doğu,N=Kuzey``."""
-    out = {}
-    for part in _PAIR.split(text) if text else []:
-        key, equals, value = (word.strip() for word in part.partition("="))
-        if not equals or not key or not value:
-            raise InputError.of("office.value", option=name, value=part, expected="KEY=VALUE,KEY=VALUE")
-        out[key] = value
-    return out
+    return images
 
 
 def tell_assumptions(decisions: Decisions) -> None:

@@ -25,6 +25,7 @@ from fg_orient.model.errors import Finding, InputError
 if TYPE_CHECKING:
     from fg_orient.formats.exchange.survey import Survey
     from fg_orient.formats.frame_model import FrameModel
+    from fg_orient.formats.office.decisions import Office
     from fg_orient.formats.rpc.fields import Reading
     from fg_orient.sensors.rpc import RpcModel
 
@@ -83,6 +84,10 @@ class Settings:
         Sizes of the images, for formats that count from another corner or from the middle.
     incomplete : bool
         Our own tables may lack roles, heights and standard deviations, which the user gives.
+    office : Office, optional
+        What the user states about tables of unknown form.
+    sensors : mapping of str to Sensor
+        Images into which the points of such tables are projected.
     """
 
     crs: str = ""
@@ -90,6 +95,8 @@ class Settings:
     sigma_axes: str = "ecef"
     image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=lambda: MappingProxyType({}))
     incomplete: bool = False
+    office: Office | None = None
+    sensors: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def require_images(self, names: Sequence[str], file: object) -> None:
         """Raise InputError for sizes of images that a file does not have; it names the first one."""

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.office.decisions import Decisions
+from fg_orient.formats.office.decisions import Decisions, Office
 from fg_orient.formats.office.project import Given, draft
-from fg_orient.formats.office.survey import Office
 from fg_orient.model.errors import InputError
 from tests.support.office import IMAGES, differences
 from tests.support.office_random import Written, random_table

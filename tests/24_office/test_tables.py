@@ -252,3 +252,19 @@ def test_a_workbook_saved_by_libreoffice(tmp_path: Path, end: str) -> None:
     ground, pixel = differences(made(tmp_path / "project"), there)
     assert ground < GROUND_M
     assert pixel < PIXEL
+
+
+def test_a_constant_undulation_makes_heights_ellipsoidal(tmp_path: Path) -> None:
+    there = place("tr")
+    write_images(tmp_path / "in", there)
+    rows: Grid = [["Nokta", "Doğu", "Kuzey", "Ortometrik yükseklik"]]
+    rows += [
+        [i, *map(number, (e, n, h - 35.25))] for i, (e, n, h) in zip(there.ids, there.map("EPSG:32636"), strict=True)
+    ]
+    (tmp_path / "in" / "a.csv").write_text(text(rows), "utf-8")
+    rows = [["Görüntü", "Nokta", "Satır", "Sütun"], *pixel_rows(there, ".", 1.0)]
+    (tmp_path / "in" / "b.csv").write_text(text(rows), "utf-8")
+    ended = new(tmp_path, "--first-pixel", "1", "--undulation", "35.25")
+    assert ended.code == 0, ended.stderr
+    assert "35.25" in (tmp_path / "project" / "project.toml").read_text("utf-8")
+    assert differences(made(tmp_path / "project"), there)[0] < GROUND_M

@@ -18,6 +18,7 @@ from fg_orient.geodesy.crs import wkt
 
 from .command import in_process
 from .frame_models import frame_model
+from .office import office_files
 
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "formats"
 
@@ -173,6 +174,7 @@ FORMAT_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
     "micmac": (own_tables, shown("micmac", ("gcp.txt", "{}"), ("gcp_images.txt", "{}"))),
     "micmac-ties": (micmac_ties,),
     "odm": (shown("odm", ("gcp_list.txt", "{}")),),
+    "office": (office_files,),
     "photomodeler": (texts(pmexport=PHOTOMODELER), shown("photomodeler", ("2dpts.txt", "{}"))),
     "pix4d": (shown("pix4d", ("gcp.csv", "{}"), ("marks.csv", "{}")),),
     "libmv": (binary,),

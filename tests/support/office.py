@@ -153,6 +153,13 @@ def _ods_cell(value: Any) -> str:
     return f'<table:table-cell office:value-type="string"><text:p>{escape(str(value))}</text:p></table:table-cell>'
 
 
+def office_files(folder: Path) -> None:
+    """Write the files of :func:`office_folder` into the folder itself."""
+    office_folder(folder)
+    for path in (folder / "office").iterdir():
+        path.rename(folder / path.name)
+
+
 def office_folder(folder: Path) -> None:
     """Write ``office``: two RPC images and a workbook of a surveyor, as their how-to page describes it."""
     there = place("tr")

@@ -1,4 +1,4 @@
-"""What a reader of unknown tables assumes, and what it has to ask.
+"""What the user states about tables of unknown form, what their reader assumes, and what it has to ask.
 
 A question has ranked choices. If the data or the names decide clearly, the first choice is assumed, and listed. Else
 the user decides: by an option, or by an answer on a terminal. Nothing is assumed without being listed.
@@ -11,6 +11,42 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fg_orient.model.errors import Finding, InputError, finding
+
+
+@dataclass(frozen=True)
+class Office:
+    """What the user states; None or "" is found out or asked.
+
+    Parameters
+    ----------
+    columns : mapping of str to str
+        Header by key: E, N, H, lon, lat, X, Y, Z, id, image, line, sample, role, sE, sN, sH, sEN, sline, ssample, spx.
+    crs, heights, decimal, role_column : str
+        ``EPSG:n[+m]``; "ellipsoidal" or ``EPSG:m``; "comma" or "point"; header, or "none".
+    units : mapping of str to str
+        Unit by key, such as H to "ft".
+    first_pixel : float or None
+        Coordinate of the centre of the first pixel.
+    images : mapping of str to str
+        Image by its name in the table.
+    lift_m : float
+        Approximately what makes the heights ellipsoidal, if another statement than ``heights`` says it.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    crs: str = ""
+    heights: str = ""
+    decimal: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+    role_column: str = ""
+    first_pixel: float | None = None
+    images: Mapping[str, str] = field(default_factory=dict)
+    lift_m: float = 0.0
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Options about which nothing is asked, by name."""
+        return {"crs": self.crs, "decimal": self.decimal, "columns": self.columns}
 
 
 @dataclass(frozen=True)

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from factors.arrays import Array
 from fg_orient.formats.faults import Faults, did_you_mean
 from fg_orient.formats.office.decisions import Choice, Decisions, Question
-from fg_orient.formats.office.numbers import USUAL, Style, angles, is_number, possible_styles, value_of, values
+from fg_orient.formats.office.numbers import Style, is_number, possible_styles, value_of, values
 from fg_orient.formats.office.sheets import Sheet
-from fg_orient.formats.office.words import ANGLES, LENGTHS, NAMES, PIXELS, Named, heights_of, named, plain, role_of
+from fg_orient.formats.office.table import Table
+from fg_orient.formats.office.words import ANGLES, LENGTHS, NAMES, PIXELS, Named, named, plain, role_of
 from fg_orient.formats.office.workbook import Cell
 from fg_orient.model.errors import InputError
 
@@ -44,101 +42,6 @@ _LARGEST: Final = {"H": 30_000.0, "line": 300_000.0, "sample": 300_000.0}
 _LOOKED_AT: Final = 30
 #: Header rows at most.
 _HEADERS: Final = 3
-
-
-@dataclass(frozen=True, eq=False)
-class Table:
-    """A sheet with its columns.
-
-    Parameters
-    ----------
-    sheet : Sheet
-    headers : list of str
-        Header of each column as it is shown; ``#2`` for a column without one.
-    names : list of Named
-    columns : list of lists
-        Cells of each column, without header.
-    rows : list of int
-        Row of the sheet of each record.
-    titles : str
-        Text above the header.
-    style : Style
-        How its numbers are written.
-    stated : frozenset of int
-        Columns that the user names.
-    """
-
-    sheet: Sheet
-    headers: list[str]
-    names: list[Named]
-    columns: list[list[Cell]]
-    rows: list[int]
-    titles: str = ""
-    style: Style = USUAL
-    stated: frozenset[int] = frozenset()
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    @property
-    def file(self) -> str:
-        """Name of the file, for messages."""
-        return str(self.sheet.path)
-
-    def place(self, k: int, column: int | None = None) -> str:
-        """Place of a record for messages."""
-        return self.sheet.place(self.rows[k], "" if column is None else self.headers[column])
-
-    def having(self, key: str) -> list[int]:
-        """Columns with a key."""
-        return [k for k, one in enumerate(self.names) if one.key == key]
-
-    def one(self, key: str) -> int | None:
-        """Column with a key; None if there is none. InputError if several have it."""
-        found = self.having(key)
-        if len(found) > 1:
-            stated = [k for k in found if k in self.stated]
-            if len(stated) == 1:
-                return stated[0]
-            names = [self.headers[k] for k in found]
-            raise InputError.of("office.columns_alike", file=self.file, place=self.sheet.name, option="columns",
-                                key=key, value=", ".join(names), example=f"{key}={names[0]}")  # fmt: skip
-        return found[0] if found else None
-
-    def filled(self, column: int) -> Array:
-        """Records (n,) with a cell in this column."""
-        return np.array([cell != "" for cell in self.columns[column]], bool)
-
-    @cached_property
-    def numeric(self) -> list[int]:
-        """Columns of numbers or angles."""
-        out = []
-        for k, cells in enumerate(self.columns):
-            filled = [cell for cell in cells if cell != ""]
-            if filled and np.mean([is_number(cell) for cell in filled]) > 0.5:
-                out.append(k)
-        return out
-
-    def texts(self, column: int) -> list[str]:
-        """Cells as ids: whole numbers of a workbook without decimals."""
-        return [str(int(c)) if isinstance(c, float) and c.is_integer() else str(c) for c in self.columns[column]]
-
-    def numbers(self, column: int) -> Array:
-        """Plain numbers (n,), nan where there is none."""
-        return values(self.columns[column], self.style)
-
-    def angles(self, column: int) -> Array | None:
-        """Degrees (n,) if the cells are written with minutes and seconds or a hemisphere, else None."""
-        return angles(self.columns[column])
-
-    def require_numbers(self, column: int, found: Array, faults: Faults, *, blank: bool = False) -> None:
-        """Note the cells of a column that are no finite numbers; ``blank`` cells are allowed."""
-        for k in np.flatnonzero(~np.isfinite(found)).tolist():
-            cell = self.columns[column][k]
-            if cell == "" and not blank:
-                faults.add("table.cell_empty", place=self.place(k, column))
-            elif cell != "":
-                faults.add("office.not_a_number", place=self.place(k, column), value=repr(cell))
 
 
 def table_of(sheet: Sheet, decisions: Decisions, columns: Mapping[str, str]) -> Table | None:
@@ -261,8 +164,6 @@ def _stated(headers: list[str], names: list[Named], columns: Mapping[str, str]) 
     stated = set()
     for key, header in columns.items():
         at = next((k for k, own in enumerate(headers) if header == own or plain(header) == plain(own)), None)
-        if at is None and re.fullmatch(r"#[0-9]+", header) and int(header[1:]) <= len(headers):
-            at = int(header[1:]) - 1
         if at is None:
             continue
         own = {"X": "X", "Y": "Y", "Z": "Z"}.get(key, key)
@@ -289,7 +190,7 @@ def require_known(columns: Mapping[str, str], tables: list[Table]) -> None:
         if key not in KEYS:
             raise InputError.of("office.key", option="columns", value=key, hint=did_you_mean(key, list(KEYS)))
         known = {plain(own) for own in headers}
-        if plain(header) not in known and not re.fullmatch(r"#[0-9]+", header):
+        if plain(header) not in known and header not in headers:
             raise InputError.of("office.no_column", option="columns", value=header, hint=did_you_mean(header, headers))
 
 
@@ -334,9 +235,3 @@ def _plausible(table: Table, style: Style) -> bool:
             if len(known) and float(np.median(known)) > limit:
                 return False
     return True
-
-
-def stated_heights(table: Table, column: int | None) -> str:
-    """Heights named by the header or by the text above it: "ellipsoidal", "orthometric" or ""."""
-    own = table.names[column].heights if column is not None else ""
-    return own or heights_of(table.titles)

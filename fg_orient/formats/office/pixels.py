@@ -10,8 +10,8 @@ import numpy as np
 from factors.arrays import Array, Mask
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.office.decisions import Choice, Decisions, Question
-from fg_orient.formats.office.fit import Evidence, Fit, Marks, Reading, in_ecef
-from fg_orient.formats.office.parts import ImagePart
+from fg_orient.formats.office.fit import Evidence, Fit, Marks, Reading
+from fg_orient.formats.office.image_columns import ImagePart
 from fg_orient.formats.office.weights import pixel_sigmas
 from fg_orient.formats.points import COLUMNS
 
@@ -72,7 +72,7 @@ def first_pixel(
         require_inside(marks, images, exchanged, fit.sensors, FIRST_PIXELS[0])
     evidence: dict[float, Evidence] = {}
     if reading is not None and fit.sensors and len(fit.used):
-        ecef = in_ecef(crs if not decisions.unanswered else reading.crs, coordinates, fit.sensors)
+        ecef = fit.in_ecef(crs if not decisions.unanswered else reading.crs, coordinates)
         if ecef is not None:
             pixels = fit.predicted(ecef)
             evidence = {c: fit.evidence(pixels, images, exchanged, c)[0] for c in possible}

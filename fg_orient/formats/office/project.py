@@ -14,16 +14,19 @@ from fg_orient.formats.atomic import Contents, require_free, staged_folder
 from fg_orient.formats.exchange.convert import filled
 from fg_orient.formats.exchange.own_csv import write
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.office.decisions import Decisions, Question
+from fg_orient.formats.heights import ZeroLevel, without_vertical
+from fg_orient.formats.office.decisions import Decisions, Office, Question
 from fg_orient.formats.office.images import FoundImage, read_images, sorted_files
 from fg_orient.formats.office.sheets import read_sheets
-from fg_orient.formats.office.survey import Office, read_survey
+from fg_orient.formats.office.survey import read_survey
 from fg_orient.formats.points_write import write_project
 from fg_orient.formats.project import read_project_with_remarks
 from fg_orient.formats.registry import Settings
+from fg_orient.geodesy.crs import WGS84
 from fg_orient.model.errors import Finding, InputError
 from fg_orient.model.names import Role
 
+NO_LEVEL: Final = ZeroLevel()
 #: Files of a new project.
 PROJECT: Final = Contents("project.toml", ("project.toml", "points.csv", "observations.csv"))
 _POINTS, _OBSERVATIONS = "points.csv", "observations.csv"
@@ -40,12 +43,15 @@ class Given:
     height_m : float, optional
     check : sequence of str
         Ids of check points.
+    level : ZeroLevel
+        Zero level of the heights, which become ellipsoidal.
     """
 
     sigma_ground_m: tuple[float, float, float] | None = None
     sigma_image_px: tuple[float, float] | None = None
     height_m: float | None = None
     check: Sequence[str] = ()
+    level: ZeroLevel = NO_LEVEL
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +95,22 @@ def draft(sources: Sequence[Path], out: Path, office: Office, given: Given, deci
     sheets = [sheet for path in tables for sheet in read_sheets(path)]
     survey = None
     if sheets:
+        if given.level:
+            office = replace(office, heights="ellipsoidal", lift_m=_lift_m(given.level, images))
         survey = read_survey(sheets, office, decisions, {image.id: image.sensor for image in images})
         survey = _completed(survey, given, decisions, str(sheets[0].path))
     decisions.require_answers()
     return Draft(images, survey, [*(image.path for image in images), *tables])
+
+
+def _lift_m(level: ZeroLevel, images: Sequence[FoundImage]) -> float:
+    """Height of the zero level above the ellipsoid in the middle of the first georeferenced image."""
+    corners = next((image.sensor.footprint() for image in images if image.sensor.georeferenced), None)
+    if corners is None:
+        return 0.0
+    place = np.array([[*corners.mean(axis=0), 0.0]])
+    point = Survey(WGS84, ("middle",), (Role.CONTROL,), place, np.ones((1, 3)), np.zeros(1, bool))
+    return float(level.applied(point).coordinates[0, 2])
 
 
 def _completed(survey: Survey, given: Given, decisions: Decisions, file: str) -> Survey:
@@ -118,6 +136,10 @@ def _completed(survey: Survey, given: Given, decisions: Decisions, file: str) ->
             "height": {"height_m": values[0]}, "sigma_ground": {"sigma_ground_m": values},
             "sigma_image": {"sigma_image_px": values},
         }[option])  # type: ignore[arg-type]  # fmt: skip
+    if given.level:
+        survey = given.level.applied(without_vertical(survey))
+        for note in survey.notes:
+            decisions.note("heights", note.message, "the zero level was given")
     return survey
 
 

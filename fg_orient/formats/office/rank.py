@@ -2,67 +2,23 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import permutations
 from typing import Any, Final
 
 import numpy as np
 
+from fg_orient.formats.office.candidates import lonlat, possible_crs, scene_box, usual_first
 from fg_orient.formats.office.decisions import Choice, Decisions, Question
-from fg_orient.formats.office.fit import SAME_PX, Fit, Reading, in_ecef, lonlat, possible_crs, scene_box, usual_first
-from fg_orient.formats.office.layout import Table
-from fg_orient.formats.office.parts import Triple, match_image
+from fg_orient.formats.office.fit import SAME_PX, Fit, Reading
+from fg_orient.formats.office.ground import Triple
+from fg_orient.formats.office.stated import stated_crs, titled
+from fg_orient.formats.office.table import Table
 from fg_orient.geodesy import crs_kind, known_crs
 from fg_orient.model.errors import InputError
 
-#: Most images whose names are tried in all orders.
-MOST_IMAGES: Final = 4
 #: Usual units.
 _USUAL: Final = ("", "H=m", "E=m", "E=m,H=m", "lon=deg", "lon=deg,H=m")
-#: Words of a title or header, and the beginning of the names of their CRS.
-_DATUMS: Final = (
-    (r"\bED ?50\b", ("ED50",)), (r"\bWGS ?84\b", ("WGS 84",)), (r"\b(ITRF ?\d*|TUREF)\b", ("TUREF", "ITRF")),
-    (r"\bETRS ?89\b", ("ETRS89",)), (r"\bRGF ?93\b", ("RGF93",)), (r"\bNTF\b", ("NTF",)), (r"\bDHDN\b", ("DHDN",)),
-)  # fmt: skip
-_CODE: Final = re.compile(r"\bEPSG ?:? ?([0-9]{4,6}(?:\+[0-9]{4,6})?)\b", re.IGNORECASE)
-_ZONE: Final = re.compile(r"\b(?:UTM(?: zone)?[ /-]*|zone )([0-9]{1,2}) ?([NS])?\b", re.IGNORECASE)
-
-
-def stated_crs(table: Table) -> str:
-    """CRS that a file, its titles or its headers name by number; "" if none."""
-    if table.sheet.crs:
-        return table.sheet.crs
-    codes = {found[1] for text in (table.titles, *table.headers) for found in _CODE.finditer(text)}
-    return f"EPSG:{codes.pop()}" if len(codes) == 1 else ""
-
-
-def label_images(labels: Sequence[str], images: Sequence[str], given: Mapping[str, str], decisions: Decisions,
-                 file: str) -> list[tuple[str, ...]]:  # fmt: skip
-    """Possible images of the labels of a table: one by the names, else all orders."""
-    found = [given.get(label) or match_image(label, images) for label in labels]
-    if len(labels) == 1 and not found[0] and len(images) == 1:
-        found = [images[0]]
-    known = [name for name in found if name]
-    if len(known) == len(labels) and len(set(known)) == len(labels):
-        changed = [f"{label} = {name}" for label, name in zip(labels, found, strict=True) if label != name]
-        if changed:
-            decisions.note("images", ", ".join(changed), "by their names", "image")
-        return [tuple(found)]
-    if len(labels) > len(images):
-        unknown = next((label for label, name in zip(labels, found, strict=True) if not name), labels[0])
-        raise InputError.of("office.image_unknown", file=file, option="image", value=unknown, known=", ".join(images))
-    if len(images) > MOST_IMAGES:
-        unknown = next((label for label, name in zip(labels, found, strict=True) if not name), labels[0])
-        raise InputError.of("office.image_unknown", file=file, option="image", value=unknown, known=", ".join(images))
-    fixed = dict(zip(labels, found, strict=True)) if len(set(known)) == len(known) else {}
-    free = [name for name in images if name not in fixed.values()]
-    open_labels = [label for label in labels if not fixed.get(label)]
-    return [
-        tuple(fixed.get(label) or dict(zip(open_labels, order, strict=True))[label] for label in labels)
-        for order in permutations(free, len(open_labels))
-    ]
 
 
 def readings(
@@ -76,7 +32,7 @@ def readings(
         for code in codes:
             if crs and crs_kind(code) != triple.kind:
                 continue
-            ecef = in_ecef(code, triple.coordinates, fit.sensors)
+            ecef = fit.in_ecef(code, triple.coordinates)
             if ecef is None or not fit.near(ecef[np.isfinite(ecef).all(axis=1)]):
                 continue
             pixels = fit.predicted(ecef)
@@ -109,7 +65,7 @@ def best_reading(
         raise InputError.of(
             "office.nowhere", file=table.file, place=table.sheet.name, option="crs", value=crs or ", ".join(kinds)
         )
-    found = _titled(table, found, decisions)
+    found = titled(table, found, decisions)
     found = _distinct(sorted(found, key=_preference))
     believable = [one for one in found if one.evidence.believable]
     if not believable:
@@ -139,26 +95,6 @@ def best_reading(
 
 def _preference(one: Reading) -> tuple[Any, ...]:
     return not one.triple.named, one.exchanged, one.triple.kind, usual_first(one.crs), one.triple.units not in _USUAL
-
-
-def _titled(table: Table, found: list[Reading], decisions: Decisions) -> list[Reading]:
-    """Readings in the datum and zone that titles or headers name; all if none is."""
-    text = " ".join((table.titles, *table.headers)).replace("_", " ")
-    for pattern, names in _DATUMS:
-        if re.search(pattern, text, re.IGNORECASE):
-            own = [one for one in found if known_crs(one.crs).name.startswith(names)]
-            if own and len(own) < len(found):
-                decisions.note(f"datum of {table.sheet.title}", names[0], "named in the table", "crs")
-                found = own
-    zone = _ZONE.search(text)
-    if zone:
-        own = [
-            one
-            for one in found
-            if re.search(rf"UTM zone {int(zone[1])}{(zone[2] or '').upper()}", known_crs(one.crs).name)
-        ]
-        found = own or found
-    return found
 
 
 def _distinct(found: list[Reading]) -> list[Reading]:

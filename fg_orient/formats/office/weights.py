@@ -11,8 +11,7 @@ from factors.arrays import Array, Index, Mask
 from fg_orient.formats.exchange.survey import UNKNOWN
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.office.decisions import Choice, Decisions, Question
-from fg_orient.formats.office.layout import Table
-from fg_orient.formats.office.parts import id_column
+from fg_orient.formats.office.table import Table, id_column
 from fg_orient.formats.office.words import LENGTHS, role_of
 from fg_orient.formats.points import FIXED
 from fg_orient.model.names import Role

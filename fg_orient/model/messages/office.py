@@ -10,6 +10,7 @@ WORDS: Final = words("""
 office.question: nothing decides on {subject} ({reason})
     + : {choices}
     -> say it: {option} {example}
+office.assumed (note): assumed: {subject}: {seen} ({reason})
 office.unconfirmed: {count} assumption(s) are not confirmed
     -> read them, and add <yes>, or give the options that they name
 office.workbook: the workbook is damaged, encrypted or none

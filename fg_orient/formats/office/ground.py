@@ -1,4 +1,4 @@
-"""Ground points and image points of tables: which columns they are, and which readings of them are possible."""
+"""Ground points of tables: which columns may be coordinates, in which order and units."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.office.decisions import Decisions
-from fg_orient.formats.office.layout import Table
 from fg_orient.formats.office.numbers import unpacked
-from fg_orient.formats.office.words import ANGLES, LENGTHS, plain
+from fg_orient.formats.office.table import Table, id_column
+from fg_orient.formats.office.words import ANGLES, LENGTHS
 from fg_orient.model.errors import InputError
 
 Kind = Literal["geographic", "projected", "geocentric"]
@@ -59,53 +59,6 @@ class Triple:
             self.kind
         ]
         return ",".join(f"{key}={table.headers[k]}" for key, k in zip(keys, self.columns, strict=True) if k >= 0)
-
-
-@dataclass(frozen=True, eq=False)
-class ImagePart:
-    """Columns of image points: a pair of columns for each image, or one pair and a column of images.
-
-    Parameters
-    ----------
-    table : Table
-    id : int
-    image : int
-        Column of images; -1: the images are named by ``groups``.
-    pairs : list of (int, int)
-        Columns of line and sample.
-    groups : list of str
-        Words that name the image of each pair; "" if none do.
-    named : bool
-        The headers tell line from sample.
-    """
-
-    table: Table
-    id: int
-    image: int
-    pairs: list[tuple[int, int]]
-    groups: list[str]
-    named: bool
-
-
-def id_column(table: Table) -> int:
-    """Column of the points' ids; without a usual name the first one, of points that occur once the first unique one."""
-    named = table.one("id")
-    if named is not None:
-        return named
-    free = [k for k, one in enumerate(table.names) if not one.key]
-    if not table.having("image") and not table.having("line"):
-        free = [k for k in free if _are_ids(table, k)]
-    if not free:
-        raise InputError.of("office.no_ids", file=table.file, place=table.sheet.name, option="columns",
-                            value=", ".join(table.headers))  # fmt: skip
-    return free[0]
-
-
-def _are_ids(table: Table, column: int) -> bool:
-    """Whether the cells of a column are unique, and text or whole numbers."""
-    cells = table.texts(column)
-    whole = all(not isinstance(c, float) or c.is_integer() for c in table.columns[column])
-    return whole and "" not in cells and len(set(cells)) == len(cells)
 
 
 def ground_triples(table: Table, units: dict[str, str]) -> list[Triple]:
@@ -225,93 +178,6 @@ def _horizontals(table: Table, columns: Sequence[int], units: dict[str, str]) ->
         stated = {unit: LENGTHS[unit] for unit in sorted(lengths)} or _LENGTH_UNITS
         out += [("projected", values * factor, unit) for unit, factor in stated.items()]
     return out
-
-
-def image_part(table: Table, images: Sequence[str]) -> ImagePart | None:
-    """Columns of image points of a table; None if it has none."""
-    image = table.one("image")
-    lines, samples = table.having("line"), table.having("sample")
-    named = bool(lines)
-    if not lines and not samples:
-        x, y = table.having("x"), table.having("y")
-        if (
-            not x
-            or len(x) != len(y)
-            or (image is None and len(x) == 1 and not (table.names[x[0]].rest or _about(table, images)))
-        ):
-            return _unnamed(table, images)
-        lines, samples, named = y, x, True
-    if len(lines) != len(samples):
-        raise InputError.of("office.pairs", file=table.file, place=table.sheet.name, option="columns",
-                            value=", ".join(table.headers[k] for k in (*lines, *samples)))  # fmt: skip
-    rests = [[table.names[k].rest for k in own] for own in (lines, samples)]
-    if len(lines) > 1:
-        if sorted(rests[0]) != sorted(rests[1]) or len(set(rests[0])) < len(lines):
-            raise InputError.of("office.pairs", file=table.file, place=table.sheet.name, option="columns",
-                                value=", ".join(table.headers[k] for k in (*lines, *samples)))  # fmt: skip
-        samples = [samples[rests[1].index(rest)] for rest in rests[0]]
-    groups = rests[0] if len(lines) > 1 else [rests[0][0] or _about(table, images)]
-    return ImagePart(
-        table,
-        id_column(table),
-        -1 if image is None else image,
-        list(zip(lines, samples, strict=True)),
-        groups,
-        named,
-    )
-
-
-def _about(table: Table, images: Sequence[str]) -> str:
-    """Words of the sheet, the text above the header or the file that name an image."""
-    for text in (table.sheet.name, table.titles, table.sheet.path.stem):
-        if text and match_image(text, images):
-            return text
-    return ""
-
-
-def match_image(text: str, images: Sequence[str]) -> str:
-    """Image whose name a text has, or that has the text in its name; "" unless it is exactly one."""
-    if text in images:
-        return text
-    own = plain(text.replace(".", " ").replace("_", " ").replace("-", " "))
-    bare = {name: plain(name.replace(".", " ").replace("_", " ").replace("-", " ")) for name in images}
-    for test in (
-        lambda a, b: a == b,
-        lambda a, b: bool(a) and f" {a} " in f" {b} ",
-        lambda a, b: bool(b) and f" {b} " in f" {a} ",
-        lambda a, b: bool(set(a.split()) & _own_words(b, list(bare.values()))),
-    ):
-        found = [name for name, b in bare.items() if own and test(own, b)]
-        if len(found) == 1:
-            return found[0]
-    return ""
-
-
-def _own_words(name: str, names: Sequence[str]) -> set[str]:
-    """Words of a name that no other name has."""
-    others = [set(n.split()) for n in names if n != name]
-    return set(name.split()) - set().union(*others)
-
-
-def _unnamed(table: Table, images: Sequence[str]) -> ImagePart | None:
-    """Image points of a table without usual names: a column of images, or a sheet named after one."""
-    image = table.one("image")
-    if image is None:
-        for k in range(len(table.headers)):
-            cells = set(table.texts(k))
-            if not table.names[k].key and 0 < len(cells) <= len(images) and all(match_image(c, images) for c in cells):
-                image = k
-                break
-    about = "" if image is not None else _about(table, images)
-    if image is None and not about:
-        return None
-    named = table.one("id")
-    free = [k for k in range(len(table.headers)) if k != image and not table.names[k].key]
-    ids = named if named is not None else (free[0] if free else -1)
-    numeric = [k for k in table.numeric if k not in (ids, image) and not table.names[k].key]
-    if ids < 0 or len(numeric) != 2:
-        return None
-    return ImagePart(table, ids, -1 if image is None else image, [(numeric[0], numeric[1])], [about], False)
 
 
 def note_numbers(table: Table, triple: Triple, rows: Array, decisions: Decisions) -> None:
