@@ -52,7 +52,7 @@ from fg_orient.adjustment.irls import norms_at
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.robust import CONTROL, IMAGE, inlier_limit
 from fg_orient.adjustment.solve import solve
-from fg_orient.cli.doctor import self_test
+from fg_orient.cli.checks import self_test
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.model.block import Block, Coordinates, GroundPoints, ImagePoints
 from fg_orient.model.names import Role

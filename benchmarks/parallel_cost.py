@@ -32,7 +32,7 @@ from fg_orient.adjustment.parts.pool import Pool
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur import SchurBackend
-from fg_orient.cli.doctor import self_test
+from fg_orient.cli.checks import self_test
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.strips import StripOptions, strip_block
 

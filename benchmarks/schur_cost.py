@@ -27,7 +27,7 @@ from fg_orient.adjustment.loop import Backend
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur import SchurBackend
-from fg_orient.cli.doctor import self_test
+from fg_orient.cli.checks import self_test
 from fg_orient.simulate.block import BlockOptions, grid_block
 
 #: The graph needs 12 kB per image point: it is left out above this size.

@@ -1,6 +1,6 @@
 """Arrays of the look-angle collinearity: constants, corrections, derivatives, codes of the coefficients.
 
-A factor and a batch (``fg_orient.kernels.batch_pushbroom``) read the same arrays: entry k of observation i is at ``i +
+A factor and a batch (``fg_orient.kernels.batch``) read the same arrays: entry k of observation i is at ``i +
 k n`` of a flat array. All functions are maps on scalars without branches or calls, so that a loop over observations
 becomes vector instructions. Every operation is rounded as written: both get the same bits.
 """

@@ -25,8 +25,7 @@ import numpy.typing as npt
 from factors._contract import NotFiniteError
 from factors.arrays import Array
 from factors.conditions.control import POINT
-from fg_orient.adjustment.group_matrices import GroupMatrices
-from fg_orient.adjustment.point_groups import GroupRows, numbers_of_groups, vector_parts
+from fg_orient.adjustment.point_groups import GroupMatrices, GroupRows, numbers_of_groups, vector_parts
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import FixedWeights, Weighing
 from fg_orient.adjustment.schur import SchurBackend

@@ -3,6 +3,15 @@
 Each factor holds a group of ground points with all their rays (:mod:`fg_orient.adjustment.eliminated`) and links the
 images that see them. Priors are GTSAM's prior factors; an extra observation of images is a factor of its own. GTSAM's
 Gauss-Newton, Levenberg-Marquardt or Dogleg solve this graph (:mod:`fg_orient.adjustment.optimisers`).
+
+In long sequences points and shared unknowns are one variable, and images are eliminated (:class:`ImagesGraph`). For
+given unknowns x of this border (:mod:`fg_orient.adjustment.images_first`) each image is oriented again by its points
+(variable projection: Golub & Pereyra 1973), and eliminated. What remains is a function of x alone, with the cost c(x),
+its gradient g(x) and the reduced normal matrix S(x) of Gauss-Newton. GTSAM's optimisers are given, for each iteration,
+a Hessian factor with S and g, and a factor of the cost, as with eliminated points
+(:mod:`fg_orient.adjustment.reduced_graph`). Images are oriented by Newton's steps. They begin where the last linearised
+solution, moved along the step of the border, predicts them; the elimination contains one further step. A step that does
+not decrease the cost is halved.
 """
 
 from __future__ import annotations
@@ -10,15 +19,18 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping
 from functools import cached_property
+from typing import Final
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import NotFiniteError
 from factors.arrays import Array
+from factors.conditions.control import POINT
 from factors.graph import eliminated_factor
-from fg_orient.adjustment.border import Border, divided, small_enough
-from fg_orient.adjustment.eliminated import Elimination
+from fg_orient.adjustment.border import Border, ImagesBorder, divided, small_enough
+from fg_orient.adjustment.eliminated import IMPOSSIBLE, INTERSECTED, MAX_STEPS, Elimination
 from fg_orient.adjustment.explicit import (
     ExplicitBackend,
     ExplicitSystem,
@@ -28,9 +40,10 @@ from fg_orient.adjustment.explicit import (
     point_key,
     vector_keys,
 )
+from fg_orient.adjustment.images_first import Images, Places
 from fg_orient.adjustment.problem import Problem, State, no_point_is_named
-from fg_orient.adjustment.reduced_graph import GroupSums, ReducedGraph, free_unknowns
-from fg_orient.adjustment.robust import Robust
+from fg_orient.adjustment.reduced_graph import GroupSums, ReducedGraph, cost_factor, free_unknowns
+from fg_orient.adjustment.robust import Robust, Weighing, squares, weighted_problem, weights_at
 from fg_orient.adjustment.schur import SchurSystem
 from fg_orient.adjustment.schur_reduced import Singular
 
@@ -156,3 +169,183 @@ class GraphBackend:
             return explicit.linearise(explicit.values(state))
         self.elimination.backend.robust = self.robust
         return self.elimination.backend.linearise(state)
+
+
+#: Key of the variable.
+BORDER: Final = int(gtsam.symbol("b", 0))
+
+
+class ImageElimination:
+    """Images of a problem as a function of the border; computed again when the border changes.
+
+    Parameters
+    ----------
+    problem : Problem
+    places : Places
+    """
+
+    def __init__(self, problem: Problem, places: Places) -> None:
+        self.problem, self.places = problem, places
+        self._root: Array | None = None
+        self._control: Array | None = None
+        self._excess = 0.0
+        self.start_at(problem.start)
+
+    def start_at(self, state: State) -> None:
+        """Begin at a state: the images are oriented again from there."""
+        self._own = self.places.own_of(state)
+        self._at: Array | None = None  # border where the images were eliminated last, None: not yet
+        self._now: Images | None = None  # their elimination, None: impossible
+        self._base: tuple[Array, Array, Images] | None = None  # border, images and elimination where S was asked for
+
+    def hold_weights(self, robust: Weighing | None, state: State) -> None:
+        """Give the rows the weights of a loss at a state, until the next call; the cost there is that of the loss."""
+        self._root, self._control, self._excess, self._at, self._base = None, None, 0.0, None, None
+        if robust is None:
+            return
+        image_squares, control_squares = squares(self.problem, state)
+        image, control, cost = robust.weigh(image_squares, control_squares)
+        self._root = np.sqrt(image)[self.places.order]
+        self._control = self.problem.control_records.copy()
+        self._control[self.problem.observed, POINT.whitening] *= np.sqrt(control)[:, None]
+        self._excess = cost - 0.5 * float(np.vdot(image, image_squares) + np.vdot(control, control_squares))
+
+    def cost(self, border: Array) -> float:
+        """Cost at unknowns (b,) of the border; that of an impossible place is finite."""
+        images = self._eliminated(border)
+        if images is None:
+            return IMPOSSIBLE
+        return self._excess + 0.5 * (images.squares - float(np.sum(images.decrements**2)))
+
+    def linearised(self, border: Array) -> tuple[Array, Array]:
+        """S (b, b) and g (b,) where an optimiser linearises.
+
+        Singular: the images cannot be oriented.
+        """
+        images = self._eliminated(border)
+        if images is None:
+            raise Singular("images cannot be oriented by their ground points")
+        self._base = border.copy(), self._own, images
+        return images.matrix, images.border_gradient
+
+    def state(self, border: Array, *, complete: bool = False) -> State:
+        """State with the images of the last evaluation; ``complete`` moves them by their last Newton step."""
+        own = self._own
+        if complete and self._now is not None:
+            own = own + self._now.own_step
+        return self.places.state(own, border)
+
+    def _eliminated(self, border: Array) -> Images | None:
+        """Elimination of the images; None if it is impossible."""
+        if self._at is None or not np.array_equal(self._at, border):
+            self._at = border.copy()
+            if self._base is not None:
+                begin, own, images = self._base
+                self._own = own + images.own_step + images.followed((border - begin)[:, None])[:, :, 0]
+            try:
+                self._now = self._oriented(border)
+            except (NotFiniteError, Singular):
+                self._now = None
+                if self._base is not None:
+                    self._own = self._base[1]
+        return self._now
+
+    def _oriented(self, border: Array) -> Images:
+        """Orient the images by Newton's steps."""
+        last: tuple[Array, Array] | None = None
+        for _ in range(MAX_STEPS):
+            images = Images(self.places, self.places.state(self._own, border), self._root, self._control)
+            far = images.decrements > INTERSECTED
+            if not far.any():
+                return images
+            ahead = self._own + images.own_step
+            if last is not None:
+                worse = far & (images.own_squares > last[1] * (1.0 + 1e-12))
+                ahead[worse] = 0.5 * (self._own[worse] + last[0][worse])
+                here = np.where(worse[:, None], last[0], self._own), np.where(worse, last[1], images.own_squares)
+            else:
+                here = self._own, images.own_squares
+            last, self._own = here, ahead
+        raise Singular("images cannot be oriented by their ground points")
+
+
+class ImagesGraph:
+    """Backend of the graph with one variable, the border.
+
+    Parameters
+    ----------
+    problem : Problem
+        See :func:`fg_orient.adjustment.images_first.images_first`.
+    """
+
+    name = "graph"
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.places = problem, Places(problem)
+        self.elimination = ImageElimination(problem, self.places)
+        self.robust: Robust | None = None
+        part = slice(0, len(self.places))
+        #: Factor of the cost of all observations.
+        self.cost = cost_factor(self.elimination.cost, [(BORDER, part)])
+
+    def values(self, state: State) -> gtsam.Values:
+        """GTSAM values of a state; its images become the start of their next orientation."""
+        values = gtsam.Values()
+        values.insert(BORDER, self.places.border_of(state))
+        self.elimination.start_at(state)
+        return values
+
+    def free(self, values: gtsam.Values) -> Array:
+        """Unknowns (b,) of the border."""
+        return np.asarray(values.atVector(BORDER))
+
+    def state(self, values: gtsam.Values, free: Array | None = None, *, complete: bool = False) -> State:
+        """State of values that were evaluated last; see :meth:`ImageElimination.state`."""
+        return self.elimination.state(self.free(values) if free is None else free, complete=complete)
+
+    def linearised(self, values: gtsam.Values, free: Array) -> ImagesReduced:
+        """Graph for one iteration of an optimiser at these values, with the unknowns (b,)."""
+        return ImagesReduced(self, values, free)
+
+    def squares(self, state: State) -> tuple[Array, Array]:
+        """See ``robust.RobustBackend``."""
+        return squares(self.problem, state)
+
+    def linearise(self, state: State) -> ImagesBorder:
+        """Linearise at a solution, for cofactors; under a loss with the weights there."""
+        if self.robust is None:
+            return ImagesBorder(self.problem, state, self.places)
+        return ImagesBorder(weighted_problem(self.problem, weights_at(self.problem, state, self.robust)[0]), state)
+
+
+class ImagesReduced:
+    """Graph for one iteration, and its linear model; see :class:`fg_orient.adjustment.reduced_graph.ReducedGraph`.
+
+    Parameters
+    ----------
+    backend : ImagesGraph
+    values : gtsam.Values
+    free : (b,) array
+        Its unknowns.
+    """
+
+    def __init__(self, backend: ImagesGraph, values: gtsam.Values, free: Array) -> None:
+        self._matrix, self._gradient = backend.elimination.linearised(free)
+        self._cost = backend.elimination.cost(free)
+        self.graph, self.values, self.ordering = gtsam.NonlinearFactorGraph(), values, gtsam.Ordering()
+        self.ordering.push_back(BORDER)
+        self.graph.add(backend.cost)
+        self.graph.add(gtsam.LinearContainerFactor(gtsam.HessianFactor(BORDER, self._matrix, -self._gradient, 0.0)))
+
+    def of_images(self, values: gtsam.Values) -> gtsam.Values:
+        """Copy of values."""
+        return gtsam.Values(values)
+
+    def after(self, values: gtsam.Values, step: Array) -> tuple[float, float]:
+        """Cost after a step (b,) by the linear model, and the gradient along it."""
+        along = float(self._gradient @ step)
+        return self._cost + along + 0.5 * float(step @ self._matrix @ step), along
+
+    def steepest(self) -> float:
+        """Longest Gauss-Newton step of one unknown alone, in standard deviations."""
+        return float((np.abs(self._gradient) / np.sqrt(np.diag(self._matrix))).max(initial=0.0))

@@ -392,7 +392,7 @@ def _run_graph(job: _Job) -> Estimate:
 
 def _run_images(job: _Job) -> Estimate:
     """Build the graph of points, whose factors hold the images, let GTSAM optimise, linearise at the end."""
-    from fg_orient.adjustment.images_graph import ImagesGraph
+    from fg_orient.adjustment.graph import ImagesGraph
     from fg_orient.adjustment.optimisers import GTSAM_OPTIMIZERS
 
     with one_blas_thread():

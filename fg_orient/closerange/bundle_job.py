@@ -17,7 +17,7 @@ from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
 from fg_orient.closerange.bundle_record import bundle_record
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.options import BundleOptions
-from fg_orient.closerange.photo import Photo, PhotoInterior, parameters_of
+from fg_orient.closerange.photo import Photo, PhotoInterior, parameters_of, photo_text
 from fg_orient.closerange.resection import resect
 from fg_orient.formats.closerange import read_photos
 from fg_orient.formats.schema import read_constraints
@@ -94,7 +94,7 @@ def run_bundle(
         )  # fmt: skip
     oriented = [] if result.beyond else result.oriented()
     parts = zip(oriented, result.interiors, result.rotations, strict=bool(oriented))
-    texts = [files.photo_text(*part) for part in parts]
+    texts = [photo_text(*part) for part in parts]
     given_check = {name: at for name, (at, _) in withheld.items()}
     record = {"weights": table.weights} | bundle_record(result, table, known, which, of, seen, given_check, doubts)
     beside = (photos, control, check, start, constraints, stations)

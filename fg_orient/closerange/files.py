@@ -1,4 +1,4 @@
-"""Tables and photo files of the commands: points in photos and in space, stations, photos from and to TOML.
+"""Tables and photo files of the commands: points in photos and in space, stations, photos from TOML.
 
 Stations are observed projection centres, optionally with attitudes, and their standard deviations. They come from a
 receiver, a total station or an inertial unit, in the coordinate system of the control points.
@@ -15,11 +15,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from factors.arrays import Array, Index
-from factors.cameras.image_corrections import NAMES
 from fg_orient.closerange.photo import Photo, PhotoInterior, rotation_from_aerial
 from fg_orient.formats.tables import Table, require_table
 from fg_orient.formats.text_files import sha256_of
-from fg_orient.formats.toml import entries
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import LARGEST, SMALLEST
 from fg_orient.rpc.points import PointTable, checks
@@ -148,16 +146,6 @@ def oriented_photos(photos: Photos) -> dict[str, Photo]:
         else:
             raise InputError.of("closerange.not_oriented", file=photos.file, place=name)
     return out
-
-
-def photo_text(photo: Photo, interior: PhotoInterior | None = None, rotation: Array | None = None) -> str:
-    """One ``[[photos]]`` table: of a camera with its rotation, else with the matrix."""
-    place, lens = photo.origin_m.tolist(), dict(zip(NAMES, photo.corrections.tolist(), strict=True))
-    own: dict[str, object] = {"matrix": photo.matrix.tolist(), "origin_m": place}
-    if interior is not None and rotation is not None:
-        own = {"focal": interior.focal, "y_axis": interior.y_axis, "rotation": rotation.tolist(), "centre_m": place}
-    own |= {"principal": photo.principal.tolist(), **{name: value for name, value in lens.items() if value != 0.0}}
-    return "\n".join(["[[photos]]", *entries({"name": photo.name, **own}), ""])
 
 
 # --- stations --------------------------------------------------------------------------------------

@@ -15,9 +15,8 @@ from typing import Any, Final
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.closerange.files import photo_text
 from fg_orient.closerange.job import rows
-from fg_orient.closerange.photo import Photo, PhotoInterior
+from fg_orient.closerange.photo import Photo, PhotoInterior, photo_text
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
 from fg_orient.formats.exchange.convert import require_usable
 from fg_orient.formats.exchange.photomodeler import read_centres, read_control

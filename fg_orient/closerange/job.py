@@ -17,7 +17,7 @@ from fg_orient.closerange.files import Observed
 from fg_orient.closerange.fitting import Fit, plain_rms
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.options import DltOptions, ImageOptions, SurfaceOptions
-from fg_orient.closerange.photo import Photo, aerial_from_rotation
+from fg_orient.closerange.photo import Photo, aerial_from_rotation, photo_text
 from fg_orient.closerange.report import RECORD_FILE, REPORT_FILE, render
 from fg_orient.closerange.report_words import doubts, photo_rows
 from fg_orient.closerange.resection import resect
@@ -88,7 +88,7 @@ def run_dlt(path: Path, options: DltOptions, output: Output = NONE) -> Record:
             "origin_m": fit.photo.origin_m, "interior": interior,
             "exterior": exterior_record(r.rotation, r.centre_m, sd[8:], sd[5:8]),
         }  # fmt: skip
-        return record, fit.photo, files.photo_text(fit.photo)
+        return record, fit.photo, photo_text(fit.photo)
 
     return _each_photo("dlt", path, options.sigma, output, one)
 
@@ -109,7 +109,7 @@ def run_resect(path: Path, camera: Path, options: ImageOptions, output: Output =
         sd = np.full(6, np.nan) if pose.sigma is None else pose.sigma
         exterior = exterior_record(pose.rotation, pose.centre_m, sd[:3], sd[3:])
         record = {"photo": name, **_fit_facts(pose, pose.second_pose()), "exterior": exterior}
-        return record, pose.photo, files.photo_text(pose.photo, interior, pose.rotation)
+        return record, pose.photo, photo_text(pose.photo, interior, pose.rotation)
 
     return _each_photo("resection", path, options.sigma, output, one, [camera])
 

@@ -25,6 +25,7 @@ from factors.cameras import image_corrections as lens
 from factors.cameras import image_variants as variants
 from factors.records import Record
 from fg_orient.closerange.fitting import as_points
+from fg_orient.formats.toml import entries
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.sensors.frame import FrameCamera, opk_of_rotation
 
@@ -328,3 +329,13 @@ def lens_of(
     out[of.distortion], out[of.affinity] = (k1, k2, k3, p2, p1), affinity
     out[of.additional], out[of.variants], out[of.nominal], out[of.radius] = additional, others, nominal, radius
     return out
+
+
+def photo_text(photo: Photo, interior: PhotoInterior | None = None, rotation: Array | None = None) -> str:
+    """One ``[[photos]]`` table: of a camera with its rotation, else with the matrix."""
+    place, terms = photo.origin_m.tolist(), dict(zip(lens.NAMES, photo.corrections.tolist(), strict=True))
+    own: dict[str, object] = {"matrix": photo.matrix.tolist(), "origin_m": place}
+    if interior is not None and rotation is not None:
+        own = {"focal": interior.focal, "y_axis": interior.y_axis, "rotation": rotation.tolist(), "centre_m": place}
+    own |= {"principal": photo.principal.tolist(), **{name: value for name, value in terms.items() if value != 0.0}}
+    return "\n".join(["[[photos]]", *entries({"name": photo.name, **own}), ""])

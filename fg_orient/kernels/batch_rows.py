@@ -38,7 +38,7 @@ def _rows(
     lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
     n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
 ) -> int:  # fmt: skip
-    """Rows of members lo to hi; see :func:`fg_orient.kernels.batch_pushbroom.rows_of_form`.
+    """Rows of members lo to hi; see :func:`fg_orient.kernels.batch.rows_of_form`.
 
     Record (1, d) and ground point (3,) are copied: a view of a shared array counts references in one place for all
     threads, which would wait for each other (two threads were no faster than one).
@@ -105,7 +105,7 @@ def frame_rows(
     lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
     n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
 ) -> int:  # fmt: skip
-    """Frame collinearity of members lo to hi; see :func:`fg_orient.kernels.batch_pushbroom.rows_of_form`."""
+    """Frame collinearity of members lo to hi; see :func:`fg_orient.kernels.batch.rows_of_form`."""
     c, bad, d = setup.shape[1], -1, np.zeros((2, frame.COLUMN.size))
     table, known = np.empty((len(wide), CAMERA.size)), np.zeros(len(wide), np.bool_)
     column, sigma = frame.columns_of(setup), setup[1].copy()

@@ -1,6 +1,6 @@
 """Adjustment of a block that grows: images and image points are added and removed, the solution follows.
 
-Ground points are kept in groups of a few images (:mod:`fg_orient.adjustment.incremental`). A change replaces the groups
+Ground points are kept in groups of a few images (:mod:`fg_orient.adjustment.optimisers`). A change replaces the groups
 of the points that it touches, and iSAM2 updates what depends on them. Images and points that are not determined yet
 wait outside the equations: :attr:`Incremental.waiting` names them with the reason.
 """
@@ -30,7 +30,7 @@ from fg_orient.orientation.waiting import (
 )
 
 if TYPE_CHECKING:
-    from fg_orient.adjustment.incremental import IncrementalGraph, LocalGroup
+    from fg_orient.adjustment.optimisers import IncrementalGraph, LocalGroup
     from fg_orient.sensors.base import ImageModel
 
 
@@ -265,7 +265,7 @@ class Incremental:
         self._changed(self._block, np.ones(len(self._block.points.ids), bool), removed=False)
 
     def _changed(self, block: Block, touched: Mask, *, removed: bool) -> None:
-        from fg_orient.adjustment.incremental import IncrementalGraph
+        from fg_orient.adjustment.optimisers import IncrementalGraph
 
         self._models += image_models(block.images[len(self._models) :], block.options)
         graph = self._graph or IncrementalGraph(block.options.priors)
@@ -303,7 +303,7 @@ class Incremental:
 
     def _loose(self, block: Block, graph: IncrementalGraph, rows: Index, new: Mask) -> Mask:
         """Images (M,) among the new ones with unknowns that image points do not determine without priors."""
-        from fg_orient.adjustment.incremental import LocalGroup
+        from fg_orient.adjustment.optimisers import LocalGroup
 
         small, images, points = local_block(block, rows)
         group = LocalGroup(compile_problem(small), tuple(points.tolist()))
@@ -331,7 +331,7 @@ class Incremental:
         self, block: Block, touched: Mask, image: Mask, point: Mask
     ) -> tuple[list[LocalGroup], list[LocalGroup]]:  # fmt: skip
         """Groups with touched points, and the groups that replace them."""
-        from fg_orient.adjustment.incremental import LocalGroup
+        from fg_orient.adjustment.optimisers import LocalGroup
 
         gone = [group for group in self._groups if touched[list(group.points)].any()]
         o, mine = block.observations, touched.copy()

@@ -22,9 +22,9 @@ from fg_orient.model.options import USUAL_GROUPS
 from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.quality.accuracy import Accuracy
 from fg_orient.quality.cause import Supposed
+from fg_orient.quality.covariance import NamedMatrix, joint_cofactors
 from fg_orient.quality.figures import AdjustedFigure, adjusted_figures
 from fg_orient.quality.hypotheses import GlobalTest, global_test
-from fg_orient.quality.joint import NamedMatrix, joint_cofactors
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.quality.outlier_records import GroupTest
 from fg_orient.quality.rejection import Search

@@ -57,9 +57,8 @@ from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import InputError, finding
 from fg_orient.quality.cofactors import BorderCofactors, Cofactors, MatrixCofactors, StarCofactors, places_of
-from fg_orient.quality.covariance import Indeterminate
+from fg_orient.quality.covariance import Indeterminate, NamedMatrix
 from fg_orient.quality.elimination import UNOBSERVABLE, followed_by_ground, reduced_rows, spectrum
-from fg_orient.quality.joint import NamedMatrix
 from fg_orient.quality.structure import analyse_structure
 from fg_orient.quality.weakest import weakest
 

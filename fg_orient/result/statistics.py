@@ -21,7 +21,7 @@ from fg_orient.result.plain import Table, of_axes, table_of_rows
 if TYPE_CHECKING:
     from fg_orient.orientation.solution import Solution
     from fg_orient.quality.causes import unseen_mistakes
-    from fg_orient.quality.joint import NamedMatrix
+    from fg_orient.quality.covariance import NamedMatrix
     from fg_orient.quality.outlier_records import GroupTest, OutlierTests
     from fg_orient.quality.rejection import Search
 from fg_orient.quality.reliability import BlockReliability, Reliability

@@ -1,7 +1,6 @@
 """Tables and arrays of the result folder; every number to its last digit.
 
-RMSE, sigma0 and redundancy can be recomputed from ``points.csv``, ``residuals.csv``,
-``eop.csv`` and the input::
+RMSE, sigma0 and redundancy can be recomputed from ``points.csv``, ``residuals.csv``, ``eop.csv`` and the input::
 
     chi2 = sum weight (v/sigma)^2                residuals.csv, both coordinates
          + sum weight (difference/own sigma)^2   points.csv, East, North, Up of control points not fixed
@@ -9,13 +8,12 @@ RMSE, sigma0 and redundancy can be recomputed from ``points.csv``, ``residuals.c
                                               the same word in column shared one row counts
          + sum of extra observations          in no table: squared whitened residuals of Block.extra
 
-Control points that are ``fixed`` are constants: they have no residual (their own sigma is 0)
-and count neither as observation nor as unknown. The columns ``weight`` are there under a robust loss only; else
-all weights are 1.
+Control points that are ``fixed`` are constants: they have no residual (their own sigma is 0) and count neither as
+observation nor as unknown. The columns ``weight`` are there under a robust loss only; else all weights are 1.
 
-Standard deviations are posterior, ``sqrt(cofactor) sigma0``, where there is redundancy and no loss; else in
-prior scale. The column ``sigma_scale`` names the scale. Columns of redundancy and reliability
-(``fg_orient.result.statistics``) exist if the option ``statistics`` requests them.
+Standard deviations are posterior, ``sqrt(cofactor) sigma0``, where there is redundancy and no loss; else in prior
+scale. The column ``sigma_scale`` names the scale. The option ``statistics`` requests columns of redundancy and
+reliability (``fg_orient.result.statistics``).
 """
 
 from __future__ import annotations
@@ -28,7 +26,6 @@ import numpy.typing as npt
 from factors.arrays import Array, Index, Mask
 from factors.geometry import ellipsoid
 from fg_orient.formats.table_write import Column
-from fg_orient.quality.accuracy import PointDifferences
 from fg_orient.result import statistics
 from fg_orient.result.plain import Table, of_axes, table_of_rows
 from fg_orient.result.record import START_POINTS, TABLES
@@ -102,8 +99,7 @@ def eop_rows(solution: Solution) -> list[tuple[object, ...]]:
 
     Of an RPC image: of its normalised line (degree 1 of ``line_l1``, ``sample_l1``) and sample (``.._s1``).
     """
-    problem = solution.problem
-    factor, name = sigma_scale(solution)
+    problem, (factor, name) = solution.problem, sigma_scale(solution)
     rows: list[tuple[object, ...]] = []
     for i, (image, q) in enumerate(zip(solution.block.images, image_cofactors(solution), strict=True)):
         parameters = problem.parameters[i]
@@ -161,7 +157,7 @@ def point_sigmas(solution: Solution, known: Mask) -> Array:
     own = solution.residual_cofactors.rays.points[rows] if every else solution.cofactors.points(rows)
     q = turn @ own @ np.swapaxes(turn, 1, 2)
     out[rows] = np.sqrt(np.maximum(np.einsum("nii->ni", q), 0.0))
-    check: PointDifferences = solution.accuracy.check
+    check = solution.accuracy.check
     out[check.index] = check.predicted_sigma_enu_m  # excluded ones are propagated, not unknowns
     return out
 
@@ -183,8 +179,7 @@ def arrays_of(solution: Solution) -> dict[str, npt.NDArray[Any]]:
     Where images differ in their unknowns, the arrays of the unknowns have one row per image, filled up with nan
     (numbers) and "" (names); ``n_parameters`` is the number of unknowns of each image.
     """
-    problem = solution.problem
-    factor, _ = sigma_scale(solution)
+    problem, (factor, _) = solution.problem, sigma_scale(solution)
     k = solution.state.image.shape[1]
     cofactors = np.full((problem.n_images, k, k), np.nan)
     sigma = np.full((problem.n_images, k), np.nan)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from factors.cameras import pushbroom
-from fg_orient.kernels.batch import batch
-from fg_orient.kernels.batch_pushbroom import BLOCK, usual
+from fg_orient.kernels.batch import BLOCK, batch, usual
 from tests.support.equation_examples import look_angle_collinearity
 
 N = 2 * BLOCK + 11  # whole blocks and a part of one

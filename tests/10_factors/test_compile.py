@@ -19,7 +19,7 @@ from factors._preparation import on_compilation
 from factors._sources import stamp
 from factors.cameras import pushbroom
 from factors.geometry import light
-from fg_orient.kernels import batch_pairs, batch_pushbroom, vectors
+from fg_orient.kernels import batch, batch_pairs, vectors
 from tests.support.equation_examples import look_angle_collinearity
 
 pytestmark = pytest.mark.behaviour
@@ -218,7 +218,7 @@ def test_stamp_sees_what_a_function_is_bound_to() -> None:
 
 def test_stamp_of_a_kernel_follows_functions_and_intrinsics() -> None:
     """A callee with another body gives another stamp; what a kernel does not call, does not."""
-    kernels: list[Any] = [batch_pairs.pair_blocks, batch_pushbroom.rows_of_form, pushbroom.fill]
+    kernels: list[Any] = [batch_pairs.pair_blocks, batch.rows_of_form, pushbroom.fill]
     before = [stamp(kernel.py_func) for kernel in kernels]
 
     def changed(owner: Any, name: str) -> list[bool]:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import fg_orient
-from fg_orient.cli.doctor import self_test
+from fg_orient.cli.checks import self_test
 from fg_orient.model.installation import stamp
 from fg_orient.result.plain import dumps
 from fg_orient.result.provenance import provenance, relative

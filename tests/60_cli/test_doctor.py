@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import fg_orient
-from fg_orient.cli import doctor
+from fg_orient.cli import checks
 
 pytestmark = pytest.mark.behaviour
 
@@ -26,7 +26,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (folder / "factors_1" / name).write_bytes(b"0123456789")
     for path in (folder.parent, folder, *folder.rglob("*")):
         path.chmod(0o755 if path.is_dir() else 0o644)
-    monkeypatch.setattr(doctor, "_cache_folders", lambda: [folder])
+    monkeypatch.setattr(checks, "_cache_folders", lambda: [folder])
     return folder
 
 
@@ -54,18 +54,18 @@ def test_doctor_of_a_broken_installation(run: Any, monkeypatch: pytest.MonkeyPat
     def broken() -> list[Path]:
         raise RuntimeError("numba is broken")
 
-    monkeypatch.setattr(doctor, "_cache_folders", broken)
-    monkeypatch.setattr(doctor, "versions", lambda names: dict.fromkeys(names, "1.0") | {"scipy": None})
+    monkeypatch.setattr(checks, "_cache_folders", broken)
+    monkeypatch.setattr(checks, "versions", lambda names: dict.fromkeys(names, "1.0") | {"scipy": None})
     ended = run("doctor", "--json")
     assert ended.code == 1
-    checks = {c["name"]: c for c in ended.json["checks"]}
-    assert not checks["numba cache"]["good"] and "numba is broken" in checks["numba cache"]["detail"]
-    assert not checks["dependencies"]["good"] and checks["dependencies"]["detail"] == "scipy"
-    assert checks["self-test"]["good"]
+    examined = {c["name"]: c for c in ended.json["checks"]}
+    assert not examined["numba cache"]["good"] and "numba is broken" in examined["numba cache"]["detail"]
+    assert not examined["dependencies"]["good"] and examined["dependencies"]["detail"] == "scipy"
+    assert examined["self-test"]["good"]
 
 
 def test_no_cache_is_a_warning_with_a_remedy(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "_cache_folders", lambda: [])
+    monkeypatch.setattr(checks, "_cache_folders", lambda: [])
     ended = run("doctor", "--json")
     assert ended.code == 0, ended.stdout
     assert ended.json["cache"] is None
@@ -77,14 +77,14 @@ def test_no_cache_is_a_warning_with_a_remedy(run: Any, monkeypatch: pytest.Monke
 
 def test_caches_without_a_reason_to_warn(cache: Path) -> None:
     """Of the user alone; below a sticky folder, which is as good as /tmp; not made yet."""
-    assert doctor.cache_findings(cache) == []
-    found = doctor.examine_cache([cache, cache / "deep" / "er"])
+    assert checks.cache_findings(cache) == []
+    found = checks.examine_cache([cache, cache / "deep" / "er"])
     assert (found["files"], found["bytes"]) == (2, 20)
     assert [folder["exists"] for folder in found["folders"]] == [True, False]
     assert {folder["rights"] for folder in found["folders"]} == {"rwxr-xr-x"}
-    assert doctor.cache_findings(cache / "deep" / "er") == []
+    assert checks.cache_findings(cache / "deep" / "er") == []
     cache.parent.chmod(0o1777)
-    assert doctor.cache_findings(cache) == []
+    assert checks.cache_findings(cache) == []
 
 
 def test_cache_that_may_not_be_read(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,7 +98,7 @@ def test_cache_that_may_not_be_read(cache: Path, monkeypatch: pytest.MonkeyPatch
 
     with monkeypatch.context() as patched:
         patched.setattr(os, "stat", refused)
-        found, warnings = doctor.examine_cache([cache]), doctor.cache_findings(cache)
+        found, warnings = checks.examine_cache([cache]), checks.cache_findings(cache)
     assert (found["folders"][0]["exists"], found["files"], warnings) == (False, 0, [])
 
 
@@ -126,7 +126,7 @@ def test_cache_that_others_can_write_to(run: Any, cache: Path, place: str, mode:
 def test_all_open_places_are_counted(cache: Path) -> None:
     for name in ("a.nbi", "a.1.nbc"):
         (cache / "factors_1" / name).chmod(0o666)
-    (warning,) = doctor.cache_findings(cache)
+    (warning,) = checks.cache_findings(cache)
     assert str(warning).startswith(f"{cache / 'factors_1' / 'a.1.nbc'} and 1 more: ")
 
 
@@ -137,22 +137,22 @@ def status(mode: int, user: int, group: int) -> os.stat_result:
 def test_who_can_write(monkeypatch: pytest.MonkeyPatch) -> None:
     """Another owner, also of a sticky folder; a group with others in it; not root, not the user's own group."""
     me, stranger = os.getuid(), 54321
-    name = doctor._user(me)
+    name = checks._user(me)
     groups = {
         1001: grp.struct_group((name, "x", 1001, [])),
         1002: grp.struct_group(("staff", "x", 1002, [])),
         1003: grp.struct_group((name, "x", 1003, ["another"])),
     }
-    monkeypatch.setattr(doctor.grp, "getgrgid", groups.__getitem__)
+    monkeypatch.setattr(checks.grp, "getgrgid", groups.__getitem__)
     for sticky in (False, True):
-        assert doctor.open_to(status(0o755, stranger, 1001), sticky) == "it belongs to 54321"
-        assert doctor.open_to(status(0o755, 0, 1002), sticky) == ""
-        assert doctor.open_to(status(0o755, me, 1002), sticky) == ""
-    assert doctor.open_to(status(0o775, me, 1001), False) == ""
-    assert doctor.open_to(status(0o775, me, 1002), False) == "the group staff can write there"
-    assert doctor.open_to(status(0o1775, me, 1002), True) == ""
-    assert doctor.open_to(status(0o775, me, 1003), False) == f"the group {name} can write there"
-    assert doctor.open_to(status(0o775, me, 999), False) == "the group 999 can write there"  # has no name
+        assert checks.open_to(status(0o755, stranger, 1001), sticky) == "it belongs to 54321"
+        assert checks.open_to(status(0o755, 0, 1002), sticky) == ""
+        assert checks.open_to(status(0o755, me, 1002), sticky) == ""
+    assert checks.open_to(status(0o775, me, 1001), False) == ""
+    assert checks.open_to(status(0o775, me, 1002), False) == "the group staff can write there"
+    assert checks.open_to(status(0o1775, me, 1002), True) == ""
+    assert checks.open_to(status(0o775, me, 1003), False) == f"the group {name} can write there"
+    assert checks.open_to(status(0o775, me, 999), False) == "the group 999 can write there"  # has no name
 
 
 def test_doctor_without_numba(fresh: Any) -> None:
