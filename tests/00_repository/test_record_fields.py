@@ -33,6 +33,7 @@ def found(bad: str = "", more: str = "", folder: str = "factors") -> list[str]:
     return list(dict.fromkeys(line.split(": ", 1)[1] for line in program.findings(FOLDERS)))
 
 
+@pytest.mark.slow  # make lint runs the same check
 @pytest.mark.repository
 def test_nothing_is_indexed_by_a_number() -> None:
     assert list(Program(sources()).findings(FOLDERS)) == []

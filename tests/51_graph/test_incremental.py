@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 import fg_orient as fg
-from fg_orient.adjustment import incremental as engine
+from fg_orient.adjustment import optimisers as engine
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.model.block import Block, ImagePoints
 from fg_orient.model.errors import InputError, NoSolutionError

@@ -124,7 +124,7 @@ def test_one_altered_cell_changes_one_verdict(
     files = [path for path in files if "spot6" not in path.name]  # real points: test_spot6.py
     places = [(path, row, key_of(record)) for path in files for row, record in enumerate(records_of(path)[1])]
     good = [place for place in places if verdicts.get((place[2].table, str(place[2]))) in REPRODUCED]
-    for path, row, key in [*rng.sample(good, 5), *rng.sample(places, 3)]:
+    for path, row, key in [*rng.sample(good, 3), *rng.sample(places, 1)]:
         original = path.read_bytes()
         assert alter(path, row) == key
         after = rows_of(name, load(name, folder), computed)
