@@ -32,7 +32,7 @@ COMMANDS: Final = {name: module for module, names in (
     ("new", "new"), ("match", "match"), ("adjust", "adjust graph"), ("studies", "compare"), ("adjust", "reduce"),
     ("results", "accuracy"),
     ("geometry", "locate project intersect footprint"), ("convert", "convert"), ("checks", "validate"),
-    ("app", "completion"), ("checks", "doctor"), ("results", "report replay"), ("studies", "reproduce"),
+    ("app", "completion"), ("checks", "doctor schema"), ("results", "report replay"), ("studies", "reproduce"),
     ("simulate", "simulate"), ("rpc", "rpc"), ("convert", "camera"), ("rectify", "rectify"),
     ("closerange", "closerange"),
 ) for name in names.split()}  # fmt: skip

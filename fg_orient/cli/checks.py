@@ -1,4 +1,4 @@
-"""Commands ``validate`` and ``doctor``: soundness of the input and of the installation.
+"""Commands ``validate``, ``doctor`` and ``schema``: soundness of input and installation, contents of JSON output.
 
 ``doctor`` reports versions and traps of the environment and runs a self-test, which adjusts a synthetic block in memory
 in about a second. The observations of the Zonguldak twin are free of errors here. Its metadata are wrong by constants,
@@ -9,6 +9,7 @@ Jacobian, a broken compiler cache or a foreign GTSAM does not.
 from __future__ import annotations
 
 import grp
+import json
 import os
 import pwd
 import stat
@@ -366,3 +367,22 @@ def self_test() -> tuple[bool, str]:
     good = solution.status == "converged" and error < TOLERANCE_M
     found = f"{solution.status} after {solution.iterations} iterations, check points within {error:.1e} m"
     return good, f"{found}, {time.perf_counter() - start:.1f} s"
+
+
+@command()
+def schema(
+    words: Annotated[list[str] | None, argument("COMMAND", "Such as adjust or rpc convert; or errors.")] = None,
+) -> None:
+    """Print the JSON Schema of what a command prints with --json; without COMMAND list the commands."""
+    folder = Path(__file__).with_name("schemas")
+    known = sorted(path.stem for path in folder.glob("*.json"))
+    if not words:
+        answer({"commands": known}, lambda _: say("\n".join(name.replace("_", " ", 1) for name in known)))
+        return
+    name = "_".join(words)
+    if name not in known:
+        from fg_orient.formats.faults import did_you_mean
+
+        hint = did_you_mean(name.replace("_", " "), [one.replace("_", " ") for one in known])
+        raise InputError.of("cli.no_schema", place="COMMAND", value=" ".join(words), hint=hint)
+    emit(json.loads((folder / f"{name}.json").read_text("utf-8")))

@@ -110,15 +110,14 @@ def on_found_grid(survey: Survey) -> Survey:
 
     Otherwise it is unchanged but for a note if its CRS does not say that heights are ellipsoidal.
     """
-    lonlat, rows = _places(survey)
-    if not survey.crs or not len(rows) or crs_kind(survey.crs) == "geocentric":
+    if not survey.crs or not survey.located.any() or crs_kind(survey.crs) == "geocentric":
         return survey
     name = vertical_reference(survey.crs)[0]
     if not name:
         stated = len(known_crs(survey.crs).axis_info) == 3
         return survey if stated else _noted(survey, finding("heights.ellipsoidal", crs=survey.crs))
     try:
-        operation_to_ecef(survey.crs, spatial_crs(survey.crs), lonlat)
+        operation_to_ecef(survey.crs, spatial_crs(survey.crs), _places(survey)[0])
         return survey
     except InputError as error:
         grid = found_grid(error)

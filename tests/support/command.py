@@ -12,6 +12,8 @@ import signal
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -51,6 +53,10 @@ def command_line() -> Any:
 def in_process(*words: object) -> Ended:
     """Run a command in this process."""
     result = CliRunner().invoke(command_line(), [str(word) for word in words])
+    kept = os.environ.get("FG_ORIENT_RECORDS")  # for the schemas: tests/support/json_schemas.py
+    if kept and "--json" in words:
+        one = json.dumps({"words": [str(word) for word in words], "out": result.stdout})
+        Path(kept, f"{sha256(one.encode()).hexdigest()}.json").write_text(one, "utf-8")
     return Ended(result.exit_code, result.stdout, result.stderr)
 
 

@@ -80,6 +80,8 @@ cli.no_frame: the file states no frame points of its own
     -> locate a pixel with <line> and <sample>
 log.foreign: the file is no log of fg-orient, so nothing is added to it
     -> give <log> the name of a new file, or of a log that fg-orient wrote
+cli.no_schema: no command of this name prints JSON
+    -> {hint}
 cli.shell: completion is not written for this shell
     -> choose one of {known}
 cli.usage: {text}
