@@ -13,12 +13,15 @@ import pytest
 from fg_orient.formats.both_heights import estimated
 from fg_orient.formats.heights import ZeroLevel
 from fg_orient.formats.project import checked_project, read_project
+from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.geodesy.crs import vertical_code, with_codes
 from fg_orient.geodesy.geoid import LIMIT_M, GeoidFile, world_undulation_m
 from fg_orient.geodesy.heights import undulation_m
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
 from fg_orient.sensors.surface import RasterDem
 from tests.support.command import in_process
+from tests.support.pleiades_project import pleiades_project
 from tests.support.project_folder import ProjectFolder
 
 rasterio = pytest.importorskip("rasterio")
@@ -226,8 +229,6 @@ def test_undulations_are_above_wgs84_for_an_older_datum(folder: ProjectFolder) -
     found = read_project(folder.project).points.known.ecef_m[:4]
     expected = expected_ecef(by_proj(grid, *PLACES[:, :2].T))
     # PROJ picks its operation by area: accuracies of metres horizontally; the height does not depend on it
-    from fg_orient.geodesy import ecef_to_geodetic
-
     assert np.abs(ecef_to_geodetic(found)[2] - ecef_to_geodetic(expected)[2]).max() < 0.01
     assert np.linalg.norm(found - expected, axis=1).max() < 10.0
 
@@ -326,6 +327,40 @@ def test_a_grid_of_any_name_and_format_in_proj_data(folder: ProjectFolder, proj_
     assert any(text in str(note) for note in block.notes)
     assert os.environ["PROJ_DATA"] == str(proj_data)
     assert undulation_m("EPSG:4326+5773", [31.6], [41.2]) == pytest.approx(undulation[:1], abs=1e-5)
+
+
+@pytest.mark.real_data
+@pytest.mark.oracle
+@pytest.mark.parametrize("way", ["file", "PROJ_DATA"])
+def test_real_points_with_heights_above_egm96(
+    real_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: str
+) -> None:
+    """The 86 points of the Pléiades pair in UTM 36 with EGM96 heights, made by PROJ, are where they were: 1 um."""
+    grids = real_data / "shareloc-ventoux"
+    project, ecef = pleiades_project(real_data, tmp_path)
+    usual = pyproj.datadir.get_data_dir()
+    try:
+        pyproj.datadir.append_data_dir(str(grids))
+        there = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:32636+5773", always_xy=True, allow_ballpark=False)
+        plane = np.stack(there.transform(*ecef.T), axis=1)
+        pyproj.datadir.set_data_dir(usual)
+        rows = (tmp_path / "points.csv").read_text(encoding="utf-8").splitlines()
+        begin = next(k for k, row in enumerate(rows) if row.startswith("id,"))
+        cells = [row.split(",") for row in rows[begin + 1 :]]
+        header = "id,role,easting_m,northing_m,height_m,sigma_east_m,sigma_north_m,sigma_up_m"
+        made = [",".join([*c[:2], *map(repr, xyz), *c[5:]]) for c, xyz in zip(cells, plane.tolist(), strict=True)]
+        (tmp_path / "points.csv").write_text("\n".join([header, *made]) + "\n", encoding="utf-8")
+        crs = f'"EPSG:32636"\ngeoid = "{grids / "egm96_15.gtx"}"' if way == "file" else '"EPSG:32636+EGM96"'
+        text = project.read_text(encoding="utf-8").replace('"EPSG:4978"', crs)
+        project.write_text(text, encoding="utf-8")
+        if way == "PROJ_DATA":
+            monkeypatch.setenv("PROJ_DATA", str(grids))
+        block = read_project(project)
+    finally:
+        pyproj.datadir.set_data_dir(usual)
+    control = block.points.where(Role.CONTROL)
+    assert np.abs(block.points.known.ecef_m[control] - ecef[control]).max() < 1e-6
+    assert np.abs(plane[:, 2] - ecef_to_geodetic(ecef)[2]).min() > 20.0  # the geoid is not a detail here
 
 
 @pytest.mark.truth
