@@ -29,6 +29,7 @@ from fg_orient.result.plain import read_table
 from fg_orient.result.record import RESULT_FILE, read_record
 from fg_orient.result.summary import file_stems
 from fg_orient.rpc.files import IMAGES, write_as
+from fg_orient.rpc.virtual_grid import with_image_to_ground
 from fg_orient.sensors.rpc import RpcModel
 from fg_orient.sensors.rpc_sensor import RpcSensor
 
@@ -185,8 +186,11 @@ def hand_over(
     paths = {name: out / f"adjust-{stems[name]}.adjust" for name, move in moved.items() if move.is_same}
     require_free_files(*(path for _, path, _ in jobs), *paths.values(), overwrite=overwrite)
     out.mkdir(parents=True, exist_ok=True)
+    # readers of DIMAP want both directions
+    whole = {name: with_image_to_ground(handed.model) if kind.format == "dimap" and handed.model.direct is None
+             else handed.model for name, handed in models.items()}  # fmt: skip
     written = [
-        {"image": name, **write_as(models[name].model, path, form, overwrite=overwrite, image=images.get(name)),
+        {"image": name, **write_as(whole[name], path, form, overwrite=overwrite, image=images.get(name)),
          "use": kind.use.format(stem=stems[name])}
         for name, path, form in jobs
     ]  # fmt: skip

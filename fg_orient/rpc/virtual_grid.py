@@ -8,12 +8,13 @@ points: pixels and heights between those of the grid.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from factors.arrays import Array
+from factors.cameras.rfm_project import RANGE
 from factors.geometry import ellipsoid
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.errors import InputError, finding
@@ -21,9 +22,10 @@ from fg_orient.rpc.estimate import fit_true
 from fg_orient.rpc.fit import RfmFit
 from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.options import Denominators
-from fg_orient.rpc.points import ControlPoints
+from fg_orient.rpc.points import ControlPoints, Scaling
 from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
+from fg_orient.sensors.rpc_sensor import RpcSensor
 
 #: Lines, samples, height layers.
 SHAPE: Final = (20, 20, 5)
@@ -124,6 +126,25 @@ def fit_sensor(
         forward.residuals_px(check),
         _metres(back, check),
     )
+
+
+def with_image_to_ground(model: RpcModel) -> RpcModel:
+    """Model with coefficients from image to ground, fitted over its validity range in its own normalisation.
+
+    Raises
+    ------
+    NoSolutionError
+        The fit does not converge, or has a pole in the grid.
+    """
+    v = model.validity
+    axes = [_nodes(*end, n) for end, n in zip((v.line, v.sample, v.height_m), SHAPE, strict=True)]
+    nodes = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
+    grid = _exchanged(_located(RpcSensor(model, poles=True), *nodes))
+    exchanged = [RANGE.lat, RANGE.lon, RANGE.sample, RANGE.line, RANGE.height]
+    own = Scaling(model.offsets[exchanged], model.scales[exchanged])
+    with one_blas_thread():
+        fit = fit_true(grid, RfmForm(3, "separate"), kappa=KAPPA, scaling=own)
+    return replace(model, direct=fit.coefficients[[2, 3, 0, 1]])
 
 
 def _nodes(first: float, last: float, count: int) -> Array:

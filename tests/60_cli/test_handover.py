@@ -134,6 +134,20 @@ def test_keyword_lists_of_ossim(shifted: tuple[RpcTwin, Path], run: Run, tmp_pat
     assert file.read_bytes() == (tmp_path / "cars" / "left.geom").read_bytes()
 
 
+@pytest.mark.oracle
+def test_dimap_of_a_result_has_both_directions(shifted: tuple[RpcTwin, Path], run: Run, tmp_path: Path) -> None:
+    """Readers of DIMAP want the model to the ground, too: fitted, its points are seen in their pixels."""
+    twin, result = shifted
+    assert run("rpc", "convert", result, "--to", "dimap", "--out", tmp_path).code == 0
+    ground, pixels = wanted(result, "left", twin)
+    model = read_rpc(tmp_path / "left.xml")
+    assert np.abs(np.stack(model.project(*ground), axis=1) - pixels).max() < 1e-9
+    rng = np.random.default_rng(2)
+    line, sample, height = rng.uniform(0.0, 11999.0, 300), rng.uniform(0.0, 11999.0, 300), rng.uniform(0.0, 2000.0, 300)
+    seen = np.stack(reference_project(model, *model.locate_directly(line, sample, height), height), axis=1)
+    assert np.abs(seen.astype(float) - np.stack([line, sample], axis=1)).max() < 0.05
+
+
 # --- ASP's movements of a camera -----------------------------------------------------------------
 
 
