@@ -238,8 +238,9 @@ def test_bars_by_signal_to_noise(tmp_path: Path, snr: float) -> None:
     """Hills of 8 m and walls, MTF 0.15 at the Nyquist frequency; the limit of the RMS is for 50 and 100."""
     views = (View("a", (0.25, -0.05), 400), View("b", (-0.25, 0.1), 400, 4.0, (2.5, -1.5), 1.3, 40.0))
     scene = Scene(155.0, 3)
-    match_project(write_pair(tmp_path, scene, views, snr))
+    record = match_project(write_pair(tmp_path, scene, views, snr))
     found = errors(tmp_path, scene, views)
+    print(f"\nwrong: {record['predicted_wrong_share'] * 100:.3f} % predicted")
     print(f"\nsignal to noise {snr:g}: {len(found.error_px)} points, RMS {found.rms_px():.3f} px, "
           f"NEES {found.nees():.2f}, "
           f"wrong {100 * found.is_wrong().mean():.2f} %, hidden {100 * (~found.visible).mean():.2f} %")  # fmt: skip
