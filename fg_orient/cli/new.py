@@ -176,7 +176,7 @@ def _show(record: dict[str, Any], counts: dict[str, int], remarks: Any) -> None:
 def _named_images(words: list[str]) -> dict[str, str]:
     """Images by their names in tables, of words ``NAME=IMAGE``."""
     images = {}
-    for word in words:
+    for word in (part for one in words for part in (one.split(",") if one.count("=") > 1 else [one])):
         name, _, found = word.rpartition("=")
         if not name or not found:
             raise InputError.of("office.value", option="image", value=word, expected="NAME=IMAGE")

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import io
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fg_orient.cli import main
+from fg_orient.formats.rpc import write_rpc
 from tests.support.command import in_process
 from tests.support.office import (
     Grid,
+    Place,
     differences,
     made,
     number,
@@ -127,3 +131,59 @@ def test_words_for_pixels_that_are_exchanged(tmp_path: Path) -> None:
     assert ended.code == 0, ended.stderr
     assert "line and sample: exchanged" in ended.stderr
     assert differences(made(tmp_path / "project"), there) < (1e-3, 1e-3)
+
+
+def marks_table(there: Place, names: tuple[str, str] = ("left", "right"), ids: str = "") -> str:
+    return text(
+        [["Image", "Point", "Row", "Col"], *([a, ids + b, *rest] for a, b, *rest in pixel_rows(there, names=names))]
+    )
+
+
+def test_images_of_tie_points_are_told_by_rays_that_meet(tmp_path: Path) -> None:
+    """The images are nearly alike: exchanged, rays meet as well, in mirrored heights; elsewhere they do not."""
+    there = place("fr")
+    write_images(tmp_path / "in", there)
+    (tmp_path / "in" / "ties.csv").write_text(marks_table(there, ("A", "B")), "utf-8")
+    words = ("new", tmp_path / "in", "--out", tmp_path / "project", "--first-pixel", "0", *STATED, "--yes")
+    asked = in_process(*words)
+    assert (asked.code, "A=right,B=left (rays meet within" in asked.stderr) == (2, True)
+    far = there.models[1].offsets + np.array([0.0, 3000.0, 0.0, 0.0, 0.0])
+    write_rpc(tmp_path / "in" / "right_RPC.TXT", replace(there.models[1], offsets=far))
+    moved = np.stack([there.pixels[0], there.pixels[1] + (0.0, 3000.0)])
+    rows = text([["Image", "Point", "Row", "Col"], *pixel_rows(replace(there, pixels=moved), names=("A", "B"))])
+    (tmp_path / "in" / "ties.csv").write_text(rows, "utf-8")
+    ended = in_process(*words)
+    assert ended.code == 0, ended.stderr
+    assert "A=left,B=right, rays meet within" in ended.stderr
+    survey = made(tmp_path / "project")
+    assert (set(survey.roles), survey.images) == ({"tie"}, ("left", "right"))
+    assert np.abs(np.stack([survey.observed.line, survey.observed.sample], 1) - moved.reshape(-1, 2)).max() < 1e-4
+
+
+def test_ids_are_those_that_the_other_table_has(tmp_path: Path) -> None:
+    there = place("fr")
+    write_images(tmp_path / "in", there)
+    rows: Grid = [["Point ID", "Name", "Easting", "Northing", "Ellipsoidal height"]]
+    rows += [[k, i, *map(number, p)] for k, (i, p) in enumerate(zip(there.ids, there.map(), strict=True))]
+    (tmp_path / "in" / "a.csv").write_text(text(rows), "utf-8")
+    (tmp_path / "in" / "b.csv").write_text(marks_table(there), "utf-8")
+    words = ("new", tmp_path / "in", "--out", tmp_path / "project", "--first-pixel", "0", *STATED, "--yes")
+    ended = in_process(*words)
+    assert ended.code == 0, ended.stderr
+    assert "ids of a.csv: Name" in ended.stderr
+    assert differences(made(tmp_path / "project"), there) < (1e-3, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"), [(("left", "right"), "the same ids"), (("left", "left.tif"), "in two ways")]
+)  # fmt: skip
+def test_two_tables_that_may_mean_other_points_or_the_same_image(
+    tmp_path: Path, names: tuple[str, str], said: str
+) -> None:
+    there = place("fr")
+    write_images(tmp_path / "in", there)
+    (tmp_path / "in" / "a.csv").write_text(marks_table(there), "utf-8")
+    (tmp_path / "in" / "b.csv").write_text(marks_table(there, names, "" if names[1] == "right" else "T"), "utf-8")
+    ended = in_process("new", tmp_path / "in", "--out", tmp_path / "project", "--first-pixel", "0", *STATED, "--yes")
+    assert (ended.code, len(ended.stderr.splitlines())) == (2, 1)
+    assert said in ended.stderr

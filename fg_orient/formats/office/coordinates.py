@@ -42,7 +42,7 @@ def read_coordinates(
     spread = [Spread.of(table, triple, row) for triple in triples]
     found = readings(spread, stated, labels, fit, exchange)
     named = all(part.named for part in parts) if parts else True
-    best = best_reading(table, triples, found, named, decisions)
+    best = best_reading(table, triples, found, fit, named, decisions)
     coordinates = np.full((len(row), 3), np.nan)
     for own, all_triples in grounds:
         same = own is table

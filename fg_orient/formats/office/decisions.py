@@ -124,7 +124,8 @@ class Decisions:
         """
         if question.clear:
             first = question.choices[0]
-            self.note(question.subject, first.words or first.value, question.reason, question.option)
+            shown = f"{first.value}, {first.words}" if first.words else first.value
+            self.note(question.subject, shown, question.reason, question.option)
             return first
         if self.ask is not None:
             answer = self.ask(question)

@@ -128,6 +128,25 @@ class Fit:
         lift = np.array([0.0, 0.0, self.lift_m if "+" not in crs and crs != "EPSG:4978" else 0.0])
         return in_ecef(crs, coordinates + lift, self.sensors)
 
+    def crossing_m(self, images: Sequence[str]) -> float:
+        """Median distance of two rays to the same point, with these images for the labels; infinite without any."""
+        m, first, rays = self.marks, dict[str, int](), list[tuple[Array, Array]]()
+        for k, name in enumerate(images):
+            own = np.flatnonzero(m.label == k)
+            inside = self.sensors[name].is_inside(m.first[own], m.second[own])
+            if not inside.all():
+                return float("inf")
+            rays.append(self.sensors[name].rays(m.first[own], m.second[own]))
+        row = {int(k): j for label in range(len(images)) for j, k in enumerate(np.flatnonzero(m.label == label))}
+        apart = []
+        for k, point in enumerate(m.ids):
+            one = first.setdefault(point, k)
+            if m.label[one] != m.label[k]:
+                (p, u), (q, v) = ((rays[m.label[i]][0][row[i]], rays[m.label[i]][1][row[i]]) for i in (one, k))
+                across = np.cross(u, v)
+                apart.append(abs(float((q - p) @ across)) / max(float(np.linalg.norm(across)), 1e-12))
+        return float(np.median(apart)) if apart else float("inf")
+
     def near(self, ecef: Array) -> bool:
         """Whether more than half of the points (n, 3) lie near an image."""
         if not self.scenes or not len(ecef):

@@ -17,6 +17,7 @@ from fg_orient.formats.office.table import Table
 from fg_orient.formats.office.words import ANGLES, LENGTHS, NAMES, PIXELS, Named, named, plain, role_of
 from fg_orient.formats.office.workbook import Cell
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
 
 #: Keys of columns that ``columns`` may name.
 KEYS: Final = (
@@ -82,6 +83,11 @@ def table_of(sheet: Sheet, decisions: Decisions, columns: Mapping[str, str]) -> 
 def names_columns(sheet: Sheet) -> bool:
     """Whether a row of a sheet has two usual names of columns."""
     return any(sum(bool(named(str(cell)).key) for cell in row if cell != "") > 1 for row in sheet.rows[:_LOOKED_AT])
+
+
+def names_ties(sheet: Sheet) -> bool:
+    """Whether a sheet has rows of tie points, which have no numbers."""
+    return any(isinstance(cell, str) and role_of(cell) is Role.TIE for row in sheet.rows for cell in row)
 
 
 def _first(row: list[Cell]) -> Cell:

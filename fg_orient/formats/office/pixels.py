@@ -14,6 +14,7 @@ from fg_orient.formats.office.fit import Evidence, Fit, Marks, Reading
 from fg_orient.formats.office.image_columns import ImagePart
 from fg_orient.formats.office.weights import pixel_sigmas
 from fg_orient.formats.points import COLUMNS
+from fg_orient.model.errors import InputError
 
 #: Places of the centre of the first pixel in programs.
 FIRST_PIXELS: Final = (0.0, 1.0, 0.5)
@@ -25,6 +26,7 @@ def read_marks(parts: Sequence[ImagePart]) -> tuple[Marks, Array]:
     label, ids, pixels, sigmas = list[int](), list[str](), list[list[float]](), list[list[float]]()
     seen: dict[tuple[int, str], str] = {}
     places: list[tuple[str, str]] = []
+    _require_own_ids(parts)
     for part in parts:
         table, faults = part.table, Faults(part.table.file)
         names = table.texts(part.id)
@@ -53,6 +55,16 @@ def read_marks(parts: Sequence[ImagePart]) -> tuple[Marks, Array]:
     xy = np.array(pixels, float).reshape(-1, 2)
     marks = Marks(tuple(labels), np.array(label, np.intp), tuple(ids), xy[:, 0], xy[:, 1], tuple(places))
     return marks, np.array(sigmas, float).reshape(-1, 2)
+
+
+def _require_own_ids(parts: Sequence[ImagePart]) -> None:
+    """Refuse two tables of several images each that have ids in common: they may name other points alike."""
+    before: set[str] = set()
+    for part in (part for part in parts if part.image >= 0 and len(set(part.table.texts(part.image))) > 1):
+        own = set(part.table.texts(part.id))
+        if own & before:
+            raise InputError.of("office.shared_ids", file=part.table.file, value=", ".join(sorted(own & before)[:3]))
+        before |= own
 
 
 def first_pixel(

@@ -12,7 +12,7 @@ from fg_orient.formats.office.candidates import lonlat, possible_crs, scene_box,
 from fg_orient.formats.office.decisions import Choice, Decisions, Question
 from fg_orient.formats.office.fit import SAME_PX, Fit, Reading
 from fg_orient.formats.office.ground import Triple
-from fg_orient.formats.office.stated import stated_crs, titled
+from fg_orient.formats.office.stated import named_pairs, stated_crs, titled
 from fg_orient.formats.office.table import Table
 from fg_orient.geodesy import crs_kind, known_crs
 from fg_orient.model.errors import InputError
@@ -49,7 +49,7 @@ def readings(
 
 
 def best_reading(
-    table: Table, triples: Sequence[Triple], found: list[Reading], named_pixels: bool, decisions: Decisions
+    table: Table, triples: Sequence[Triple], found: list[Reading], fit: Fit, named_pixels: bool, decisions: Decisions
 ) -> Reading:
     """Best reading; what it assumes is listed.
 
@@ -78,7 +78,7 @@ def best_reading(
         left = [one for one in left if one.triple.named]
     if named_pixels and any(not one.exchanged for one in left):
         left = [one for one in left if not one.exchanged]
-    for option, subject, word in _dimensions(table):
+    for option, subject, word in _dimensions(table, fit.marks.labels):
         values = list(dict.fromkeys(word(one) for one in left))
         if len(values) > 1:
             reason = "several fit the images" if not np.isnan(best.evidence.move_px) else "nothing else decides"
@@ -128,9 +128,9 @@ def _champion(believable: list[Reading]) -> Reading:
     return min(unbeaten or believable, key=lambda one: round(one.evidence.move_px, 1))
 
 
-def _dimensions(table: Table) -> list[tuple[str, str, Callable[[Reading], str]]]:
+def _dimensions(table: Table, labels: Sequence[str]) -> list[tuple[str, str, Callable[[Reading], str]]]:
     return [
-        ("image", "images of the table", lambda one: ",".join(one.images)),
+        ("image", "images of the table", lambda one: named_pairs(labels, one.images)),
         ("columns", f"columns of {table.sheet.title}", lambda one: one.triple.words(table)),
         ("units", f"units of {table.sheet.title}", lambda one: one.triple.units),
         ("columns", "line and sample", lambda one: "exchanged" if one.exchanged else "as named"),

@@ -35,6 +35,11 @@ def stated_crs(table: Table) -> str:
     return f"EPSG:{codes.pop()}" if len(codes) == 1 else ""
 
 
+def named_pairs(labels: Sequence[str], images: Sequence[str]) -> str:
+    """Images of labels as the option ``image`` has them."""
+    return ",".join(f"{label}={image}" for label, image in zip(labels, images, strict=True))
+
+
 def label_images(labels: Sequence[str], images: Sequence[str], given: Mapping[str, str], decisions: Decisions,
                  file: str) -> list[tuple[str, ...]]:  # fmt: skip
     """Possible images of the labels of a table: one by the names, else all orders."""
@@ -42,6 +47,10 @@ def label_images(labels: Sequence[str], images: Sequence[str], given: Mapping[st
     if len(labels) == 1 and not found[0] and len(images) == 1:
         found = [images[0]]
     known = [name for name in found if name]
+    for name in known:
+        same = [label for label, own in zip(labels, found, strict=True) if own == name]
+        if len(same) > 1:
+            raise InputError.of("office.same_image", file=file, option="image", value=", ".join(same), image=name)
     if len(known) == len(labels) and len(set(known)) == len(labels):
         changed = [f"{label} = {name}" for label, name in zip(labels, found, strict=True) if label != name]
         if changed:

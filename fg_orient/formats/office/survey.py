@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -14,20 +14,24 @@ from fg_orient.formats.faults import Faults
 from fg_orient.formats.office.candidates import scene_box
 from fg_orient.formats.office.coordinates import read_coordinates
 from fg_orient.formats.office.decisions import Choice, Decisions, Office, Question
-from fg_orient.formats.office.fit import Fit, Marks
+from fg_orient.formats.office.fit import RATIO, Fit, Marks
 from fg_orient.formats.office.ground import Triple, ground_triples
 from fg_orient.formats.office.image_columns import ImagePart, image_part
-from fg_orient.formats.office.layout import names_columns, require_known, table_of
+from fg_orient.formats.office.layout import names_columns, names_ties, require_known, table_of
 from fg_orient.formats.office.pixels import first_pixel, read_marks, require_inside
 from fg_orient.formats.office.sheets import Sheet
-from fg_orient.formats.office.stated import label_images
+from fg_orient.formats.office.stated import label_images, named_pairs
 from fg_orient.formats.office.table import Table, id_column
 from fg_orient.formats.office.weights import roles_and_sigmas
+from fg_orient.formats.office.words import Named
 from fg_orient.geodesy.crs import WGS84
 from fg_orient.geodesy.heights import undulation_m
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
+
+#: Largest distance of two rays to the same point before the adjustment, m.
+CROSSING_M: Final = 30.0
 
 
 def read_survey(sheets: Sequence[Sheet], office: Office, decisions: Decisions, sensors: Mapping[str, Any]) -> Survey:
@@ -60,7 +64,7 @@ def read_survey(sheets: Sequence[Sheet], office: Office, decisions: Decisions, s
         for one in sheet.assumed:
             decisions.note(one.subject, one.value, one.reason)
         table = table_of(sheet, decisions, columns)
-        if table is None and names_columns(sheet):
+        if table is None and names_columns(sheet) and not names_ties(sheet):
             raise InputError.of("office.no_numbers", file=sheet.path, place=sheet.name)
         if table is None:
             decisions.note(f"table {sheet.title}", "left out", "no rows of numbers")
@@ -69,6 +73,7 @@ def read_survey(sheets: Sequence[Sheet], office: Office, decisions: Decisions, s
     if not tables:
         raise InputError.of("office.no_numbers", file=sheets[0].path, place=sheets[0].name)
     require_known(columns, tables)
+    _settle_ids(tables, decisions)
     parts, grounds = [], []
     for table in tables:
         part, triples = image_part(table, list(sensors)), ground_triples(table, dict(office.units))
@@ -103,11 +108,7 @@ def _survey(
     if grounds:
         reading, crs, coordinates = read_coordinates(grounds, row, labels, fit, parts, office, decisions)
     elif len(labels) > 1:
-        choices = [Choice(",".join(one)) for one in labels]
-        chosen = decisions.settle(
-            Question("image", "images of the table", choices, reason="no ground points decide"), file
-        )
-        labels = [one for one in labels if chosen is not None and ",".join(one) == chosen.value]
+        labels = [_crossing(labels, marks, fit, decisions, file)]
     images = reading.images if reading is not None else labels[0]
     exchanged = reading is not None and reading.exchanged
     origin = (
@@ -136,6 +137,34 @@ def _survey(
         np.vstack([sigma_enu, np.full((n, 3), np.nan)]), np.append(fixed, np.zeros(n, bool)), tuple(images), observed,
         np.array([*places, *[0] * n], np.int64),
     )  # fmt: skip
+
+
+def _crossing(
+    labels: list[tuple[str, ...]], marks: Marks, fit: Fit, decisions: Decisions, file: str
+) -> tuple[str, ...]:
+    """Images of the labels of a table of tie points: those with which the rays to the same points meet."""
+    apart = {one: fit.crossing_m(one) if fit.sensors else float("inf") for one in labels}
+    ranked = sorted(labels, key=lambda one: apart[one])
+    clear = apart[ranked[0]] < CROSSING_M and apart[ranked[1]] > RATIO * CROSSING_M
+    choices = [Choice(named_pairs(marks.labels, one), f"rays meet within {apart[one]:.3g} m") for one in ranked]
+    reason = "the rays to the same points meet" if clear else "no ground points decide"
+    chosen = decisions.settle(Question("image", "images of the table", choices, clear, reason), file)
+    return next(
+        (one for one in ranked if chosen is not None and named_pairs(marks.labels, one) == chosen.value), ranked[0]
+    )
+
+
+def _settle_ids(tables: Sequence[Table], decisions: Decisions) -> None:
+    """Of several columns like ids, keep the one whose cells other tables have as ids, too."""
+    for table in tables:
+        found = table.having("id")
+        others = {cell for own in tables if own is not table for k in own.having("id") for cell in own.texts(k)}
+        common = [k for k in found if others & set(table.texts(k))]
+        if len(found) > 1 and len(common) == 1 and not table.stated & set(found):
+            for k in set(found) - set(common):
+                table.names[k] = Named("")
+            header = table.headers[common[0]]
+            decisions.note(f"ids of {table.sheet.title}", header, "another table has the same ids", "columns")
 
 
 def _undulation_m(heights: str, sensors: Mapping[str, Any]) -> float:

@@ -48,7 +48,8 @@ office.half: there is a column for one coordinate only
 office.pairs: the columns of lines and samples do not make pairs
     -> name the columns of the images alike, or say: <columns> line=HEADER,sample=HEADER
 office.no_columns: the columns are neither those of ground points nor of image points
-    -> say which they are: <columns> id=HEADER,E=HEADER,N=HEADER,H=HEADER or image=,id=,line=,sample=
+    -> say which they are: <columns> id=HEADER,E=HEADER,N=HEADER,H=HEADER or image=,id=,line=,sample=; or name the
+    files to use
 office.not_geocentric: these are no geocentric coordinates of points near the surface of the Earth, in m
     -> say which columns they are: <columns> E=HEADER,N=HEADER,H=HEADER
 office.nowhere: the points lie in no image, in any order of the columns and in no CRS that is used there
@@ -59,6 +60,10 @@ office.outside: the image point lies outside the image {image}
     -> check that the table is of this image, whole and not reduced; or say <first_pixel> and <columns>
 office.image_unknown: the table names an image that cannot be assigned: {known}
     -> say it: <image> NAME_IN_TABLE=IMAGE
+office.shared_ids: another table of image points has the same ids
+    -> give points that differ ids of their own, or join the tables
+office.same_image: tables name the image {image} in two ways
+    -> name the files to use, or say which is which: <image> NAME_IN_TABLE=IMAGE
 office.no_common: ground points and image points have no id in common
     -> say which columns hold the ids: <columns> id=HEADER
 office.two_places: the point has other coordinates in another table
