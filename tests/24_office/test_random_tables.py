@@ -64,4 +64,4 @@ def test_twenty_random_tables(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_two_hundred_random_tables(tmp_path: Path) -> None:
     counts = np.sum([run(tmp_path, seed) for seed in range(200)], axis=0)
-    assert counts[0] >= 100
+    assert counts[0] >= 150

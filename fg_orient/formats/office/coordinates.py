@@ -10,6 +10,7 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.formats.exchange.survey import decided_crs
 from fg_orient.formats.faults import Faults
+from fg_orient.formats.office.candidates import scene_box
 from fg_orient.formats.office.decisions import Choice, Decisions, Office, Question
 from fg_orient.formats.office.fit import Evidence, Fit, Reading
 from fg_orient.formats.office.ground import Triple, note_numbers
@@ -18,6 +19,7 @@ from fg_orient.formats.office.rank import best_reading, readings
 from fg_orient.formats.office.stated import stated_crs
 from fg_orient.formats.office.table import Table, id_column, stated_heights
 from fg_orient.geodesy import crs_kind
+from fg_orient.geodesy.geoid import LIMIT_M, world_undulation_m
 from fg_orient.model.errors import InputError
 
 #: Vertical CRS that are proposed: EGM96, EGM2008.
@@ -116,7 +118,7 @@ def _with_heights(
         clear = first is not None and all(
             o is first or (e is not None and dict(known)[first].beats(e)) for o, e in tried
         )
-        with_words = [Choice(one.value, " ".join(filter(None, (one.words, e.words() if e else "grid missing"))))
+        with_words = [Choice(one.value, " ".join(filter(None, (one.words, e.words() if e else ""))))
                       for one, e in tried]  # fmt: skip
         if clear:
             with_words.sort(key=lambda one: first is None or one.value != first.value)
@@ -133,9 +135,14 @@ def _with_heights(
 
 
 def _tried(best: Reading, choice: Choice, fit: Fit, coordinates: Array) -> Evidence | None:
-    """Evidence with these heights; None if the grid of the geoid is missing or there are no images."""
+    """Evidence with these heights, None without images; without the grid with the least undulation that is possible."""
     if not fit.sensors or not len(fit.used):
         return None
     code = best.crs if choice.value == "ellipsoidal" else f"{best.crs}+{choice.value.partition(':')[2]}"
     ecef = fit.in_ecef(code, coordinates)
+    if ecef is None:
+        west, south, east, north = scene_box(fit.sensors)
+        world = float(world_undulation_m(0.5 * (west + east), 0.5 * (south + north)))
+        least = np.sign(world) * max(abs(world) - LIMIT_M, 0.0)
+        ecef = fit.in_ecef(best.crs, coordinates + np.array([0.0, 0.0, least]))
     return None if ecef is None else fit.evidence(fit.predicted(ecef), best.images, best.exchanged)[0]

@@ -26,8 +26,11 @@ FEWEST: Final = 5
 #: It is turned down, too, if its images would be moved by so much (m) and so many times more than in another one.
 FAR_M: Final = 40.0
 FAR_RATIO: Final = 8.0
-#: Largest move of images whose orientation has proved accurate, px.
+#: Largest move of images whose orientation has proved accurate, px; a reading with more, and with as many times more,
+#: is turned down. Moves below the last one are noise.
 ACCURATE_PX: Final = 2.0
+ACCURATE_RATIO: Final = 5.0
+NOISE_PX: Final = 0.1
 #: A reading is believed if scatter (px) and move (m) are not larger.
 MAX_SCATTER_PX: Final = 20.0
 MAX_MOVE_M: Final = 1000.0
@@ -60,7 +63,7 @@ class Evidence(NamedTuple):
             return False
         scatter = min(self.fewest, other.fewest) >= FEWEST and other.scatter_px > RATIO * max(self.scatter_px, LEAST_PX)
         far = other.move_m > FAR_M and other.move_px > FAR_RATIO * self.move_px
-        accurate = self.move_px <= ACCURATE_PX and other.move_px > FAR_RATIO * max(self.move_px, 0.1)
+        accurate = self.move_px <= ACCURATE_PX and other.move_px > ACCURATE_RATIO * max(self.move_px, NOISE_PX)
         return bool(
             self.believable
             and self.scatter_px <= RATIO * max(other.scatter_px, LEAST_PX)
