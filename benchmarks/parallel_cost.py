@@ -24,10 +24,10 @@ from typing import Any
 import numpy as np
 
 from fg_orient.adjustment.loop import OPTIMIZERS
+from fg_orient.adjustment.memory import default_parts
 from fg_orient.adjustment.parts import dissection
 from fg_orient.adjustment.parts.backend import PartedBackend
 from fg_orient.adjustment.parts.execution import Execution, opened, work_folder
-from fg_orient.adjustment.parts.parts import default_parts
 from fg_orient.adjustment.parts.pool import Pool
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.runtime import one_blas_thread
@@ -143,7 +143,7 @@ def main() -> None:
     side = 4 if arguments.image_points < 5e4 else 6 if arguments.image_points < 5e5 else 10
     block, _ = grid_block(BlockOptions(rows=side, columns=side, points=round(arguments.image_points / 3.6)))
     problem = compile_problem(replace(block, options=replace(block.options, eop_set=20)))
-    parts = arguments.parts or default_parts(problem)
+    parts = arguments.parts or default_parts(len(problem.observations))
     print(f"{len(problem.observations)} image points, {side**2} images, {problem.n_image_unknowns} image unknowns, "
           f"{parts} parts, {travel(problem, parts):.0f} kB per iteration")  # fmt: skip
     for threads in (1, 2):
