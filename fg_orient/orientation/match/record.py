@@ -14,7 +14,7 @@ from factors.arrays import Array
 from fg_orient.formats.project import ProjectImages
 from fg_orient.model.distributions import normal_within
 from fg_orient.model.errors import Finding, as_record, finding, findings_of, sentences
-from fg_orient.model.installation import stamp
+from fg_orient.model.installation import stamp, versions
 from fg_orient.orientation.match.features import cv2_of
 from fg_orient.orientation.match.rasters import Raster
 from fg_orient.orientation.match.tasks import Setup
@@ -57,6 +57,7 @@ def record_of(
         "pairs_without_matches": [{"a": a, "b": b, "reason": why} for a, b, why in failed],
         "options": asdict(setup.options), "seconds": seconds, **stamp(command),
     }  # fmt: skip
+    record["versions"] |= versions(("opencv-python-headless",))
     return {**record, **as_record(_findings(record))}
 
 
