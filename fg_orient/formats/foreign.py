@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 #: Options of ``convert`` in messages, and the corresponding entries of a project.
 _ENTRIES: Final = {"from": "format", "accept_unverified": "accept_unverified = true"}
+#: Format whose reader asks what a project has no entry for.
+OFFICE: Final = "office"
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,8 @@ class Table:
         entry, place = self.entry, f"{self.name}.format"
         try:
             format_ = format_named(entry.format, place=place)
+            if format_.name == OFFICE:
+                raise InputError.of("office.in_project", place=place, value=entry.format)
             needed = Holds.GROUND if self.name == "points" else Holds.IMAGE
             if format_.read is None or needed not in format_.holds:
                 raise InputError.of("project.format", place=place, value=entry.format, what=needed)

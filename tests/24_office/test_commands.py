@@ -86,6 +86,17 @@ def test_convert_and_validate_read_the_same_tables(tmp_path: Path) -> None:
     assert any("Nokta No" not in r["message"] and "kontrol = control" in r["message"] for r in checked.json["remarks"])
 
 
+def test_a_project_file_does_not_read_tables_of_unknown_form(tmp_path: Path) -> None:
+    office_files(tmp_path)
+    table = 'file = "noktalar.xlsx"\nformat = "office"\n'
+    images = "".join(f'[[images]]\nid = "{i}"\nmetadata = "{i}_RPC.TXT"\n' for i in ("left", "right"))
+    project = f'schema = 1\nname = "a"\n{images}[points]\n{table}[observations]\n{table}'
+    (tmp_path / "project.toml").write_text(project, "utf-8")
+    ended = in_process("validate", tmp_path / "project.toml")
+    assert ended.code == 2
+    assert all("fg-orient new" in line for line in ended.stderr.splitlines())
+
+
 def test_images_alone_become_a_project_without_tables(tmp_path: Path) -> None:
     write_images(tmp_path / "in", place("tr"))
     ended = in_process("new", tmp_path / "in", "--out", tmp_path / "project")

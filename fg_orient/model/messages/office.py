@@ -11,6 +11,8 @@ office.question: nothing decides on {subject} ({reason})
     + : {choices}
     -> say it: {option} {example}
 office.assumed (note): assumed: {subject}: {seen} ({reason})
+office.in_project: a project does not read tables of unknown form
+    -> make its tables from them: fg-orient new, or fg-orient convert
 office.unconfirmed: {count} assumption(s) are not confirmed
     -> read them, and add <yes>, or give the options that they name
 office.workbook: the workbook is damaged, encrypted or none
