@@ -188,10 +188,11 @@ table.missing_file: the file does not exist
 table.unreadable: the file cannot be read
     -> give a readable file
 table.utf16: the file is UTF-16
-    -> save it as UTF-8 text with commas (in Excel: CSV UTF-8)
+    -> save it as UTF-8 text with commas (in Excel: CSV UTF-8), or make a project of it: fg-orient new
 table.nul: the file holds NUL bytes and is no text
     -> save the table as UTF-8 text with commas
 table.not_utf8: the file is not UTF-8, perhaps Latin-1
+    -> save it as UTF-8 text, or make a project of it: fg-orient new
 project.encoding: the project file is not UTF-8
     -> save it as UTF-8 text
 table.other_form: the name does not say which form the file has
@@ -217,7 +218,7 @@ table.long_line: the line is too long for a record
 table.quotes: the quotes of the line are not balanced
     -> close the quotes, or remove them
 table.delimiter: the columns are not separated by commas
-    -> save the table with commas and decimal points
+    -> save the table with commas and decimal points, or make a project of it: fg-orient new
 table.column_twice: two columns have the same name
     -> keep one of them
 table.column_unknown: unknown column
