@@ -36,6 +36,19 @@ def opened(rasterio: Any, path: object, mode: str = "r") -> Any:
         return rasterio.open(path, mode)
 
 
+def encoded(picture: Any, driver: str) -> bytes:
+    """File of grey values (rows, columns) uint8 in memory, by GDAL's driver ``PNG`` or ``JPEG``."""
+    from rasterio.errors import NotGeoreferencedWarning
+    from rasterio.io import MemoryFile
+
+    rows, columns = picture.shape
+    with warnings.catch_warnings(), MemoryFile() as memory:
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with memory.open(driver=driver, width=columns, height=rows, count=1, dtype="uint8") as sink:
+            sink.write(picture, 1)
+        return bytes(memory.getbuffer())
+
+
 @contextmanager
 def plain_case() -> Iterator[None]:
     """Use the letter case of the locale "C" while GDAL is imported or works; then restore the locale."""

@@ -302,7 +302,8 @@ def _images(project: ProjectFile, folder: Path, file: str) -> tuple[dict[str, Im
             continue
         try:
             sensor = sensor_reader.read_sensor(folder / entry.metadata, extrapolate_attitude_s=seconds)
-            images[entry.id] = Image(entry.id, sensor)
+            pixels = "" if entry.pixels is None else str(folder / entry.pixels)
+            images[entry.id] = Image(entry.id, sensor, pixels, entry.pixels_origin)
         except InputError as error:
             problems += error.problems
     return images, problems

@@ -35,10 +35,16 @@ def _read_only(record: object, **kinds: type) -> None:
 
 @dataclass(frozen=True)
 class Image:
-    """One image: its id and the sensor that binds its metadata to the equations."""
+    """One image: its id and the sensor that binds its metadata to the equations.
+
+    ``pixels`` and ``pixels_origin`` are the entries of the project file: path of its raster, and line and sample of the
+    first pixel of that.
+    """
 
     id: str
     sensor: Sensor
+    pixels: str = ""
+    pixels_origin: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 Record = dict[str, Any]
 #: Entries of ``result.json`` that differ between runs: times, memory, folders, continuation of an interrupted run.
 OCCASION: Final = (
-    "seconds", "memory", "us_per_observation_iteration", "resumed_at_iteration", "out", "provenance",
+    "seconds", "memory", "us_per_observation_iteration", "resumed_at_iteration", "out", "provenance", "pixels",
 )  # fmt: skip
 #: Folders beside a result that are searched for its project file.
 _BESIDE: Final = 1000

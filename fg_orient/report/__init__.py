@@ -55,5 +55,5 @@ def write_page(folder: Path, result: Result, comparison: dict[str, Any] | None =
     from fg_orient.formats.atomic import write_text
     from fg_orient.report.html import render
 
-    write_text(folder / REPORT_FILE, render(result, comparison))
+    write_text(folder / REPORT_FILE, render(result, comparison, folder))
     return folder / REPORT_FILE

@@ -242,6 +242,15 @@ class Mark:
     sizes: Array | None = None
 
 
+@dataclass(frozen=True)
+class Picture:
+    """Picture below the marks: address with its content; x and y of its left and right, upper and lower border."""
+
+    href: str
+    x: tuple[float, float]
+    y: tuple[float, float]
+
+
 @dataclass
 class Chart:
     """Axes and marks.
@@ -271,6 +280,8 @@ class Chart:
         ``top``, ``right`` or ``bottom``.
     css : str
         Classes of the drawing.
+    picture : Picture, optional
+        Below the marks, on a page.
     """
 
     words: str
@@ -290,6 +301,7 @@ class Chart:
     note: str = ""
     legend: str = "top"
     css: str = "panel"
+    picture: Picture | None = None
     marks: list[Mark] = field(default_factory=list)
 
     def add(self, shape: str, kind: str, x: npt.ArrayLike, y: npt.ArrayLike, **more: object) -> None:

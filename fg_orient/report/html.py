@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -18,6 +19,7 @@ from fg_orient.model.errors import DECISIVE, Finding, findings_of
 from fg_orient.report import maps, plots, tables
 from fg_orient.report.page import environment
 from fg_orient.report.payload import payload
+from fg_orient.report.pictures import pictures_of
 from fg_orient.report.words import accuracy_words, orientation_words, verdict
 from fg_orient.result.record import Result
 
@@ -41,8 +43,8 @@ class Section:
     id, title : str
     template : str
         Its text; empty: the file ``templates/ID.html.j2``. It has ``result`` and its record ``r``; ``many``, lengths of
-        tables; ``payload``, the data of the live drawings; the modules ``plots``, ``maps`` and ``tables``; and the
-        macros and filters of all pages.
+        tables; ``payload``, the data of the live drawings; ``pictures``, the pixels; the modules ``plots``, ``maps``
+        and ``tables``; and the macros and filters of all pages.
     values : callable
         Gives further values for a result; None if the page does not have this section.
     """
@@ -84,8 +86,8 @@ def section(id: str, title: str, template: str = "", before: str = "") -> Callab
     return add
 
 
-def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
-    """HTML text of a result, with the comparison with a truth if there is one."""
+def render(result: Result, comparison: dict[str, Any] | None = None, folder: Path | None = None) -> str:
+    """HTML text of a result, with the comparison with a truth if there is one, and the pixels seen from a folder."""
     if not result.adjusted:
         return _render_deficient(result)
     record = result.record
@@ -94,15 +96,17 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
     first = [one for one in findings_of(record) if _is_first(one)]
     doubts = [str(one) for one in first[any(one.severity in DECISIVE for one in first) :]]  # the first is the verdict
     words: Values = {**ended, "text": [ended["text"], *doubts, *accuracy_words(record)]}
-    return _page(result, [*SECTIONS, *([truth] if comparison else [])], words, _problems(record))
+    return _page(result, [*SECTIONS, *([truth] if comparison else [])], words, _problems(record), folder)
 
 
-def _page(result: Result, sections: Sequence[Section], verdict: Values, problems: Sequence[str]) -> str:
+def _page(
+    result: Result, sections: Sequence[Section], verdict: Values, problems: Sequence[str], folder: Path | None = None
+) -> str:
     """Render the sections that the result has into the shell of all pages."""
-    shell, record = environment(), result.record
+    shell, record, pictures = environment(), result.record, pictures_of(result, folder)
     shared = {
         "result": result, "r": record, "many": MANY, "axes": _AXES, "plots": plots, "maps": maps, "tables": tables,
-        "payload": payload(result) if result.adjusted else None,
+        "payload": payload(result, pictures.used) if result.adjusted else None, "pictures": pictures,
     }  # fmt: skip
     parts = []
     for one in (*sections, Section("provenance", "Provenance")):

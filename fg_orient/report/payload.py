@@ -120,13 +120,16 @@ def _pack_differences(values: Index) -> dict[str, Any]:
     return {"kind": "d", "n": len(values), "base64": base64.b64encode(data).decode()}
 
 
-def payload(result: Result) -> Payload | None:
-    """Pack points, footprints and image points; None for a block without geographic coordinates."""
+def payload(result: Result, used: int = 0) -> Payload | None:
+    """Pack points, footprints and image points; None for a block without geographic coordinates.
+
+    ``used``: bytes of :data:`BUDGET` that pictures take.
+    """
     located = np.isfinite(result.points.figures["lon_deg"])
     if not located.any():
         return None
     kept, more = chosen_points(result)
-    rays, words, width = chosen_rays(result, kept)
+    rays, words, width = chosen_rays(result, kept, used)
     words = " ".join(filter(None, (words, more)))
     place = {name: k for k, name in enumerate(result.points.words["id"])}
     of_ray = np.fromiter((place[result.residuals.words["id"][k]] for k in rays.tolist()), np.intp, len(rays))
@@ -158,20 +161,21 @@ def payload(result: Result) -> Payload | None:
     return Payload(data, words)
 
 
-def chosen_rays(result: Result, points: Mask) -> tuple[Index, str, Width]:
+def chosen_rays(result: Result, points: Mask, used: int = 0) -> tuple[Index, str, Width]:
     """Rows of the image points in the page, a sentence on those that are not, and their width.
 
     Flagged image points come first, then all image points of points that are drawn at random. ``points`` (N,): those of
     :func:`chosen_points`.
     """
     n, known = len(result.residuals), int(np.count_nonzero(points & (_role_numbers(result) < 2)))
-    if n <= LIMIT and n * FINE.ray + len(result.points) * _point_bytes(result, FINE) + known * KNOWN <= BUDGET:
+    budget = BUDGET - used
+    if n <= LIMIT and n * FINE.ray + len(result.points) * _point_bytes(result, FINE) + known * KNOWN <= budget:
         return np.arange(n), "", FINE
     names = result.residuals.words["id"]
     place = {name: k for k, name in enumerate(result.points.words["id"])}
     of_ray = np.fromiter(map(place.__getitem__, names), np.intp, n)
     each, rays = _point_bytes(result, COARSE), n / max(int(np.count_nonzero(np.bincount(of_ray))), 1)
-    room = max(BUDGET - known * (each + KNOWN), 0)
+    room = max(budget - known * (each + KNOWN), 0)
     ratio = np.nan_to_num(np.abs(result.normalised[0]).max(axis=1), nan=0.0)
     order = np.random.default_rng(SEED).permutation(len(place))[of_ray]
     most, largest = int(room / (COARSE.ray + each)), int(room / (COARSE.ray + each / rays))

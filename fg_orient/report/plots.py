@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from factors.arrays import Array, Index
 from fg_orient.model.distributions import beta_quantile, normal_probability, normal_quantile
-from fg_orient.report.chart import SERIES, Axis, Chart, broad, cut, decades, large, limits_of, round_down
+from fg_orient.report.chart import SERIES, Axis, Chart, Picture, broad, cut, decades, large, limits_of, round_down
 from fg_orient.report.words import number
 from fg_orient.result.record import Result
 
@@ -183,7 +183,14 @@ def normal_band(n: int, rank: Index) -> tuple[Array, Array, Array]:
     return low, middle, high
 
 
-def residual_panels(result: Result, summaries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def worst_images(summaries: list[dict[str, Any]]) -> list[str]:
+    """Images whose vectors a page shows, the largest residual first."""
+    return [row["image"] for row in sorted(summaries, key=lambda row: -row["max_ratio"])[:MAX_PANELS]]
+
+
+def residual_panels(
+    result: Result, summaries: list[dict[str, Any]], pictures: Mapping[str, Picture] | None = None
+) -> list[dict[str, Any]]:
     """Charts of the images with the largest residuals, in the order of the images.
 
     Parameters
@@ -191,18 +198,23 @@ def residual_panels(result: Result, summaries: list[dict[str, Any]]) -> list[dic
     result : Result
     summaries : list of dict
         ``Result.residual_summary``.
+    pictures : mapping, optional
+        Pictures of images, by image.
 
     Returns
     -------
     list of dict
         ``image``, ``drawings``, and ``words``: number of normalised residuals beyond the axis; "" for none.
     """
-    worst = {row["image"] for row in sorted(summaries, key=lambda row: -row["max_ratio"])[:MAX_PANELS]}
+    worst = set(worst_images(summaries))
     out = []
     for name in (row["image"] for row in summaries if row["image"] in worst):
         ratio, tested = result.normalised[0][result.rows[name]], result.normalised[1]
         beyond = int((np.abs(ratio) > ENDS).sum())
-        charts = residual_vectors(result, name), histogram(ratio, name, tested), quantiles(ratio, name, tested)
+        vectors_of_image = residual_vectors(result, name)
+        if vectors_of_image is not None:
+            vectors_of_image.picture = (pictures or {}).get(name)
+        charts = vectors_of_image, histogram(ratio, name, tested), quantiles(ratio, name, tested)
         out.append({"image": name, "drawings": charts, "words": f"{beyond} beyond ±{ENDS:g} σ" if beyond else ""})
     return out
 

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from markupsafe import Markup, escape
 
-from fg_orient.report.chart import HEAT, INKS, Chart, Mark, hundredths
+from fg_orient.report.chart import HEAT, INKS, Chart, Mark, Picture, hundredths
 from fg_orient.report.words import signed
 
 Box = tuple[float, float, float, float]
@@ -45,6 +45,8 @@ class _Drawing:
         chart = self.chart
         if chart.framed:
             self._axes()
+        if chart.picture is not None:
+            self._picture(chart.picture)
         for mark in sorted(chart.marks, key=lambda mark: mark.shape == "names"):
             getattr(self, f"_{mark.shape}")(mark)
         height = chart.height if chart.framed else self._foot()
@@ -82,6 +84,11 @@ class _Drawing:
             self.parts.append(f'<rect class="frame" x="{x0}" y="{y0}" width="{wide:.1f}" height="{tall:.1f}"/>')
         self._write(x0 + wide / 2, chart.height - 8, chart.x.words, "middle")
         self._write(x0, y0 - 8, chart.y.words)
+
+    def _picture(self, picture: Picture) -> None:
+        (x0, y0), (x1, y1) = self.chart.place(picture.x, picture.y).tolist()
+        box = f'x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0:.1f}" height="{y1 - y0:.1f}"'
+        self.parts.append(f'<image class="pixels" {box} preserveAspectRatio="none" href="{escape(picture.href)}"/>')
 
     def _line(self, mark: Mark) -> None:
         self._path(mark.kind, "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in self._at(mark)))

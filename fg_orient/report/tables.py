@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors.arrays import Array
+from factors.arrays import Array, Index
 from fg_orient.formats.table_write import table_file
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.distributions import normal_probability
@@ -102,6 +102,14 @@ def image_correlations(result: Result) -> dict[str, Array]:
     return {image: rho for image, rho in matrices.items() if np.isfinite(rho).any()}
 
 
+def largest_rows(result: Result, count: int) -> Index:
+    """Rows of the image points with the largest normalised residuals, largest first."""
+    worst = np.nan_to_num(np.abs(result.normalised[0]), nan=0.0).max(axis=1)
+    least = np.partition(worst, -count)[-count] if len(worst) > count else 0.0
+    among = np.flatnonzero(worst >= least)  # few of very many rows
+    return among[np.argsort(-worst[among], kind="stable")[:count]]
+
+
 def largest_residuals(result: Result, count: int = 20) -> dict[str, Any] | None:
     """Image points with the largest residuals over their own sigmas, largest first; None without their tests.
 
@@ -115,11 +123,7 @@ def largest_residuals(result: Result, count: int = 20) -> dict[str, Any] | None:
     ratio, tested = result.normalised
     if not tested:
         return None
-    size = np.nan_to_num(np.abs(ratio), nan=0.0)
-    worst = size.max(axis=1)
-    least = np.partition(worst, -count)[-count] if len(worst) > count else 0.0
-    among = np.flatnonzero(worst >= least)  # few of very many rows
-    order = among[np.argsort(-worst[among], kind="stable")[:count]]
+    size, order = np.nan_to_num(np.abs(ratio), nan=0.0), largest_rows(result, count)
     names = ("v_line_px", "v_sample_px", "w_line", "w_sample", "redundancy_line", "redundancy_sample", "mdb_line_px",
              "mdb_sample_px")  # fmt: skip
     values = table.numbers(*names, rows=order).tolist()

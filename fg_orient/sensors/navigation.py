@@ -16,7 +16,7 @@ import numpy as np
 from factors.arrays import Array
 from factors.conditions.navigation import ANTENNA_POSITION, ATTITUDE, INERTIAL_ATTITUDE, POSITION
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
-from fg_orient.model.block import Block, ExtraObservation, Image
+from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import FrameCamera, FrameSensor
 from fg_orient.sensors.frame_unknowns import NAVIGATION
@@ -129,10 +129,11 @@ def with_navigation(block: Block, fixes: Sequence[Fix], mounting: Mounting) -> B
             code = "navigation.image" if place is None else "navigation.twice"
             raise InputError.of(code, place="image", value=fix.image)
         seen.add(fix.image)
-        sensor = images[place[1]].sensor
+        image = images[place[1]]
+        sensor = image.sensor
         if not (isinstance(sensor, FrameSensor) and sensor.georeferenced):
             raise InputError.of("navigation.kind", place=f"image {fix.image}", value=type(sensor).__name__)
-        images[place[1]] = Image(fix.image, _with_unknowns(sensor, fix, mounting))
+        images[place[1]] = replace(image, sensor=_with_unknowns(sensor, fix, mounting))
         extra += _observations(fix, tau, axes, sensor.camera, mounting)
     return replace(block, images=tuple(images), extra=tuple(extra))
 

@@ -13,12 +13,12 @@ import numpy as np
 from scipy import ndimage
 
 from factors.arrays import Array, Index, Mask
+from fg_orient.formats.rasters import Grey, Raster
 from fg_orient.kernels.matching import AFFINE, CURVED, FIT, SHIFT, SLOPE, fit_windows
 from fg_orient.orientation.match.consistency import Trend, fits_neighbours
 from fg_orient.orientation.match.epipolar import Pair, inside
 from fg_orient.orientation.match.features import Features, candidates, detect
 from fg_orient.orientation.match.options import MatchOptions
-from fg_orient.orientation.match.rasters import Grey, Raster
 
 MODELS: Final = {"slope": SLOPE, "curved": CURVED, "affine": AFFINE, "shift": SHIFT}
 #: Iterations of least-squares matching; largest distance from the feature's position, px.

@@ -18,6 +18,7 @@ from factors.arrays import Array
 from fg_orient.formats.exchange.convert import read_survey
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.gdal import opened, rasterio_of
+from fg_orient.formats.rasters import ENDS, Grey, Raster
 from fg_orient.formats.registry import Settings, format_of
 from fg_orient.geodesy import ecef_to_geodetic, from_geographic, geodetic_to_ecef, to_ecef, to_geographic
 from fg_orient.kernels.matching import AFFINE, FIT, fit_window
@@ -27,7 +28,6 @@ from fg_orient.orientation.match.blocks import WIDER, spline_of
 from fg_orient.orientation.match.epipolar import prior_covariance
 from fg_orient.orientation.match.features import cv2_of
 from fg_orient.orientation.match.options import MatchOptions
-from fg_orient.orientation.match.rasters import ENDS, Grey, Raster
 
 #: Largest half width of the wider window of a chip, and least one, chip pixels.
 HALF: Final = 14

@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 
 from factors.arrays import Array
+from fg_orient.formats.rasters import Raster
 from fg_orient.orientation.match.consistency import Trend, fits_neighbours, trend_of
 from fg_orient.orientation.match.epipolar import Pair
 from fg_orient.orientation.match.features import Features, candidates, detect
 from fg_orient.orientation.match.options import MatchOptions
-from fg_orient.orientation.match.rasters import Raster
 
 #: Lines or samples of a reduced picture.
 SIZE: Final = 1000

@@ -13,9 +13,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from factors.arrays import Array, Index
+from fg_orient.formats.rasters import Grey
 from fg_orient.model.errors import InputError
 from fg_orient.orientation.match.epipolar import Curves
-from fg_orient.orientation.match.rasters import Grey
 
 #: Contrast of features: a quarter of OpenCV's default, for shadows and snow.
 CONTRAST: Final = 0.01

@@ -15,6 +15,7 @@ from fg_orient.adjustment.parts.execution import Execution, opened
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
 from fg_orient.formats.heights import ZeroLevel
 from fg_orient.formats.project import ProjectImages, read_images
+from fg_orient.formats.rasters import Place, missing, place_of, raster_beside
 from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.model.errors import Finding, InputError, as_record, finding, findings_of
 from fg_orient.model.names import Progress
@@ -25,7 +26,6 @@ from fg_orient.orientation.match.coarse import Coarse
 from fg_orient.orientation.match.epipolar import Pair, height_range, inside
 from fg_orient.orientation.match.features import cv2_of
 from fg_orient.orientation.match.options import MatchOptions
-from fg_orient.orientation.match.rasters import Place, missing, place_of, raster_beside
 from fg_orient.orientation.match.record import record_of, write_report
 from fg_orient.orientation.match.tables import NEW_POINTS, ControlRows, require_tables, write_tables
 from fg_orient.orientation.match.tasks import Setup, cell_task, cell_windows, coarse_task, work_of

@@ -12,11 +12,11 @@ import numpy as np
 
 from factors.arrays import Array
 from fg_orient.formats.project import ProjectImages
+from fg_orient.formats.rasters import Raster
 from fg_orient.model.distributions import normal_within
 from fg_orient.model.errors import Finding, as_record, finding, findings_of, sentences
 from fg_orient.model.installation import stamp, versions
 from fg_orient.orientation.match.features import cv2_of
-from fg_orient.orientation.match.rasters import Raster
 from fg_orient.orientation.match.tasks import Setup
 from fg_orient.orientation.match.tracks import PairResult, TiePoints
 from fg_orient.report.chart import Axis, Chart, broad

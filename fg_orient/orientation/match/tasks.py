@@ -15,12 +15,12 @@ import numpy as np
 
 from factors.arrays import Array
 from fg_orient.formats.project import read_images
+from fg_orient.formats.rasters import Place, Raster
 from fg_orient.model.block import Image, Options
 from fg_orient.orientation.match.blocks import Counts, Expected, Matches, Window, joined, match_block
 from fg_orient.orientation.match.coarse import Coarse, match_coarse
 from fg_orient.orientation.match.epipolar import Pair, dem_range, parallax_sigma_px
 from fg_orient.orientation.match.options import MatchOptions
-from fg_orient.orientation.match.rasters import Place, Raster
 
 #: Largest edge of a window at full resolution, and least edge of a task, px.
 LARGEST: Final = 400

@@ -8,11 +8,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from factors.arrays import Array, Index, Mask
+from fg_orient.formats.rasters import Place
 from fg_orient.orientation.match.blocks import Counts, Matches, spread, variance_along
 from fg_orient.orientation.match.coarse import Coarse
 from fg_orient.orientation.match.consistency import Calibration, calibrate, fits_neighbours, trend_of
 from fg_orient.orientation.match.options import MatchOptions
-from fg_orient.orientation.match.rasters import Place
 
 #: Largest y-parallax, in its calibrated standard deviations.
 LIMIT: Final = 4.0

@@ -128,6 +128,22 @@ class Raster:
             out[first : first + n] = values.reshape(n, factor, columns, factor).mean(axis=(1, 3))
         return out
 
+    def decoded(self, factor: float) -> float:
+        """Number of pixels that a picture reduced by a factor decodes: those of the overview that it is made of."""
+        overview = max((f for f in self._source.overviews(1) if f <= factor), default=1)
+        return self.place.rows * self.place.columns / overview**2
+
+    def decimated(self, rows: int, columns: int) -> Grey:
+        """Picture of the whole raster with few pixels, from the overviews of the file where it has them."""
+        average = self._rasterio.enums.Resampling.average
+        with self._env:
+            values = self._source.read(1, out_shape=(rows, columns), out_dtype="float32", resampling=average)
+        return np.asarray(self._clean(values))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._source.close()
+
     def _clean(self, values: Any) -> Any:
         if self.place.nodata is not None and np.isfinite(self.place.nodata):
             values[values == np.float32(self.place.nodata)] = np.nan

@@ -1,0 +1,230 @@
+"""Pixels in the report: pictures of the images under the residual vectors, and chips about the largest residuals.
+
+A record contains the names of the rasters relative to the result folder. A raster that is not there or cannot be read
+is a sentence of the page, never an error; without rasterio the page has no pictures.
+"""
+
+from __future__ import annotations
+
+import base64
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.formats.gdal import encoded
+from fg_orient.formats.rasters import Place, Raster, place_of, raster_beside
+from fg_orient.model.errors import InputError
+from fg_orient.report.chart import Picture
+from fg_orient.report.plots import worst_images
+from fg_orient.report.tables import largest_rows
+from fg_orient.result.record import Result
+
+if TYPE_CHECKING:
+    from fg_orient.model.block import Image
+
+#: Longer side of the picture of an image and side of a chip, pixels.
+SIDE_PX: Final = 240
+CHIP_PX: Final = 64
+#: Number of chips.
+CHIPS: Final = 10
+#: Images that a sentence names.
+NAMED: Final = 5
+#: Bytes of all pictures in the page, which with its other parts stays below 8 MB.
+BUDGET: Final = 600_000
+#: Pixels that GDAL may decode for the pictures of all images; rasters with overviews need few.
+DECODED: Final = 200_000_000
+#: Reasons why an image has no picture.
+ABSENT: Final = "the raster is not where result.json says"
+UNREADABLE: Final = "the raster cannot be read"
+OTHER: Final = (
+    "the raster does not contain all of its image points; a part of the scene needs pixels_origin in the project file"
+)
+LARGE: Final = "the rasters are large and have no overviews, which gdaladdo makes"
+FULL: Final = "the pictures of a page have 0.6 MB at most"
+#: Quantiles of the grey values that are black and white; grey value of empty pixels.
+STRETCH: Final = (2.0, 98.0)
+EMPTY: Final = 128
+
+
+@dataclass(frozen=True)
+class Chip:
+    """Pixels about a measured place; ``x``, ``y`` of it and of its residual in pixels of the chip."""
+
+    href: str
+    image: str
+    id: str
+    x: float
+    y: float
+    v_sample_px: float
+    v_line_px: float
+    w: float
+
+    @property
+    def arrow(self) -> str:
+        """Path of the residual, in the scale of the pixels."""
+        v = np.array([self.v_sample_px, self.v_line_px])
+        length = float(np.hypot(*v))
+        if not length > 0.0:
+            return ""
+        end, back = np.array([self.x, self.y]) + v, v / length * min(3.0, 0.5 * length)
+        sides = [end - back + 0.5 * side * np.array([-back[1], back[0]]) for side in (-1.0, 1.0)]
+        points = ((self.x, self.y), end, sides[0], end, sides[1])
+        return "M" + "L".join(f"{x:.2f} {y:.2f}" for x, y in points)
+
+
+@dataclass
+class Pictures:
+    """Pictures of a page.
+
+    Parameters
+    ----------
+    images : dict
+        By image.
+    chips : list of Chip
+        The largest residual first.
+    missing : dict
+        Images without a picture, by the reason.
+    used : int
+        Bytes of all of them in the page.
+    """
+
+    images: dict[str, Picture] = field(default_factory=dict)
+    chips: list[Chip] = field(default_factory=list)
+    missing: dict[str, list[str]] = field(default_factory=dict)
+    used: int = 0
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences on images without a picture."""
+        return [f"No picture of image {', '.join(images[:NAMED])}{' and others' * (len(images) > NAMED)}: {reason}"
+                for reason, images in self.missing.items()]  # fmt: skip
+
+    def lacks(self, image: str, reason: str) -> None:
+        """Note why an image has no picture."""
+        self.missing.setdefault(reason, []).append(image)
+
+    def fits(self, href: str) -> bool:
+        """Whether the page has room for a picture; it is then counted."""
+        room = self.used + len(href) <= BUDGET
+        self.used += len(href) if room else 0
+        return room
+
+
+def rasters_of(result: Result, images: Sequence[Image], folder: Path) -> dict[str, Any]:
+    """Entry ``pixels`` of the record, if the images of the page have rasters; files relative to the result folder."""
+    shown, base = set(_shown(result)), folder.resolve()
+    out: dict[str, Any] = {}
+    for image in (image for image in images if image.id in shown):
+        metadata = Path(image.sensor.file)
+        raster = Path(image.pixels) if image.pixels else raster_beside(metadata) if metadata.is_file() else None
+        if raster is not None:
+            origin = None if image.pixels_origin is None else list(image.pixels_origin)
+            out[image.id] = {"file": Path(os.path.relpath(raster.resolve(), base)).as_posix(), "origin": origin}
+    return {"pixels": out} if out else {}
+
+
+def pictures_of(result: Result, folder: Path | None) -> Pictures:
+    """Read the pictures of a result in a folder; none without a folder or without rasterio."""
+    out = Pictures()
+    if folder is None or not result.adjusted or not result.record.get("pixels"):
+        return out
+    try:
+        import rasterio
+    except ImportError:
+        return out
+    places = dict(_places(result, folder.resolve(), out))
+    _add_chips(result, places, out, rasterio.errors.RasterioError)
+    _add_images(result, places, out, rasterio.errors.RasterioError)
+    return out
+
+
+def _shown(result: Result) -> Iterator[str]:
+    """Images with a drawing of their vectors, then those with the largest residuals."""
+    yield from worst_images(result.residual_summary())
+    yield from (result.residuals.words["image"][k] for k in largest_rows(result, CHIPS).tolist())
+
+
+def _places(result: Result, folder: Path, out: Pictures) -> Iterator[tuple[str, Place]]:
+    """Rasters that can be opened and contain the image points, by image."""
+    for image, entry in result.record["pixels"].items():
+        path, origin = folder / entry["file"], entry["origin"]
+        if not path.is_file():
+            out.lacks(image, ABSENT)
+            continue
+        try:
+            place = place_of(path, None if origin is None else tuple(origin), image, "")
+        except InputError:
+            out.lacks(image, UNREADABLE)
+            continue
+        at = result.residuals.numbers("line", "sample", rows=result.rows[image]) - [place.line, place.sample]
+        if origin is None and not ((at >= -1.0) & (at <= [place.rows, place.columns])).all():
+            out.lacks(image, OTHER)
+            continue
+        yield image, place
+
+
+def _add_chips(result: Result, places: dict[str, Place], out: Pictures, error: type[Exception]) -> None:
+    """Add the chips, each read by its own window."""
+    table, ratio = result.residuals, np.nan_to_num(np.abs(result.normalised[0])).max(axis=1)
+    for k in largest_rows(result, CHIPS).tolist():
+        image = table.words["image"][k]
+        if image not in places:
+            continue
+        place = places[image]
+        names = ("line", "sample", "v_line_px", "v_sample_px")
+        line, sample, v_line, v_sample = (float(table.figures[name][k]) for name in names)
+        row, column = line - place.line, sample - place.sample
+        top, left = round(row) - CHIP_PX // 2, round(column) - CHIP_PX // 2
+        try:
+            with closing(Raster(place)) as raster:
+                grey = raster.window(top, left, CHIP_PX, CHIP_PX)
+        except error:
+            del places[image]
+            out.lacks(image, UNREADABLE)
+            continue
+        href = _address(grey, "PNG")
+        if np.isfinite(grey).any() and out.fits(href):
+            out.chips.append(Chip(href, image, table.words["id"][k], column - left + 0.5, row - top + 0.5, v_sample,
+                                  v_line, float(ratio[k])))  # fmt: skip
+
+
+def _add_images(result: Result, places: dict[str, Place], out: Pictures, error: type[Exception]) -> None:
+    """Add the pictures of the images, the largest residuals first, as far as bytes and decoded pixels allow."""
+    decoded = 0.0
+    for image in worst_images(result.residual_summary()):
+        if image not in places:
+            continue
+        place = places[image]
+        factor = max(1.0, max(place.rows, place.columns) / SIDE_PX)
+        try:
+            with closing(Raster(place)) as raster:
+                needed = raster.decoded(factor)
+                if decoded + needed > DECODED:
+                    out.lacks(image, LARGE)
+                    continue
+                decoded += needed
+                grey = raster.decimated(max(1, round(place.rows / factor)), max(1, round(place.columns / factor)))
+        except error:
+            out.lacks(image, UNREADABLE)
+            continue
+        href = _address(grey, "JPEG")
+        if not out.fits(href):
+            out.lacks(image, FULL)
+            continue
+        out.images[image] = Picture(href, (place.sample - 0.5, place.sample + place.columns - 0.5),
+                                    (place.line - 0.5, place.line + place.rows - 0.5))  # fmt: skip
+
+
+def _address(grey: npt.NDArray[np.float32], driver: str) -> str:
+    """Picture as address; its grey values are stretched between quantiles, empty pixels are grey."""
+    valid = np.isfinite(grey)
+    low, high = np.percentile(grey[valid], STRETCH) if valid.any() else (0.0, 1.0)
+    scaled = (np.where(valid, grey, low) - low) * (255.0 / ((high - low) or 1.0))
+    picture = np.where(valid, np.clip(np.rint(scaled), 0, 255), EMPTY).astype(np.uint8)
+    return f"data:image/{driver.lower()};base64,{base64.b64encode(encoded(picture, driver)).decode()}"
