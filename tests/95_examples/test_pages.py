@@ -122,6 +122,7 @@ OWN_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
     "docs/rfm.md": (page_files.gcp_file,),
     "docs/terminal.md": (page_files.two_campaigns,),
     "docs/how-to/photomodeler.md": (photomodeler.write_projects,),
+    "docs/how-to/foreign-ties.md": (page_files.foreign_ties,),
     "docs/how-to/refined-rpc.md": (page_files.rpc_project,),
     "docs/how-to/surveyors-table.md": (office.office_folder,),
     "docs/how-to/two-images.md": (rendered_pair.write_example,),
@@ -135,6 +136,7 @@ BEFORE: dict[tuple[str, str], Callable[[Path], None]] = {("README.md", "rpc refi
 #: Pages that begin with their own files and nothing else.
 ALONE = {
     "docs/how-to/photomodeler.md",
+    "docs/how-to/foreign-ties.md",
     "docs/how-to/refined-rpc.md",
     "docs/how-to/surveyors-table.md",
     "docs/how-to/two-images.md",

@@ -113,6 +113,30 @@ def rpc_project(folder: Path) -> None:
         write_image(folder / f"IMG_{name}.tif")
 
 
+def foreign_ties(folder: Path) -> None:
+    """Write two RPC files, and their tie points as a database of COLMAP and as matches of ASP."""
+    rpc_project(folder)
+    tables = [folder / name for name in ("points.csv", "observations.csv")]
+    sizes = [word for name in ("left", "right") for word in ("--image-size", f"{name}=12000,12000")]
+    for target, out, more in (("colmap-database", "database.db", sizes), ("asp-match", "matches", [])):
+        words = (
+            "convert",
+            *tables,
+            "--from",
+            "csv",
+            "--crs",
+            "EPSG:4979",
+            "--to",
+            target,
+            *more,
+            "--out",
+            folder / out,
+        )
+        assert in_process(*words).code == 0
+    for path in (*tables, folder / "project.toml"):
+        path.unlink()
+
+
 def gcp_file(folder: Path) -> None:
     """Write points.gcp: id, line, sample, latitude, longitude, height."""
     order = ("line", "sample", "lat_deg", "lon_deg", "height_m")
