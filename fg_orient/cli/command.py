@@ -267,6 +267,16 @@ Scheduler = Annotated[str | None, option("Scheduler of a running dask cluster, i
 ImageSize = Annotated[
     list[str] | None, option("Size of an image, for formats that need it; may be repeated.", "NAME=LINES,SAMPLES")
 ]
+#: What points of other programs and offices may lack.
+SigmaGround = Annotated[
+    tuple[float, float, float] | None,
+    option("Standard deviations of ground points without any, m.", "EAST NORTH UP"),
+]
+SigmaImage = Annotated[
+    tuple[float, float] | None, option("Standard deviations of image points without any, pixels.", "LINE SAMPLE")
+]
+Height = Annotated[float | None, option("Height of points without one, m.")]
+CheckIds = Annotated[list[str] | None, option("Make this a check point; may be repeated.", "ID")]
 Overwrite = Annotated[bool, option("Replace an existing output once the new one is complete.", flag="--overwrite")]
 
 

@@ -8,7 +8,18 @@ from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.command import ImageSize, Overwrite, argument, command, image_sizes, option
+from fg_orient.cli.command import (
+    CheckIds,
+    Height,
+    ImageSize,
+    Overwrite,
+    SigmaGround,
+    SigmaImage,
+    argument,
+    command,
+    image_sizes,
+    option,
+)
 from fg_orient.cli.new import LEVEL, OFFICE, crs_code
 from fg_orient.cli.output import answer, flag, say, table, tell
 from fg_orient.model.errors import Finding, InputError
@@ -26,15 +37,10 @@ def convert(
     ] = None,
     crs: Annotated[str, option("CRS of IN, where the file does not say it.", "EPSG:N")] = "",
     to_crs: Annotated[str, option("Transform the points to this CRS.", "EPSG:N")] = "",
-    sigma_ground: Annotated[
-        tuple[float, float, float] | None,
-        option("Standard deviations of ground points without any, m.", "EAST NORTH UP"),
-    ] = None,
-    sigma_image: Annotated[
-        tuple[float, float] | None, option("Standard deviations of image points without any, pixels.", "LINE SAMPLE")
-    ] = None,
-    height: Annotated[float | None, option("Height of points without one, m.")] = None,
-    check: Annotated[list[str] | None, option("Make this a check point; may be repeated.", "ID")] = None,
+    sigma_ground: SigmaGround = None,
+    sigma_image: SigmaImage = None,
+    height: Height = None,
+    check: CheckIds = None,
     image: Annotated[str, option("The image, of formats that hold one image without its name.", "NAME")] = "",
     sigma_axes: Annotated[str, option("Axes of the standard deviations in ASP's .gcp.", "ecef|enu")] = "ecef",
     image_size: ImageSize = None,

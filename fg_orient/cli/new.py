@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from fg_orient.cli.command import Overwrite, Several, argument, command, option
+from fg_orient.cli.command import (
+    CheckIds,
+    Height,
+    Overwrite,
+    Several,
+    SigmaGround,
+    SigmaImage,
+    argument,
+    command,
+    option,
+)
 from fg_orient.cli.log import session
 from fg_orient.cli.output import answer, flag, note, say, tell
 from fg_orient.model.errors import InputError, finding
@@ -121,15 +131,10 @@ def new(
     office: Any = None,
     level: Any = None,
     crs: Annotated[str, option("CRS of the ground points.", "EPSG:N[+M]")] = "",
-    sigma_ground: Annotated[
-        tuple[float, float, float] | None,
-        option("Standard deviations of ground points without any, m.", "EAST NORTH UP"),
-    ] = None,
-    sigma_image: Annotated[
-        tuple[float, float] | None, option("Standard deviations of image points without any, pixels.", "LINE SAMPLE")
-    ] = None,
-    height: Annotated[float | None, option("Height of points without one, m.")] = None,
-    check: Annotated[list[str] | None, option("Make this a check point; may be repeated.", "ID")] = None,
+    sigma_ground: SigmaGround = None,
+    sigma_image: SigmaImage = None,
+    height: Height = None,
+    check: CheckIds = None,
     image: Annotated[list[str] | None, option("Image of a name in the tables; may be repeated.", "NAME=IMAGE")] = None,
     yes: Annotated[bool, option("Accept the assumptions, which are listed.", flag="--yes")] = False,
     overwrite: Overwrite = False,
