@@ -22,7 +22,7 @@ from fg_orient.closerange.photo import NAMES, PhotoInterior
 from fg_orient.model.block import Options
 from fg_orient.model.constraint import Constraint
 from fg_orient.model.declaration import require_declared
-from fg_orient.model.errors import InputError, NoSolutionError
+from fg_orient.model.errors import InputError, NoSolutionError, RankDeficientError
 from fg_orient.model.names import Status
 from fg_orient.orientation.orient import adjust
 from fg_orient.orientation.solution import Solution
@@ -179,19 +179,15 @@ def adjust_bundle(
 
 
 def _solved(built: Built, callback: Callback | None) -> Solution:
-    """Solution of the block; start and end must determine all unknowns."""
+    """Solution of the block."""
     checks.require_rays(built)
-    problem = built.problem
-    few = problem.n_unknowns <= MAX_UNKNOWNS
-    if few:
-        checks.require_determined(built, problem.start)
-    solution = adjust(built.block, callback=callback)
+    try:
+        solution = adjust(built.block, callback=callback)
+    except (InputError, RankDeficientError) as error:
+        raise checks.of_close_range(error) from None
     if solution.status is Status.NOT_CONVERGED:
         raise NoSolutionError.of("closerange.not_converged", place="bundle", reason=solution.ended + built.missed())
-    end = without_rejected(built, solution)
-    if few:
-        checks.require_determined(end, solution.state)
     if solution.cofactors is None:
         raise NoSolutionError(*solution.unavailable)
-    end.require_in_front(solution.state)
+    without_rejected(built, solution).require_in_front(solution.state)
     return solution

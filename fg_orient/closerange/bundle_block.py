@@ -14,13 +14,11 @@ from factors.arrays import Array, Index, Mask
 from factors.cameras.frame_camera import rotated
 from factors.conditions.constraints import ELEMENT, OBSERVED_ELEMENT
 from fg_orient.adjustment.constraint_rows import (
-    ConstraintObservation,
     FittedFigure,
     constraint_observation,
     fitted_figures,
 )
-from fg_orient.adjustment.constraints import linear_rows, missed_most, prepared
-from fg_orient.adjustment.dense import assemble
+from fg_orient.adjustment.constraints import missed_most, prepared
 from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
@@ -125,15 +123,6 @@ class Built:
         for k, own in enumerate(self.problem.parameters):
             out[[self.place(k, j) for j in range(len(own))]] = own.sigma
         return out
-
-    def rows(self, state: State) -> tuple[Array, Array, Array]:
-        """Design (n, u) of the observations, misclosures (h,) and derivatives (h, u) of the hard constraints."""
-        soft = tuple(e for e in self.problem.block.extra if not (isinstance(e, ConstraintObservation) and e.hard))
-        _, design = assemble(replace(self.problem, block=replace(self.problem.block, extra=soft)), state)
-        misclosure, border, _ = linear_rows(self.problem, state)
-        if self.problem.ties is not None:
-            design, border = self.problem.ties.columns(design), self.problem.ties.columns(border)
-        return design, misclosure, border
 
     def units(self, state: State) -> Array:
         """Accuracy (u,) of each unknown from one image observation."""

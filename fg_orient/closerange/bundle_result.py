@@ -183,7 +183,6 @@ def result_of(given: Built, solution: Solution) -> BundleResult:
     shapes = [f.values + [origin.get(name, 0.0) for name in f.names] for f in figures]
     labels = [*built.labels[:z], *(f"{f.label} {name}" for f in figures for name in f.names)]
     units = _units(built, solution, figures)
-    checks.require_figures(labels[z:], np.sqrt(np.abs(orientation.diagonal()[z:])) / units[z:])
     variance = dict(zip(labels, np.maximum(orientation.diagonal(), 0.0).tolist(), strict=True))
 
     def adjusted(owner: str, names: Sequence[str], values: Sequence[float]) -> Adjustment:
@@ -212,6 +211,9 @@ def result_of(given: Built, solution: Solution) -> BundleResult:
     assert solution.cofactors is not None  # required before
     of_points[active] = solution.cofactors.points(active)
     spread = np.maximum(np.einsum("nii->ni", of_points), 0.0)
+    found = np.concatenate([np.maximum(orientation.diagonal(), 0.0), spread[active].ravel()])
+    free = ~np.concatenate([built.is_observed[:z], np.zeros(len(labels) - z, bool), built.is_observed[z:]])
+    checks.require_determined([*labels, *built.labels[z:]], free * np.sqrt(found) / units)
     others, whitened, redundancy = _others(built, solution)
     steps, shape_values = built.steps, np.concatenate([np.zeros(0), *shapes])
     shape_variance = np.array([variance[label] for label in labels[z:]])
@@ -227,7 +229,7 @@ def result_of(given: Built, solution: Solution) -> BundleResult:
         m0=m0, redundancy=solution.redundancy, iterations=len(solution.log), backend=solution.backend,
         history=solution.log, others=others, others_whitened=whitened, others_redundancy=redundancy,
         point_cofactors=of_points, angle_cofactors=of_angles, orientation=orientation, orientation_labels=tuple(labels),
-        orientation_units=units, solution=solution, **_image_points(given, solution),
+        orientation_units=units[: len(labels)], solution=solution, **_image_points(given, solution),
     )  # fmt: skip
 
 
@@ -252,13 +254,13 @@ def _orientation(built: Built, solution: Solution, figures: Sequence[FittedFigur
 
 
 def _units(built: Built, solution: Solution, figures: Sequence[FittedFigure]) -> Array:
-    """Accuracy (o,) of the orientation from one image point; a figure has that of its points."""
+    """Accuracy from one image point of the orientation, then of the points; a figure has that of its points."""
     z, units = len(built.owners), built.units(solution.state)
     typical = float(np.median(units[z:])) if len(units) > z else 1.0
     away = solution.ground_m - solution.ground_m.mean(axis=0)
     extent = float(np.linalg.norm(away, axis=1).max()) or 1.0
     shapes = [typical / extent if name.startswith(("tilt", "slope")) else typical for f in figures for name in f.names]
-    return np.concatenate([units[:z] * built.steps[:z], shapes])
+    return np.concatenate([units[:z] * built.steps[:z], shapes, units[z:]])
 
 
 def _others(built: Built, solution: Solution) -> tuple[tuple[str, ...], Array, Array]:

@@ -11,9 +11,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from factors.cameras.image_corrections import ideal_points
+from fg_orient.adjustment.dense import assemble
 from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
 from fg_orient.closerange.bundle_block import build
-from fg_orient.closerange.bundle_checks import motions
 from fg_orient.closerange.bundle_result import BundleResult
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.photo import NAMES, SETS, parameters_of
@@ -21,6 +21,7 @@ from fg_orient.model.block import Options
 from fg_orient.model.constraint import Constraint
 from fg_orient.model.errors import FgOrientError, InputError
 from fg_orient.model.names import CellKey
+from fg_orient.quality.observability import analyse_block
 from fg_orient.studies.reproduce import ayhan1996_photos as thesis
 from fg_orient.studies.reproduce.ayhan1996_photos import CONTROL, PHOTOS, POINTS, comparator, points_of
 
@@ -237,16 +238,22 @@ def test_sets_are_named() -> None:
 @pytest.mark.behaviour
 def test_what_nothing_determines_is_named() -> None:
     scene = make(3, 20, 2)
-    with pytest.raises(InputError, match="not determined") as caught:
+    with pytest.raises(InputError, match="do not determine") as caught:
         adjusted(scene, scene.photos(unknown=("k1", "a16")))  # the same parameter twice
-    assert "photo ph0 k1" in str(caught.value) and "photo ph0 a16" in str(caught.value)
+    assert [p.code for p in caught.value.problems] == ["closerange.unobservable"] * 2
+    for photo in ("ph0", "ph1"):
+        assert any(photo in p.place and "k1" in p.place and "a16" in p.place for p in caught.value.problems)
     flat = scene.points * [1.0, 0.0, 1.0] + [0.0, 2005.0, 0.0]
     level = [Scene(scene.interior, [scene.rotations[0]] * 2, scene.centres, flat, scene.image)]
     with pytest.raises(FgOrientError):  # one plane and one attitude: distance and principal distance are one
         adjusted(make(3, 20, 2, points=level[0].points), scene.photos(unknown=NAMES[:3], held=False), control={})
 
 
-SHIFTS, TURNS = "shift X, shift Y, shift Z", "turn about X, turn about Y, turn about Z"
+def together(verb: str) -> str:
+    return ", ".join(f"{verb} {axis}" for axis in "XYZ")
+
+
+SHIFTS, TURNS = together("shifted together"), together("turned together about")
 DISTANCE = Constraint("distance", ("p0", "p1"), 1.0)
 PLUMB_LINE = Constraint("plumb line", ("p0", "p1", "p2"), sigma=0.005)
 SPHERE = Constraint("sphere", ("p2", "p3", "p4", "p5"), sigma=0.001)
@@ -256,12 +263,12 @@ SPHERE = Constraint("sphere", ("p2", "p3", "p4", "p5"), sigma=0.001)
 @pytest.mark.parametrize(
     ("held", "constraints", "words"),
     [
-        (0, [], f"7 of its 7 motions are open ({SHIFTS}, {TURNS}, scale)"),
-        (1, [], "4 of its 7 motions are open;"),  # turns and scale about the point, none of them about the middle
-        (2, [], "1 of its 7 motions are open;"),
-        (0, [DISTANCE], f"6 of its 7 motions are open ({SHIFTS}, {TURNS})"),
-        (0, [PLUMB_LINE], f"5 of its 7 motions are open ({SHIFTS}, turn about Z, scale)"),
-        (0, [SPHERE], "7 of its 7 motions"),
+        (0, [], f"7 motions are free ({SHIFTS}, {TURNS}, scaled together)"),
+        (1, [], "turned about Z through control point p0, scaled from control point p0)"),
+        (2, [], "1 motion is free (turned about the line through control points p0, p1)"),
+        (0, [DISTANCE], f"6 motions are free ({SHIFTS}, {TURNS})"),
+        (0, [PLUMB_LINE], f"5 motions are free ({SHIFTS}, turned together about Z, scaled together)"),
+        (0, [SPHERE], "7 motions are free"),
     ],
 )
 def test_open_motions_are_counted(held: int, constraints: list[Constraint], words: str) -> None:
@@ -269,15 +276,15 @@ def test_open_motions_are_counted(held: int, constraints: list[Constraint], word
     points[:3, :2] = points[0, :2]
     scene = make(3, 20, 3, points=points)
     control = {name: (scene.points[k], 0.0) for k, name in enumerate(scene.ids[:held])}
-    with pytest.raises(InputError, match="ties the block") as caught:
+    with pytest.raises(InputError, match="nothing ties these photos") as caught:
         adjusted(scene, scene.photos(), control=control, constraints=constraints)
     assert words in str(caught.value)
     assert caught.value.problems[0].code == "closerange.datum"
 
 
 @pytest.mark.oracle
-def test_motions_leave_image_residuals_alone() -> None:
-    """Shifts, turns and scale span what scipy's singular values find to change no exact image coordinate."""
+def test_free_motions_leave_image_residuals_alone() -> None:
+    """The named motions span what scipy finds to change no exact image coordinate."""
     scene = make(8, 12, 2, noise=0.0)
     exact = [BundlePhoto(f"ph{k}", scene.interior, r, c)
              for k, (r, c) in enumerate(zip(scene.rotations, scene.centres, strict=True))]  # fmt: skip
@@ -285,13 +292,12 @@ def test_motions_leave_image_residuals_alone() -> None:
     observations = scene.which, scene.of, scene.image, sigma
     options = Options(priors=False, datum="free")
     built = build(exact, tuple(scene.ids), scene.points, *observations, {}, (), False, options)
-    moved = motions(built, built.problem.start)
-    assert np.linalg.matrix_rank(moved) == 7
-    design, _, _ = built.rows(built.problem.start)
-    assert np.abs(design @ moved).max() <= 1e-10 * np.abs(design).max()
+    (part,) = analyse_block(built.problem).motions
+    design = assemble(built.problem, built.problem.start)[1]
     free = null_space(design, rcond=1e-10)
-    assert free.shape == moved.shape
-    assert subspace_angles(free, moved).max() < 1e-7
+    of_photos = free[: built.problem.n_free_unknowns]
+    assert part.words[-1] == "scaled together" and free.shape[1] == len(part) == 7
+    assert subspace_angles(of_photos, part.moves).max() < 1e-6
 
 
 @pytest.mark.behaviour

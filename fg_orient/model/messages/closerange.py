@@ -75,9 +75,11 @@ closerange.one_ray: the point is seen in one photo only
     -> measure it in a second one, or leave it out
 closerange.no_ray: the point is seen in no photo
     -> measure it in two photos, or leave it out
-closerange.datum: nothing ties the block to its coordinate system: {count} of its 7 motions are open{words}
+closerange.datum: nothing ties these photos to the coordinate system
     -> give three control points or more that do not lie on a line, or observed projection centres; a distance fixes
        the scale; <datum> inner adjusts a free network
+closerange.unobservable: the observations do not determine this
+    -> leave one of these unknowns out, observe it, or measure points at other depths
 closerange.parallel_rays: the rays to the point are close to parallel: its distance is open
     -> measure it in a photo from another place
 closerange.parallax: the parallax is not above 0
