@@ -30,7 +30,7 @@ SHELLS: Final = ("bash", "zsh", "fish")
 #: of its name, or the group ``app`` of its module.
 COMMANDS: Final = {name: module for module, names in (
     ("new", "new"), ("match", "match"), ("adjust", "adjust graph"), ("studies", "compare"), ("adjust", "reduce"),
-    ("results", "accuracy"),
+    ("results", "accuracy dsm-points"),
     ("geometry", "locate project intersect footprint"), ("convert", "convert"), ("checks", "validate"),
     ("app", "completion"), ("checks", "doctor schema"), ("results", "report replay"), ("studies", "reproduce"),
     ("simulate", "simulate"), ("rpc", "rpc"), ("convert", "camera"), ("rectify", "rectify"),
@@ -43,7 +43,7 @@ COLLECT: Final = (50_000, 20, 50)
 def declared(name: str) -> Any:
     """Function or group that declares a command."""
     module = import_module(f"fg_orient.cli.{COMMANDS[name]}")
-    return vars(module).get(name) or module.app
+    return vars(module).get(name.replace("-", "_")) or module.app
 
 
 def help_of(name: str) -> str | None:

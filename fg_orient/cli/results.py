@@ -1,4 +1,4 @@
-"""Commands ``report``, ``replay`` and ``accuracy``: work on the result folder of an adjustment."""
+"""Commands ``report``, ``replay``, ``accuracy`` and ``dsm-points``: work on the result folder of an adjustment."""
 
 from __future__ import annotations
 
@@ -169,3 +169,44 @@ def _show_accuracy(record: dict[str, Any]) -> None:
         before, after = number(shift["rmse_before_m"]), number(shift["rmse_after_m"])
         say(f"RMSE of {shift['n']} points: {before} m, without the shift {after} m")
     tell_findings(record)
+
+
+@command()
+def dsm_points(
+    folder: Folder,
+    out: Annotated[Path, option("File to write: .laz, .las, .ply, .csv or .gpkg.", "FILE", show_default=False)],
+    crs: Annotated[
+        str, option("CRS in place of the project's, such as EPSG:32636 or EPSG:32636+EGM96.", "EPSG:N[+M|+NAME]")
+    ] = "",
+    geoid: Annotated[Path | None, option("Geoid file of the heights, in place of the project's.", "FILE")] = None,
+    max_sigma_height: Annotated[
+        float | None, option("Largest standard deviation of the height, m.", "M", min=0.0)
+    ] = None,
+    min_rays: Annotated[int, option("Least number of image points.", "N", min=1)] = 2,
+    control: Annotated[bool, option("Write control points, too.", flag="--control")] = False,
+    rejected: Annotated[
+        bool,
+        option("Write points with an observation that the search for gross errors left out, too.", flag="--rejected"),
+    ] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write the adjusted points as a point cloud with covariances: a check of the orientation, no surface model."""
+    from fg_orient.report.adjusted_points import Selection, export_points
+
+    selection = Selection(control, rejected, min_rays, max_sigma_height)
+    with progress_bar("writing the points"):
+        record = export_points(folder, out, crs=crs, geoid=geoid, selection=selection, overwrite=overwrite)
+    answer(record, _show_points)
+    if record["status"] == Status.NOT_TRUSTWORTHY:
+        raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
+
+
+def _show_points(record: dict[str, Any]) -> None:
+    """Print what was written, what was left out, and the findings."""
+    from fg_orient.report.adjusted_points import describe, in_words
+
+    say(f"{record['points']} {describe(record)}")
+    tell_findings(record)
+    if any(record["left_out"].values()):
+        say(f"left out: {in_words(record['left_out'])}")
+    say(f"written: {record['file']}")

@@ -19,6 +19,7 @@ from fg_orient.formats.both_heights import estimated
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.geodesy import (
     crs_kind,
+    ecef_to_geodetic,
     geodetic_to_ecef,
     known_crs,
     longitude_latitude,
@@ -29,6 +30,7 @@ from fg_orient.geodesy import (
 from fg_orient.geodesy.crs import from_ecef
 from fg_orient.geodesy.geoid import LIMIT_M, GeoidFile, world_undulation_m
 from fg_orient.geodesy.heights import found_grid, vertical_reference
+from fg_orient.model.block import GroundSystem
 from fg_orient.model.errors import Finding, InputError, finding
 
 #: Semi-major axis and flattening of an ellipsoid that is WGS84's within 0.1 mm.
@@ -68,6 +70,11 @@ class ZeroLevel:
         """Files that it names."""
         return tuple(path for path in (self.geoid, self.both_heights) if path is not None)
 
+    def system(self, crs: str) -> GroundSystem:
+        """What a block keeps of the zero level, and of the CRS of the table."""
+        constant = self.undulation_m if self.both_heights is None else estimated(self.both_heights).undulation_m
+        return GroundSystem(_flat(crs) if self else crs, "" if self.geoid is None else str(self.geoid), constant)
+
     def applied(self, survey: Survey) -> Survey:
         """Survey with ellipsoidal heights, and a note that says how they became so.
 
@@ -92,6 +99,35 @@ class ZeroLevel:
         lonlat, rows = _places(survey)
         notes += _odd_constant(constant, lonlat)
         return _raised(survey, rows, lonlat, np.full(len(rows), constant), notes)
+
+
+def coordinates_in(system: GroundSystem, xyz_m: Array) -> tuple[Array, str]:
+    """Coordinates (n, 3) of ECEF points (n, 3), m, in the CRS and above the zero level of a table of points.
+
+    The inverse of what readers do. The second value describes the heights, "" if the CRS is geocentric. InputError: the
+    CRS is unknown, a geoid file or grid is missing or does not cover a point.
+    """
+    if crs_kind(system.crs) == "geocentric":
+        return from_ecef(system.crs, xyz_m)[0], ""
+    lon, lat, height = ecef_to_geodetic(xyz_m)
+    if system.geoid:
+        grid = GeoidFile(Path(system.geoid))
+        words, undulation = f"above the geoid of {grid.path.name}", grid.undulation_m(lon, lat)
+    elif system.undulation_m is not None:
+        words = f"above a zero level {system.undulation_m:.3f} m above the WGS84 ellipsoid"
+        undulation = np.full(len(height), system.undulation_m)
+    else:
+        name = vertical_reference(system.crs)[0]
+        words = f"above the zero level of {name}" if name else "ellipsoidal"
+        try:
+            return from_ecef(system.crs, xyz_m)[0], words
+        except InputError as error:
+            if (found := found_grid(error)) is None:
+                raise
+            undulation = found.undulation_m(lon, lat)
+    out = from_ecef(_flat(system.crs), xyz_m)[0]
+    out[:, 2] = height - undulation  # undulations are above the WGS84 ellipsoid, whatever that of the CRS is
+    return out, words
 
 
 def without_vertical(survey: Survey) -> Survey:

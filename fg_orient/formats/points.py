@@ -29,7 +29,7 @@ from fg_orient.formats.scenes import Scene, check_positions
 from fg_orient.formats.tables import Row, Table, read_table
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.geodesy import COORDINATE_COLUMNS, Kind, Operation, crs_kind, to_ecef_with_operation
-from fg_orient.model.block import Coordinates, GroundPoints, ImagePoints, WithheldCoordinates
+from fg_orient.model.block import Coordinates, GroundPoints, GroundSystem, ImagePoints, WithheldCoordinates
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 
@@ -186,7 +186,7 @@ class PointFile:
 
     Parameters
     ----------
-    path, crs, sha256 : Path, str, str
+    path, system, sha256 : Path, GroundSystem, str
         Of the file.
     points : GroundPoints
         All points of the file in its order.
@@ -199,7 +199,7 @@ class PointFile:
     """
 
     path: Path
-    crs: str
+    system: GroundSystem
     sha256: str
     points: GroundPoints
     operation: Operation | None
@@ -252,7 +252,7 @@ def no_points(path: Path, ties: tuple[str, ...] = ()) -> PointFile:
         return Coordinates(none, none, np.zeros(len(names), bool))
 
     points = GroundPoints(ties, (Role.TIE,) * len(ties), nothing(ties))
-    return PointFile(path, "", "", points, None, (), nothing)
+    return PointFile(path, GroundSystem(), "", points, None, (), nothing)
 
 
 def point_file(
@@ -268,8 +268,9 @@ def point_file(
     ``parse`` reads the ``files`` (absolute paths) now, and again to open the seal; ``level`` as in
     :func:`read_points`.
     """  # fmt: skip
-    survey = _ellipsoidal(parse(faults), level, faults)
-    if survey is None:
+    given = parse(faults)
+    survey = _ellipsoidal(given, level, faults)
+    if given is None or survey is None:
         return None
     digest = sha256_of(*files)
     coordinates, operation = located(survey, faults)
@@ -286,7 +287,7 @@ def point_file(
     control = np.array([role is Role.CONTROL for role in survey.roles], bool)
     points = GroundPoints(survey.ids, survey.roles, coordinates.only(control))
     remarks = _remarks(str(path), survey, operation)
-    return PointFile(path, survey.crs, digest, points, operation, remarks, opened)
+    return PointFile(path, (level or ZeroLevel()).system(given.crs), digest, points, operation, remarks, opened)
 
 
 def _ellipsoidal(survey: Survey | None, level: ZeroLevel | None, faults: Faults) -> Survey | None:

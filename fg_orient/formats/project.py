@@ -124,6 +124,7 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
             *(Source(str(file), sha256_of(file)) for file in ZeroLevel.of(project.points, folder).files),
         ),
         notes=_notes(known, points, [p for p in remarks if p.code != FEW_CHECK_CODE]),
+        ground=points.system,
         extra=constraints,  # type: ignore[arg-type]  # the adjustment makes observations of them
     )
     return _navigated(block, project, folder, str(path)), remarks

@@ -194,6 +194,25 @@ class ExtraObservation:
 
 
 @dataclass(frozen=True)
+class GroundSystem:
+    """Coordinate reference system (CRS) and zero level of heights in which the ground points were given.
+
+    Parameters
+    ----------
+    crs : str
+        ``EPSG:n``, or ``EPSG:n+m`` with a vertical CRS; "" if the points have none.
+    geoid : str
+        Path of the geoid file that has the zero level; "" for none.
+    undulation_m : float or None
+        Constant height of the zero level above the WGS84 ellipsoid.
+    """
+
+    crs: str = ""
+    geoid: str = ""
+    undulation_m: float | None = None
+
+
+@dataclass(frozen=True)
 class Source:
     """An input file of the block, for the provenance record."""
 
@@ -224,6 +243,8 @@ class Block:
     extra : tuple of ExtraObservation, Constraint or gtsam.NonlinearFactor
         Further observations of any registered equation, constraints between ground points, or factors of GTSAM between
         images and points; their keys are those of :func:`fg_orient.factor_graph`.
+    ground : GroundSystem
+        CRS and zero level of the point table, for outputs.
     """
 
     name: str
@@ -235,6 +256,7 @@ class Block:
     sources: tuple[Source, ...] = ()
     notes: tuple[Finding, ...] = ()
     extra: tuple[ExtraObservation, ...] = ()
+    ground: GroundSystem = GroundSystem()
 
     def __repr__(self) -> str:
         counts = f"{len(self.images)} images, {len(self.points.ids)} points, {len(self.observations)} image points"

@@ -34,6 +34,7 @@ Record = dict[str, Any]
 #: Entries of ``result.json`` that differ between runs: times, memory, folders, continuation of an interrupted run.
 OCCASION: Final = (
     "seconds", "memory", "us_per_observation_iteration", "resumed_at_iteration", "out", "provenance", "pixels",
+    "ground",
 )  # fmt: skip
 #: Folders beside a result that are searched for its project file.
 _BESIDE: Final = 1000

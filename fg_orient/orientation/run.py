@@ -24,7 +24,7 @@ from fg_orient.quality.deficiency import Evidence
 from fg_orient.report import write_page
 from fg_orient.report.pictures import rasters_of
 from fg_orient.result.plain import plain
-from fg_orient.result.provenance import how_to_repeat
+from fg_orient.result.provenance import ground_system, how_to_repeat
 from fg_orient.result.record import Result, write_record
 from fg_orient.result.summary import deficient_result, deficient_summary, result_of
 from fg_orient.rpc.files import corrected_models
@@ -126,7 +126,7 @@ def run_project(
             seconds["record"] = working_clock() - mark
             report_stage("writing", len(block.observations))
             with writing(out):
-                result.record.update(rasters_of(result, block.images, staging))
+                result.record.update(rasters_of(result, block.images, staging) | ground_system(block, staging))
                 _write(staging, result, seconds, begin)
     except RankDeficientError as error:
         seconds = {"read": read_s, "total": time.perf_counter() - begin}

@@ -365,11 +365,13 @@ class Solution(AdjustmentResult):
         from fg_orient.formats.atomic import require_free, staged_folder, writing
         from fg_orient.report import write_page
         from fg_orient.report.pictures import rasters_of
+        from fg_orient.result.provenance import ground_system
 
         require_free(Path(folder), overwrite=overwrite)
         result = replace(self.result, record={**self.result.record, "out": Path(folder).name})
         with staged_folder(folder, overwrite=overwrite) as staging, writing(folder):
-            result.record.update(rasters_of(result, self.block.images, staging))
+            rasters = rasters_of(result, self.block.images, staging)
+            result.record.update(rasters | ground_system(self.block, staging))
             result.write(staging)
             write_page(staging, result)
         return result

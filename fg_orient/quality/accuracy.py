@@ -164,8 +164,8 @@ class PointDifferences:
     index : (n,) int array, rows in the block's ground points
     enu_m, ecef_m : (n, 3) arrays
         Differences.
-    predicted_sigma_enu_m : (n, 3) array
-        Standard deviations from the adjustment, prior scale; nan if unavailable.
+    cofactors_enu_m2 : (n, 3, 3) array
+        Of the adjusted points, prior scale; nan if unavailable.
     own_sigma_enu_m : (n, 3) array
         Standard deviations of the measured coordinates.
     n_fixed : int
@@ -178,13 +178,18 @@ class PointDifferences:
     index: Index
     enu_m: Array
     ecef_m: Array
-    predicted_sigma_enu_m: Array
+    cofactors_enu_m2: Array
     own_sigma_enu_m: Array
     n_fixed: int = 0
     joint: Joint | None = None
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    @cached_property
+    def predicted_sigma_enu_m(self) -> Array:
+        """Standard deviations (n, 3) from the adjustment, prior scale; nan if unavailable."""
+        return np.asarray(np.sqrt(np.maximum(np.einsum("nii->ni", self.cofactors_enu_m2), 0.0)))
 
     @property
     def ratio(self) -> Array:
@@ -286,8 +291,7 @@ def differences(
     d = adjusted_m - measured_m
     enu = np.einsum("nij,nj->ni", enu_from_ecef, d)
     q = enu_from_ecef @ cofactors_m2 @ np.swapaxes(enu_from_ecef, 1, 2)
-    predicted = np.sqrt(np.maximum(np.einsum("nii->ni", q), 0.0))
-    return PointDifferences(ids, index, enu, d, predicted, own_sigma_enu_m)
+    return PointDifferences(ids, index, enu, d, q, own_sigma_enu_m)
 
 
 # --- check of the predicted accuracy --------------------------------------------------------------

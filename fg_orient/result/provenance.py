@@ -6,6 +6,7 @@ No absolute path is recorded: a result folder may be passed on.
 from __future__ import annotations
 
 import dataclasses
+import os
 import platform
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -46,6 +47,13 @@ def provenance(block: Block, folder: Path, command: Sequence[str]) -> dict[str, 
         "platform": f"{platform.system()} {platform.machine()}",
         "options": dataclasses.asdict(block.options),
     }
+
+
+def ground_system(block: Block, folder: Path) -> dict[str, Any]:
+    """Entry ``ground`` of the record: CRS and zero level of the points, a file relative to the result folder."""
+    one = block.ground
+    geoid = Path(os.path.relpath(Path(one.geoid).resolve(), folder.resolve())).as_posix() if one.geoid else None
+    return {"ground": {"crs": one.crs or None, "geoid": geoid, "undulation_m": one.undulation_m}}
 
 
 def how_to_repeat(

@@ -38,7 +38,7 @@ from fg_orient.result.statistics import (
     unavailable,
     unseen_record,
 )
-from fg_orient.result.tables import arrays_of, start_points, tables_of
+from fg_orient.result.tables import arrays_of, point_cofactors, start_points, tables_of
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.problem import Problem
@@ -92,7 +92,9 @@ def result_of(
     iterations = tuple(plain(asdict(iteration)) for iteration in solution.log)
     points = None if unavailable(solution) else points_within(solution, LIMIT)
     joint = None if points is None else joint_cofactors_of(solution, points)
-    return Result(plain(record), tables_of(solution), iterations, arrays_of(solution), files, joint)
+    cofactors = point_cofactors(solution)
+    tables, arrays = tables_of(solution, cofactors), arrays_of(solution, cofactors)
+    return Result(plain(record), tables, iterations, arrays, files, joint)
 
 
 def deficient_result(

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.arrays import Array, Index, Mask
+from factors.arrays import Array, Index
 from factors.geometry import ellipsoid
 from fg_orient.formats.table_write import Column
 from fg_orient.result import statistics
@@ -39,15 +39,17 @@ EOP_COLUMNS: Final = (
     "per_line_value", "per_line_sigma", "per_line_unit", "shared",
 )  # fmt: skip
 _ENU = ("east", "north", "up")
+#: Rows and columns of the covariances East-North, East-Up, North-Up.
+PAIRS: Final = (np.array([0, 0, 1]), np.array([1, 2, 2]))
 
 
-def tables_of(solution: Solution) -> dict[str, Table]:
-    """Tables ``eop``, ``points``, ``residuals`` and, after a search, ``outliers``."""
+def tables_of(solution: Solution, cofactors: Array) -> dict[str, Table]:
+    """Tables ``eop``, ``points``, ``residuals`` and, after a search, ``outliers``; of :func:`point_cofactors`."""
     weights = solution.weights
     of_points, of_rays = ({}, {}) if weights is None else ({"weight": weights.control}, {"weight": weights.image})
     tables = {
         "eop": table_of_rows(EOP_COLUMNS, eop_rows(solution)),
-        "points": Table({**point_columns(solution), **statistics.point_columns(solution), **of_points}),
+        "points": Table({**point_columns(solution, cofactors), **statistics.point_columns(solution), **of_points}),
         "residuals": Table({**residual_columns(solution), **statistics.image_columns(solution), **of_rays}),
     }
     if solution.snooping is not None:
@@ -124,12 +126,11 @@ def component_and_degree(parameter: str) -> tuple[str, float]:
     return (component, int(power)) if component and power.isdigit() else (parameter, float("nan"))
 
 
-def point_columns(solution: Solution) -> dict[str, Column]:
+def point_columns(solution: Solution, cofactors: Array) -> dict[str, Column]:
     """Adjusted coordinates, their standard deviations and the differences at control and check points."""
     points, ground = solution.block.points, solution.ground_m
-    known = np.asarray(~np.isnan(ground).any(axis=1))
     factor, name = sigma_scale(solution)
-    sigma = factor * point_sigmas(solution, known)
+    sigma = factor * np.sqrt(np.maximum(np.einsum("nii->ni", cofactors), 0.0))
     enu, ecef, own = (np.full_like(ground, np.nan) for _ in range(3))
     for group in (solution.accuracy.control, solution.accuracy.check):
         enu[group.index], ecef[group.index] = group.enu_m, group.ecef_m
@@ -145,9 +146,10 @@ def point_columns(solution: Solution) -> dict[str, Column]:
     }  # fmt: skip
 
 
-def point_sigmas(solution: Solution, known: Mask) -> Array:
-    """Standard deviations (N, 3) East, North, Up in prior scale; nan where unavailable or not determined."""
-    out = np.full((len(known), 3), np.nan)
+def point_cofactors(solution: Solution) -> Array:
+    """Cofactors (N, 3, 3) East, North, Up of each point, m^2, prior scale; nan where unavailable or not determined."""
+    known = np.asarray(~np.isnan(solution.ground_m).any(axis=1))
+    out = np.full((len(known), 3, 3), np.nan)
     if solution.cofactors is None:
         return out
     rows = np.flatnonzero(known)
@@ -155,10 +157,9 @@ def point_sigmas(solution: Solution, known: Mask) -> Array:
     # those of all points are known where the observations have statistics
     every = statistics.unavailable(solution) is None
     own = solution.residual_cofactors.rays.points[rows] if every else solution.cofactors.points(rows)
-    q = turn @ own @ np.swapaxes(turn, 1, 2)
-    out[rows] = np.sqrt(np.maximum(np.einsum("nii->ni", q), 0.0))
+    out[rows] = turn @ own @ np.swapaxes(turn, 1, 2)
     check = solution.accuracy.check
-    out[check.index] = check.predicted_sigma_enu_m  # excluded ones are propagated, not unknowns
+    out[check.index] = check.cofactors_enu_m2  # excluded ones are propagated, not unknowns
     return out
 
 
@@ -173,8 +174,11 @@ def residual_columns(solution: Solution) -> dict[str, Column]:
     }  # fmt: skip
 
 
-def arrays_of(solution: Solution) -> dict[str, npt.NDArray[Any]]:
+def arrays_of(solution: Solution, points: Array) -> dict[str, npt.NDArray[Any]]:
     """State, adjusted points and cofactors (prior scale) as plain arrays; no pickle needed.
+
+    ``points`` are those of :func:`point_cofactors`; kept are the covariances that the table of points does not have, in
+    the scale of its standard deviations.
 
     Where images differ in their unknowns, the arrays of the unknowns have one row per image, filled up with nan
     (numbers) and "" (names); ``n_parameters`` is the number of unknowns of each image.
@@ -197,4 +201,5 @@ def arrays_of(solution: Solution) -> dict[str, npt.NDArray[Any]]:
         "n_parameters": np.diff(problem.first), "state_image": solution.state.image,
         "state_ground_m": solution.state.ground, "origin_m": problem.origin_m, "ground_m": solution.ground_m,
         "residuals_px": solution.residuals_px, "image_cofactors": cofactors, "image_covariance": cofactors * factor**2,
+        "point_covariance_m2": points[:, *PAIRS] * factor**2,
     }  # fmt: skip

@@ -50,7 +50,7 @@ def test_commands_of_the_readme_exist(repository: Path) -> None:
 
     known = set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
     text = "\n".join(code for name in ("README.md", "docs/quickstart.md") for code in blocks(repository / name, "sh"))
-    shown = set(re.findall(r"fg-orient (\w+)", text))
+    shown = set(re.findall(r"fg-orient ([\w-]+)", text))
     assert shown - known == set()
     assert known - shown == set()
 

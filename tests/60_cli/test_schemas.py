@@ -59,6 +59,7 @@ def test_what_is_printed_is_as_the_schema_says(
         "locate": run("locate", image, "--line", 6000, "--sample", 6000, "--height", 300, "--json"),
         "footprint": run("footprint", project, "--height", 300, "--json"),
         "report": run("report", out, "--json"),
+        "dsm-points": run("dsm-points", out, "--out", tmp_path / "a.laz", "--json"),
         "rpc_fit": run("rpc", "fit", image, "--heights", 0, 3000, "--out", rpc, "--json"),
         "rpc_check": run("rpc", "check", rpc, "--json"),
         "rpc_convert": run("rpc", "convert", rpc, "--for", "otb", "--out", tmp_path / "otb", "--json"),

@@ -38,7 +38,12 @@ from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 def points(enu: np.ndarray, predicted: float = 1.0, own: float = 0.5) -> PointDifferences:
     n = len(enu)
     return PointDifferences(
-        tuple(f"c{k}" for k in range(n)), np.arange(n), enu, enu, np.full((n, 3), predicted), np.full((n, 3), own)
+        tuple(f"c{k}" for k in range(n)),
+        np.arange(n),
+        enu,
+        enu,
+        np.tile(np.eye(3) * predicted**2, (n, 1, 1)),
+        np.full((n, 3), own),
     )
 
 
@@ -187,7 +192,7 @@ def test_differences_that_chance_does_not_give_are_doubts() -> None:
     (told,) = (f for f in of_check_points(with_joint(d)) if f.code == "verdict.check_far")
     assert told.data["size"] == pytest.approx(5.0) and "limit 4.1" in str(told) and "c6" in str(told)
     assert points(d).beyond.probability is None  # no joint covariance: the number is not tested
-    unavailable = replace(points(d), predicted_sigma_enu_m=np.full((10, 3), np.nan)).beyond
+    unavailable = replace(points(d), cofactors_enu_m2=np.full((10, 3, 3), np.nan)).beyond
     assert (unavailable.n, unavailable.by_chance, unavailable.sentence) == (0, True, "")
 
 

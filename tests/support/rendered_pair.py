@@ -249,4 +249,5 @@ def write_example(folder: Path) -> None:
     views = (View("a", (0.25, -0.05), 160), View("b", (-0.25, 0.1), 160, 4.0, (2.5, -1.5), 1.3, 40.0))
     scene, rng = Scene(75.0, 3, relief_m=5.0, walls=2), np.random.default_rng(8)
     write_pair(folder, scene, views, 50.0)
+    scene.write_dem(folder / "dem.tif", 1.0)
     scene.write_chips(folder / "chips.gpkg", rng.uniform(-20.0, 20.0, (2, 9)), 20, rng)

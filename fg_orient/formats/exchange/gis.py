@@ -11,12 +11,14 @@ first pixel, as in our tables. Tie points have no geometry in either format.
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import Array
 from fg_orient.formats.atomic import staged_file, write_text
 from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
 from fg_orient.formats.faults import Faults
@@ -200,22 +202,43 @@ def _take_image(gathered: Gathering, columns: dict[str, Any], path: Path) -> Non
 
 def write_geopackage(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
     """Write both layers; the second only if there are image points."""
-    pyogrio, shapely = libraries(paths[0])
-    geometry: npt.NDArray[np.object_] = shapely.to_wkb(shapely.points(np.nan_to_num(survey.coordinates)))
-    geometry[~survey.located] = None
-    flat = survey.located & np.isnan(survey.coordinates[:, 2])
-    geometry[flat] = shapely.to_wkb(shapely.points(survey.coordinates[flat, :2]))
-    roles = [str(role) for role in survey.roles]
-    text = [np.array(survey.ids, object), np.array(roles, object)]
-    with staged_file(paths[0], suffix=".gpkg") as temporary, plain_case():
-        pyogrio.raw.write(
-            temporary, geometry, [*text, *survey.sigma_enu_m.T, survey.fixed], ["id", "role", *SIGMA_COLUMNS, "fixed"],
-            layer=GROUND, driver="GPKG", geometry_type="Point Z", crs=survey.crs, dataset_options=GPKG_OPTIONS,
-        )  # fmt: skip
+    with staged_file(paths[0], suffix=".gpkg") as temporary:
+        text = [np.array(survey.ids, object), np.array([str(role) for role in survey.roles], object)]
+        columns = dict(zip(("id", "role", *SIGMA_COLUMNS), (*text, *survey.sigma_enu_m.T), strict=True))
+        _write_points(temporary, GROUND, survey.coordinates, {**columns, "fixed": survey.fixed}, survey.crs)
         if len(o := survey.observed):
             names = [np.array(survey.images, object)[o.image], np.array(survey.ids, object)[o.point]]
-            columns = [*names, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px]
-            pyogrio.raw.write(temporary, None, columns, list(COLUMNS), layer=IMAGE, driver="GPKG", append=True)
+            data = [*names, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px]
+            with plain_case():
+                libraries(paths[0])[0].raw.write(temporary, None, data, list(COLUMNS), layer=IMAGE, driver="GPKG",
+                                                 append=True)  # fmt: skip
+
+
+def write_point_layer(
+    path: Path, layer: str, coordinates: Array, columns: dict[str, npt.NDArray[Any]], crs: str | None, text: str
+) -> None:
+    """Write a GeoPackage with one layer of points (n, 3); ``text`` is the description of the layer."""
+    with staged_file(path, suffix=".gpkg") as temporary:
+        _write_points(temporary, layer, coordinates, columns, crs, DESCRIPTION=text)
+
+
+def _write_points(
+    path: Path, layer: str, coordinates: Array, columns: dict[str, npt.NDArray[Any]], crs: str | None, **options: str
+) -> None:
+    """Write points with Z; those without coordinates have no geometry, those without a height no Z."""
+    pyogrio, shapely = libraries(path)
+    geometry: npt.NDArray[np.object_] = shapely.to_wkb(shapely.points(np.nan_to_num(coordinates)))
+    located = np.isfinite(coordinates[:, :2]).all(axis=1)
+    geometry[~located] = None
+    flat = located & np.isnan(coordinates[:, 2])
+    geometry[flat] = shapely.to_wkb(shapely.points(coordinates[flat, :2]))
+    with plain_case(), warnings.catch_warnings():
+        if not crs:
+            warnings.filterwarnings("ignore", "'crs' was not provided")  # local coordinates have none
+        pyogrio.raw.write(
+            path, geometry, list(columns.values()), list(columns), layer=layer, driver="GPKG", geometry_type="Point Z",
+            crs=crs, dataset_options=GPKG_OPTIONS, layer_options=options, nan_as_null=True,
+        )  # fmt: skip
 
 
 GEOPACKAGE = Format(

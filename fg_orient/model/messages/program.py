@@ -100,6 +100,14 @@ report.no_pyogrio: a GeoPackage needs pyogrio and shapely
     -> install the extra: pip install 'fg-orient[geo]', or give a .geojson
 report.export_suffix: this file is neither GeoPackage nor GeoJSON
     -> end its name with .gpkg or .geojson
+cloud.suffix: the end of the name is that of no format of points
+    -> end its name with one of {known}
+cloud.no_laspy: LAS and LAZ need laspy and lazrs
+    -> install the extra: pip install 'fg-orient[cloud]', or give a .ply, .csv or .gpkg
+cloud.no_points: no point is left to write
+    -> give other limits, or adjust with tie or check points
+cloud.doubt (doubt): the adjustment of these points did not end well
+    -> read its findings before the points are used
 report.no_truth: the folder holds no truth of a simulation
     -> give the folder truth of fg-orient simulate
 report.other_truth: the truth belongs to another project
