@@ -7,6 +7,7 @@ it. The given block keeps all observations; the record names each excluded obser
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -175,6 +176,13 @@ class _Rounds:
         o = self._block.observations
         return f"point {self._block.points.ids[o.point[row]]} in image {self._block.images[o.image[row]].id}"
 
+    def _pixel(self, one: _Removal) -> tuple[float, float]:
+        """Measured line and sample of an image point; nan for other observations."""
+        if one.test.part != "image":
+            return math.nan, math.nan
+        o, row = self._block.observations, one.rows[0]
+        return float(o.line[row]), float(o.sample[row])
+
     def _predict(
         self, solution: AdjustmentResult, cofactors: Cofactors, out: Sequence[_Removal]
     ) -> dict[int, Misclosures]:
@@ -254,7 +262,7 @@ class _Rounds:
                 for r, c in changes
             ),
             tuple(
-                ExcludedObservation(one.test, r.number, one.with_it, one.fit, readmitted.get(id(one)))
+                ExcludedObservation(one.test, r.number, one.with_it, one.fit, readmitted.get(id(one)), self._pixel(one))
                 for r, change in changes for one in change.left_out
             ),
             _given_up(end), tuple(self._name(r) for r in single.tolist()), tuple(points.ids[j] for j in lost),

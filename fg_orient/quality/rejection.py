@@ -13,6 +13,7 @@ The record of a search in an adjustment (``fg_orient.orientation.outlier_search`
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Generic, TypeVar
@@ -137,6 +138,8 @@ class ExcludedObservation:
         Consistency with the adjustment without it: when it was put back, otherwise in the last round.
     readmitted : int or None
         Adjustment after which it was put back; None: it stays out.
+    pixel : (float, float)
+        Measured line and sample; nan for others than image points.
     """
 
     test: GroupTest
@@ -144,6 +147,7 @@ class ExcludedObservation:
     with_it: tuple[str, ...] = ()
     fit: ConsistencyTest | None = None
     readmitted: int | None = None
+    pixel: tuple[float, float] = (math.nan, math.nan)
 
     def sentence(self) -> str:
         """Sentence on the observation, its test, and its return."""

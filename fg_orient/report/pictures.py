@@ -1,5 +1,8 @@
 """Pixels in the report: pictures of the images under the residual vectors, and chips about the largest residuals.
 
+Image points that the search for gross errors removed have no residual in the result: the estimated error of their test,
+with the opposite sign, takes its place. They come before all others, which passed the tests.
+
 A record contains the names of the rasters relative to the result folder. A raster that is not there or cannot be read
 is a sentence of the page, never an error; without rasterio the page has no pictures.
 """
@@ -12,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -52,23 +55,32 @@ STRETCH: Final = (2.0, 98.0)
 EMPTY: Final = 128
 
 
-@dataclass(frozen=True)
-class Chip:
-    """Pixels about a measured place; ``x``, ``y`` of it and of its residual in pixels of the chip."""
+class Measured(NamedTuple):
+    """Image point with its residual v, and v in standard deviations; of a removed one the round of its removal."""
 
-    href: str
     image: str
     id: str
+    line: float
+    sample: float
+    v_line_px: float
+    v_sample_px: float
+    w: float
+    removed: int = 0
+
+
+@dataclass(frozen=True)
+class Chip:
+    """Pixels about an image point; ``x``, ``y`` of it in pixels of the chip."""
+
+    href: str
+    point: Measured
     x: float
     y: float
-    v_sample_px: float
-    v_line_px: float
-    w: float
 
     @property
     def arrow(self) -> str:
         """Path of the residual, in the scale of the pixels."""
-        v = np.array([self.v_sample_px, self.v_line_px])
+        v = np.array([self.point.v_sample_px, self.point.v_line_px])
         length = float(np.hypot(*v))
         if not length > 0.0:
             return ""
@@ -87,7 +99,7 @@ class Pictures:
     images : dict
         By image.
     chips : list of Chip
-        The largest residual first.
+        Those of removed image points first, then the largest residual first.
     missing : dict
         Images without a picture, by the reason.
     used : int
@@ -147,7 +159,27 @@ def pictures_of(result: Result, folder: Path | None) -> Pictures:
 def _shown(result: Result) -> Iterator[str]:
     """Images with a drawing of their vectors, then those with the largest residuals."""
     yield from worst_images(result.residual_summary())
-    yield from (result.residuals.words["image"][k] for k in largest_rows(result, CHIPS).tolist())
+    yield from (point.image for point in worst_points(result))
+
+
+def worst_points(result: Result) -> list[Measured]:
+    """Image points of the chips: removed ones, the largest estimated error first, then the largest residuals."""
+    removed = list[Measured]()
+    gone = result.tables.get("outliers")
+    if gone is not None:
+        names = ("line", "sample", "error_line_px", "error_sample_px", "round", "readmitted")
+        for image, name, (line, sample, e_line, e_sample, number, back) in zip(
+            gone.words["image"], gone.words["id"], gone.numbers(*names).tolist(), strict=True
+        ):
+            if np.isnan(back) and np.isfinite([line, sample, e_line, e_sample]).all():
+                removed.append(Measured(image, name, line, sample, -e_line, -e_sample, np.nan, int(number)))
+    removed.sort(key=lambda one: -np.hypot(one.v_line_px, one.v_sample_px))
+    table, ratio = result.residuals, np.nan_to_num(np.abs(result.normalised[0])).max(axis=1)
+    rows = largest_rows(result, CHIPS)
+    values = table.numbers("line", "sample", "v_line_px", "v_sample_px", rows=rows).tolist()
+    kept = [Measured(table.words["image"][k], table.words["id"][k], line, sample, v_line, v_sample, float(ratio[k]))
+            for k, (line, sample, v_line, v_sample) in zip(rows.tolist(), values, strict=True)]  # fmt: skip
+    return [*removed, *kept][:CHIPS]
 
 
 def _places(result: Result, folder: Path, out: Pictures) -> Iterator[tuple[str, Place]]:
@@ -171,27 +203,22 @@ def _places(result: Result, folder: Path, out: Pictures) -> Iterator[tuple[str, 
 
 def _add_chips(result: Result, places: dict[str, Place], out: Pictures, error: type[Exception]) -> None:
     """Add the chips, each read by its own window."""
-    table, ratio = result.residuals, np.nan_to_num(np.abs(result.normalised[0])).max(axis=1)
-    for k in largest_rows(result, CHIPS).tolist():
-        image = table.words["image"][k]
-        if image not in places:
+    for point in worst_points(result):
+        if point.image not in places:
             continue
-        place = places[image]
-        names = ("line", "sample", "v_line_px", "v_sample_px")
-        line, sample, v_line, v_sample = (float(table.figures[name][k]) for name in names)
-        row, column = line - place.line, sample - place.sample
+        place = places[point.image]
+        row, column = point.line - place.line, point.sample - place.sample
         top, left = round(row) - CHIP_PX // 2, round(column) - CHIP_PX // 2
         try:
             with closing(Raster(place)) as raster:
                 grey = raster.window(top, left, CHIP_PX, CHIP_PX)
         except error:
-            del places[image]
-            out.lacks(image, UNREADABLE)
+            del places[point.image]
+            out.lacks(point.image, UNREADABLE)
             continue
         href = _address(grey, "PNG")
         if np.isfinite(grey).any() and out.fits(href):
-            out.chips.append(Chip(href, image, table.words["id"][k], column - left + 0.5, row - top + 0.5, v_sample,
-                                  v_line, float(ratio[k])))  # fmt: skip
+            out.chips.append(Chip(href, point, column - left + 0.5, row - top + 0.5))
 
 
 def _add_images(result: Result, places: dict[str, Place], out: Pictures, error: type[Exception]) -> None:

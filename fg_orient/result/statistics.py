@@ -34,7 +34,7 @@ HIGH: Final = 0.95
 JOINT_UNKNOWNS: Final = 600
 #: Columns of ``outliers.csv``; errors in the order of ``_ERRORS``.
 OUTLIER_COLUMNS: Final = (
-    "round", "part", "image", "id", "test", "dimension", "statistic", "limit", "probability", "level",
+    "round", "part", "image", "id", "line", "sample", "test", "dimension", "statistic", "limit", "probability", "level",
     "error_line_px", "error_sample_px", "error_east_m", "error_north_m", "error_up_m", "inseparable",
     "left_out_with_it", "readmitted", "statistic_without", "probability_without",
 )  # fmt: skip
@@ -328,9 +328,10 @@ def outlier_table(search: Search) -> Table:
         test, error = one.test, np.full(5, np.nan)
         error[list(_ERRORS[test.part])] = test.error
         cells = (
-            one.round, test.part, test.image, test.point, test.symbol, test.dimension, test.statistic, test.critical,
-            test.probability, test.level, *error.tolist(), "; ".join(test.inseparable), "; ".join(one.with_it),
-            one.readmitted, *((None, None) if one.fit is None else (one.fit.statistic, one.fit.probability)),
+            one.round, test.part, test.image, test.point, *one.pixel, test.symbol, test.dimension, test.statistic,
+            test.critical, test.probability, test.level, *error.tolist(), "; ".join(test.inseparable),
+            "; ".join(one.with_it), one.readmitted,
+            *((None, None) if one.fit is None else (one.fit.statistic, one.fit.probability)),
         )  # fmt: skip
         rows.append(cells)
     return table_of_rows(OUTLIER_COLUMNS, rows)

@@ -89,9 +89,9 @@ def page(folder: Path) -> str:
 def test_the_first_chip_shows_the_wrong_measurement(rendered: Path) -> None:
     result = read_result(rendered / "result")
     chip = pictures_of(result, rendered / "result").chips[0]
-    assert (chip.image, chip.id) == ("b", WRONG)
+    assert (chip.point.image, chip.point.id, chip.point.removed) == ("b", WRONG, 0)
     # the residual leads back to the true place; the other rays take a part of the error
-    v = np.array([chip.v_line_px, chip.v_sample_px])
+    v = np.array([chip.point.v_line_px, chip.point.v_sample_px])
     assert v @ ERROR_PX < 0.0 and np.linalg.norm(v + ERROR_PX) < 0.7 * np.linalg.norm(ERROR_PX)
     row = next(k for k in result.rows["b"].tolist() if result.residuals.words["id"][k] == WRONG)
     line, sample = (result.residuals.figures[name][row] for name in ("line", "sample"))
@@ -110,7 +110,34 @@ def test_the_first_chip_shows_the_wrong_measurement(rendered: Path) -> None:
     assert (shown[np.isnan(part)] == 128.0).all()
     numbers = [float(word) for word in re.findall(r"-?[\d.]+", chip.arrow)]
     np.testing.assert_allclose(numbers[:2], [chip.x, chip.y], atol=0.006)
-    np.testing.assert_allclose(numbers[2:4], [chip.x + chip.v_sample_px, chip.y + chip.v_line_px], atol=0.006)
+    np.testing.assert_allclose(
+        numbers[2:4], [chip.x + chip.point.v_sample_px, chip.y + chip.point.v_line_px], atol=0.006
+    )
+
+
+@pytest.mark.oracle
+def test_a_removed_measurement_is_the_first_chip(copy: Path) -> None:
+    """Its place is that of the input table, its arrow leads to the true place, and the page says that it is out."""
+    out = copy / "searched"
+    assert in_process("adjust", copy / "project.toml", "--snoop", "--out", out).code == 0
+    result = read_result(out)
+    assert (WRONG, "b") not in set(zip(result.residuals.words["id"], result.residuals.words["image"], strict=True))
+    chips = pictures_of(result, out).chips
+    first = chips[0].point
+    assert (first.image, first.id, first.removed) == ("b", WRONG, 1) and len(chips) == 10
+    row = next(line for line in (copy / "observations.csv").read_text("utf-8").splitlines() if line.startswith("b,7,"))
+    assert [first.line, first.sample] == [float(cell) for cell in row.split(",")[2:4]]
+    # noise of 0.2 px in each of three rays, and that of the other two in the true place
+    assert np.abs(np.array([first.v_line_px, first.v_sample_px]) + ERROR_PX).max() < 1.5
+    # the cross lies on the same grey values as in the chip of the raster itself
+    top, left = round(first.line - chips[0].y + 0.5), round(first.sample - chips[0].x + 0.5)
+    assert (top, left) == (round(first.line) - 32, round(first.sample) - 32)
+    assert [chip.point.removed for chip in chips[1:]] == [0] * 9
+    text = (out / "report.html").read_text("utf-8")
+    assert text.count("<strong>removed</strong> in round 1") == 1 and "Those that the search" in text
+    assert "<strong>removed</strong>" not in (copy / "result" / "report.html").read_text("utf-8")
+    (copy / "b.tif").unlink()
+    assert [chip.point.image for chip in pictures_of(result, out).chips].count("b") == 0
 
 
 @pytest.mark.behaviour
@@ -188,7 +215,7 @@ def test_a_part_of_the_scene_has_its_place(copy: Path) -> None:
     out = adjusted(project)
     part = pictures_of(read_result(out), out)
     assert part.images["b"].x == (1.5, SIDE - 0.5) and part.images["b"].y == (2.5, SIDE - 0.5)
-    assert len(part.images) == 3 and part.chips[0].id == WRONG and part.chips[0].image == "b"
+    assert len(part.images) == 3 and part.chips[0].point[:2] == ("b", WRONG)
 
 
 @pytest.mark.behaviour
