@@ -152,14 +152,20 @@ def on_found_grid(survey: Survey) -> Survey:
     if not name:
         stated = len(known_crs(survey.crs).axis_info) == 3
         return survey if stated else _noted(survey, finding("heights.ellipsoidal", crs=survey.crs))
+    error = lacking_operation(survey)
+    grid = None if error is None else found_grid(error)
+    if grid is None:
+        return survey  # refused where it is transformed
+    return _by_geoid(_noted(survey, finding("heights.found", name=name, grid=grid.path.name)), grid)
+
+
+def lacking_operation(survey: Survey) -> InputError | None:
+    """Error of the operation to ECEF, which PROJ lacks without the grid of the heights; None if there is one."""
     try:
         operation_to_ecef(survey.crs, spatial_crs(survey.crs), _places(survey)[0])
-        return survey
     except InputError as error:
-        grid = found_grid(error)
-        if grid is None:
-            return survey  # refused where it is transformed
-        return _by_geoid(_noted(survey, finding("heights.found", name=name, grid=grid.path.name)), grid)
+        return error
+    return None
 
 
 def _noted(survey: Survey, *notes: Finding) -> Survey:

@@ -5,6 +5,7 @@ The undulation of a zero level is its height above the WGS84 ellipsoid.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -92,13 +93,13 @@ def undulation_m(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
     return ecef_to_geodetic(xyz)[2]
 
 
-def found_grid(error: InputError) -> GeoidFile | None:
-    """Geoid file in PROJ's folders under another name or format than the one that a missing operation needs.
+def found_grid(error: InputError, folders: Iterable[Path] = ()) -> GeoidFile | None:
+    """Geoid file in PROJ's folders, or in others, under another name or format than a missing operation needs.
 
     None if ``error`` has another reason, or there is no such file.
     """
     stems = {_stem(name) for name in str(error.problems[0].data.get("grids", "")).split(", ")}
-    for folder in map(Path, grid_folders()):
+    for folder in folders or map(Path, grid_folders()):
         for path in sorted(folder.glob("*")) if folder.is_dir() else ():
             if path.suffix.lower() in GRID_SUFFIXES and _stem(path.name) in stems:
                 return GeoidFile(path)

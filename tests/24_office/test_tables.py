@@ -216,6 +216,43 @@ def test_heights_above_a_geoid_are_asked_for(tmp_path: Path) -> None:
     assert new(tmp_path, "--first-pixel", "1", "--heights", "ellipsoidal").code == 0
 
 
+def test_a_grid_that_proj_lacks_is_taken_from_the_folder_or_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Undulations on a plane in longitude and latitude, which a bilinear grid has exactly."""
+    rasterio = pytest.importorskip("rasterio")
+    monkeypatch.delenv("PROJ_DATA", raising=False)
+    there = place("tr")
+    folder = tmp_path / "in"
+    write_images(folder, there)
+
+    def undulation(lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
+        return np.asarray(36.0 + 0.4 * (lon - 31.0) - 0.3 * (lat - 41.0))
+
+    below = undulation(*there.lonlath[:, :2].T)
+    turkey(folder, replace(there, lonlath=there.lonlath - np.stack([0.0 * below, 0.0 * below, below], axis=1)))
+    file = folder / "YKN listesi.csv"
+    file.write_bytes(file.read_bytes().replace("Elipsoidal Yükseklik".encode("cp1254"), b"Ortometrik Kot"))
+    words = ("--first-pixel", "1", "--crs", "EPSG:5255", "--heights", "EPSG:5773")
+    asked = new(tmp_path, *words)
+    assert (asked.code, asked.stderr.count("error")) == (2, 1), asked.stderr
+    assert "--geoid FILE" in asked.stderr and "EGM96 height" in asked.stderr
+    # beside the other questions, in one round
+    bare = in_process("new", folder, "--out", tmp_path / "project", "--yes", *words)
+    assert bare.stderr.count("error") == 3 and "--geoid FILE" in bare.stderr
+    lon, lat = np.arange(31.0, 33.01, 0.25), np.arange(42.0, 40.99, -0.25)
+    with rasterio.open(
+        folder / "egm96_15.gtx", "w", driver="GTX", width=len(lon), height=len(lat), count=1, dtype="float32",
+        crs="EPSG:4326", transform=rasterio.Affine(0.25, 0, 30.875, 0, -0.25, 42.125),
+    ) as grid:  # fmt: skip
+        grid.write(np.float32(undulation(lon[None], lat[:, None]))[None])
+    ended = new(tmp_path, *words)
+    assert ended.code == 0, ended.stderr
+    assert "egm96_15.gtx" in ended.stderr and "[--geoid]" in ended.stderr
+    ground, pixel = differences(made(tmp_path / "project"), there)
+    assert ground < GROUND_M and pixel < PIXEL  # float32 of GTX: 2e-6 m
+
+
 def test_missing_roles_are_assumed_and_check_points_given(tmp_path: Path) -> None:
     there = place("tr")
     write_images(tmp_path / "in", there)

@@ -14,8 +14,8 @@ from fg_orient.formats.atomic import Contents, require_free, staged_folder
 from fg_orient.formats.exchange.convert import filled
 from fg_orient.formats.exchange.own_csv import write
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.heights import ZeroLevel, without_vertical
-from fg_orient.formats.office.decisions import Decisions, Office, Question
+from fg_orient.formats.heights import ZeroLevel, lacking_operation, without_vertical
+from fg_orient.formats.office.decisions import Choice, Decisions, Office, Question
 from fg_orient.formats.office.images import FoundImage, read_images, sorted_files
 from fg_orient.formats.office.sheets import read_sheets
 from fg_orient.formats.office.survey import read_survey
@@ -23,6 +23,7 @@ from fg_orient.formats.points_write import write_project
 from fg_orient.formats.project import read_project_with_remarks
 from fg_orient.formats.registry import Settings
 from fg_orient.geodesy.crs import WGS84
+from fg_orient.geodesy.heights import found_grid, vertical_reference
 from fg_orient.model.errors import Finding, InputError
 from fg_orient.model.names import Role
 
@@ -98,6 +99,8 @@ def draft(sources: Sequence[Path], out: Path, office: Office, given: Given, deci
         if given.level:
             office = replace(office, heights="ellipsoidal", lift_m=_lift_m(given.level, images))
         survey = read_survey(sheets, office, decisions, {image.id: image.sensor for image in images})
+        folders = [path for path in sources if path.is_dir()]
+        given = replace(given, level=given.level or _found_level(survey, folders, decisions, str(sheets[0].path)))
         survey = _completed(survey, given, decisions, str(sheets[0].path))
     decisions.require_answers()
     return Draft(images, survey, [*(image.path for image in images), *tables])
@@ -111,6 +114,21 @@ def _lift_m(level: ZeroLevel, images: Sequence[FoundImage]) -> float:
     place = np.array([[*corners.mean(axis=0), 0.0]])
     point = Survey(WGS84, ("middle",), (Role.CONTROL,), place, np.ones((1, 3)), np.zeros(1, bool))
     return float(level.applied(point).coordinates[0, 2])
+
+
+def _found_level(survey: Survey, folders: Sequence[Path], decisions: Decisions, file: str) -> ZeroLevel:
+    """Geoid file of the heights if PROJ lacks their grid: the one of its name in the folders, or asked for."""
+    name = vertical_reference(survey.crs)[0] if survey.crs and survey.located.any() else ""
+    error = lacking_operation(survey) if name else None
+    if error is None or found_grid(error) is not None:
+        return NO_LEVEL
+    grid = found_grid(error, folders) if folders else None
+    choices = () if grid is None else (Choice(str(grid.path)),)
+    reason = f"the grid that {name} needs is not in PROJ's folders"
+    reason += "" if grid is None else "; the file of its name is taken, and heights become ellipsoidal"
+    answer = decisions.settle(Question("geoid", "the geoid file of the heights", choices, grid is not None, reason,
+                                       "FILE"), file, later=True)  # fmt: skip
+    return NO_LEVEL if answer is None else ZeroLevel(geoid=Path(answer.value))
 
 
 def _completed(survey: Survey, given: Given, decisions: Decisions, file: str) -> Survey:
