@@ -419,7 +419,8 @@ class TwoStage:
             withheld = self.block.withheld
             rows = [withheld.ids.index(points.ids[j]) for j in check]
             icp = withheld.open().ecef_m[rows] - ground_m[check]
-        return AxisErrors(gcp, icp)
+        names = tuple(points.ids[j] for j in self._assessed), tuple(points.ids[j] for j in check)
+        return AxisErrors(gcp, icp, *names)
 
 
 def _codes(eop_set: int) -> tuple[int, ...]:

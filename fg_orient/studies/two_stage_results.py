@@ -97,10 +97,14 @@ class AxisErrors:
         Control points, computed again by intersection; points in one image only are omitted.
     icp_m : (k, 3) array
         Check points.
+    gcp_ids, icp_ids : tuple of str
+        Their points.
     """
 
     gcp_m: Array
     icp_m: Array
+    gcp_ids: tuple[str, ...]
+    icp_ids: tuple[str, ...]
 
     @property
     def gcp_rmse(self) -> Array:

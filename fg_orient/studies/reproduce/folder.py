@@ -1,6 +1,6 @@
-"""A reproduction as a folder: ``cells.csv``, ``claims.csv``, ``result.json``, ``report.html``.
+"""A reproduction as a folder: ``cells.csv``, ``claims.csv``, ``result.json``, ``report.html``, ``figures``.
 
-The page shows verdicts, a chart of all numbers and L-curves, in the template of all reports.
+The page shows verdicts, a chart of all numbers, L-curves and the figures of the publication.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -16,17 +17,23 @@ import numpy as np
 
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
 from fg_orient.model.installation import stamp
+from fg_orient.report import paper
 from fg_orient.report.chart import Axis, Chart, plain_exponent
+from fg_orient.report.figures import FOLDER, draw_figures
 from fg_orient.report.page import environment
 from fg_orient.report.plots import l_curve, ranked
 from fg_orient.result.plain import dumps, plain, write_records, write_rows
 from fg_orient.studies.published.tables import require_source
+from fg_orient.studies.reproduce.figures import SourceFigure, figures
 from fg_orient.studies.reproduce.reproduction import SHUFFLES, Callback, Reproduction, Row, reproduce
 from fg_orient.studies.reproduce.verdict import KINDS, LEGEND
 
 #: Contents of the folder; result.json identifies it.
-CONTENTS: Final = Contents("result.json", ("result.json", "cells.csv", "claims.csv", "report.html"))
-SCHEMA_VERSION: Final = 2
+CONTENTS: Final = Contents(
+    "result.json",
+    ("result.json", "cells.csv", "claims.csv", "report.html", "figures/*.svg", "figures/*.pdf", "figures/captions.md"),
+)
+SCHEMA_VERSION: Final = 3
 
 
 def reproduce_to(
@@ -74,6 +81,7 @@ def as_record(result: Reproduction) -> dict[str, Any]:
 def _write(folder: Path, result: Reproduction, command: Sequence[str]) -> None:
     rows = [row.as_dict() for row in result.rows]
     write_records(folder / "cells.csv", rows)
+    drawn = figures(result)
     claims = [asdict(c) | {"low": c.interval[0], "high": c.interval[1]} for c in result.claims]
     columns = ("id", "passed", "of", "low", "high", "met", "text", "reason")
     write_rows(folder / "claims.csv", columns, ([claim[name] for name in columns] for claim in claims))
@@ -96,14 +104,24 @@ def _write(folder: Path, result: Reproduction, command: Sequence[str]) -> None:
             for table, title in result.titles.items()
         },
         "claims": as_record(result)["claims"],
+        "figures": [{"name": f.name, "title": f.title, "missing": f.missing} for f in drawn],
         "published_sha256": result.sha256,
         **stamp(command),
     }
     (folder / "result.json").write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
-    (folder / "report.html").write_text(render(result, record), encoding="utf-8")
+    (folder / "report.html").write_text(render(result, record, drawn), encoding="utf-8")
+    charts = {one.file: partial(tuple, one.charts) for one in drawn if one.charts}
+    if paper.available() and charts:
+        draw_figures(charts, lambda _: captions(drawn), folder / FOLDER, overwrite=False)
 
 
-def render(result: Reproduction, record: dict[str, Any]) -> str:
+def captions(drawn: Sequence[SourceFigure]) -> str:
+    """Captions of the figures, with the reasons of those that are missing."""
+    lines = [f"{one.file}: fig. {one.name}. {one.title}. {one.caption or 'Not drawn: ' + one.missing}" for one in drawn]
+    return "\n\n".join(lines) + "\n"
+
+
+def render(result: Reproduction, record: dict[str, Any], drawn: Sequence[SourceFigure]) -> str:
     """HTML text.
 
     Parameters
@@ -111,6 +129,7 @@ def render(result: Reproduction, record: dict[str, Any]) -> str:
     result : Reproduction
     record : dict
         Content of ``result.json``.
+    drawn : sequence of SourceFigure
     """
     rows = {table: [row for row in result.rows if row.table == table] for table in result.titles}
     tables = [
@@ -123,7 +142,7 @@ def render(result: Reproduction, record: dict[str, Any]) -> str:
     return environment("fg_orient.studies.reproduce").get_template("reproduction.html.j2").render(
         record=record, legend=legend, kinds=KINDS, tables=tables, claims=result.claims, counts=result.counts(),
         verdict=verdict(result), scatter=scatter(result.rows), problems=problems, curves=l_curves(result),
-        shuffles=SHUFFLES, seed=next(iter(result.options.get("seeds", [])), None),
+        figures=drawn, shuffles=SHUFFLES, seed=next(iter(result.options.get("seeds", [])), None),
     )  # fmt: skip
 
 
