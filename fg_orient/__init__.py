@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from factors.losses import register as register_loss
     from factors.losses.construct import loss_from_weight
     from factors.records import Record
+    from fg_orient.adjustment.gauss_helmert import GeneralAdjustment, gauss_helmert, gauss_markov
     from fg_orient.adjustment.linear.kappa import KappaChoice, register_kappa_rule
     from fg_orient.adjustment.linear.registry import register_solver
     from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
@@ -83,6 +84,7 @@ _HOME: Final = {
     "FactorGraph": "fg_orient.orientation.factor_graph",
     "FgOrientError": "fg_orient.model.errors",
     "Format": "fg_orient.formats.registry",
+    "GeneralAdjustment": "fg_orient.adjustment.gauss_helmert",
     "GroundPoints": "fg_orient.model.block",
     "Image": "fg_orient.model.block",
     "ImageParameters": "fg_orient.model.parameters",
@@ -108,6 +110,8 @@ _HOME: Final = {
     "convert_camera": "fg_orient.sensors.camera_conversion",
     "factor_graph": "fg_orient.orientation.orient",
     "fit_curve": "fg_orient.adjustment.regression",
+    "gauss_helmert": "fg_orient.adjustment.gauss_helmert",
+    "gauss_markov": "fg_orient.adjustment.gauss_helmert",
     "intersect": "fg_orient.sensors.initial",
     "loss_from_weight": "factors.losses.construct",
     "read_project": "fg_orient.formats.project",
@@ -130,6 +134,7 @@ __all__ = [
     "FactorGraph",
     "FgOrientError",
     "Format",
+    "GeneralAdjustment",
     "GroundPoints",
     "Image",
     "ImageParameters",
@@ -156,6 +161,8 @@ __all__ = [
     "convert_camera",
     "factor_graph",
     "fit_curve",
+    "gauss_helmert",
+    "gauss_markov",
     "intersect",
     "loss_from_weight",
     "read_project",

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 import fg_orient as fg
-from fg_orient.studies.general import gauss_helmert, gauss_markov
+from fg_orient.adjustment.gauss_helmert import gauss_helmert, gauss_markov
 
 N = 12
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 import fg_orient as fg
-from fg_orient.studies.general import gauss_markov
+from fg_orient.adjustment.gauss_helmert import gauss_markov
 
 TIMES = np.linspace(0.0, 3.0, 14)
 

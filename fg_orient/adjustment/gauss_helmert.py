@@ -1,5 +1,7 @@
 """General adjustments: indirect observations (Gauss-Markov) and conditions with unknowns (Gauss-Helmert).
 
+Both accept constraints between the unknowns.
+
 Notation of Terlemezoğlu 2019, sections 2.6 and 2.7: ``Q_ll = W^-1``, ``Q_xx = N^-1``, ``m0`` the standard
 deviation of unit weight. Both minimise v^T W v by iterated linearisation. The sources give no
 stopping rule; the rule here is our own.
@@ -18,6 +20,11 @@ conditions only. The sources use the adjusted values as new observations in the 
 v^T W v of the original observations.
 
 The Gauss-Markov model is computed as the Gauss-Helmert model ``f(x) - l = 0``, B = -I.
+
+Constraints ``c(x) = 0`` are fulfilled exactly. Each step is ``dP = dP_0 + Z y``: dP_0 is the shortest step with
+``C dP_0 = -c``, and the columns of Z are a basis of ``C Z = 0`` (null-space method: Björck 1996, section 5.1.3), with
+columns of A of unit length. y is an unconstrained unknown, so ``Q_xx = Z (Z^T A^T M^-1 A Z)^-1 Z^T``. Constraints may
+be the datum of a design with rank defect.
 """
 
 from __future__ import annotations
@@ -36,14 +43,16 @@ from fg_orient.model.declaration import declared
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.model.options import Options
 
+Constraints = Callable[[Array], tuple[Array, Array]]
+
 EPS = float(np.finfo(np.float64).eps)
 #: A change that no longer shrinks is rounding if it is below this multiple of the rounding of the misclosure.
 ROUNDING = 1e3
 
 
 @dataclass(frozen=True)
-class Adjustment:
-    """Result of :func:`~fg_orient.studies.general.gauss_markov` or ``gauss_helmert``.
+class GeneralAdjustment:
+    """Result of :func:`~fg_orient.adjustment.gauss_helmert.gauss_markov` or ``gauss_helmert``.
 
     Parameters
     ----------
@@ -56,7 +65,7 @@ class Adjustment:
     weighted_squares : float
         v^T W v.
     redundancy : int
-        Observations (conditions) minus the rank of the design matrix.
+        Observations (conditions) minus the rank of the design matrix; each constraint adds 1.
     cofactors_x : (u, u) array
         Q_xx; for a singular N the pseudo-inverse of the design with columns of unit length, with a remark in ``notes``.
     cofactors_v, cofactors_adjusted : (n, n) arrays
@@ -202,8 +211,9 @@ def _has_converged(change: float, previous: float, size: float, rounding: float,
 
 def gauss_markov(
     function: Callable[[Array], tuple[Array, Array]], observed: Array, start: Array, *, weights: Array | None = None,
-    cofactors: Array | None = None, solver: str = "qr", max_iterations: int = 50, tolerance: float = 1e-8,
-) -> Adjustment:  # fmt: skip
+    cofactors: Array | None = None, constraints: Constraints | None = None, solver: str = "qr",
+    max_iterations: int = 50, tolerance: float = 1e-8,
+) -> GeneralAdjustment:  # fmt: skip
     """Adjust observations that are functions of the unknowns.
 
     Parameters
@@ -216,7 +226,7 @@ def gauss_markov(
         Approximate unknowns, any finite values if f is linear.
     weights, cofactors : (n,) or (n, n) array, optional
         W or Q_ll = W^-1 (not both; unit weights if neither); positive definite.
-    solver, max_iterations, tolerance
+    constraints, solver, max_iterations, tolerance
         As in :func:`gauss_helmert`.
 
     Raises
@@ -228,7 +238,7 @@ def gauss_markov(
     """
     observed, start = _as_vector(observed, "observed"), _as_vector(start, "start")
     n, u = len(observed), len(start)
-    if not u or n < u:
+    if not u or (n < u and constraints is None):
         raise InputError.of("classical.redundancy", place="observed", value=n, unknowns=u)
     q_ll = _cofactor_matrix(n, weights, cofactors)
     try:
@@ -241,27 +251,33 @@ def gauss_markov(
         return value - at, jacobian, -np.eye(n)
 
     return gauss_helmert(
-        conditions, observed, start, cofactors=q_ll, solver=solver, max_iterations=max_iterations, tolerance=tolerance
-    )
+        conditions, observed, start, cofactors=q_ll, constraints=constraints, solver=solver,
+        max_iterations=max_iterations, tolerance=tolerance,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class _Linearised:
-    """Conditions whitened with the Cholesky factor of M: value F, A, B, and ``spread`` = Q_ll B^T M^-T/2."""
+    """Conditions whitened with the Cholesky factor of M: value F, A, B, and ``spread`` = Q_ll B^T M^-T/2.
+
+    ``basis`` (u, u - q): Z; ``onto`` (u,): dP_0.
+    """
 
     root: Array
     value: Array
     design: Array
     d_observed: Array
     spread: Array
+    basis: Array
+    onto: Array
     rounding: float
 
 
 def gauss_helmert(
     function: Callable[[Array, Array], tuple[Array, Array, Array]], observed: Array, start: Array, *,
-    weights: Array | None = None, cofactors: Array | None = None, solver: str = "qr", max_iterations: int = 50,
-    tolerance: float = 1e-8,
-) -> Adjustment:  # fmt: skip
+    weights: Array | None = None, cofactors: Array | None = None, constraints: Constraints | None = None,
+    solver: str = "qr", max_iterations: int = 50, tolerance: float = 1e-8,
+) -> GeneralAdjustment:  # fmt: skip
     """Adjust conditions between observations and unknowns.
 
     Parameters
@@ -276,8 +292,10 @@ def gauss_helmert(
     weights, cofactors : (n,) or (n, n) array, optional
         W or Q_ll (not both; unit weights if neither). Q_ll may be singular if ``B Q_ll B^T`` is regular: an observation
         with cofactor 0 keeps its value.
+    constraints : callable, optional
+        ``constraints(x) -> (c (q,), C (q, u))``: constraints ``c(x) = 0`` between unknowns and their derivatives.
     solver : str
-        Name in the registry of linear solvers; its design matrix is ``M^-1/2 A``.
+        Name in the registry of linear solvers; its design matrix is ``M^-1/2 A``, or ``M^-1/2 A Z`` with constraints.
     max_iterations : int
     tolerance : float
         Stop when steps of the unknowns, changes of the residuals and the values of F, all whitened, are
@@ -286,9 +304,9 @@ def gauss_helmert(
     Raises
     ------
     InputError
-        Arrays that do not fit; fewer conditions than unknowns; unknown solver.
+        Arrays that do not fit; fewer conditions and constraints than unknowns; unknown solver.
     NoSolutionError
-        Conditions that depend on each other; values that are not finite; the solver breaks down.
+        Conditions or constraints that depend on each other; values that are not finite; the solver breaks down.
     """
     observed, x = _as_vector(observed, "observed"), _as_vector(start, "start")
     q_ll = _cofactor_matrix(len(observed), weights, cofactors)
@@ -298,18 +316,19 @@ def gauss_helmert(
     sigma = np.sqrt(np.diag(q_ll))
     varies = sigma > 0.0
     change, converged, notes, v = math.inf, False, tuple[str, ...](), np.zeros(len(observed))
-    at = _linearise(function, observed, v, x, q_ll)
+    at = _linearise(function, constraints, observed, v, x, q_ll)
     residual = at.value
     for iteration in range(1, max_iterations + 1):  # noqa: B007
         misclosure = at.value - solve_triangular(at.root, at.d_observed @ v, lower=True)
-        step = np.zeros(0)
-        if len(x):
-            solution = solve(solver, LinearSystem.from_design(at.design, -misclosure))
-            step, notes = solution.x, solution.notes
+        step = at.onto
+        if at.basis.shape[1]:
+            right = -misclosure - at.design @ at.onto
+            solution = solve(solver, LinearSystem.from_design(at.design @ at.basis, right))
+            step, notes = at.onto + at.basis @ solution.x, solution.notes
         residual = at.design @ step + misclosure
         x, before, v = x + step, v, -at.spread @ residual
         moved = [np.abs(step * np.linalg.norm(at.design, axis=0)), np.abs(v - before)[varies] / sigma[varies]]
-        at = _linearise(function, observed, v, x, q_ll)
+        at = _linearise(function, constraints, observed, v, x, q_ll)
         previous, change = change, float(np.concatenate([*moved, np.abs(at.value)]).max())
         if converged := _has_converged(change, previous, float(np.linalg.norm(residual)), at.rounding, tolerance):
             break
@@ -317,23 +336,28 @@ def gauss_helmert(
     if not converged:
         reason = f"no convergence within {iteration} iterations: the last whitened step is {change:.1e}"
     # Q_vv = G (I - U U^T) G^T with G = Q_ll B^T M^-T/2, U of the design at the last point
-    rank, q_x, left, rank_notes = _spectrum(at.design)
+    rank, q_y, left, rank_notes = _spectrum(at.design @ at.basis)
+    q_x = at.basis @ q_y @ at.basis.T
     across = at.spread @ left
     q_v = at.spread @ at.spread.T - across @ across.T
-    return Adjustment(
+    return GeneralAdjustment(
         x, v, observed + v, float(residual @ residual), len(at.value) - rank, q_x, q_v, q_ll - q_v,
         -at.spread @ at.design @ q_x, iteration, converged, reason, notes + rank_notes,
     )  # fmt: skip
 
 
 def _linearise(
-    function: Callable[[Array, Array], tuple[Array, Array, Array]], observed: Array, v: Array, x: Array, q_ll: Array
-) -> _Linearised:
+    function: Callable[[Array, Array], tuple[Array, Array, Array]], constraints: Constraints | None, observed: Array,
+    v: Array, x: Array, q_ll: Array,
+) -> _Linearised:  # fmt: skip
     """Evaluate the conditions at the adjusted observations and whiten them."""
     adjusted = observed + v
     value, design, d_observed = _called(function, (adjusted, x), (-1, len(x), len(observed)))
-    if len(value) < max(len(x), 1):
-        raise InputError.of("classical.redundancy", place="conditions", value=len(value), unknowns=len(x))
+    c, by_x = np.zeros(0), np.zeros((0, len(x)))
+    if constraints is not None:
+        c, by_x = _called(constraints, (x,), (-1, len(x)))
+    if len(value) < max(len(x) - len(c), 1):
+        raise InputError.of("classical.redundancy", place="conditions", value=len(value), unknowns=len(x) - len(c))
     spread = q_ll @ d_observed.T
     m = d_observed @ spread
     scale = np.sqrt(np.diag(m))
@@ -343,4 +367,21 @@ def _linearise(
     root: Array = np.asarray(np.linalg.cholesky(m), dtype=np.float64)
     size = (np.abs(d_observed) @ np.abs(adjusted) + np.abs(design) @ np.abs(x)) / scale
     white = [solve_triangular(root, a, lower=True) for a in (value, design, spread.T)]
-    return _Linearised(root, white[0], white[1], d_observed, white[2].T, EPS * float(np.linalg.norm(size)))
+    basis, onto = _constrained(c, by_x, np.linalg.norm(white[1], axis=0))
+    rounding = EPS * float(np.linalg.norm(size))
+    return _Linearised(root, white[0], white[1], d_observed, white[2].T, basis, onto, rounding)
+
+
+def _constrained(value: Array, by_x: Array, length: Array) -> tuple[Array, Array]:
+    """Basis Z (u, u - q) and shortest step (u,) that fulfils the constraints, in units of 1/length of each unknown."""
+    q, u = by_x.shape
+    if not q:
+        return np.eye(u), np.zeros(u)
+    scale = 1.0 / np.where(length > 0.0, length, 1.0)
+    rows = by_x * scale
+    size = np.linalg.norm(rows, axis=1)
+    left, values, right = np.linalg.svd(rows / np.where(size > 0.0, size, 1.0)[:, None])
+    if q > u or values[-1] <= u * EPS or not size.all():
+        raise NoSolutionError.of("classical.dependent_conditions", place="constraints", value=q)
+    onto = right[:q].T @ (left.T @ (value / size) / values)
+    return scale[:, None] * right[q:].T, -scale * onto
