@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -66,6 +67,60 @@ def intersect(points: Measured, photos: Photos, options: Mapping[str, Any], outp
 
     record = run_intersect(points, photos, ImageOptions(**options), output=output)
     answer(record, _show, record, _show_points)
+
+
+@app.command("relative")
+@command(ImageOptions)
+def relative(
+    points: Measured,
+    photos: Photos,
+    options: Mapping[str, Any],
+    out: Annotated[Path | None, option("Points of the model.", "CSV")] = None,
+    photos_out: Annotated[Path | None, option("Both photos, oriented in the model.", "TOML")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Orient two photos to each other without control points."""
+    from fg_orient.closerange.orient_job import run_relative
+
+    record = run_relative(points, photos, ImageOptions(**options), out=out, photos=photos_out, overwrite=overwrite)
+    answer(record, _show_orientation, record, "base", "")
+
+
+@app.command("absolute")
+@command(SurfaceOptions, only=("sigma_m",))
+def absolute(
+    model: Annotated[Path, argument("MODEL", "CSV: id,x,y,z, in any unit, as relative writes it.")],
+    control: Annotated[Path, argument("CONTROL", "CSV: id,x_m,y_m,z_m; sigma_x_m,sigma_y_m,sigma_z_m if wanted.")],
+    options: Mapping[str, Any],
+    out: Annotated[Path | None, option("All points of the model on the ground.", "CSV")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Fit a model to three control points or more: rotation, scale and shift."""
+    from fg_orient.closerange.orient_job import run_absolute
+
+    record = run_absolute(model, control, **options, out=out, overwrite=overwrite)
+    answer(record, _show_orientation, record, "shift", " m")
+
+
+def _show_orientation(record: dict[str, Any], name: str, unit: str) -> None:
+    outer, used = record["exterior"], record.get("control", record["points"])
+    say(f"{len(used)} points, redundancy {record['redundancy']}, m0 {_m0(record)}, condition {record['condition']:.3g}")
+    rows = [("scale", f"{record['scale']:.8g}", _short(record["sigma_scale"]))] if "scale" in record else []
+    rows += [(f"{name} {axis}{unit}", f"{value:.6f}", _short(sigma)) for axis, value, sigma in
+             zip("XYZ", outer["centre_m"], outer["sigma_centre_m"], strict=True)]  # fmt: skip
+    rows += [(f"{angle}, deg", f"{outer[f'{angle}_deg']:.6f}", "") for angle in ("omega", "phi", "kappa")]
+    rows += [(f"rotation about {axis}, deg", "", _short(sigma and math.degrees(sigma))) for axis, sigma in
+             zip("XYZ", outer["sigma_turns_rad"], strict=True)]  # fmt: skip
+    table("", ("", "value", "sigma"), rows)
+    if "control" in record:
+        table("residuals, m", ("id", "X", "Y", "Z"),
+              [(c["id"], *(f"{c[f'residual_{axis}_m']:.4f}" for axis in "xyz")) for c in used])  # fmt: skip
+    if record["left_out"]:
+        tell("note", f"not in both: {', '.join(record['left_out'])}")
+    tell_findings(record)
+    _relative_note(record)
+    for written in filter(None, (record["out"], record["photos_out"])):
+        say(f"written: {written}")
 
 
 @app.command("bundle")
@@ -203,14 +258,18 @@ def _show(record: dict[str, Any], show: Callable[[dict[str, Any]], None]) -> Non
     show(record)
     for text in record["doubts"]:
         tell("warning", text)
-    if record["weights"] == "relative":
-        tell("note", finding("closerange.relative_weights (note): no standard deviations were given: weights are "
-                             "relative, and m0 is the sigma of an observation"))  # fmt: skip
+    _relative_note(record)
     if record["out"]:
         say(f"written: {record['out']}")
     page = record["page"] or (record["out"] and str(Path(record["out"]) / "report.html"))
     if page:
         say(f"report: {page}")
+
+
+def _relative_note(record: dict[str, Any]) -> None:
+    if record["weights"] == "relative":
+        tell("note", finding("closerange.relative_weights (note): no standard deviations were given: weights are "
+                             "relative, and m0 is the sigma of an observation"))  # fmt: skip
 
 
 def _m0(record: dict[str, Any]) -> str:

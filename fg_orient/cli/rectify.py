@@ -1,4 +1,4 @@
-"""Commands ``rectify fit``, ``study``, ``check`` and ``ortho``: image to map by points or DEM, map accuracy."""
+"""Commands ``rectify``: image to map by points or DEM, map accuracy; areas, projections, geometry of scanners."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ if TYPE_CHECKING:
     from fg_orient.rectification.grid import Bounds
     from fg_orient.rectification.study import Cell
 
-app = typer.Typer(help="Rectify images: by points or on a DEM; plan the points, check the accuracy of a map.")
+app = typer.Typer(help="Rectify images by points or on a DEM; accuracy of a map, areas, projections.")
 
 POINTS: Final = "CSV: id,line,sample,easting_m,northing_m (or lon_deg,lat_deg); height_m, role, sigmas if wanted."
 Points = Annotated[Path, argument("POINTS", POINTS)]
+PROJECTIONS: Final = "utm:36, gauss-krueger:30, lambert-cylindrical:R, lambert-polar:R, som:5,180 or PROJ."
 #: Exit code of a map that fails a standard.
 FAILED: Final = 4
 
@@ -186,9 +187,103 @@ def _show_ortho(record: dict[str, Any]) -> None:
     say(f"written: {record['out']}")
 
 
-def _bounds(text: str) -> Bounds:
+@app.command("area")
+@command()
+def area(
+    outlines: Annotated[
+        Path,
+        argument("OUTLINES", "CSV of vertices in order: easting_m,northing_m or lon_deg,lat_deg; outline if wanted."),
+    ],
+    projection: Annotated[str, option("Projection of lon_deg, lat_deg: " + PROJECTIONS, "NAME|PROJ")] = "",
+    ellipsoid: Annotated[str, option("Ellipsoid of lon_deg, lat_deg, in PROJ.", "NAME")] = "WGS84",
+    pixel_size: Annotated[float | None, option("Pixel size for the area by count of pixels.", "M")] = None,
+) -> None:
+    """Area and perimeter of outlines, in the plane, on the ellipsoid and by count of pixels."""
+    from fg_orient.rectification.measures import measure_outlines
+
+    answer(measure_outlines(outlines, projection=projection, ellipsoid=ellipsoid, pixel_m=pixel_size), _show_areas)
+
+
+def _show_areas(record: dict[str, Any]) -> None:
+    names = {"area_m2": "area", "ellipsoidal_area_m2": "ellipsoid", "perimeter_m": "perimeter",
+             "ellipsoidal_perimeter_m": "geodesics", "pixel_area_m2": "pixels",
+             "sigma_pixel_area_m2": "sigma"}  # fmt: skip
+    used = {key: name for key, name in names.items() if record["outlines"][0][key] is not None}
+    rows = [(o["outline"] or "-", o["vertices"], *(f"{o[key]:.1f}" for key in used)) for o in record["outlines"]]
+    table("areas, m2, and lengths, m", ("outline", "vertices", *used.values()), rows)
+
+
+@app.command("projection")
+@command()
+def projection(
+    points: Annotated[Path, argument("POINTS", "CSV: id,lon_deg,lat_deg; with --inverse id,easting_m,northing_m.")],
+    to: Annotated[str, option("Projection: " + PROJECTIONS, "NAME|PROJ", show_default=False)],
+    inverse: Annotated[bool, option("From plane coordinates to longitude and latitude.", flag="--inverse")] = False,
+    out: Annotated[Path | None, option("Table of the results.", "CSV")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Map projection of points and its scale factors; the datum does not change."""
+    from fg_orient.rectification.measures import project_points
+
+    answer(project_points(points, to, inverse=inverse, out=out, overwrite=overwrite), _show_projection)
+
+
+def _show_projection(record: dict[str, Any]) -> None:
+    names = ("lon_deg", "lat_deg", "easting_m", "northing_m")
+    scales = ("scale_meridian", "scale_parallel", "scale_area")
+    rows = [(p["id"], *(f"{p[n]:.6f}" for n in names[:2]), *(f"{p[n]:.3f}" for n in names[2:]),
+             *(f"{p[n]:.6f}" for n in scales)) for p in record["points"]]  # fmt: skip
+    table(record["projection"], ("id", "lon", "lat", "easting", "northing", "meridian", "parallel", "area"), rows)
+    if record["out"]:
+        say(f"written: {record['out']}")
+
+
+@app.command("scanner")
+@command()
+def scanner(
+    height: Annotated[float, option("Height above the datum.", "M", show_default=False)],
+    ifov_along: Annotated[float, option("Angular resolution along the track.", "RAD", show_default=False)],
+    ifov_across: Annotated[float | None, option("Angular resolution across; default: as along.", "RAD")] = None,
+    angles: Annotated[str, option("Scan angles from nadir; default: to the edge of the swath.", "DEG,DEG")] = "",
+    swath: Annotated[float | None, option("Width of the swath over flat ground.", "M")] = None,
+    relief: Annotated[float, option("Height of a point, for its displacement.", "M")] = 0.0,
+    focal: Annotated[float | None, option("Focal length.", "M")] = None,
+    speed: Annotated[float | None, option("Speed of the ground track.", "M/S")] = None,
+    overlap: Annotated[float, option("Overlap of strips, 0 to below 1.")] = 0.0,
+    rotation: Annotated[float | None, option("Period of the mirror: 2 pi of scan angle.", "S")] = None,
+) -> None:
+    """Element sizes and displacements of an across-track scanner over flat ground, by scan angle."""
+    from fg_orient.rectification.measures import scanner_record
+
+    record = scanner_record(
+        height, ifov_along, ifov_across, angles_deg=_floats("angles", angles) if angles else (), swath_m=swath,
+        relief_m=relief, overlap=overlap, focal_m=focal, speed_m_s=speed, rotation_s=rotation,
+    )  # fmt: skip
+    answer(record, _show_scanner)
+
+
+def _show_scanner(record: dict[str, Any]) -> None:
+    facts = {"strip_m": "strip {:.4g} m", "image_element_m": "element in the image {:.4g} m",
+             "line_time_s": "{:.4g} s from strip to strip", "total_angle_deg": "total angle {:.4g} deg"}  # fmt: skip
+    say(", ".join(words.format(record[name]) for name, words in facts.items() if record[name] is not None))
+    rows = [(f"{row['scan_angle_deg']:.3f}", *(number(value) for value in list(row.values())[1:]))
+            for row in record["angles"]]  # fmt: skip
+    names = ("angle, deg", "ground Y", "along", "across", "panoramic", "relief", "mirror")
+    table("element sizes and displacements on the ground, m", names, rows)
+
+
+def _floats(name: str, text: str, count: int | None = None) -> tuple[float, ...]:
+    """Numbers between commas."""
     try:
-        left, bottom, right, top = (float(part) for part in text.split(","))
+        values = tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise InputError.of("options.value", option="bounds", value=text, expected="four numbers") from None
+        values = ()
+    if not values or count not in (None, len(values)):
+        expected = "numbers between commas" if count is None else f"{count} numbers between commas"
+        raise InputError.of("options.value", option=name, value=text, expected=expected)
+    return values
+
+
+def _bounds(text: str) -> Bounds:
+    left, bottom, right, top = _floats("bounds", text, 4)
     return left, bottom, right, top

@@ -20,6 +20,7 @@ from fg_orient.quality.camera import ImageCofactors, inseparable
 from fg_orient.quality.reliability import ALPHA, CHECKABLE, POWER, noncentrality
 from fg_orient.quality.significance import camera_significance
 from fg_orient.report.tables import correlations
+from fg_orient.result.plain import rows_of
 from fg_orient.result.statistics import search_record
 from fg_orient.result.summary import robust_record
 
@@ -70,7 +71,7 @@ def bundle_record(
         "loss": options.loss, "robust": robust_record(solution), "snooping": search_record(solution),
         "variance_components": None if solution.components is None else solution.components.as_dict(),
         "distortion": _distortion(result, table, which),
-        "observations": job.rows({"what": result.others, "redundancy": free, "w": w}),
+        "observations": rows_of({"what": result.others, "redundancy": free, "w": w}),
         "check": _check(result, check), "reliability": {
             "redundancy_of_images": r.sum(), "mean": r.mean(), "least": r.min(), "alpha": ALPHA, "power": POWER,
             "limit_of_checkable": CHECKABLE, "n_not_checkable": (r < CHECKABLE).any(axis=1).sum(),
@@ -143,7 +144,7 @@ def _points(result: BundleResult, known: Known, of: Index, check: Mapping[str, A
     given = np.array([known[i][0] if i in known else check.get(i, np.full(3, np.nan)) for i in result.ids])
     role = ["control" if i in known else "check" if i in check else "new" for i in result.ids]
     places = job.point_columns(result.points_m, result.sigma_m, result.point_cofactors, result.m0)
-    return job.rows({"id": result.ids, "role": role, **places, "difference_{}_m": result.points_m - given,
+    return rows_of({"id": result.ids, "role": role, **places, "difference_{}_m": result.points_m - given,
                      "rays": rays, "misfit": misfit})  # fmt: skip
 
 
@@ -158,7 +159,7 @@ def _residuals(result: BundleResult, table: files.Observed, unit: float) -> list
     if robust:
         own, detectable = np.full_like(own, np.nan), np.full_like(own, np.nan)
     weights = {"weight": result.weights} if robust or options.snoop else {}
-    return job.rows({
+    return rows_of({
         "photo": table.photos, "id": table.ids, "{}": table.image, "residual_{}": result.residuals, "sigma_{}": sigma,
         "redundancy_{}": result.redundancy_numbers, "w_{}": own, "mdb_{}": detectable, **weights,
     })  # fmt: skip

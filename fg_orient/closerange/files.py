@@ -95,6 +95,21 @@ def read_ground_points(path: Path, sigma_m: float | None = None) -> Observed:
     return _read(path, [("id", *GROUND, *own) for own in ((), SIGMA_GROUND)], sigma_m)
 
 
+def read_model_points(path: Path) -> tuple[tuple[str, ...], Array]:
+    """Ids and coordinates (n, 3) of a model of any unit: id, x, y, z; optional distance, which is not used.
+
+    Raises
+    ------
+    InputError
+        All errors of the file.
+    """
+    table = require_table(path, [("id", "x", "y", "z", *own) for own in ((), ("distance",))])
+    model, ids = _numbers(table, ("x", "y", "z")), table.cells["id"]
+    table.refuse_repeated(ids, "rectify.id_twice", "id", value=lambda row: row.cells["id"])
+    table.require_valid()
+    return tuple(ids), model
+
+
 def _read(path: Path, layouts: list[tuple[str, ...]], default: float | None) -> Observed:
     table = require_table(path, layouts)
     columns, names = table.columns, [own for own in (SIGMA_IMAGE, SIGMA_GROUND) if own[0] in table.columns]

@@ -15,7 +15,6 @@ from typing import Any, Final
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.closerange.job import rows
 from fg_orient.closerange.photo import Photo, PhotoInterior, photo_text
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
 from fg_orient.formats.exchange.convert import require_usable
@@ -23,7 +22,7 @@ from fg_orient.formats.exchange.photomodeler import read_centres, read_control
 from fg_orient.formats.frame_model import FrameModel
 from fg_orient.formats.registry import Settings, format_named
 from fg_orient.model.errors import InputError, as_record, finding
-from fg_orient.result.plain import plain, write_records
+from fg_orient.result.plain import plain, rows_of, write_records
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL
 from fg_orient.sensors.interior import Interior as FrameInterior
 
@@ -92,7 +91,7 @@ def run_import(
     with staged_folder(out, overwrite=overwrite, contents=CONTENTS) as folder, writing(out):
         (folder / "photos.toml").write_text("schema = 1\n\n" + "\n".join(photos), encoding="utf-8")
         for name, columns in tables.items():
-            write_records(folder / name, plain(rows(columns)))
+            write_records(folder / name, plain(rows_of(columns)))
     return {
         "kind": "import", "format": source, "photos": len(model.poses), "points": len(np.unique(model.point)),
         "image_points": len(model.point), "control": len(ids), "stations": len(centres), "shift_m": shift.tolist(),

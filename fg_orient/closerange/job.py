@@ -28,7 +28,7 @@ from fg_orient.formats.closerange import read_photos
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.errors import Finding, InputError, as_record, finding
 from fg_orient.model.installation import stamp
-from fg_orient.result.plain import dumps, of_axes, plain, write_records
+from fg_orient.result.plain import dumps, plain, rows_of, write_records
 
 Record = dict[str, Any]
 T = TypeVar("T")
@@ -134,10 +134,10 @@ def run_intersect(path: Path, photos: Path, options: ImageOptions, output: Outpu
     record = {
         "kind": "intersection", "weights": table.weights, "m0": result.m0, "redundancy": result.redundancy,
         "iterations": result.iterations,
-        "points": rows({"id": ids, **point_columns(result.points_m, result.sigma_m, result.cofactors, result.m0),
+        "points": rows_of({"id": ids, **point_columns(result.points_m, result.sigma_m, result.cofactors, result.m0),
                         "rays": rays, "misfit": misfit}),
-        "residuals": rows({"photo": table.photos, "id": table.ids, "{}": table.image, "residual_{}": result.residuals,
-                           **sigma}),
+        "residuals": rows_of({"photo": table.photos, "id": table.ids, "{}": table.image,
+                              "residual_{}": result.residuals, **sigma}),
         "stations": [{"photo": n, "exterior": {"centre_m": known[n].origin_m}} for n in names if n in known],
         **as_record(no_redundancy(result.m0)),
     }  # fmt: skip
@@ -169,7 +169,7 @@ def run_surface(
         "condition": fit.condition, "iterations": fit.iterations, "rms_m": fit.rms_m,
         "rms_deviation_m": plain_rms(fit.deviations_m),
         "parameters": parameters(fit.names, fit.values, fit.sigma),
-        "points": rows({"id": table.ids, "{}_m": table.ground, "deviation_{}_m": fit.deviations_m,
+        "points": rows_of({"id": table.ids, "{}_m": table.ground, "deviation_{}_m": fit.deviations_m,
                         "distance_m": fit.distances_m, **ratio}),
         **as_record(no_redundancy(fit.m0)),
     }  # fmt: skip
@@ -211,7 +211,7 @@ def _each_photo(
                 raise InputError(*(replace(p, place=f"{of}{p.place}".rstrip(", ")) for p in error.problems)) from None
             residual, check = photo.project(table.ground[mine]) - table.image[mine], table.check[mine]
             sigmas = {} if table.sigma is None else {"sigma_{}": table.sigma[mine]}
-            points = rows({
+            points = rows_of({
                 "id": [table.ids[k] for k in mine], "role": np.where(check, "check", "control"),
                 "residual_{}": residual, "{}": table.image[mine], "{}_m": table.ground[mine], **sigmas,
             })  # fmt: skip
@@ -252,17 +252,9 @@ def exterior_record(rotation: Array, centre: Array, turns: Any, sigma: Any) -> R
     }  # fmt: skip
 
 
-def rows(columns: Mapping[str, Any]) -> list[Record]:
-    """Records of columns of n values; "{}" in a name: an array (n, k) with the axes x, y, z in its place."""
-    flat: dict[str, Any] = {}
-    for name, values in columns.items():
-        flat |= of_axes(name, "xyz"[: values.shape[1]], values) if "{}" in name else {name: values}
-    return [dict(zip(flat, row, strict=True)) for row in zip(*flat.values(), strict=True)]
-
-
 def parameters(names: Sequence[str], values: Array, sigma: Array | None) -> list[Record]:
     """Values (k,) with standard deviations, None without redundancy."""
-    return rows({"name": names, "value": values, "sigma": [None] * len(names) if sigma is None else sigma})
+    return rows_of({"name": names, "value": values, "sigma": [None] * len(names) if sigma is None else sigma})
 
 
 def point_columns(points_m: Array, sigma_m: Array | None, cofactors: Array, m0: float | None) -> Record:

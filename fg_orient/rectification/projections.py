@@ -12,6 +12,7 @@ preferred direction).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import TYPE_CHECKING, Final
 
@@ -163,6 +164,30 @@ def space_oblique_mercator(satellite: int, path: int, *, ellipsoid: str = "clrk6
         raise InputError.of("options.value", place="Landsat, path", value=f"{satellite}, {path}",
                             expected="Landsat 1 to 3 and path 1 to 251, or 4 and 5 and path 1 to 233")  # fmt: skip
     return f"+proj=lsat +lsat={satellite} +path={path} +ellps={ellipsoid}"
+
+
+def find_projection(text: str) -> str:
+    """Definition of a projection by its short name, or a definition of PROJ or EPSG as it is.
+
+    Short names are ``utm:36``, ``utm:36S``, ``gauss-krueger:30`` (central meridian), ``lambert-cylindrical:R`` and
+    ``lambert-polar:R`` (radius, m) and ``som:5,180`` (Landsat, path). InputError for anything else.
+    """
+    name, colon, rest = text.partition(":")
+    south = rest[-1:] in ("S", "s")
+    makers: dict[str, Callable[[], str]] = {
+        "utm": lambda: utm(int(rest[:-1] if south else rest), south=south),
+        "gauss-krueger": lambda: gauss_krueger(float(rest)),
+        "lambert-cylindrical": lambda: lambert_cylindrical(float(rest)),
+        "lambert-polar": lambda: lambert_polar(float(rest)),
+        "som": lambda: space_oblique_mercator(*map(int, rest.split(","))),
+    }  # fmt: skip
+    if colon and name in makers:
+        try:
+            return makers[name]()
+        except (TypeError, ValueError):
+            raise InputError.of("rectify.projection", value=text) from None
+    _proj(text)
+    return text
 
 
 def project(definition: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:

@@ -104,6 +104,14 @@ def of_axes(name: str, axes: Iterable[str], values: Array) -> dict[str, Array]:
     return {name.format(axis): column for axis, column in zip(axes, values.T, strict=True)}
 
 
+def rows_of(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Records of columns of n values; "{}" in a name: an array (n, k) with the axes x, y, z in its place."""
+    flat: dict[str, Any] = {}
+    for name, values in columns.items():
+        flat |= of_axes(name, "xyz"[: values.shape[1]], values) if "{}" in name else {name: values}
+    return [dict(zip(flat, row, strict=True)) for row in zip(*flat.values(), strict=True)]
+
+
 def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write a table of rows."""
     table_of_rows(names, rows).write(path)

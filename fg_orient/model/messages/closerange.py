@@ -99,6 +99,10 @@ closerange.not_oriented: the photo is not oriented
     -> give rotation, centre_m and focal, or matrix and origin_m: closerange dlt and resect write them
 closerange.no_photo: the file has no such photo
     -> photos in it: {known}
+closerange.two_photos: a relative orientation needs exactly two photos
+    -> give a table with the image points of two photos
+closerange.equal_sigmas: a relative orientation needs equal standard deviations of all image coordinates
+    -> leave the columns out and give <sigma>
 closerange.station_twice: the photo has two stations
     -> give each photo one row
 closerange.no_model: the format holds no cameras and poses

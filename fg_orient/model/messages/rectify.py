@@ -64,6 +64,14 @@ rectify.outline: an outline needs three or more vertices (n, 2), finite, not on 
     -> check the vertices
 rectify.projection: PROJ has no such projection
     -> write it as PROJ does: +proj=tmerc +lon_0=27 ...
+rectify.projected: plane coordinates are projected already
+    -> leave <projection> out, or give lon_deg and lat_deg
+rectify.unprojected: pixels are counted in a plane
+    -> give <projection> for the coordinates lon_deg and lat_deg
+rectify.detector: a detector needs valid grey values that differ
+    -> check the number of detectors and the mask
+rectify.dark: a dark object needs {least} pixels
+    -> take fewer pixels, or a larger image
 rectify.outside: this point lies outside the domain of the projection
     -> check longitude and latitude
 rectify.saved: this is not a transformation written by rectify fit
