@@ -15,6 +15,7 @@ _HOME = names_of(__name__, {
     "outliers": "PointTests point_tests",
     "points": "MapPoints PointFit fit_points read_map_points",
     "projections": "perimeter_m planar_area_m2",
+    "radiometry": "ClassificationErrors classification_errors destripe subtract_dark_object",
     "standards": "check_accuracy nmas_limit_m nssda_m",
     "transformation": "Transformation find_model read_transformation",
     "grid": "MapGrid",
