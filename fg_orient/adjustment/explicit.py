@@ -23,6 +23,7 @@ from fg_orient.adjustment.constraint_rows import ConstraintObservation, figure_r
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.loop import Step, share_at_radius
 from fg_orient.adjustment.native import NativeObservation
+from fg_orient.adjustment.penalty import needs_rows
 from fg_orient.adjustment.point_groups import vector_names, vector_parts
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust, squares, weighted_problem, weights_at
@@ -271,7 +272,7 @@ class ExplicitBackend:
         self.figure_keys = list(map(figure_key, self.figures))
         self.graph = self._built(problem)
         # without priors the normal equations may be too ill-conditioned for Cholesky; their rank is known
-        self.use_qr = not problem.block.options.priors
+        self.use_qr = not problem.block.options.priors or needs_rows(problem)
         self._points = [int(j) for j in np.flatnonzero(problem.active)]
         self.ordering = gtsam.Ordering()
         for j in self._points:

@@ -19,6 +19,7 @@ from factors.arrays import Array
 from factors.conditions.control import POINT
 from factors.geometry import ellipsoid
 from fg_orient import geodesy
+from fg_orient.adjustment.regularised import Regularisation
 from fg_orient.adjustment.rows import (
     computed_by,
     image_models,
@@ -92,6 +93,8 @@ class Problem:
         Points that are unknowns; unknown points with control-point equations.
     control_records : (N, 12) array
         Record of the control-point equation, rows of observed points.
+    regularisation : Regularisation, optional
+        Regularisation whose penalties are among the extra observations.
     """
 
     block: Block
@@ -103,6 +106,7 @@ class Problem:
     active: npt.NDArray[np.bool_]
     observed: npt.NDArray[np.bool_]
     control_records: Array
+    regularisation: Regularisation | None = None
 
     @property
     def n_images(self) -> int:

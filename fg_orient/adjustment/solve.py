@@ -36,6 +36,7 @@ from fg_orient.adjustment.loop import (
     IterationRecord,
     LoopResult,
 )
+from fg_orient.adjustment.penalty import needs_rows
 from fg_orient.adjustment.problem import Problem, State, no_point_is_named
 from fg_orient.adjustment.reduced_choice import is_wide
 from fg_orient.adjustment.resection import METHODS, resection_start
@@ -174,9 +175,12 @@ def eliminates_points(problem: Problem) -> bool:
     """Whether the graph eliminates points inside its factors; else it has one factor for each image point.
 
     Without priors the normal equations may be too ill-conditioned for it: GTSAM's QR of the rows does not square the
-    condition. A free or an inner datum holds what control would. Under a loss the rays of points that extra
-    observations name would need weights of their own.
+    condition. A regularisation bounds the condition, unless its rank counts small singular values. A free or an inner
+    datum holds what control would. Under a loss the rays of points that extra observations name would need weights of
+    their own.
     """
+    if needs_rows(problem):
+        return False
     points = int(np.count_nonzero(np.bincount(problem.observations.point)))
     all_of_them = no_point_is_named(problem.block)
     return points_are_eliminated(problem.block.options, all_of_them, len(problem.named_points()) < points)
@@ -184,7 +188,7 @@ def eliminates_points(problem: Problem) -> bool:
 
 def points_are_eliminated(options: Options, all_of_them: bool, some: bool) -> bool:
     """See :func:`eliminates_points`; ``all_of_them``, ``some``: extra observations name no point, not every point."""
-    if not (options.priors or options.datum in ("free", "inner")):
+    if not (options.holds_unknowns or options.datum in ("free", "inner")):
         return False
     return all_of_them or (options.loss == NONE and some)
 

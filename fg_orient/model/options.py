@@ -19,6 +19,9 @@ RobustScale = Literal["prior", "mad"]
 SnoopKind = Literal["groups", "points"]
 OutlierTest = Literal["baarda", "pope", "t"]
 StatisticsChoice = Literal["auto", "full", "basic"]
+Regularisation = Literal["none", "tikhonov", "truncated", "minimum_norm"]
+PenaltyKind = Literal["deviation", "gradient", "laplace"]
+RegularisedUnits = Literal["prior_sigmas", "raw", "columns"]
 MultipleTesting = Literal["none", "bonferroni", "sidak", "holm", "benjamini_hochberg"]
 
 #: Longest extrapolation of attitudes, s: a rate that is wrong by 1e-6 rad/s gives an error of 5 m on the ground.
@@ -29,6 +32,7 @@ USUAL_GROUPS: Final = ("image", "position", "height")
 UNKNOWNS: Final = Group("Unknowns of the images", "orientation", "concepts.md")
 PRIORS: Final = Group("Prior standard deviations", "orientation")
 ADJUSTMENT: Final = Group("Adjustment", "adjustment")
+REGULARISATION: Final = Group("Regularisation", "adjustment", "regularisation.md")
 ROBUST: Final = Group("Robust adjustment", "adjustment", "robust.md")
 TESTS: Final = Group("Gross errors and statistics", "adjustment", "outliers.md")
 RESULTS: Final = Group("Result folder", "adjustment", "results.md")
@@ -121,6 +125,44 @@ class Options(Checked):
         "gauss-newton", ADJUSTMENT,
         "Optimiser: GTSAM's own with the graph backend, ours with the others.",
         recorded=True,
+    )
+    regularisation: Regularisation = option(
+        "none", REGULARISATION,
+        "Treatment of image unknowns that the observations determine badly, on all backends. tikhonov: kappa times the "
+        "squared penalty is added; truncated: directions with a squared singular value below kappa stay at the "
+        "metadata; minimum_norm: directions below `rank_cut` stay there.",
+        recorded=True,
+    )
+    kappa: float | None = option(
+        None, REGULARISATION,
+        "Regularisation parameter: weight of the squared penalty, with one prior sigma as unit.",
+        left_out="the parameter of `kappa_rule`",
+    )
+    kappa_rule: str = option(
+        "bayes", REGULARISATION,
+        "Rule for kappa at the start values, which is then held. bayes: 1, one prior sigma; others are l_curve, gcv, "
+        "discrepancy, quasi_optimality, hkb, lw, maximum, od, creso and zero_crossing.",
+        such="gcv",
+    )
+    penalty: PenaltyKind = option(
+        "deviation", REGULARISATION,
+        "Penalty L x of Tikhonov's method. deviation: all image unknowns, in `regularised_units`; gradient, laplace: "
+        "first or second derivative of each correction function of an image at equal times, in prior sigmas.",
+    )
+    penalty_deviation: bool = option(
+        False, REGULARISATION,
+        "Add the deviation of all unknowns to another penalty, which may leave some of them undetermined.",
+    )
+    rank_cut: float = option(
+        1e-9, REGULARISATION,
+        "Singular values up to this share of the largest are not counted in the rank. Without a gap of 100 around the "
+        "cut the rank is ambiguous, which the result reports as a doubt.",
+        below=1.0,
+    )
+    regularised_units: RegularisedUnits = option(
+        "prior_sigmas", REGULARISATION,
+        "Units of the norm of the deviation and of the singular values. prior_sigmas: prior standard deviations, used "
+        "as units only; raw: m, m/s, rad, px; columns: columns of the reduced Jacobian have length 1.",
     )
     loss: str = option(
         "none", ROBUST,
@@ -232,6 +274,11 @@ class Options(Checked):
         unit="GB", spelled="memory-limit-gb", left_out="80 % of the available memory", iterates=False,
     )
     # fmt: on
+
+    @property
+    def holds_unknowns(self) -> bool:
+        """Whether priors or a regularisation hold what the observations do not determine."""
+        return self.priors or self.regularisation != "none"
 
 
 @documented

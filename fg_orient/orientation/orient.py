@@ -30,7 +30,7 @@ from fg_orient.orientation.camera_direction import with_direction
 from fg_orient.orientation.conclusion import cofactors_at, conclude
 from fg_orient.orientation.confirmation import confirmed
 from fg_orient.orientation.solution import Solution
-from fg_orient.quality import doubts, vendor_datum, verdict
+from fg_orient.quality import doubts, regularisation, vendor_datum, verdict
 from fg_orient.quality.deficiency import compiled_problem, judge_observability, refuse_deficient, require_determined
 from fg_orient.quality.free_network import (
     held_unknowns,
@@ -144,6 +144,7 @@ def adjust(
     require_possible(block.options)
     doubts.require_acceptances(block.options.accept)
     block = vendor_datum.with_datum(block)
+    regularisation.require_possible(block)
     if callable(optimizer):
         wanted = {
             "snoop": block.options.snoop, "variance_components": block.options.variance_components, "parts": parts,
@@ -168,7 +169,8 @@ def adjust(
 
         return adjust_with_components(block, run.once, begin)
 
-    several = block.options.variance_components or block.options.datum in ("inner", "vendor") or has_constraints(block)
+    special = block.options.datum in ("inner", "vendor") or block.options.regularisation != "none"
+    several = block.options.variance_components or special or has_constraints(block)
 
     def next_round(block: Block, begin: State, like: Problem) -> AdjustmentResult:
         return runner(block, begin) if several else run.again(block, like, begin)
@@ -208,6 +210,7 @@ def _compiled(
     if inner and block_view.null is not None:
         compiled = with_minimal_datum(compiled, block_view.null)
     held = vendor_datum.with_vendor_datum(compiled) if block.options.datum == "vendor" else compiled
+    held = regularisation.with_regularisation(held)
     return_memory(len(compiled.observations))
     return held, observability, block_view, working_clock() - start
 

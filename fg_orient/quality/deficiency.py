@@ -1,7 +1,8 @@
-"""Undetermined unknowns, detected before the adjustment: reported if priors hold them, refused otherwise.
+"""Undetermined unknowns, detected before the adjustment: reported if something holds them, refused otherwise.
 
-The order of the checks is that of the remedies: unknowns with too few observations (structure), physically unobservable
-directions of an image, motions of the block that no control point fixes, other directions.
+Priors or a regularisation hold unknowns. The order of the checks is that of the remedies: unknowns with too few
+observations (structure), physically unobservable directions of an image, motions of the block that no control point
+fixes, other directions.
 """
 
 from __future__ import annotations
@@ -115,14 +116,14 @@ def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability,
     _refuse(compiled, observability, _structural(compiled, structure, observability))
     with one_blas_thread():
         view = _view(compiled, structure)
-    if not compiled.block.options.priors:
+    if not compiled.block.options.holds_unknowns:
         _refuse(compiled, observability, _numerical(compiled, view), view)
     return view
 
 
 def require_determined(compiled: Problem) -> None:
     """Refuse the same blocks as :func:`refuse_deficient`; with priors only the structure is analysed."""
-    if compiled.block.options.priors:
+    if compiled.block.options.holds_unknowns:
         _refuse(compiled, (), _structural(compiled, analyse_structure(compiled), ()))
     else:
         refuse_deficient(compiled, judge_observability(compiled))
@@ -130,7 +131,7 @@ def require_determined(compiled: Problem) -> None:
 
 def _view(compiled: Problem, structure: Structure) -> BlockObservability:
     """The whole block if its size allows it or it has no priors, otherwise its motions only."""
-    if not compiled.block.options.priors or affordable(compiled):
+    if not compiled.block.options.holds_unknowns or affordable(compiled):
         return analyse_block(compiled, structure)
     return analyse_block(_thinned(compiled), structure, whole=False)
 
@@ -151,7 +152,7 @@ def _structural(
     floating = compiled.least_damping > 0.0 and compiled.redundancy >= 0
     lacks = () if floating else structure.lacks
     out = [finding("statistics.too_few", place=lack.sentence, remedy=lack.remedy) for lack in lacks]
-    if compiled.block.options.priors:
+    if compiled.block.options.holds_unknowns:
         return out
     seen = [o for o in observability if lacks == () or o.rank_defect < len(o.singular_values)]
     sentences = [sentence for o in seen for sentence in o.sentences]

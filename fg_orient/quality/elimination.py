@@ -14,7 +14,7 @@ follow the unknowns of the images.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 from typing import Final
@@ -25,9 +25,11 @@ from factors.arrays import Array, Index
 from factors.conditions.control import POINT
 from fg_orient.adjustment.border_matrix import triangle
 from fg_orient.adjustment.dense import extra_blocks
+from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, LinearSystem, Rest
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.rows import Rows
+from fg_orient.adjustment.rows import Rows, linearised
 from fg_orient.adjustment.runtime import one_blas_thread
+from fg_orient.model.errors import InputError
 
 #: Singular values of whitened Jacobians in prior sigmas up to this limit: the direction is unobservable.
 UNOBSERVABLE: Final = 1e-5
@@ -203,18 +205,52 @@ def reduced_rows(problem: Problem, rows: Rows, state: State | None = None) -> Ar
         Include the extra observations at this state. The points that they name are eliminated at the end, by a QR with
         pivoting: these points need not be determined.
     """
+    return _reduced(problem, rows, state, None)
+
+
+def reduced_system(problem: Problem, state: State) -> LinearSystem:
+    """Equations ``A x = l`` of a step of all image unknowns (shared ones once) without priors, points eliminated.
+
+    A is the triangle of the compressed rows; ``rest`` holds the number and the squares of all other reduced rows, of
+    which there are as many as observations minus coordinates of unknown points. InputError: too many unknowns.
+    """
+    z, rows = problem.n_free_unknowns, linearised(problem, state)
+    if z > MAX_UNKNOWNS:
+        raise InputError.of("linear.too_large", place="N", value=z, limit=MAX_UNKNOWNS)
+    extras = [extra_blocks(problem, extra, state, jacobian=False)[0] for extra in problem.block.extra]
+    residual = np.concatenate([rows.residual.ravel(), control_residuals(problem, state).ravel(), *extras])
+    root = triangle(_reduced(problem, rows, state, residual))
+    root = np.vstack([root, np.zeros((max(0, z + 1 - len(root)), z + 1))])
+    n = len(residual) - 3 * int(problem.active.sum())
+    return LinearSystem.from_design(root[:z, :z], -root[:z, z], Rest(max(n - z, 0), float(np.sum(root[z:, z] ** 2))))
+
+
+def _reduced(problem: Problem, rows: Rows, state: State | None, residual: Array | None) -> Array:
+    """Rows (q, z) of :func:`reduced_rows`; the residuals (n,) of all rows, if given, are a further column."""
     named = [] if state is None else problem.named_points()
-    z, extra = problem.n_free_unknowns, () if state is None else extra_rows(problem, state, named)
+    begin = 2 * len(problem.observations) + 3 * int(problem.observed.sum())
+    z, extra = problem.n_free_unknowns, () if state is None else extra_rows(problem, state, named, begin)
+    parts, width = chain(eliminated_points(problem, rows, named), extra), z + 3 * len(named)
     with one_blas_thread():
-        out = _compressed(chain(eliminated_points(problem, rows, named), extra), z + 3 * len(named))
+        if residual is None:
+            out = _compressed(parts, width)
+        else:
+            out = _compressed((_with_residual(part, residual, width) for part in parts), width + 1)
         if named:
             from scipy.linalg import qr
 
-            q, r = qr(out[:, z:], pivoting=True)[:2]
+            q, r = qr(out[:, z:width], pivoting=True)[:2]
             size = np.abs(np.diag(r))
             rank = int((size > size[0] * np.finfo(float).eps * len(out)).sum())
-            out = np.asarray(q[:, rank:].T @ out[:, :z])
+            out = np.asarray(q[:, rank:].T @ np.delete(out, np.s_[z:width], axis=1))
     return out
+
+
+def _with_residual(part: PointRows, residual: Array, column: int) -> PointRows:
+    """Reduced rows with their residuals in a further column."""
+    own = np.swapaxes(part.basis, 1, 2) @ residual[part.rows][:, :, None]
+    columns = np.hstack([part.columns, np.full((len(part.columns), 1), column)])
+    return replace(part, columns=columns, reduced=np.concatenate([part.reduced, own], axis=2))
 
 
 def _compressed(parts: Iterable[PointRows], width: int) -> Array:

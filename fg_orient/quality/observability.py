@@ -371,7 +371,9 @@ def _unobservable_sentences(
 def _motion_sentences(m: FreeMotions, problem: Problem, *, alone: bool) -> list[str]:
     """One sentence per free motion of a part of the block."""
     who = "block: the images" if alone else f"block: images {named(m.images)}"
-    otherwise = "the priors alone hold it" if problem.block.options.priors else "nothing else holds it"
+    options = problem.block.options
+    holder = "the priors alone hold it" if options.priors else "the regularisation alone holds it"
+    otherwise = holder if options.holds_unknowns else "nothing else holds it"
     return [
         f"{who} may be {words}: {_control_words(m)}; {SHIFT_M:g} m change the residuals by {felt:.1g} of their sigma "
         f"(root mean square), "

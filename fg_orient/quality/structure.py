@@ -94,12 +94,12 @@ def of_ids(noun: str, ids: list[str] | tuple[str, ...]) -> str:
 
 
 def _needs(problem: Problem) -> tuple[Index, Index]:
-    """Observations that each image (M,) and each ground point (N,) needs in addition to priors and its coordinates.
+    """Observations that each image (M,) and each ground point (N,) needs beside priors, penalties and coordinates.
 
     Shared unknowns of images are not counted, so the defect is a lower bound; the singular values include them.
     """
     own = np.array([int(p.own.sum()) for p in problem.parameters])
-    images = own * (0 if problem.block.options.priors else 1)
+    images = own * (0 if problem.block.options.holds_unknowns else 1)
     return images.astype(np.intp), np.where(problem.active & ~problem.observed, 3, 0).astype(np.intp)
 
 

@@ -22,15 +22,15 @@ with ``x ~ N(0, 1)`` in prior sigmas, is added where a position is compared with
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.linalg import eigh
 
-from factors._contract import Argument, Equation
 from factors.arrays import Array, Index
 from fg_orient.adjustment.border import Border, small_enough
 from fg_orient.adjustment.constraint_rows import ConstraintObservation
+from fg_orient.adjustment.penalty import held_rows
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.runtime import one_blas_thread
@@ -177,23 +177,5 @@ def _named_that_follow(border: Border) -> Array:
 
 def _observation(problem: Problem, rows: Array) -> HeldDatum:
     """Observation of the rows (h, z) of the free unknowns, which shall be zero."""
-    wide = rows
-    if problem.ties is not None:  # a shared unknown is read from the first image that has it
-        wide = np.zeros((len(rows), problem.n_image_unknowns))
-        wide[:, problem.ties.place] = rows
-    images = [k for k in range(problem.n_images) if len(problem.parameters[k])]
-
-    def residual(_record: Any, setup: Any, *x: Any) -> Any:
-        return setup @ np.concatenate(x)
-
-    def kernel(record: Array, setup: Array, *x: Any) -> tuple[Array, ...]:
-        *values, want = x
-        ends = np.cumsum([len(v) for v in values])[:-1]
-        return residual(record, setup, *values), *(np.split(setup, ends, axis=1) if want else ())
-
-    arguments = tuple(Argument(f"x{k}", "prior sigma") for k in images)
-    equation = Equation("vendor_datum", kernel, residual, arguments, "inner constraints on images, Koch 1999, 1.5")
-    return HeldDatum(
-        equation, tuple(f"image:{problem.block.images[k].id}" for k in images), np.zeros(0), wide, len(rows),
-        "directions held at the metadata",
-    )  # fmt: skip
+    equation, unknowns, setup = held_rows(problem, rows, "vendor_datum", "inner constraints on images, Koch 1999, 1.5")
+    return HeldDatum(equation, unknowns, np.zeros(0), setup, len(rows), "directions held at the metadata")

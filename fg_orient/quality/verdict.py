@@ -30,7 +30,7 @@ from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.distributions import chi_square_interval
 from fg_orient.model.errors import DECISIVE, Finding, finding
 from fg_orient.model.names import Role, Status
-from fg_orient.quality import conditioning, vendor_datum
+from fg_orient.quality import conditioning, regularisation, vendor_datum
 from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy
 from fg_orient.quality.doubts import with_accepted
 from fg_orient.quality.observability import BlockObservability, ImageObservability
@@ -89,7 +89,7 @@ def _doubt(problem: Problem, estimate: Estimate, unavailable: tuple[Finding, ...
     if problem.least_damping > 0.0:
         return finding("verdict.free_datum")
     plain = weights is None or are_information(options.loss, weights)
-    if unavailable and plain and not options.priors and options.datum != "inner":
+    if unavailable and plain and not options.holds_unknowns and options.datum != "inner":
         return finding("verdict.weak_control")
     if f > 0 and weights is not None:
         return _doubt_of_weights(problem, weights)
@@ -180,7 +180,7 @@ def findings(
     if f > 0 and np.sqrt(estimate.chi2 / f) < verdict.interval[0]:
         out.append(finding("solution.sigmas_large", limit=verdict.interval[0]))
     if block is not None:
-        if block.weak and not problem.block.options.priors:
+        if block.weak and not problem.block.options.holds_unknowns:
             out.append(finding("solution.weak_directions", n=block.weak))
         if block.relative:
             axes = ", ".join(problem.axis_names)
@@ -189,10 +189,11 @@ def findings(
         held = vendor_datum.of_problem(problem)
         out += [held.finding()] if held is not None else []
         out += block.deficiencies(problem)
-    out += conditioning.findings(problem, estimate)
+    out += [*regularisation.findings(problem), *conditioning.findings(problem, estimate)]
     dead = sum(o.rank_defect for o in observability)
     if dead:
-        out.append(finding("solution.unobservable", n=dead))
+        holder = "their priors" if problem.block.options.priors else "the regularisation"
+        out.append(finding("solution.unobservable", n=dead, holder=holder))
         named = [o for o in observability if o.rank_defect][:NAMED]
         out += [finding("solution.unobservable_image", image=o.image, summary=o.summary) for o in named]
     if any(name.startswith("psi_") for p in problem.parameters for name in p.names):

@@ -128,7 +128,8 @@ def test_rank_deficient_is_exit_3_with_a_report_and_no_coordinates(run: Any, twi
     assert page.count('<path class="control"') - 1 == points.words["role"].count("control") > 0
     values = re.findall(r'class="series-\d" d="([^"]*)"', page)
     assert page.count('<path class="foot"') == 2 and sum(path.count("M") for path in values) == 2 * 27
-    for words in ("Nothing was adjusted: 18 unknowns", "What to do: keep the priors or choose a smaller EOP set.",
+    remedy = "keep the priors, choose a smaller EOP set, or add option regularisation tikhonov"
+    for words in ("Nothing was adjusted: 18 unknowns", f"What to do: {remedy}.",
                   *(f"<li>{sentence}</li>" for sentence in record["unobservable"])):  # fmt: skip
         assert words in page
     assert not [v for n, v in structure(out / "report.html").attributes if v.startswith("http")]
@@ -160,7 +161,7 @@ def test_rank_deficient_for_people(run: Any, twin: Path) -> None:
     assert "velocity across track acts as yaw" in ended.stderr
     (line,) = ended.stderr.splitlines()
     assert line.startswith("error: image left: velocity along track (constant) acts on nothing | radial velocity")
-    assert "| and 15 more (--json has all): not observable without priors; keep the priors or" in line
+    assert "| and 15 more (--json has all): not observable without priors; keep the priors, " in line
 
 
 @pytest.mark.behaviour
@@ -174,7 +175,9 @@ def test_directions_without_control_points_are_one_line(run: Any, twin: Path) ->
     assert line.startswith("error: block: no control point fixes this combination (in prior sigmas): ")
     assert line.count(" | ") == 3 and line.count("this combination") == 1 and "the control points" not in line
     assert " more (--json has all): not observable without priors, and the block has no control point; " in line
-    assert line.endswith('keep the priors: datum = "priors"; or choose a smaller EOP set')
+    assert line.endswith(
+        'keep the priors: datum = "priors"; or choose a smaller EOP set, or add --regularisation tikhonov'
+    )
     record = run("adjust", twin, "--datum", "inner", "--no-priors", "--overwrite", "--json").json
     assert len(record["unobservable"]) == len(record["errors"]) > 5
     # each image alone is determined at fixed ground points: only the spectrum of the whole block shows what is missing

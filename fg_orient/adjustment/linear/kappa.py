@@ -177,7 +177,7 @@ def unit_variance(system: LinearSystem, x: Array) -> float:
     design, observed = system.require_design("s0")
     if system.redundancy <= 0:
         raise InputError.of("linear.redundancy", place="s0", value=f"{len(design)} rows, {len(system)} unknowns")
-    return float(np.sum((design @ x - observed) ** 2)) / system.redundancy
+    return (float(np.sum((design @ x - observed) ** 2)) + system.rest.squares) / system.redundancy
 
 
 @register_kappa_rule("hkb", "HKB", source="Hoerl, Kennard, Baldwin 1975; T(3.5)", published=True)

@@ -53,7 +53,8 @@ class Ridge:
         if values[0] == 0.0:
             raise Breakdown.of("linear.no_kappa", place=f"kappa rule {rule}", value="A = 0")
         beta = left.T @ observed
-        return cls(values, beta, right, float(np.sum((observed - left @ beta) ** 2)), len(design), rule)
+        outside = float(np.sum((observed - left @ beta) ** 2)) + system.rest.squares
+        return cls(values, beta, right, outside, len(design) + system.rest.rows, rule)
 
     @property
     def grid(self) -> Array:
@@ -154,7 +155,7 @@ def regularised_system(system: LinearSystem, kappa: float, penalty: Array | None
         return LinearSystem(normal, system.rhs)
     design = np.vstack([system.design, np.sqrt(kappa) * matrix])
     observed = np.concatenate([system.observed, np.zeros(len(matrix))])
-    return LinearSystem(normal, system.rhs, design, observed)
+    return LinearSystem(normal, system.rhs, design, observed, system.rest)
 
 
 def regularised(

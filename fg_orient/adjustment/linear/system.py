@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,16 @@ class Breakdown(NoSolutionError):
     """A solver failed (pivot 0, radicand not positive ...); ``problems[0]`` contains place and reason."""
 
 
+class Rest(NamedTuple):
+    """Rows of a system that are zero in A after an elimination: their number and the squares of their l."""
+
+    rows: int = 0
+    squares: float = 0.0
+
+
+NO_REST: Final = Rest()
+
+
 @dataclass(frozen=True)
 class LinearSystem:
     """Normal equations, checked.
@@ -44,6 +54,8 @@ class LinearSystem:
         Whitened A with ``N = A^T A``.
     observed : (r,) array, optional
         Whitened l with ``b = A^T l``.
+    rest : Rest
+        Further rows, without unknowns: A is the square root of a reduced system.
 
     Integers are converted to float64.
 
@@ -57,6 +69,7 @@ class LinearSystem:
     rhs: Array
     design: Array | None = None
     observed: Array | None = None
+    rest: Rest = NO_REST
 
     def __post_init__(self) -> None:
         for name, place in (("normal", "N"), ("rhs", "b"), ("design", "A"), ("observed", "l")):
@@ -71,7 +84,7 @@ class LinearSystem:
             check_design(self.design, self.observed, u)
 
     @classmethod
-    def from_design(cls, design: Array, observed: Array) -> LinearSystem:
+    def from_design(cls, design: Array, observed: Array, rest: Rest = NO_REST) -> LinearSystem:
         """Normal equations of ``A x = l`` with unit weights; unusable matrices are refused before N is formed."""
         design, observed = real_numbers(design, "A"), real_numbers(observed, "l")
         if design.ndim == 2 and design.shape[1] > MAX_UNKNOWNS:
@@ -79,7 +92,7 @@ class LinearSystem:
         check_design(design, observed, design.shape[-1] if design.ndim else 0)
         with np.errstate(over="ignore", invalid="ignore"):  # squares that overflow are refused as not finite
             normal, rhs = design.T @ design, design.T @ observed
-        return cls(normal, rhs, design, observed)
+        return cls(normal, rhs, design, observed, rest)
 
     def __len__(self) -> int:
         return len(self.rhs)
@@ -87,7 +100,7 @@ class LinearSystem:
     @property
     def redundancy(self) -> int:
         """Observations minus unknowns; InputError if A is not known."""
-        return len(self.require_design("redundancy")[0]) - len(self)
+        return len(self.require_design("redundancy")[0]) + self.rest.rows - len(self)
 
     def require_design(self, what: str) -> tuple[Array, Array]:
         """A and l; InputError if only N and b are known, with ``what`` as place."""
@@ -197,7 +210,7 @@ def scaled(system: LinearSystem) -> tuple[LinearSystem, Array]:
     """System in unknowns z_i = d_i x_i, whose columns have length 1, and the lengths d (u,)."""
     lengths = column_lengths(system)
     if system.design is not None and system.observed is not None:
-        return LinearSystem.from_design(system.design / lengths, system.observed), lengths
+        return LinearSystem.from_design(system.design / lengths, system.observed, system.rest), lengths
     return LinearSystem(system.normal / np.outer(lengths, lengths), system.rhs / lengths), lengths
 
 

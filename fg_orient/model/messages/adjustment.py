@@ -101,9 +101,32 @@ earlier.singular: the covariance of the earlier result is not positive definite
 adjust.schur: the Schur backend cannot take this block: {value}
     -> choose <backend> graph, or auto
 adjust.rank_deficient: not observable without priors
-    -> keep the priors or choose a smaller EOP set
+    -> keep the priors, choose a smaller EOP set, or add <regularisation> tikhonov
 adjust.rank_without_control: not observable without priors, and the block has no control point
-    -> keep the priors: datum = "priors"; or choose a smaller EOP set
+    -> keep the priors: datum = "priors"; or choose a smaller EOP set, or add <regularisation> tikhonov
+regularise.penalty: only Tikhonov's method has such a penalty
+    -> add <regularisation> tikhonov, or leave the penalty out
+regularise.datum: a regularisation keeps the block at the metadata, so it cannot have this datum
+    -> leave the datum or <regularisation> out
+regularise.condition: the normal equations of this rank have condition {condition:.1e}, above {limit:.0e}, and lose the
+    weakest directions
+    -> choose <backend> graph or dense, or raise <rank_cut>
+regularise.weak (doubt): the rank counts {n} direction(s) in which the observations allow more than
+    {prior_sigmas:.0e} prior sigmas; the unknowns are not usable
+    -> raise <rank_cut>, or choose <regularisation> tikhonov or truncated
+regularise.rank_ambiguous (doubt): the rank {rank} of the {z} image unknowns is ambiguous: the singular values on both
+    sides of the cut {cut:.2g} are {above:.2g} and {below:.2g} of the largest, and a gap of {gap:.0f} is required
+    -> set <rank_cut> to a value inside a gap of the spectrum, or choose <regularisation> tikhonov
+solution.regularised (note): regularised estimate ({method}
+    + , kappa {kappa}
+    + ): {cut} of {z} directions of the image unknowns are held at the metadata. The estimate is biased, and its
+    standard deviations do not contain the bias
+regularise.zero: the observations do not depend on the image unknowns
+    -> check the points and the unknowns
+regularise.common_null: neither the observations nor the penalty determine {n} direction(s) of the image unknowns
+    -> add <penalty_deviation>, choose <penalty> deviation, or keep the priors
+regularise.rule_priors: this rule is not defined beside priors, units or a penalty of this kind
+    -> choose one of {known}, leave the priors out, or give <kappa> a number
 adjust.extra_kind: an extra observation wants the other kind of unknown for its argument {argument}
     -> give a point as "point:12", an image as "image:left", in the order of the equation
 adjust.extra_unused: an extra observation names a point that takes no part in the adjustment
@@ -279,7 +302,7 @@ solution.parts (warning): the block falls into {n} parts that no point links: {p
 solution.singular (warning): the normal equations are ill-conditioned: to working precision they are singular
 solution.ill_conditioned (warning): the normal equations are ill-conditioned (condition {condition:.0e} with scaled
     unknowns, the limit is {limit:.0e}): solvers agree to about {digits} digits of the image unknowns only
-solution.unobservable (warning): {n} orientation direction(s) are not observable and are held by their priors
+solution.unobservable (warning): {n} orientation direction(s) are not observable and are held by {holder}
     alone
 solution.unobservable_image (warning): {summary}
 solution.look_angles (warning): the constant and linear look-angle terms nearly duplicate roll, pitch and yaw: judge

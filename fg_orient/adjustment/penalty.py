@@ -1,0 +1,91 @@
+"""Linear rows of the image unknowns as observations: penalties of a regularisation, directions held at the metadata.
+
+A row r of the total deviation x of the image unknowns from the metadata is the observation ``r x = 0``. Every backend
+adds it like another observation of images: the dense backend as rows, the Schur backend as ``R^T R`` of the reduced
+matrix with the gradient ``R^T R x``, the graph as a factor. All backends therefore solve the same equations. Rows of
+one image are an observation of this image, so that the reduced system stays sparse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from factors._contract import Argument, Equation
+from factors.arrays import Array, Index
+from fg_orient.adjustment.border_matrix import triangle
+from fg_orient.adjustment.problem import Problem
+from fg_orient.model.block import ExtraObservation
+
+#: Condition of the image unknowns with all rows above which normal equations lose the weakest direction: the square of
+#: the condition must stay well below 1e16.
+NORMAL_LIMIT: Final = 1e6
+
+
+@dataclass(frozen=True)
+class Penalty(ExtraObservation):
+    """Rows of a regularisation.
+
+    Parameters
+    ----------
+    condition : float
+        Condition of the image unknowns, in prior sigmas, with all penalties.
+    """
+
+    condition: float = 1.0
+
+
+def needs_rows(problem: Problem) -> bool:
+    """Whether the normal equations of a regularised problem are too ill-conditioned to eliminate the points in them."""
+    return any(isinstance(e, Penalty) and e.condition > NORMAL_LIMIT for e in problem.block.extra)
+
+
+def penalties(problem: Problem, rows: Array, source: str, condition: float) -> tuple[Penalty, ...]:
+    """Rows (k, z) of the free image unknowns as penalties: one per image, and one for rows of several images."""
+    wide, images = _wide(problem, rows), np.repeat(np.arange(problem.n_images), np.diff(problem.first))
+    touched = np.array([(wide[:, images == k] != 0.0).any(axis=1) for k in range(problem.n_images)]).T
+    single, out = touched.sum(axis=1) == 1, []
+    groups = [np.flatnonzero(single & touched[:, k]) for k in range(problem.n_images)]
+    for own in (g for g in [*groups, np.flatnonzero(touched.sum(axis=1) > 1)] if len(g)):
+        of = np.flatnonzero(touched[own].any(axis=0))
+        compressed = triangle(wide[own][:, np.isin(images, of)])  # not more observations than unknowns
+        equation, unknowns, setup = linear_rows(problem, compressed, of, "penalty", source)
+        named = unknowns[0].replace("image:", "image ") if len(of) == 1 else f"{len(of)} images"
+        label = f"penalty of {named}"
+        out.append(Penalty(equation, unknowns, np.zeros(0), setup, len(setup), label, condition))
+    return tuple(out)
+
+
+def held_rows(problem: Problem, rows: Array, name: str, source: str) -> tuple[Equation, tuple[str, ...], Array]:
+    """Equation, names and setup of rows (k, z) of the free unknowns of all images; see :func:`linear_rows`."""
+    images = np.flatnonzero(np.diff(problem.first))
+    return linear_rows(problem, _wide(problem, rows), images, name, source)
+
+
+def linear_rows(
+    problem: Problem, rows: Array, images: Index, name: str, source: str
+) -> tuple[Equation, tuple[str, ...], Array]:
+    """Equation, names of the unknowns and setup of rows (k, w) of these images' unknowns, which shall be zero."""
+
+    def residual(_record: Any, setup: Any, *x: Any) -> Any:
+        return setup @ np.concatenate(x)
+
+    def kernel(record: Array, setup: Array, *x: Any) -> tuple[Array, ...]:
+        *values, want = x
+        ends = np.cumsum([len(v) for v in values])[:-1]
+        return residual(record, setup, *values), *(np.split(setup, ends, axis=1) if want else ())
+
+    arguments = tuple(Argument(f"x{k}", "prior sigma") for k in images.tolist())
+    unknowns = tuple(f"image:{problem.block.images[k].id}" for k in images.tolist())
+    return Equation(name, kernel, residual, arguments, source), unknowns, np.ascontiguousarray(rows)
+
+
+def _wide(problem: Problem, rows: Array) -> Array:
+    """Rows (k, w) of the unknowns of all images; a shared unknown is read from the first image that has it."""
+    if problem.ties is None:
+        return rows
+    wide = np.zeros((len(rows), problem.n_image_unknowns))
+    wide[:, problem.ties.place] = rows
+    return wide

@@ -1,0 +1,61 @@
+"""Record of a regularisation: method, parameter, rank and rows, chosen once at the start values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from factors.arrays import Array
+from fg_orient.adjustment.linear.system import LinearSystem
+
+if TYPE_CHECKING:
+    from fg_orient.adjustment.linear.kappa import KappaChoice
+
+
+@dataclass(frozen=True, eq=False)
+class Regularisation:
+    """Regularisation of a problem.
+
+    Parameters
+    ----------
+    method : str
+        "tikhonov", "truncated" or "minimum_norm".
+    kappa : float or None
+        Regularisation parameter; None for a minimum norm.
+    rule : str
+        Rule that chose kappa, "" if it was given.
+    choice : KappaChoice or None
+        With the curve of the rule and its remarks.
+    singular_values : (z,) array
+        Of the reduced Jacobian in the units of the norm, descending, without priors.
+    rank : int
+        Number of singular values above the cut.
+    gap : float
+        Ratio of the singular values above and below the cut; inf without one below, or if that is zero.
+    cut : int
+        Number of directions that stay at the metadata.
+    units : (z,) array
+        Deviations in the units of the norm are these times deviations in prior sigmas.
+    rows : (k, z) array
+        Penalty R: ``R x = 0`` was added, with x in prior sigmas.
+    null : (z, d) array
+        Orthonormal basis, in the units of the norm, of the directions below the rank cut.
+    standard : LinearSystem
+        The reduced system in standard form, on which the rules of kappa work (penalty |y|^2).
+    condition : float
+        Condition of the reduced Jacobian with priors and penalty.
+    """
+
+    method: str
+    kappa: float | None
+    rule: str
+    choice: KappaChoice | None
+    singular_values: Array
+    rank: int
+    gap: float
+    cut: int
+    units: Array
+    rows: Array
+    null: Array
+    standard: LinearSystem
+    condition: float

@@ -1,0 +1,65 @@
+"""Penalties of the correction functions of images: first and second derivatives.
+
+The coefficients of one component of an image, such as those of roll, are a function of one normalised variable t in
+[-1, 1], line or sample: polynomial coefficients and the curves of ``factors.geometry.polynomials``. The function is
+divided by the prior sigma of its first coefficient. A penalty is the mean square of a derivative at :data:`TIMES` equal
+times, by divided differences, which are exact for quadratics. It never joins components or images, and a constant has
+no penalty.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from factors.arrays import Array
+from factors.geometry import polynomials
+from fg_orient.adjustment.problem import Problem
+from fg_orient.model.parameters import ImageParameters, term_of
+
+#: Times of the derivatives of a function.
+TIMES: Final = 11
+_ORDER: Final = {"gradient": 1, "laplace": 2}
+
+
+def penalty_rows(problem: Problem) -> Array | None:
+    """Rows L (k, z) of the free image unknowns in prior sigmas, by the options; None for the deviation alone."""
+    options = problem.block.options
+    if options.penalty == "deviation":
+        return None
+    order, rows = _ORDER[options.penalty], []
+    for k, parameters in enumerate(problem.parameters):
+        own = image_penalty(parameters, order, options.curve_intervals)
+        wide = np.zeros((len(own), problem.n_image_unknowns))
+        wide[:, problem.image_slice(k)] = own
+        rows.append(wide if problem.ties is None else np.asarray(wide @ problem.ties.matrix))
+    if options.penalty_deviation:
+        rows.append(np.eye(problem.n_free_unknowns))
+    return np.vstack(rows)
+
+
+def image_penalty(parameters: ImageParameters, order: int, intervals: int) -> Array:
+    """Rows (k, u) of the unknowns of an image in prior sigmas; order of the derivative, intervals of the curves."""
+    functions: dict[str, list[int]] = {}
+    for j, name in enumerate(parameters.names):
+        if (term := term_of(name)) is not None and term.kind:
+            functions.setdefault(name.rstrip("0123456789").removesuffix("c"), []).append(j)
+    t = np.linspace(-1.0, 1.0, TIMES + order)
+    rows = [np.zeros((0, len(parameters)))]
+    for members in functions.values():
+        values = np.stack([_values(parameters.names[j], t, intervals) for j in members], axis=1)
+        own = np.zeros((TIMES, len(parameters)))
+        own[:, members] = np.diff(values, n=order, axis=0) / (t[1] - t[0]) ** order / np.sqrt(TIMES)
+        own[:, members] *= parameters.sigma[members] / parameters.sigma[members[0]]
+        _, s, vt = np.linalg.svd(own, full_matrices=False)
+        rows.append((s[:, None] * vt)[s > TIMES * np.finfo(float).eps * s[0]])  # not more rows than their rank
+    return np.vstack(rows)
+
+
+def _values(name: str, t: Array, intervals: int) -> Array:
+    """Values (n,) of the function of one coefficient at t."""
+    number = int(name[len(name.rstrip("0123456789")) :])
+    if name.rstrip("0123456789").endswith("c"):
+        return np.asarray(polynomials.curves(t, intervals)[:, number])
+    return np.asarray(t**number)

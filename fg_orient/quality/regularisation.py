@@ -1,0 +1,223 @@
+"""Regularisation of the image unknowns: penalty, rank and kappa, chosen at the start values for all backends.
+
+With the ground points eliminated (``fg_orient.quality.elimination``), a step of the image unknowns solves ``A x = l``.
+x is the total deviation from the metadata, in prior sigmas, which are units only; with priors a row ``x = 0`` per
+unknown remains. The norm of the method is ``|D x|``; D changes the units. With ``A D^-1 = U S V^T``:
+
+- tikhonov: ``|A x - l|^2 + kappa |L D x|^2`` is minimised; L is the identity, or a penalty of the correction functions;
+- truncated: directions with ``s^2 < kappa`` stay at the metadata, ``v^T D x = 0``;
+- minimum_norm: directions with ``s <= rank_cut s_1`` stay there: the pseudo-inverse of Moore and Penrose.
+
+Held directions are observed with a weight w of at least s_1: a residual of one sigma moves a direction of singular
+value s by ``s / w^2``, which is :data:`HELD` or less unless w would exceed :data:`STIFFEST` times s_1. The result of
+each method is a matrix R of rows that all backends add (``fg_orient.adjustment.penalty``).
+
+Rules of kappa work on a system in standard form (Eldén 1982; Hansen 1998, 2.3): unknowns ``y`` with penalty ``|y|^2``,
+unpenalised directions eliminated, directions below the rank cut removed. Its number of rows is that of all whitened
+image and control observations without those that the ground points and the unpenalised directions use up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from factors.arrays import Array
+from fg_orient.adjustment.linear.kappa import Given, KappaChoice, choose_kappa
+from fg_orient.adjustment.linear.system import LinearSystem, Rest, column_lengths
+from fg_orient.adjustment.penalty import NORMAL_LIMIT, Penalty, penalties
+from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.regularised import Regularisation
+from fg_orient.adjustment.runtime import one_blas_thread
+from fg_orient.model.block import Block
+from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.quality.elimination import UNOBSERVABLE, reduced_system
+from fg_orient.quality.penalties import penalty_rows
+
+#: Movement of a held direction, in units of the norm, by a residual of one sigma.
+HELD: Final = 1e-10
+#: Largest weight of held directions, as a multiple of the largest singular value: the condition grows with it.
+STIFFEST: Final = 1e3
+#: Least ratio of neighbouring singular values around the cut for a clear rank.
+GAP: Final = 100.0
+#: Rules that use the trace of the hat matrix and the residuals only: priors are then a part of the penalty.
+WITH_PRIORS: Final = ("gcv", "discrepancy")
+SOURCE: Final = "Tikhonov 1963; Hansen 1998"
+
+
+def require_possible(block: Block) -> None:
+    """Refuse options that contradict a regularisation.
+
+    InputError: a penalty of another method; a datum that is defined without the metadata.
+    """
+    options = block.options
+    if options.regularisation == "none":
+        return
+    if options.regularisation != "tikhonov" and options.penalty != "deviation":
+        raise InputError.of("regularise.penalty", option="penalty", value=options.penalty)
+    if options.datum in ("free", "inner", "vendor"):
+        raise InputError.of("regularise.datum", option="datum", value=options.datum)
+
+
+def with_regularisation(problem: Problem) -> Problem:
+    """Problem with the penalty of its options as observations, and their record.
+
+    Raises
+    ------
+    InputError
+        More than 2000 image unknowns; a rule that is unknown or not possible; the penalty and the observations leave a
+        direction undetermined; normal equations that are too ill-conditioned for the Schur backend.
+    Breakdown
+        The rule finds no kappa.
+    """
+    if problem.block.options.regularisation == "none":
+        return problem
+    with one_blas_thread():
+        chosen = _chosen(problem, reduced_system(problem, problem.start))
+    if problem.block.options.backend == "schur" and chosen.condition > NORMAL_LIMIT:
+        raise InputError.of(
+            "regularise.condition", option="backend", value="schur", condition=chosen.condition, limit=NORMAL_LIMIT
+        )
+    rows = penalties(problem, chosen.rows, SOURCE, chosen.condition)
+    others = tuple(e for e in problem.block.extra if not isinstance(e, Penalty))
+    return replace(problem, block=replace(problem.block, extra=(*others, *rows)), regularisation=chosen)
+
+
+def _chosen(problem: Problem, system: LinearSystem) -> Regularisation:
+    """Regularisation of a reduced system in prior sigmas."""
+    options = problem.block.options
+    units = _units(problem, system)
+    design, observed = system.require_design("regularisation")
+    design = design / units
+    _, s, vt = np.linalg.svd(design)
+    if s[0] == 0.0:
+        raise InputError.of("regularise.zero", place=problem.block.name)
+    z, rank = len(s), int(np.count_nonzero(s > options.rank_cut * s[0]))
+    below = float(s[rank]) if rank < z else 0.0
+    gap = float(s[rank - 1]) / below if below > 0.0 else np.inf
+    penalty = penalty_rows(problem)
+    if penalty is not None:
+        _require_complete(problem, penalty / units, vt[rank:].T)
+    standard = standard_form(design, observed, None if penalty is None else penalty / units, system.rest,
+                             options.rank_cut)  # fmt: skip
+    kappa, choice = None, None
+    if options.regularisation != "minimum_norm":
+        choice = None if options.kappa is not None else _by_rule(problem, standard)
+        kappa = options.kappa if choice is None else choice.kappa
+    if options.regularisation == "tikhonov":
+        assert kappa is not None
+        cut, rows = 0, np.sqrt(kappa) * (np.diag(units) if penalty is None else penalty)
+    else:
+        held = np.arange(z) >= rank if kappa is None else (np.arange(z) >= rank) | (s**2 < kappa)
+        weight = np.sqrt(s[held].max(initial=0.0) / HELD) / s[0]
+        cut, rows = int(held.sum()), min(max(weight, 1.0), STIFFEST) * s[0] * vt[held] * units
+    prior = np.eye(z) if options.priors else np.zeros((0, z))
+    values = np.linalg.svd(np.vstack([design * units, rows, prior]), compute_uv=False)
+    condition = float(values[0] / values[-1]) if values[-1] > 0.0 else np.inf
+    return Regularisation(
+        options.regularisation, kappa, "" if choice is None else choice.rule, choice, s, rank, gap, cut, units, rows,
+        vt[rank:].T, standard, condition,
+    )  # fmt: skip
+
+
+def _units(problem: Problem, system: LinearSystem) -> Array:
+    """D (z,): units of the norm for one prior sigma."""
+    kind = problem.block.options.regularised_units
+    if kind == "columns":
+        return column_lengths(system)
+    if kind == "prior_sigmas":
+        return np.ones(len(system))
+    factors = [model.per_line()[0] for model in problem.models]
+    raw = np.concatenate([p.sigma * np.where(np.isfinite(f), f, 1.0)
+                          for p, f in zip(problem.parameters, factors, strict=True)])  # fmt: skip
+    return np.asarray(raw if problem.ties is None else raw[problem.ties.place])
+
+
+def _require_complete(problem: Problem, penalty: Array, null: Array) -> None:
+    """Refuse a penalty that does not see directions ``null`` (z, d) without observations, unless priors hold them."""
+    if problem.block.options.priors or not null.shape[1]:
+        return
+    left = null @ np.linalg.svd(penalty @ null)[2].T
+    unseen = np.linalg.norm(penalty @ left, axis=0) <= problem.block.options.rank_cut * np.linalg.norm(penalty, 2)
+    if unseen.any():
+        raise InputError.of(
+            "regularise.common_null", option="penalty", value=problem.block.options.penalty, n=int(unseen.sum())
+        )
+
+
+def standard_form(design: Array, observed: Array, penalty: Array | None, rest: Rest, cut: float) -> LinearSystem:
+    """System with the penalty |y|^2 and full rank; see the module docstring.
+
+    Parameters
+    ----------
+    design : (r, z) array
+    observed : (r,) array
+    penalty : (k, z) array or None
+        L; None: the identity.
+    rest : Rest
+        Rows of the system beside these.
+    cut : float
+        Share of the largest singular value up to which directions are removed.
+    """
+    if penalty is not None:
+        _, s, vt = np.linalg.svd(penalty)
+        rank = int(np.count_nonzero(s > cut * s[0]))
+        free = design @ vt[rank:].T
+        q, values, _ = np.linalg.svd(free, full_matrices=False)
+        q = q[:, values > cut * np.linalg.norm(design, 2)] if values.size else q
+        design = (design - q @ (q.T @ design)) @ np.linalg.pinv(penalty, rcond=cut)
+        observed = observed - q @ (q.T @ observed)
+        rest = Rest(rest.rows - q.shape[1], rest.squares)
+    left, s, _ = np.linalg.svd(design, full_matrices=False)
+    keep = s > cut * s[0]
+    beta = left[:, keep].T @ observed
+    outside = max(float(observed @ observed - beta @ beta), 0.0)
+    return LinearSystem.from_design(
+        np.diag(s[keep]), beta, Rest(rest.rows + len(observed) - len(beta), rest.squares + outside)
+    )
+
+
+def given_inputs(system: LinearSystem) -> Given:
+    """Inputs of the rules: observations have the standard deviation 1, unknowns one prior sigma."""
+    rows = len(system.require_design("noise")[0]) + system.rest.rows
+    return Given(start_solver="svd", noise_norm=float(np.sqrt(rows)), sigma_observed=1.0, sigma_unknown=1.0)
+
+
+def _by_rule(problem: Problem, standard: LinearSystem) -> KappaChoice:
+    """Kappa of the rule of the options."""
+    options = problem.block.options
+    choice = choose_kappa(options.kappa_rule, standard, given_inputs(standard))
+    if not options.priors or options.kappa_rule == "bayes":
+        return choice
+    plain = options.penalty == "deviation" and options.regularised_units == "prior_sigmas"
+    if options.kappa_rule not in WITH_PRIORS or not plain or options.regularisation != "tikhonov":
+        known = ", ".join(("bayes", *WITH_PRIORS))
+        raise InputError.of("regularise.rule_priors", option="kappa_rule", value=options.kappa_rule, known=known)
+    note = ("the priors are a penalty of 1, which is subtracted",)
+    return replace(choice, kappa=max(choice.kappa - 1.0, 0.0), notes=(*choice.notes, *note))
+
+
+def findings(problem: Problem) -> list[Finding]:
+    """Note on the regularisation, and doubts about the rank of a minimum norm."""
+    chosen, options = problem.regularisation, problem.block.options
+    if chosen is None:
+        return []
+    out, z, s = [], len(chosen.singular_values), chosen.singular_values
+    if chosen.method == "minimum_norm":
+        weak = int(np.count_nonzero(s[: chosen.rank] <= UNOBSERVABLE))
+        if chosen.gap < GAP:
+            out.append(finding("regularise.rank_ambiguous", rank=chosen.rank, z=z, above=s[chosen.rank - 1] / s[0],
+                               below=s[chosen.rank] / s[0], cut=options.rank_cut, gap=GAP))  # fmt: skip
+        if weak and options.regularised_units == "prior_sigmas":
+            out.append(finding("regularise.weak", n=weak, prior_sigmas=1.0 / UNOBSERVABLE))
+    note = finding("solution.regularised", method=chosen.method, kappa=kappa_text(chosen), cut=chosen.cut, z=z)
+    return [*out, note]
+
+
+def kappa_text(chosen: Regularisation) -> str | None:
+    """Kappa and its rule in words; None for a minimum norm."""
+    if chosen.kappa is None:
+        return None
+    return f"{chosen.kappa:.3g}" + (f" by the rule {chosen.rule}" if chosen.rule else "")
