@@ -32,14 +32,12 @@ class Regularisation:
         Number of singular values above the cut.
     gap : float
         Ratio of the singular values above and below the cut; inf without one below, or if that is zero.
-    cut : int
-        Number of directions that stay at the metadata.
     units : (z,) array
         Deviations in the units of the norm are these times deviations in prior sigmas.
     rows : (k, z) array
         Penalty R: ``R x = 0`` was added, with x in prior sigmas.
     null : (z, d) array
-        Orthonormal basis, in the units of the norm, of the directions below the rank cut.
+        Orthonormal basis, in the units of the norm, of the directions below the rank cut and of all held ones.
     standard : LinearSystem
         The reduced system in standard form, on which the rules of kappa work (penalty |y|^2).
     condition : float
@@ -53,9 +51,13 @@ class Regularisation:
     singular_values: Array
     rank: int
     gap: float
-    cut: int
     units: Array
     rows: Array
     null: Array
     standard: LinearSystem
     condition: float
+
+    @property
+    def held(self) -> int:
+        """Number of directions that stay at the metadata."""
+        return 0 if self.method == "tikhonov" else self.null.shape[1]

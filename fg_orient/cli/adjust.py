@@ -119,18 +119,19 @@ def load(backend: str | None = None) -> None:
 
 def show(record: dict[str, Any]) -> None:
     """Print warnings, assessment, accuracy and the path of the report."""
+    from fg_orient.report.words import orientation_words, regularised_words
+
     if session().quiet and record["status"] != Status.CONVERGED:
-        note(f"{record['status'].replace('_', ' ')}: {record['reason']}")
+        note(f"{record['status'].replace('_', ' ')}{regularised_words(record)}: {record['reason']}")
     if record["status"] == Status.RANK_DEFICIENT:
         if record["out"]:
             say(f"report of what is not determined: {Path(record['out']) / 'report.html'}")
         return
     tell_findings(record, as_result=True)
-    from fg_orient.report.words import orientation_words
-
     low, high = record["sigma0_interval_99_9"]
     whose = f" of GTSAM's {record['optimizer'].title()}" if record["backend"] == "graph" else ""
-    say(f"{record['status'].replace('_', ' ')} after {record['iterations']} iterations{whose}")
+    regularised = regularised_words(record)
+    say(f"{record['status'].replace('_', ' ')} after {record['iterations']} iterations{whose}{regularised}")
     say(f"{record['n_image_points']} image points, {record['n_unknowns']} unknowns, redundancy {record['redundancy']}")
     tested = f"99.9 % interval {number(low)} .. {number(high)}" if low is not None else "not tested"
     say(f"sigma0 {number(record['sigma0'])} ({tested}), "
@@ -166,7 +167,7 @@ def show(record: dict[str, Any]) -> None:
             f"above it after {found['rounds']} adjustments, {len(found['outside'])} outside{rest}")  # fmt: skip
     say(f"report: {Path(record['out']) / 'report.html'}")
     if record["status"] != Status.CONVERGED:
-        say(f"{record['status'].replace('_', ' ')}: {record['reason']}")
+        say(f"{record['status'].replace('_', ' ')}{regularised}: {record['reason']}")
 
 
 @command(

@@ -324,7 +324,14 @@ class Solution(AdjustmentResult):
 
     @cached_property
     def regularisation(self) -> dict[str, Any] | None:
-        """L-curve and kappas of a Tikhonov solver (``fg_orient.quality.conditioning``); None for other solvers."""
+        """Record of a regularisation, or of a Tikhonov solver of the dense backend; None without both.
+
+        See ``fg_orient.quality.resolution`` and, for the solver, ``fg_orient.quality.conditioning``.
+        """
+        if self.problem.regularisation is not None:
+            from fg_orient.quality.resolution import record_of
+
+            return record_of(self.weighted, self.state)
         if not self.solver:  # another backend: do not load the kappa rules
             return None
         from fg_orient.quality.conditioning import regularisation

@@ -28,7 +28,7 @@ from factors.arrays import Array
 from fg_orient.adjustment.linear.kappa import Given, KappaChoice, choose_kappa
 from fg_orient.adjustment.linear.system import LinearSystem, Rest, column_lengths
 from fg_orient.adjustment.penalty import NORMAL_LIMIT, Penalty, penalties
-from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.regularised import Regularisation
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.block import Block
@@ -108,17 +108,17 @@ def _chosen(problem: Problem, system: LinearSystem) -> Regularisation:
         kappa = options.kappa if choice is None else choice.kappa
     if options.regularisation == "tikhonov":
         assert kappa is not None
-        cut, rows = 0, np.sqrt(kappa) * (np.diag(units) if penalty is None else penalty)
+        held, rows = np.arange(z) >= rank, np.sqrt(kappa) * (np.diag(units) if penalty is None else penalty)
     else:
         held = np.arange(z) >= rank if kappa is None else (np.arange(z) >= rank) | (s**2 < kappa)
         weight = np.sqrt(s[held].max(initial=0.0) / HELD) / s[0]
-        cut, rows = int(held.sum()), min(max(weight, 1.0), STIFFEST) * s[0] * vt[held] * units
+        rows = min(max(weight, 1.0), STIFFEST) * s[0] * vt[held] * units
     prior = np.eye(z) if options.priors else np.zeros((0, z))
     values = np.linalg.svd(np.vstack([design * units, rows, prior]), compute_uv=False)
     condition = float(values[0] / values[-1]) if values[-1] > 0.0 else np.inf
     return Regularisation(
-        options.regularisation, kappa, "" if choice is None else choice.rule, choice, s, rank, gap, cut, units, rows,
-        vt[rank:].T, standard, condition,
+        options.regularisation, kappa, "" if choice is None else choice.rule, choice, s, rank, gap, units, rows,
+        vt[held].T, standard, condition,
     )  # fmt: skip
 
 
@@ -212,8 +212,17 @@ def findings(problem: Problem) -> list[Finding]:
                                below=s[chosen.rank] / s[0], cut=options.rank_cut, gap=GAP))  # fmt: skip
         if weak and options.regularised_units == "prior_sigmas":
             out.append(finding("regularise.weak", n=weak, prior_sigmas=1.0 / UNOBSERVABLE))
-    note = finding("solution.regularised", method=chosen.method, kappa=kappa_text(chosen), cut=chosen.cut, z=z)
+    note = finding(
+        "solution.regularised", method=chosen.method, kappa=kappa_text(chosen), held=chosen.held or None, z=z
+    )
     return [*out, note]
+
+
+def share_of_penalty(problem: Problem, state: State, chi2: float) -> float | None:
+    """Share of the penalty in the weighted sum of squares of a solution; None without a regularisation."""
+    if problem.regularisation is None:
+        return None
+    return float(np.sum((problem.regularisation.rows @ problem.image_vector(state)) ** 2)) / chi2
 
 
 def kappa_text(chosen: Regularisation) -> str | None:

@@ -94,7 +94,12 @@ def _doubt(problem: Problem, estimate: Estimate, unavailable: tuple[Finding, ...
     if f > 0 and weights is not None:
         return _doubt_of_weights(problem, weights)
     sigma0 = float(np.sqrt(estimate.chi2 / f)) if f > 0 else 0.0
-    return finding("verdict.sigma0", size=sigma0, limit=limit) if sigma0 > limit else None
+    if sigma0 <= limit:
+        return None
+    share = regularisation.share_of_penalty(problem, estimate.state, estimate.chi2)
+    if share is None:
+        return finding("verdict.sigma0", size=sigma0, limit=limit)
+    return finding("verdict.sigma0_regularised", size=sigma0, limit=limit, share=share)
 
 
 def _doubt_of_weights(problem: Problem, weights: Weights) -> Finding | None:

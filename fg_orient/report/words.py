@@ -51,8 +51,23 @@ def printable(text: object) -> str:
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in str(text))
 
 
+def regularised_words(record: dict[str, Any]) -> str:
+    """Method and kappa of a regularised result, to follow its status; "" for another result."""
+    section = record.get("regularisation")
+    if not section or section["solver"] is None:
+        return ""
+    kappa = section["kappa"]
+    return f", regularised ({section['label']}{'' if kappa is None else f', kappa {kappa:.3g}'})"
+
+
 def verdict(record: dict[str, Any]) -> dict[str, str]:
     """Verdict on a result in words: ``kind`` (good, warn, bad), ``title`` and ``text``."""
+    words = _verdict(record)
+    return {**words, "title": words["title"] + regularised_words(record)}
+
+
+def _verdict(record: dict[str, Any]) -> dict[str, str]:
+    """Verdict without the regularisation."""
     status, sigma0, (low, _) = record["status"], record["sigma0"], record["sigma0_interval_99_9"]
     if status == "not_converged":
         return {"kind": "bad", "title": "No solution", "text": record["reason"]}

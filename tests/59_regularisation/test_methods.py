@@ -59,7 +59,7 @@ def test_minimum_norm_is_pinv_of_numpy(block: Block, eop_set: int) -> None:
     chosen, oracle = problem.regularisation, dense_of(plain)
     assert chosen is not None and chosen.gap >= regularisation.GAP
     s = np.linalg.svd(oracle.a, compute_uv=False)
-    assert chosen.rank == int((s > 1e-9 * s[0]).sum()) == chosen.singular_values.size - chosen.cut
+    assert chosen.rank == int((s > 1e-9 * s[0]).sum()) == chosen.singular_values.size - chosen.held
     x = np.linalg.pinv(oracle.a, rcond=1e-9) @ oracle.right
     known = EPS * s[0] / s[chosen.rank - 1] * np.linalg.norm(x)
     for step in (dense_step, explicit_step):
@@ -87,7 +87,7 @@ def test_truncation_removes_small_singular_values(block: Block, eop_set: int) ->
     u, s, vt = np.linalg.svd(oracle.a, full_matrices=False)
     keep = s >= 1.0
     x = vt[keep].T @ ((u[:, keep].T @ oracle.right) / s[keep])
-    assert problem.regularisation is not None and problem.regularisation.cut == int((~keep).sum())
+    assert problem.regularisation is not None and problem.regularisation.held == int((~keep).sum())
     for step in (dense_step, explicit_step):
         np.testing.assert_allclose(step(problem), x, rtol=0.0, atol=2e-8)
 
@@ -173,3 +173,11 @@ def test_a_problem_is_regularised_once(block: Block) -> None:
     _, problem = regularised(block, 20, regularisation="tikhonov")
     again = regularisation.with_regularisation(problem)
     assert sum(isinstance(e, Penalty) for e in again.block.extra) == problem.n_images
+
+
+@pytest.mark.behaviour
+def test_a_penalty_that_contradicts_the_observations_is_named(block: Block) -> None:
+    """Kappa 1e4: deviations of 0.01 prior sigmas are expected; sigma0 rises by the penalty."""
+    solution = fg.adjust(block, eop_set=15, priors=False, regularisation="tikhonov", kappa=1e4)
+    assert solution.verdict.code == "verdict.sigma0_regularised"
+    assert 0.0 < solution.verdict.data["share"] < 1.0

@@ -85,7 +85,7 @@ def test_page_draws_the_curve_and_lists_every_rule(damped: Path, section: dict[s
     text = (damped / "report.html").read_text("utf-8")
     part = text[text.index('<section id="regularisation"') :]
     part = part[: part.index("</section>")]
-    assert all(rule["label"] in part for rule in section["rules"]) and part.count("(this solver)") == 1
+    assert all(rule["label"] in part for rule in section["rules"]) and part.count("(chosen)") == 1
     drawing = part[part.index("<svg") : part.index("</svg>")]
     xs, ys = np.array(re.findall(r"([0-9.]+) ([0-9.]+)L", drawing), float).T
     assert len(xs) == len(section["curve"]["kappa"]) - 1

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.adjustment.linear.kappa import KappaRule, choose_kappa, kappa_rules
+from fg_orient.adjustment.linear.kappa import Given, KappaRule, choose_kappa, kappa_rules
 from fg_orient.adjustment.linear.ridge import Ridge
 from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.model.errors import FgOrientError
@@ -51,7 +51,7 @@ class LCurve:
     curvature : (n,) array
         Curvature of (log residual_norm, log solution_norm); largest at the corner.
     choices : tuple of Choice
-        Kappas of the rules that need no further inputs.
+        Kappas of the rules whose inputs are known.
     """
 
     kappa: Array
@@ -75,13 +75,15 @@ class LCurve:
         return float(np.exp(residual)), float(np.exp(solution))
 
 
-def l_curve_of(system: LinearSystem) -> LCurve:
-    """L-curve of a system with the kappas of all rules that need no further inputs.
+def l_curve_of(system: LinearSystem, given: Given | None = None) -> LCurve:
+    """L-curve of a system with the kappas of all rules whose inputs are known.
 
     Parameters
     ----------
     system : LinearSystem
         Its design matrix is required.
+    given : Given, optional
+        Further inputs. Without them kappas of published rules are clamped, as in their solvers.
 
     Returns
     -------
@@ -96,7 +98,8 @@ def l_curve_of(system: LinearSystem) -> LCurve:
         A is zero.
     """
     ridge = Ridge.of(system, "l_curve")
-    choices = tuple(_choice(rule, system, ridge) for rule in kappa_rules().values() if not rule.needs)
+    known = [r for r in kappa_rules().values() if all(getattr(given or Given(), n) is not None for n in r.needs)]
+    choices = tuple(_choice(rule, system, ridge, given) for rule in known)
     chosen = [c.kappa for c in choices if c.kappa > 0.0]
     kappa = np.geomspace(min(ridge.grid[0], *chosen), max(ridge.grid[-1], *chosen), CURVE_POINTS)
     with np.errstate(all="ignore"):  # the curvature is not defined where the residual is zero
@@ -105,10 +108,10 @@ def l_curve_of(system: LinearSystem) -> LCurve:
     return LCurve(kappa, residual, solution, curvature, choices)
 
 
-def _choice(rule: KappaRule, system: LinearSystem, ridge: Ridge) -> Choice:
-    """Apply a rule; kappas of published rules are clamped, as in their solvers."""
+def _choice(rule: KappaRule, system: LinearSystem, ridge: Ridge, given: Given | None) -> Choice:
+    """Apply a rule; see :func:`l_curve_of`."""
     try:
-        choice = choose_kappa(rule.name, system, clamp=rule.published)
+        choice = choose_kappa(rule.name, system, given, clamp=rule.published and given is None)
     except FgOrientError as error:
         nan = float("nan")
         return Choice(rule.name, rule.label, nan, nan, nan, failure="; ".join(p.message for p in error.problems))

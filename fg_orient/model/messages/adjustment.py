@@ -117,10 +117,10 @@ regularise.weak (doubt): the rank counts {n} direction(s) in which the observati
 regularise.rank_ambiguous (doubt): the rank {rank} of the {z} image unknowns is ambiguous: the singular values on both
     sides of the cut {cut:.2g} are {above:.2g} and {below:.2g} of the largest, and a gap of {gap:.0f} is required
     -> set <rank_cut> to a value inside a gap of the spectrum, or choose <regularisation> tikhonov
-solution.regularised (note): regularised estimate ({method}
+solution.regularised (note): the {z} image unknowns are regularised ({method}
     + , kappa {kappa}
-    + ): {cut} of {z} directions of the image unknowns are held at the metadata. The estimate is biased, and its
-    standard deviations do not contain the bias
+    + , {held} direction(s) held at the metadata
+    + ): the estimate is biased, and its standard deviations do not contain the bias
 regularise.zero: the observations do not depend on the image unknowns
     -> check the points and the unknowns
 regularise.common_null: neither the observations nor the penalty determine {n} direction(s) of the image unknowns
@@ -226,6 +226,10 @@ verdict.weak_control (doubt): without priors the control points determine some d
 verdict.sigma0 (doubt): sigma0 = {size:.2f} lies above {limit:.2f}, the upper end of its 99.9 % interval: the
     observations do not fit the model within their sigmas. The unknowns cannot take up the errors present, or the
     sigmas are too small, or there are gross errors; standard deviations and coordinates must not be trusted
+verdict.sigma0_regularised (doubt): sigma0 = {size:.2f} lies above {limit:.2f}, the upper end of its 99.9 % interval;
+    {share:.0%} of the weighted sum of squares is that of the penalty. If this is a large part, kappa is too large for
+    the deviations from the metadata; else the observations do not fit the model within their sigmas
+    -> give a smaller <kappa> or another <kappa_rule>; look for gross errors
 verdict.gross_error (doubt): gross error suspected
     + , of about {error} {unit}
     + ; {symbol} = {size:.1f}, which fewer than {level:g} % of blocks without gross errors exceed

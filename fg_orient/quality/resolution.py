@@ -1,0 +1,145 @@
+"""Bias, variance and resolution of a regularised estimate: which unknown comes from the observations.
+
+With the reduced normal matrix N of the image unknowns, P of their priors and the rows R of the penalty,
+
+    Q = (N + P + R^T R)^-1,   x = Q A^T l,   resolution Q N,   bias -Q R^T R x,   variance Q (N + P) Q
+
+all in prior sigmas. The resolution of an unknown is the change of its estimate by one unit of its true value: 1 if the
+observations alone decide, 0 if priors or penalty do. Its matrix has eigenvalues in [0, 1]; their sum is the number of
+unknowns that the observations determine.
+
+The bias needs the true x. The *plug-in* bias takes the estimate instead, which is too small. In directions that no
+observation determines it is not estimable; there the bound for a true deviation of one prior sigma is given. The mean
+square error comes from a Monte Carlo simulation of the linear model: true deviations N(0, 1) in prior sigmas,
+observations N(0, 1), kappa held.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from factors.arrays import Array
+from fg_orient.adjustment.border_matrix import triangle
+from fg_orient.adjustment.linear.l_curve import l_curve_of
+from fg_orient.adjustment.penalty import Penalty
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.regularised import Regularisation
+from fg_orient.adjustment.runtime import one_blas_thread
+from fg_orient.quality.elimination import reduced_system
+from fg_orient.quality.regularisation import given_inputs
+
+#: Draws of the simulation, and its seed: the standard error of a root mean square error is 2 %.
+DRAWS: Final = 1000
+SEED: Final = 0
+#: Resolution from which an unknown counts as determined by the observations, and up to which by the metadata.
+DETERMINED, HELD = 0.9, 0.1
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Statistics of the free image unknowns, prior sigmas.
+
+    Parameters
+    ----------
+    matrix : (z, z) array
+        Resolution Q N.
+    eigenvalues : (z,) array
+        Of the resolution, descending.
+    posterior : (z,) array
+        Roots of the diagonal of Q: standard deviations if the penalty is a true prior.
+    noise : (z,) array
+        Roots of the diagonal of the variance: the effect of the errors of observations and priors alone.
+    bias : (z,) array
+        Plug-in bias.
+    bias_bound : (z,) array
+        Largest bias by a true deviation of one prior sigma in the directions without observations.
+    rmse : (z,) array
+        Root mean square error of the simulation.
+    """
+
+    matrix: Array
+    eigenvalues: Array
+    posterior: Array
+    noise: Array
+    bias: Array
+    bias_bound: Array
+    rmse: Array
+
+    @property
+    def sources(self) -> list[str]:
+        """What determines each unknown: "observations", "metadata" or "both"."""
+        share = np.diag(self.matrix)
+        return ["observations" if r >= DETERMINED else "metadata" if r <= HELD else "both" for r in share.tolist()]
+
+
+def resolution(problem: Problem, state: State) -> Resolution:
+    """Statistics at a solution of a regularised problem; under a loss of the problem with its weights."""
+    chosen = problem.regularisation
+    assert chosen is not None
+    others = tuple(e for e in problem.block.extra if not isinstance(e, Penalty))
+    with one_blas_thread():
+        system = reduced_system(replace(problem, block=replace(problem.block, extra=others)), state)
+        prior = np.eye(len(system)) if problem.block.options.priors else np.zeros((0, len(system)))
+        return of_rows(system.require_design("resolution")[0], prior, chosen, problem.image_vector(state))
+
+
+def of_rows(design: Array, prior: Array, chosen: Regularisation, x: Array) -> Resolution:
+    """Statistics of an estimate x (z,) with rows A (r, z), rows of the priors (p, z) and those of the penalty."""
+    z = len(x)
+    root = triangle(np.vstack([design, prior, chosen.rows]))
+    inverse = solve_triangular(root, np.eye(z))  # Q = inverse inverse^T
+    observed, of_prior, held = design @ inverse, prior @ inverse, chosen.rows @ inverse
+    gain = inverse @ observed.T  # Q A^T
+    pull = inverse @ held.T @ chosen.rows  # Q R^T R
+    null = np.linalg.qr(chosen.null / chosen.units[:, None]).Q
+    rng = np.random.default_rng(SEED)
+    truth, noise = rng.standard_normal((z, DRAWS)), rng.standard_normal((len(design), DRAWS))
+    error = gain @ (design @ truth + noise) - truth
+    return Resolution(
+        gain @ design, np.asarray(np.linalg.svd(observed, compute_uv=False) ** 2), np.linalg.norm(inverse, axis=1),
+        np.hypot(np.linalg.norm(gain, axis=1), np.linalg.norm(inverse @ of_prior.T, axis=1)),
+        -pull @ x, np.linalg.norm(pull @ null, axis=1), np.sqrt(np.mean(error**2, axis=1)),
+    )  # fmt: skip
+
+
+def record_of(problem: Problem, state: State) -> dict[str, Any] | None:
+    """Section ``regularisation`` of a record (docs/results.md); None without a regularisation of the problem.
+
+    The keys of a Tikhonov solver of the dense backend (``fg_orient.quality.conditioning``) have the same meaning.
+    """
+    chosen = problem.regularisation
+    if chosen is None:
+        return None
+    found, given = resolution(problem, state), given_inputs(chosen.standard)
+    curve = asdict(l_curve_of(chosen.standard, given))
+    columns = {
+        "resolution": np.diag(found.matrix), "sd_posterior": found.posterior, "sd_noise": found.noise,
+        "bias_plug_in": found.bias, "bias_bound": found.bias_bound, "rmse_simulated": found.rmse,
+    }  # fmt: skip
+    return {
+        "solver": chosen.method, "label": chosen.method.replace("_", " "), "rule": chosen.rule or None,
+        "kappa": chosen.kappa, "failure": "", "rules": curve.pop("choices"), "curve": curve, "steps": [],
+        "penalty": problem.block.options.penalty, "units": problem.block.options.regularised_units,
+        "notes": [] if chosen.choice is None else list(chosen.choice.notes),
+        "rank": chosen.rank, "held_directions": chosen.held, "gap": chosen.gap if np.isfinite(chosen.gap) else None,
+        "singular_values": chosen.singular_values, "condition": chosen.condition,
+        "effective_unknowns": float(found.eigenvalues.sum()), "resolution_eigenvalues": found.eigenvalues,
+        "simulation": {"draws": DRAWS, "seed": SEED},
+        "unknowns": [
+            {"image": image, "unknown": name, "determined_by": source, **{key: v[k] for key, v in columns.items()}}
+            for k, ((image, name), source) in enumerate(zip(labels(problem), found.sources, strict=True))
+        ],
+    }  # fmt: skip
+
+
+def labels(problem: Problem) -> list[tuple[str, str]]:
+    """Image, or id of the images that share it, and name of each free image unknown."""
+    wide = [
+        (p.shared[j] if p.shared and p.shared[j] else image.id, name)
+        for image, p in zip(problem.block.images, problem.parameters, strict=True) for j, name in enumerate(p.names)
+    ]  # fmt: skip
+    return wide if problem.ties is None else [wide[j] for j in problem.ties.place.tolist()]
