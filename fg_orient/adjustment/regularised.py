@@ -19,9 +19,9 @@ class Regularisation:
     Parameters
     ----------
     method : str
-        "tikhonov", "truncated" or "minimum_norm".
+        "tikhonov", "truncated", "minimum_norm", "generalised_ridge", "stein" or "ridge_stein".
     kappa : float or None
-        Regularisation parameter; None for a minimum norm.
+        Regularisation parameter; None for other methods.
     rule : str
         Rule that chose kappa, "" if it was given.
     choice : KappaChoice or None

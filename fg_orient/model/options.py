@@ -19,7 +19,7 @@ RobustScale = Literal["prior", "mad"]
 SnoopKind = Literal["groups", "points"]
 OutlierTest = Literal["baarda", "pope", "t"]
 StatisticsChoice = Literal["auto", "full", "basic"]
-Regularisation = Literal["none", "tikhonov", "truncated", "minimum_norm"]
+Regularisation = Literal["none", "tikhonov", "truncated", "minimum_norm", "generalised_ridge", "stein", "ridge_stein"]
 PenaltyKind = Literal["deviation", "gradient", "laplace"]
 RegularisedUnits = Literal["prior_sigmas", "raw", "columns"]
 MultipleTesting = Literal["none", "bonferroni", "sidak", "holm", "benjamini_hochberg"]
@@ -130,7 +130,8 @@ class Options(Checked):
         "none", REGULARISATION,
         "Treatment of image unknowns that the observations determine badly, on all backends. tikhonov: kappa times the "
         "squared penalty is added; truncated: directions with a squared singular value below kappa stay at the "
-        "metadata; minimum_norm: directions below `rank_cut` stay there.",
+        "metadata; minimum_norm: directions below `rank_cut` stay there. generalised_ridge, stein, ridge_stein: "
+        "shrinkage of each or of all directions by the size of their estimates.",
         recorded=True,
     )
     kappa: float | None = option(

@@ -6,7 +6,9 @@ unknown remains. The norm of the method is ``|D x|``; D changes the units. With 
 
 - tikhonov: ``|A x - l|^2 + kappa |L D x|^2`` is minimised; L is the identity, or a penalty of the correction functions;
 - truncated: directions with ``s^2 < kappa`` stay at the metadata, ``v^T D x = 0``;
-- minimum_norm: directions with ``s <= rank_cut s_1`` stay there: the pseudo-inverse of Moore and Penrose.
+- minimum_norm: directions with ``s <= rank_cut s_1`` stay there: the pseudo-inverse of Moore and Penrose;
+- generalised_ridge, stein, ridge_stein: as minimum_norm, and the others are shrunk
+  (``fg_orient.adjustment.linear.shrinkage``).
 
 Held directions are observed with a weight w of at least s_1: a residual of one sigma moves a direction of singular
 value s by ``s / w^2``, which is :data:`HELD` or less unless w would exceed :data:`STIFFEST` times s_1. The result of
@@ -26,6 +28,7 @@ import numpy as np
 
 from factors.arrays import Array
 from fg_orient.adjustment.linear.kappa import Given, KappaChoice, choose_kappa
+from fg_orient.adjustment.linear.shrinkage import SHRINKAGE, shrinkage_penalties
 from fg_orient.adjustment.linear.system import LinearSystem, Rest, column_lengths
 from fg_orient.adjustment.penalty import NORMAL_LIMIT, Penalty, penalties
 from fg_orient.adjustment.problem import Problem, State
@@ -103,16 +106,23 @@ def _chosen(problem: Problem, system: LinearSystem) -> Regularisation:
     standard = standard_form(design, observed, None if penalty is None else penalty / units, system.rest,
                              options.rank_cut)  # fmt: skip
     kappa, choice = None, None
-    if options.regularisation != "minimum_norm":
+    if options.regularisation in ("tikhonov", "truncated"):
         choice = None if options.kappa is not None else _by_rule(problem, standard)
         kappa = options.kappa if choice is None else choice.kappa
     if options.regularisation == "tikhonov":
         assert kappa is not None
         held, rows = np.arange(z) >= rank, np.sqrt(kappa) * (np.diag(units) if penalty is None else penalty)
     else:
-        held = np.arange(z) >= rank if kappa is None else (np.arange(z) >= rank) | (s**2 < kappa)
+        held, shrunk = np.arange(z) >= rank, np.zeros(rank)
+        if options.regularisation == "truncated":
+            held |= s**2 < kappa
+        elif options.regularisation in SHRINKAGE:
+            shrunk = shrinkage_penalties(options.regularisation, standard)[0]
+            held[:rank] |= np.isinf(shrunk)
         weight = np.sqrt(s[held].max(initial=0.0) / HELD) / s[0]
         rows = min(max(weight, 1.0), STIFFEST) * s[0] * vt[held] * units
+        own = np.flatnonzero((shrunk > 0.0) & ~held[:rank])
+        rows = np.vstack([rows, np.sqrt(shrunk[own])[:, None] * vt[own] * units])
     prior = np.eye(z) if options.priors else np.zeros((0, z))
     values = np.linalg.svd(np.vstack([design * units, rows, prior]), compute_uv=False)
     condition = float(values[0] / values[-1]) if values[-1] > 0.0 else np.inf
@@ -205,7 +215,7 @@ def findings(problem: Problem) -> list[Finding]:
     if chosen is None:
         return []
     out, z, s = [], len(chosen.singular_values), chosen.singular_values
-    if chosen.method == "minimum_norm":
+    if chosen.method not in ("tikhonov", "truncated"):
         weak = int(np.count_nonzero(s[: chosen.rank] <= UNOBSERVABLE))
         if chosen.gap < GAP:
             out.append(finding("regularise.rank_ambiguous", rank=chosen.rank, z=z, above=s[chosen.rank - 1] / s[0],

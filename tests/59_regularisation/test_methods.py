@@ -92,10 +92,26 @@ def test_truncation_removes_small_singular_values(block: Block, eop_set: int) ->
         np.testing.assert_allclose(step(problem), x, rtol=0.0, atol=2e-8)
 
 
+@pytest.mark.oracle
+@pytest.mark.parametrize("eop_set", [17, 19])
+def test_stein_is_a_multiple_of_the_minimum_norm(block: Block, eop_set: int) -> None:
+    plain, problem = regularised(block, eop_set, regularisation="stein", rank_cut=1e-5)
+    oracle, chosen = dense_of(plain), problem.regularisation
+    assert chosen is not None
+    x = np.linalg.pinv(oracle.a, rcond=1e-5) @ oracle.right
+    fitted, f = oracle.a @ x, len(oracle.right) - chosen.rank
+    squares = float(np.sum((fitted - oracle.right) ** 2))
+    factor = 1.0 - (chosen.rank - 2) / (f + 2) * squares / float(fitted @ fitted)
+    for step in (dense_step, explicit_step):
+        np.testing.assert_allclose(step(problem), factor * x, rtol=0.0, atol=1e-8)
+
+
 CASES: list[dict[str, Any]] = [
     {"regularisation": "tikhonov", "kappa_rule": "gcv"},
     {"regularisation": "truncated"},
     {"regularisation": "minimum_norm", "rank_cut": 1e-5},
+    {"regularisation": "generalised_ridge", "rank_cut": 1e-5},
+    {"regularisation": "ridge_stein", "rank_cut": 1e-5},
     {"regularisation": "tikhonov", "penalty": "laplace", "penalty_deviation": True},
 ]
 

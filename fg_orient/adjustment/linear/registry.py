@@ -22,7 +22,7 @@ Family = Literal["inverse", "elimination", "tikhonov", "modern"]
 Function = Callable[[LinearSystem, bool], LinearSolution]
 
 #: Modules of this package that register solvers when imported.
-_MODULES = ("inverses", "elimination", "modern")
+_MODULES = ("inverses", "elimination", "modern", "shrinkage")
 
 
 @dataclass(frozen=True)
