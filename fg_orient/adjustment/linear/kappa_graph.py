@@ -6,20 +6,31 @@ The published work names L-curve, GCV, CRESO, "maximum" and "CC" without formula
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any, Final
 
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
 from factors.arrays import Array
 from fg_orient.adjustment.linear.kappa import Given, KappaChoice, RuleFunction, register_kappa_rule
-from fg_orient.adjustment.linear.ridge import GRID_POINTS, Ridge
+from fg_orient.adjustment.linear.ridge import Ridge, RidgeCurves
 from fg_orient.adjustment.linear.system import Breakdown
 from fg_orient.model.errors import InputError
 
 Curve = Callable[[float], float]
+#: Rules as functions of the solutions for all kappa.
+_CURVES: dict[str, Callable[[Any, Given], KappaChoice]] = {}
+#: Rules that need no singular value decomposition.
+SAMPLED: Final = ("l_curve", "gcv", "discrepancy", "quasi_optimality", "zero_crossing")
 
 
-def _lowest(ridge: Ridge, function: Curve, *, sign: float = 1.0) -> KappaChoice:
+def on_curves(name: str, curves: RidgeCurves, given: Given) -> KappaChoice:
+    """Apply one of the rules :data:`SAMPLED`; Breakdown if it finds no kappa."""
+    with np.errstate(all="ignore"):
+        return _CURVES[name](curves, given)
+
+
+def _lowest(ridge: RidgeCurves, function: Curve, *, sign: float = 1.0) -> KappaChoice:
     """Minimum of a curve (maximum for ``sign`` -1): on the grid, then between its neighbours."""
     grid, curve = ridge.grid, _along(function, ridge.grid)
     usable = np.where(np.isfinite(curve), sign * curve, np.inf)
@@ -34,7 +45,9 @@ def _lowest(ridge: Ridge, function: Curve, *, sign: float = 1.0) -> KappaChoice:
     return KappaChoice(float(np.exp(minimum.x)), ridge.rule, (), grid, curve)
 
 
-def _crossings(ridge: Ridge, function: Curve, missing: str, *, upward: bool, grid: Array | None = None) -> list[float]:
+def _crossings(
+    ridge: RidgeCurves, function: Curve, missing: str, *, upward: bool, grid: Array | None = None
+) -> list[float]:
     """Kappas where a function changes sign in this direction, ascending; Breakdown with the text if there is none."""
     logs = np.log(ridge.grid if grid is None else grid)
 
@@ -57,7 +70,8 @@ def _curve_rule(
 ) -> Callable[[Callable[[Ridge, Given], KappaChoice]], RuleFunction]:
     """Register a rule of the singular value decomposition of a system."""
 
-    def add(function: Callable[[Ridge, Given], KappaChoice]) -> RuleFunction:
+    def add(function: Callable[[Any, Given], KappaChoice]) -> RuleFunction:
+        _CURVES[name] = function
         rule = register_kappa_rule(name, label, source=source, needs=needs)
         return rule(lambda system, given: function(Ridge.of(system, name), given))
 
@@ -65,13 +79,13 @@ def _curve_rule(
 
 
 @_curve_rule("l_curve", "L-curve", "Hansen, O'Leary 1993")
-def l_curve(ridge: Ridge, given: Given) -> KappaChoice:
+def l_curve(ridge: RidgeCurves, given: Given) -> KappaChoice:
     """Largest curvature of log|x| over log|A x - l|."""
     return _lowest(ridge, ridge.curvature, sign=-1.0)
 
 
 @_curve_rule("gcv", "Generalised cross-validation", "Golub, Heath, Wahba 1979")
-def gcv(ridge: Ridge, given: Given) -> KappaChoice:
+def gcv(ridge: RidgeCurves, given: Given) -> KappaChoice:
     """Least n |(I - H) l|^2/(tr(I - H))^2."""
     return _lowest(ridge, ridge.gcv)
 
@@ -94,7 +108,7 @@ def maximum(ridge: Ridge, given: Given) -> KappaChoice:
 
 
 @_curve_rule("zero_crossing", "Zero crossing", "Johnston, Gulrajani 1997")
-def zero_crossing(ridge: Ridge, given: Given) -> KappaChoice:
+def zero_crossing(ridge: RidgeCurves, given: Given) -> KappaChoice:
     """Smallest kappa with kappa |x|^2 = |A x - l|^2."""
 
     def balance(kappa: float) -> float:
@@ -105,7 +119,7 @@ def zero_crossing(ridge: Ridge, given: Given) -> KappaChoice:
 
 
 @_curve_rule("quasi_optimality", "Quasi-optimality", "Tikhonov, Glasko 1965")
-def quasi_optimality(ridge: Ridge, given: Given) -> KappaChoice:
+def quasi_optimality(ridge: RidgeCurves, given: Given) -> KappaChoice:
     """Lowest local minimum of |kappa dx/dkappa|."""
     kappas = _crossings(ridge, ridge.change2_slope, "no local minimum", upward=True)
     curve = np.sqrt(_along(ridge.change2, ridge.grid))
@@ -113,11 +127,9 @@ def quasi_optimality(ridge: Ridge, given: Given) -> KappaChoice:
 
 
 @_curve_rule("discrepancy", "Discrepancy principle", "Morozov 1966", needs=("noise_norm",))
-def discrepancy(ridge: Ridge, given: Given) -> KappaChoice:
+def discrepancy(ridge: RidgeCurves, given: Given) -> KappaChoice:
     """Kappa with |A x - l| = the norm of the noise; the residual grows with kappa, so there is at most one."""
-    # beyond these ends the residual equals that of kappa = 0 and of x = 0 within rounding
-    eps, target = np.finfo(np.float64).eps, float(given.noise_norm or 0.0)
-    wide = np.geomspace(ridge.values[0] ** 2 * eps**3, ridge.values[0] ** 2 / eps, GRID_POINTS)
+    target, wide = float(given.noise_norm or 0.0), ridge.wide
 
     def excess(kappa: float) -> float:
         return float(np.sqrt(ridge.residual2(kappa))) - target

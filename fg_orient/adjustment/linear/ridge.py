@@ -7,6 +7,7 @@ exact.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,8 +23,63 @@ GRID_POINTS = 240
 ROUNDINGS = 16.0
 
 
+class RidgeCurves(ABC):
+    """Functions of kappa of the Tikhonov solutions of a system with penalty |x|; ``rule`` is a name for messages."""
+
+    rows: int
+    rule: str
+
+    @property
+    @abstractmethod
+    def grid(self) -> Array:
+        """Kappas at which a rule looks first, ascending, in equal ratios."""
+
+    @property
+    @abstractmethod
+    def wide(self) -> Array:
+        """Kappas beyond which the residual changes within rounding, or cannot be computed."""
+
+    @abstractmethod
+    def norm2(self, kappa: float) -> float:
+        """X = |x|^2."""
+
+    @abstractmethod
+    def norm2_slopes(self, kappa: float) -> tuple[float, float]:
+        """First and second derivative of X by kappa."""
+
+    @abstractmethod
+    def residual2(self, kappa: float) -> float:
+        """R = |A x - l|^2; dR/dkappa = -kappa dX/dkappa."""
+
+    @abstractmethod
+    def trace(self, kappa: float) -> float:
+        """Trace of the hat matrix."""
+
+    @abstractmethod
+    def change2(self, kappa: float) -> float:
+        """|kappa dx/dkappa|^2, the quasi-optimality function (Tikhonov, Glasko 1965)."""
+
+    @abstractmethod
+    def change2_slope(self, kappa: float) -> float:
+        """Half the derivative of :meth:`change2` by log kappa."""
+
+    def curvature(self, kappa: float) -> float:
+        """Curvature of (log|A x - l|, log|x|) by log kappa (Hansen, O'Leary 1993)."""
+        norm, residual = self.norm2(kappa), self.residual2(kappa)
+        slope, second = self.norm2_slopes(kappa)
+        eta = 0.5 * kappa * slope / norm
+        rho = -0.5 * kappa**2 * slope / residual
+        eta2 = 0.5 * (kappa * slope + kappa**2 * second) / norm - 2.0 * eta**2
+        rho2 = -0.5 * (2.0 * kappa**2 * slope + kappa**3 * second) / residual - 2.0 * rho**2
+        return float((rho * eta2 - rho2 * eta) / (rho**2 + eta**2) ** 1.5)
+
+    def gcv(self, kappa: float) -> float:
+        """GCV function n |(I - H) l|^2/(tr(I - H))^2 (Golub, Heath, Wahba 1979)."""
+        return self.rows * self.residual2(kappa) / (self.rows - self.trace(kappa)) ** 2
+
+
 @dataclass(frozen=True)
-class Ridge:
+class Ridge(RidgeCurves):
     """Tikhonov solutions of a system for all kappa.
 
     Singular values (p,) of A, descending, beta = U^T l (p,), V^T (p, u), squared length of the part of l outside the
@@ -63,38 +119,33 @@ class Ridge:
         least = min(least, 0.1 * self.values[0])  # two decades of kappa at least
         return np.geomspace(least**2, self.values[0] ** 2, GRID_POINTS)
 
+    @property
+    def wide(self) -> Array:
+        """See :class:`RidgeCurves`: at the ends the residual is that of kappa = 0 and of x = 0 within rounding."""
+        eps = np.finfo(np.float64).eps
+        return np.geomspace(self.values[0] ** 2 * eps**3, self.values[0] ** 2 / eps, GRID_POINTS)
+
     def solution(self, kappa: float) -> Array:
         """Solution (u,) of a kappa."""
         x: Array = self.right.T @ (self.values * self.beta / (self.values**2 + kappa))
         return x
 
     def norm2(self, kappa: float) -> float:
-        """X = |x|^2."""
+        """See :class:`RidgeCurves`."""
         return float(np.sum((self.values * self.beta / (self.values**2 + kappa)) ** 2))
 
     def norm2_slopes(self, kappa: float) -> tuple[float, float]:
-        """First and second derivative of X by kappa."""
+        """See :class:`RidgeCurves`."""
         weight, shifted = (self.values * self.beta) ** 2, self.values**2 + kappa
         return float(-2.0 * np.sum(weight / shifted**3)), float(6.0 * np.sum(weight / shifted**4))
 
     def residual2(self, kappa: float) -> float:
-        """R = |A x - l|^2; dR/dkappa = -kappa dX/dkappa."""
+        """See :class:`RidgeCurves`."""
         return float(np.sum((kappa * self.beta / (self.values**2 + kappa)) ** 2)) + self.outside
 
-    def curvature(self, kappa: float) -> float:
-        """Curvature of (log|A x - l|, log|x|) by log kappa (Hansen, O'Leary 1993)."""
-        norm, residual = self.norm2(kappa), self.residual2(kappa)
-        slope, second = self.norm2_slopes(kappa)
-        eta = 0.5 * kappa * slope / norm
-        rho = -0.5 * kappa**2 * slope / residual
-        eta2 = 0.5 * (kappa * slope + kappa**2 * second) / norm - 2.0 * eta**2
-        rho2 = -0.5 * (2.0 * kappa**2 * slope + kappa**3 * second) / residual - 2.0 * rho**2
-        return float((rho * eta2 - rho2 * eta) / (rho**2 + eta**2) ** 1.5)
-
-    def gcv(self, kappa: float) -> float:
-        """GCV function n |(I - H) l|^2/(tr(I - H))^2 (Golub, Heath, Wahba 1979)."""
-        trace = self.rows - float(np.sum(self.values**2 / (self.values**2 + kappa)))
-        return self.rows * self.residual2(kappa) / trace**2
+    def trace(self, kappa: float) -> float:
+        """See :class:`RidgeCurves`."""
+        return float(np.sum(self.values**2 / (self.values**2 + kappa)))
 
     def creso(self, kappa: float) -> float:
         """X + 2 kappa dX/dkappa = d(kappa X - R)/dkappa (Colli-Franzone et al. 1985)."""
@@ -112,11 +163,11 @@ class Ridge:
         return 0.5 * float(np.sum(np.log(shares))) - 0.5 * self.rows * float(np.log(quadratic))
 
     def change2(self, kappa: float) -> float:
-        """|kappa dx/dkappa|^2, the quasi-optimality function (Tikhonov, Glasko 1965)."""
+        """See :class:`RidgeCurves`."""
         return float(np.sum((kappa * self.values * self.beta / (self.values**2 + kappa) ** 2) ** 2))
 
     def change2_slope(self, kappa: float) -> float:
-        """Half the derivative of :meth:`change2` by log kappa."""
+        """See :class:`RidgeCurves`."""
         squares = self.values**2
         terms = (kappa * self.values * self.beta / (squares + kappa) ** 2) ** 2
         return float(np.sum(terms * (squares - kappa) / (squares + kappa)))
