@@ -8,7 +8,7 @@ one image are an observation of this image, so that the reduced system stays spa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -42,26 +42,47 @@ def needs_rows(problem: Problem) -> bool:
     return any(isinstance(e, Penalty) and e.condition > NORMAL_LIMIT for e in problem.block.extra)
 
 
-def penalties(problem: Problem, rows: Array, source: str, condition: float) -> tuple[Penalty, ...]:
-    """Rows (k, z) of the free image unknowns as penalties: one per image, and one for rows of several images."""
-    wide, images = _wide(problem, rows), np.repeat(np.arange(problem.n_images), np.diff(problem.first))
-    touched = np.array([(wide[:, images == k] != 0.0).any(axis=1) for k in range(problem.n_images)]).T
-    single, out = touched.sum(axis=1) == 1, []
-    groups = [np.flatnonzero(single & touched[:, k]) for k in range(problem.n_images)]
-    for own in (g for g in [*groups, np.flatnonzero(touched.sum(axis=1) > 1)] if len(g)):
-        of = np.flatnonzero(touched[own].any(axis=0))
-        compressed = triangle(wide[own][:, np.isin(images, of)])  # not more observations than unknowns
+def without_penalties(problem: Problem) -> Problem:
+    """The problem without the rows of a regularisation."""
+    others = tuple(e for e in problem.block.extra if not isinstance(e, Penalty))
+    return replace(problem, block=replace(problem.block, extra=others))
+
+
+def penalties(problem: Problem, rows: Any, source: str, condition: float) -> tuple[Penalty, ...]:
+    """Rows (k, z) of the free image unknowns, dense or sparse, as penalties.
+
+    There is one per image, and one for all rows of several images. A shared unknown is read from the first image that
+    has it.
+    """
+    from scipy import sparse
+
+    elements = sparse.coo_array(rows)
+    row, free = elements.coords
+    column = np.asarray(free if problem.ties is None else problem.ties.place[free])
+    wide = sparse.csr_array((elements.data, (row, column)), (rows.shape[0], problem.n_image_unknowns))
+    image = np.repeat(np.arange(problem.n_images), np.diff(problem.first))[column]
+    first, last = np.full(wide.shape[0], problem.n_images), np.full(wide.shape[0], -1)
+    np.minimum.at(first, row, image)
+    np.maximum.at(last, row, image)
+    groups = [np.flatnonzero((first == k) & (last == k)) for k in np.unique(first[first == last])]
+    out = []
+    for own in (g for g in [*groups, np.flatnonzero(first < last)] if len(g)):
+        of = np.unique(image[np.isin(row, own)])
+        columns = np.concatenate([np.arange(problem.first[k], problem.first[k + 1]) for k in of])
+        compressed = triangle(wide[own][:, columns].toarray())  # not more observations than unknowns
         equation, unknowns, setup = linear_rows(problem, compressed, of, "penalty", source)
         named = unknowns[0].replace("image:", "image ") if len(of) == 1 else f"{len(of)} images"
-        label = f"penalty of {named}"
-        out.append(Penalty(equation, unknowns, np.zeros(0), setup, len(setup), label, condition))
+        out.append(Penalty(equation, unknowns, np.zeros(0), setup, len(setup), f"penalty of {named}", condition))
     return tuple(out)
 
 
 def held_rows(problem: Problem, rows: Array, name: str, source: str) -> tuple[Equation, tuple[str, ...], Array]:
     """Equation, names and setup of rows (k, z) of the free unknowns of all images; see :func:`linear_rows`."""
-    images = np.flatnonzero(np.diff(problem.first))
-    return linear_rows(problem, _wide(problem, rows), images, name, source)
+    wide = rows
+    if problem.ties is not None:  # a shared unknown is read from the first image that has it
+        wide = np.zeros((len(rows), problem.n_image_unknowns))
+        wide[:, problem.ties.place] = rows
+    return linear_rows(problem, wide, np.flatnonzero(np.diff(problem.first)), name, source)
 
 
 def linear_rows(
@@ -80,12 +101,3 @@ def linear_rows(
     arguments = tuple(Argument(f"x{k}", "prior sigma") for k in images.tolist())
     unknowns = tuple(f"image:{problem.block.images[k].id}" for k in images.tolist())
     return Equation(name, kernel, residual, arguments, source), unknowns, np.ascontiguousarray(rows)
-
-
-def _wide(problem: Problem, rows: Array) -> Array:
-    """Rows (k, w) of the unknowns of all images; a shared unknown is read from the first image that has it."""
-    if problem.ties is None:
-        return rows
-    wide = np.zeros((len(rows), problem.n_image_unknowns))
-    wide[:, problem.ties.place] = rows
-    return wide

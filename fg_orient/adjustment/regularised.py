@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from factors.arrays import Array
 from fg_orient.adjustment.linear.system import LinearSystem
@@ -27,19 +27,19 @@ class Regularisation:
     choice : KappaChoice or None
         With the curve of the rule and its remarks.
     singular_values : (z,) array
-        Of the reduced Jacobian in the units of the norm, descending, without priors.
+        Of the reduced Jacobian in the units of the norm, descending, without priors; empty for a large system.
     rank : int
         Number of singular values above the cut.
     gap : float
         Ratio of the singular values above and below the cut; inf without one below, or if that is zero.
     units : (z,) array
         Deviations in the units of the norm are these times deviations in prior sigmas.
-    rows : (k, z) array
+    rows : (k, z) array, or sparse array of a large system
         Penalty R: ``R x = 0`` was added, with x in prior sigmas.
     null : (z, d) array
         Orthonormal basis, in the units of the norm, of the directions below the rank cut and of all held ones.
-    standard : LinearSystem
-        The reduced system in standard form, on which the rules of kappa work (penalty |y|^2).
+    standard : LinearSystem or None
+        The reduced system in standard form, on which the rules of kappa work (penalty |y|^2); None for a large system.
     condition : float
         Condition of the reduced Jacobian with priors and penalty.
     """
@@ -52,9 +52,9 @@ class Regularisation:
     rank: int
     gap: float
     units: Array
-    rows: Array
+    rows: Any
     null: Array
-    standard: LinearSystem
+    standard: LinearSystem | None
     condition: float
 
     @property

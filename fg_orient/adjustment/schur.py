@@ -194,6 +194,11 @@ class SchurSystem(Blended):
         implicit = ImplicitProduct(self, damping) if backend.implicit else None
         return backend.reduced(blocks, backend.prior + damping, self._extras.matrix, 2.0 * self.error, implicit)
 
+    @property
+    def joined(self) -> Array | None:
+        """``J^T J`` (z, z) of the observations of several images; None without such."""
+        return self._extras.matrix
+
     def partial(self, damping: float) -> tuple[Array, Array]:
         """Eliminate the points: blocks (B, k, k) without priors and damping of the images, and gradient (u,).
 

@@ -130,9 +130,9 @@ class LapackReduced:
         self._condition: float | None = None
 
     def solve(self, gradient: Array) -> Array:
-        """See :class:`Reduced`."""
-        out = np.empty(len(self._scale))
-        out[self._order.unknowns] = self._solved(-gradient[self._order.unknowns] * self._scale) * self._scale
+        """See :class:`Reduced`; also for columns (u, k)."""
+        out, scale = np.empty(gradient.shape), self._scale if gradient.ndim == 1 else self._scale[:, None]
+        out[self._order.unknowns] = self._solved(-gradient[self._order.unknowns] * scale) * scale
         return out
 
     def _blas(self) -> AbstractContextManager[None]:

@@ -321,6 +321,10 @@ def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:
         return run(job)
     except RuntimeError:
         few = len(job.problem.observations) <= EXPLICIT_LIMIT
+        if job.problem.regularisation is not None and job.backend == "graph" and job.options.backend == "auto":
+            # GTSAM's Cholesky refuses pivots of very different size, which a small kappa gives
+            job.start_again("schur")
+            return _run_schur(job)
         if not few or (job.backend != "graph" and job.options.backend != "auto"):
             raise
     job.start_again("graph")

@@ -331,7 +331,7 @@ class Solution(AdjustmentResult):
         if self.problem.regularisation is not None:
             from fg_orient.quality.resolution import record_of
 
-            return record_of(self.weighted, self.state)
+            return record_of(self.weighted, self.state, self.cofactors)
         if not self.solver:  # another backend: do not load the kappa rules
             return None
         from fg_orient.quality.conditioning import regularisation

@@ -29,14 +29,15 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.adjustment.linear.kappa import Given, KappaChoice, choose_kappa
 from fg_orient.adjustment.linear.shrinkage import SHRINKAGE, shrinkage_penalties
-from fg_orient.adjustment.linear.system import LinearSystem, Rest, column_lengths
-from fg_orient.adjustment.penalty import NORMAL_LIMIT, Penalty, penalties
+from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, LinearSystem, Rest, column_lengths
+from fg_orient.adjustment.penalty import NORMAL_LIMIT, penalties, without_penalties
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.regularised import Regularisation
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.block import Block
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.quality.elimination import UNOBSERVABLE, reduced_system
+from fg_orient.quality.large_regularisation import WITH_PRIORS, large_regularisation
 from fg_orient.quality.penalties import penalty_rows
 
 #: Movement of a held direction, in units of the norm, by a residual of one sigma.
@@ -45,8 +46,6 @@ HELD: Final = 1e-10
 STIFFEST: Final = 1e3
 #: Least ratio of neighbouring singular values around the cut for a clear rank.
 GAP: Final = 100.0
-#: Rules that use the trace of the hat matrix and the residuals only: priors are then a part of the penalty.
-WITH_PRIORS: Final = ("gcv", "discrepancy")
 SOURCE: Final = "Tikhonov 1963; Hansen 1998"
 
 
@@ -70,22 +69,26 @@ def with_regularisation(problem: Problem) -> Problem:
     Raises
     ------
     InputError
-        More than 2000 image unknowns; a rule that is unknown or not possible; the penalty and the observations leave a
-        direction undetermined; normal equations that are too ill-conditioned for the Schur backend.
+        A method or a rule that is not possible for more than 2000 image unknowns; an unknown rule; the penalty and the
+        observations leave a direction undetermined; normal equations that are too ill-conditioned for the Schur
+        backend.
     Breakdown
         The rule finds no kappa.
     """
     if problem.block.options.regularisation == "none":
         return problem
+    problem = without_penalties(problem)
     with one_blas_thread():
-        chosen = _chosen(problem, reduced_system(problem, problem.start))
+        if problem.n_free_unknowns > MAX_UNKNOWNS:
+            chosen = large_regularisation(problem)
+        else:
+            chosen = _chosen(problem, reduced_system(problem, problem.start))
     if problem.block.options.backend == "schur" and chosen.condition > NORMAL_LIMIT:
         raise InputError.of(
             "regularise.condition", option="backend", value="schur", condition=chosen.condition, limit=NORMAL_LIMIT
         )
     rows = penalties(problem, chosen.rows, SOURCE, chosen.condition)
-    others = tuple(e for e in problem.block.extra if not isinstance(e, Penalty))
-    return replace(problem, block=replace(problem.block, extra=(*others, *rows)), regularisation=chosen)
+    return replace(problem, block=replace(problem.block, extra=(*problem.block.extra, *rows)), regularisation=chosen)
 
 
 def _chosen(problem: Problem, system: LinearSystem) -> Regularisation:
@@ -214,7 +217,7 @@ def findings(problem: Problem) -> list[Finding]:
     chosen, options = problem.regularisation, problem.block.options
     if chosen is None:
         return []
-    out, z, s = [], len(chosen.singular_values), chosen.singular_values
+    out, z, s = [], problem.n_free_unknowns, chosen.singular_values
     if chosen.method not in ("tikhonov", "truncated"):
         weak = int(np.count_nonzero(s[: chosen.rank] <= UNOBSERVABLE))
         if chosen.gap < GAP:

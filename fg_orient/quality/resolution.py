@@ -16,7 +16,7 @@ observations N(0, 1), kappa held.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -25,11 +25,13 @@ from scipy.linalg import solve_triangular
 from factors.arrays import Array
 from fg_orient.adjustment.border_matrix import triangle
 from fg_orient.adjustment.linear.l_curve import l_curve_of
-from fg_orient.adjustment.penalty import Penalty
+from fg_orient.adjustment.penalty import without_penalties
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.regularised import Regularisation
 from fg_orient.adjustment.runtime import one_blas_thread
+from fg_orient.quality.cofactors import PointCofactors
 from fg_orient.quality.elimination import reduced_system
+from fg_orient.quality.large_regularisation import large_record
 from fg_orient.quality.regularisation import given_inputs
 
 #: Draws of the simulation, and its seed: the standard error of a root mean square error is 2 %.
@@ -37,6 +39,10 @@ DRAWS: Final = 1000
 SEED: Final = 0
 #: Resolution from which an unknown counts as determined by the observations, and up to which by the metadata.
 DETERMINED, HELD = 0.9, 0.1
+#: Curve of a large system, whose kappas are not recorded.
+_NO_CURVE: Final[dict[str, Any]] = {
+    "kappa": [], "residual_norm": [], "solution_norm": [], "curvature": [], "choices": [],
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -69,20 +75,13 @@ class Resolution:
     bias_bound: Array
     rmse: Array
 
-    @property
-    def sources(self) -> list[str]:
-        """What determines each unknown: "observations", "metadata" or "both"."""
-        share = np.diag(self.matrix)
-        return ["observations" if r >= DETERMINED else "metadata" if r <= HELD else "both" for r in share.tolist()]
-
 
 def resolution(problem: Problem, state: State) -> Resolution:
     """Statistics at a solution of a regularised problem; under a loss of the problem with its weights."""
     chosen = problem.regularisation
     assert chosen is not None
-    others = tuple(e for e in problem.block.extra if not isinstance(e, Penalty))
     with one_blas_thread():
-        system = reduced_system(replace(problem, block=replace(problem.block, extra=others)), state)
+        system = reduced_system(without_penalties(problem), state)
         prior = np.eye(len(system)) if problem.block.options.priors else np.zeros((0, len(system)))
         return of_rows(system.require_design("resolution")[0], prior, chosen, problem.image_vector(state))
 
@@ -106,7 +105,7 @@ def of_rows(design: Array, prior: Array, chosen: Regularisation, x: Array) -> Re
     )  # fmt: skip
 
 
-def record_of(problem: Problem, state: State) -> dict[str, Any] | None:
+def record_of(problem: Problem, state: State, cofactors: PointCofactors | None) -> dict[str, Any] | None:
     """Section ``regularisation`` of a record (docs/results.md); None without a regularisation of the problem.
 
     The keys of a Tikhonov solver of the dense backend (``fg_orient.quality.conditioning``) have the same meaning.
@@ -114,26 +113,41 @@ def record_of(problem: Problem, state: State) -> dict[str, Any] | None:
     chosen = problem.regularisation
     if chosen is None:
         return None
-    found, given = resolution(problem, state), given_inputs(chosen.standard)
-    curve = asdict(l_curve_of(chosen.standard, given))
-    columns = {
-        "resolution": np.diag(found.matrix), "sd_posterior": found.posterior, "sd_noise": found.noise,
-        "bias_plug_in": found.bias, "bias_bound": found.bias_bound, "rmse_simulated": found.rmse,
-    }  # fmt: skip
+    if chosen.standard is None:
+        large, curve, eigenvalues = large_record(problem, state, cofactors), _NO_CURVE, []
+        columns, effective = large["columns"], large["effective_unknowns"]
+    else:
+        found = resolution(problem, state)
+        eigenvalues = found.eigenvalues.tolist()
+        curve, effective = asdict(l_curve_of(chosen.standard, given_inputs(chosen.standard))), sum(eigenvalues)
+        columns = {
+            "resolution": np.diag(found.matrix), "sd_posterior": found.posterior, "sd_noise": found.noise,
+            "bias_plug_in": found.bias, "bias_bound": found.bias_bound, "rmse_simulated": found.rmse,
+        }  # fmt: skip
+    curve, determined_by = dict(curve), sources(columns["resolution"])
     return {
         "solver": chosen.method, "label": chosen.method.replace("_", " "), "rule": chosen.rule or None,
         "kappa": chosen.kappa, "failure": "", "rules": curve.pop("choices"), "curve": curve, "steps": [],
         "penalty": problem.block.options.penalty, "units": problem.block.options.regularised_units,
         "notes": [] if chosen.choice is None else list(chosen.choice.notes),
-        "rank": chosen.rank, "held_directions": chosen.held, "gap": chosen.gap if np.isfinite(chosen.gap) else None,
+        "rank": None if chosen.standard is None else chosen.rank, "held_directions": chosen.held,
+        "gap": chosen.gap if np.isfinite(chosen.gap) else None,
         "singular_values": chosen.singular_values, "condition": chosen.condition,
-        "effective_unknowns": float(found.eigenvalues.sum()), "resolution_eigenvalues": found.eigenvalues,
-        "simulation": {"draws": DRAWS, "seed": SEED},
+        "effective_unknowns": effective, "resolution_eigenvalues": eigenvalues,
+        "simulation": None if chosen.standard is None else {"draws": DRAWS, "seed": SEED},
         "unknowns": [
             {"image": image, "unknown": name, "determined_by": source, **{key: v[k] for key, v in columns.items()}}
-            for k, ((image, name), source) in enumerate(zip(labels(problem), found.sources, strict=True))
+            for k, ((image, name), source) in enumerate(zip(labels(problem), determined_by, strict=True))
         ],
     }  # fmt: skip
+
+
+def sources(resolution: Array) -> list[str | None]:
+    """What determines each unknown: "observations", "metadata" or "both"; None where the resolution is not known."""
+    return [
+        None if np.isnan(r) else "observations" if r >= DETERMINED else "metadata" if r <= HELD else "both"
+        for r in resolution.tolist()
+    ]
 
 
 def labels(problem: Problem) -> list[tuple[str, str]]:

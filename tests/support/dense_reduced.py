@@ -38,6 +38,7 @@ def twin() -> Block:
 def dense_of(problem: Problem) -> Dense:
     """Project all rows at the start on the complement of the columns of the ground points."""
     residual, design = assemble(problem, problem.start)
+    design = design if problem.ties is None else problem.ties.columns(design)
     z = problem.n_free_unknowns
     basis = np.linalg.qr(design[:, z:], mode="complete").Q[:, design.shape[1] - z :]
     return Dense(basis.T @ design[:, :z], -basis.T @ residual, design, residual)

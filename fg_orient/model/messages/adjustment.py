@@ -125,6 +125,8 @@ regularise.zero: the observations do not depend on the image unknowns
     -> check the points and the unknowns
 regularise.common_null: neither the observations nor the penalty determine {n} direction(s) of the image unknowns
     -> add <penalty_deviation>, choose <penalty> deviation, or keep the priors
+regularise.rule_large: this rule needs a decomposition, or no priors, in a block of so many image unknowns
+    -> choose one of {known}, or give <kappa> a number
 regularise.rule_priors: this rule is not defined beside priors, units or a penalty of this kind
     -> choose one of {known}, leave the priors out, or give <kappa> a number
 adjust.extra_kind: an extra observation wants the other kind of unknown for its argument {argument}

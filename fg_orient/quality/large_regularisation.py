@@ -1,0 +1,93 @@
+"""Regularisation of more than 2000 image unknowns: Tikhonov's method with sampled traces, without a decomposition.
+
+The penalty is the deviation in prior sigmas. Rank and singular values are not computed. With the cofactors Q of the
+solution and kappa, the resolution is ``I - (kappa + p) Q``; p is 1 with priors, else 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+from scipy import sparse
+
+from factors.arrays import Array
+from fg_orient.adjustment.linear.kappa import Given, KappaChoice
+from fg_orient.adjustment.linear.kappa_graph import SAMPLED, on_curves
+from fg_orient.adjustment.linear.sampled import PROBES, SampledRidge
+from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
+from fg_orient.adjustment.normal_equations import NormalEquations
+from fg_orient.adjustment.penalty import without_penalties
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.regularised import Regularisation
+from fg_orient.model.errors import InputError
+from fg_orient.quality.cofactors import PointCofactors
+
+#: Rules that use the trace of the hat matrix and the residuals only: priors are then a part of the penalty.
+WITH_PRIORS: Final = ("gcv", "discrepancy")
+
+
+def large_regularisation(problem: Problem) -> Regularisation:
+    """Regularisation of a large problem at its start.
+
+    InputError: another method, penalty or unit; a rule that needs a decomposition.
+    """
+    options, z = problem.block.options, problem.n_free_unknowns
+    if (options.regularisation, options.penalty, options.regularised_units) != (
+        "tikhonov",
+        "deviation",
+        "prior_sigmas",
+    ):
+        raise InputError.of("linear.too_large", option="regularisation", value=z, limit=MAX_UNKNOWNS)
+    choice = _choice(problem) if options.kappa is None else KappaChoice(options.kappa, "")
+    return Regularisation(
+        "tikhonov", choice.kappa, choice.rule, choice if choice.rule else None, np.zeros(0), z, np.inf, np.ones(z),
+        sparse.eye_array(z, format="csr") * np.sqrt(choice.kappa), np.zeros((z, 0)), None, np.nan,
+    )  # fmt: skip
+
+
+def _choice(problem: Problem) -> KappaChoice:
+    """Kappa by the rule of the options."""
+    options = problem.block.options
+    if options.kappa_rule == "bayes":
+        return KappaChoice(1.0, "bayes")
+    possible = [rule for rule in SAMPLED if not options.priors or rule in WITH_PRIORS]
+    if options.kappa_rule not in possible:
+        known = ", ".join(("bayes", *possible))
+        raise InputError.of("regularise.rule_large", option="kappa_rule", value=options.kappa_rule, known=known)
+    curves = sampled_ridge(problem, options.kappa_rule)
+    choice = on_curves(options.kappa_rule, curves, Given(noise_norm=float(np.sqrt(curves.rows))))
+    notes = [f"{PROBES} probes, standard error of the trace {curves.trace_error(choice.kappa):.2g}"]
+    if options.kappa_rule == "gcv":
+        low, high = curves.gcv_interval(choice.kappa)
+        notes.append(f"kappa {low:.3g} to {high:.3g} at 95 % by the error of the trace")
+    kappa = max(choice.kappa - 1.0, 0.0) if options.priors else choice.kappa
+    return replace(choice, kappa=kappa, notes=(*choice.notes, *notes))
+
+
+def sampled_ridge(problem: Problem, rule: str) -> SampledRidge:
+    """Tikhonov solutions of the reduced system at the start, without priors."""
+    equations = NormalEquations.of(without_penalties(problem), problem.start)
+    priors = problem.n_free_unknowns if problem.block.options.priors else 0
+    rows = problem.n_observations - priors - 3 * int(problem.active.sum())
+    return SampledRidge(equations.factor, equations.rhs, equations.squares, rows, equations.largest(), rule)
+
+
+def large_record(problem: Problem, state: State, cofactors: PointCofactors | None) -> dict[str, Any]:
+    """Values of ``resolution.record_of`` for a large problem; null: they need a decomposition or the cofactors."""
+    chosen = problem.regularisation
+    assert chosen is not None and chosen.kappa is not None
+    p, z = 1.0 if problem.block.options.priors else 0.0, problem.n_free_unknowns
+    x, nothing = problem.image_vector(state), np.full(z, np.nan)
+    q = nothing
+    if cofactors is not None:
+        wide = np.concatenate([np.diag(cofactors.joint((k,), ())) for k in range(problem.n_images)])
+        q = wide if problem.ties is None else wide[problem.ties.place]
+    solve = NormalEquations.of(without_penalties(problem), state).factor(chosen.kappa + p)
+    share = 1.0 - (chosen.kappa + p) * q
+    columns: dict[str, Array] = {
+        "resolution": share, "sd_posterior": np.sqrt(q), "sd_noise": nothing,
+        "bias_plug_in": -chosen.kappa * solve(x[:, None])[:, 0], "bias_bound": nothing, "rmse_simulated": nothing,
+    }  # fmt: skip
+    return {"effective_unknowns": float(share.sum()), "columns": columns}
