@@ -20,6 +20,8 @@ from fg_orient.model.parameters import ImageParameters, term_of
 
 #: Times of the derivatives of a function.
 TIMES: Final = 11
+#: Roundings of a function's values up to which a derivative is zero.
+ROUNDINGS: Final = 100.0
 _ORDER: Final = {"gradient": 1, "laplace": 2}
 
 
@@ -49,11 +51,12 @@ def image_penalty(parameters: ImageParameters, order: int, intervals: int) -> Ar
     rows = [np.zeros((0, len(parameters)))]
     for members in functions.values():
         values = np.stack([_values(parameters.names[j], t, intervals) for j in members], axis=1)
-        own = np.zeros((TIMES, len(parameters)))
-        own[:, members] = np.diff(values, n=order, axis=0) / (t[1] - t[0]) ** order / np.sqrt(TIMES)
-        own[:, members] *= parameters.sigma[members] / parameters.sigma[members[0]]
-        _, s, vt = np.linalg.svd(own, full_matrices=False)
-        rows.append((s[:, None] * vt)[s > TIMES * np.finfo(float).eps * s[0]])  # not more rows than their rank
+        values *= parameters.sigma[members] / parameters.sigma[members[0]] / np.sqrt(TIMES) / (t[1] - t[0]) ** order
+        _, s, vt = np.linalg.svd(np.diff(values, n=order, axis=0), full_matrices=False)
+        rank = int(np.count_nonzero(s > ROUNDINGS * np.finfo(float).eps * np.linalg.norm(values)))
+        own = np.zeros((rank, len(parameters)))
+        own[:, members] = s[:rank, None] * vt[:rank]
+        rows.append(own)
     return np.vstack(rows)
 
 
