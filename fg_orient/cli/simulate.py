@@ -20,13 +20,17 @@ app = typer.Typer(help="Write synthetic projects in the real file formats, with 
 @command(ZonguldakOptions)
 def zonguldak(
     options: Mapping[str, Any],
-    dem: Annotated[bool, option("Write dem.tif, a terrain through the points.", flag="--dem")] = False,
+    dem: Annotated[bool, option("Write dem.tif, a terrain that contains the points.", flag="--dem")] = False,
     raster: Annotated[
-        bool, option("Render the images on this terrain (12000 x 12000, minutes); writes both.", flag="--raster")
+        bool,
+        option(
+            "Render the images on this terrain (12000 x 12000 pixels, takes minutes); also writes dem.tif.",
+            flag="--raster",
+        ),
     ] = False,
-    dem_step: Annotated[float, option("Edge of the DEM's cells, m.", "M")] = 30.0,
+    dem_step: Annotated[float, option("Cell size of the DEM, m.", "M")] = 30.0,
     raster_window: Annotated[
-        int, option("Render only squares of this size about the points; 0: all pixels.", "PX")
+        int, option("Render only squares of this size around the points; 0: all pixels.", "PX")
     ] = 0,
     out: Annotated[Path, option("Folder to write.")] = Path("zonguldak"),
     overwrite: Overwrite = False,
@@ -82,5 +86,5 @@ def _name(project: Path) -> None:
 
 
 def _show(project: Path) -> None:
-    say(f"written: {project.parent} (the truth lies in truth/ and is read by nothing but report --truth)")
+    say(f"written: {project.parent} (the true values are in truth/; only report --truth reads them)")
     say(f"next: fg-orient adjust {project}")

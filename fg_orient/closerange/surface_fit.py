@@ -35,7 +35,7 @@ NAMED: Final = 0.1
 
 @dataclass(frozen=True)
 class SurfaceFit(fitting.Fit):
-    """Fitted surface; the condition number is that of weighted normal distances.
+    """Fitted surface; the condition number belongs to weighted normal distances.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class _Task:
 
     @property
     def scale(self) -> Array:
-        """Unit (u,) of the unknowns in m; 1 for those that are not lengths."""
+        """Return the unit (u,) of the unknowns in m; 1 for unknowns that are not lengths."""
         return np.where(self.model.is_length, self.size, 1.0)
 
     @property
@@ -292,7 +292,7 @@ def _words(names: tuple[str, ...], direction: Array) -> dict[str, str]:
     order = np.argsort(-np.abs(direction), kind="stable")
     first, *others = order[np.abs(direction[order]) >= NAMED * np.abs(direction[order[0]])].tolist()
     if not others:
-        return {"names": f"{names[first]} is open", "direction": f"d{names[first]} alone"}
+        return {"names": f"{names[first]} is not determined", "direction": f"d{names[first]} alone"}
     ratios = [f"d{names[k]} = {direction[k] / direction[first]:+.2f} d{names[first]}" for k in others]
     *parts, last = (names[k] for k in (first, *others))
     return {"names": f"{', '.join(parts)} and {last} are inseparable", "direction": ", ".join(ratios)}

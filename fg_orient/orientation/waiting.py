@@ -20,12 +20,13 @@ UNDETERMINED: Final = 1e-11
 COMPONENT: Final = 1e-4
 
 ONE_RAY: Final = (
-    "incremental.one_ray (note): waits: seen in image {image} only, and a ground point without control needs two rays"
+    "incremental.one_ray (note): waits: it is seen in image {image} only, and a ground point without control needs"
+    " two rays"
 )
 OTHERS_WAIT: Final = (
     "incremental.others_wait (note): waits: other images that see it are not determined yet: {images:3}"
 )
-PARALLEL: Final = "incremental.parallel (note): waits: its rays are less than {least} degrees from parallel"
+PARALLEL: Final = "incremental.parallel (note): waits: its rays are parallel within {least} degrees"
 BEHIND: Final = (
     "incremental.behind (note): waits: its rays meet behind a sensor -> check the point's identity in every image"
 )

@@ -25,7 +25,7 @@ def orientation_words(record: dict[str, Any]) -> str:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Write a number with a fixed count of decimals; a dash for none."""
+    """Write a number with a fixed count of decimals; a dash if there is no number."""
     if value is None or not math.isfinite(value):
         return "–"
     rounded = round(value, digits) + 0.0  # no minus before a zero
@@ -76,12 +76,12 @@ def _verdict(record: dict[str, Any]) -> dict[str, str]:
     if sigma0 is None:
         return {"kind": "warn", "title": "Converged, unchecked", "text": "Without redundancy nothing was checked."}
     fit = "The observations fit the model within their standard deviations."
-    robust = record.get("robust")  # results of earlier versions have none
+    robust = record.get("robust")  # results of earlier versions do not have it
     if robust is not None:
         down, n = robust["n_image_points_below_half"], record["n_image_points"]
-        fit = f"The loss {record['loss']} has turned down {down} of {n} image points; the fit of the rest is untested."
-        if record["loss"] == "lad":  # its weights turn nothing down
-            fit = f"{down} of {n} image points lie beyond 2 sigmas; under least absolute values the fit is untested."
+        fit = f"The loss {record['loss']} has down-weighted {down} of {n} image points; the rest is untested."
+        if record["loss"] == "lad":  # weights of lad do not reject: a weight below 0.5 means 2 sigmas
+            fit = f"{down} of {n} image points exceed 2 sigmas; under least absolute values the fit is untested."
     elif record.get("variance_components") is not None:
         fit = "The standard deviations were estimated from these residuals, so the fit does not test the model."
     elif low is not None and sigma0 < low:
@@ -103,4 +103,4 @@ def accuracy_words(record: dict[str, Any]) -> list[str]:
 def check_point_words(n: int, axes: str) -> str:
     """Sentence on the error at ``n`` check points; ``axes``: root mean square error along each axis, in words."""
     points = "one check point" if n == 1 else f"{n} check points"
-    return f"At {points}, whose coordinates took no part, the root mean square error is {axes}."
+    return f"At {points}, whose coordinates were not used, the root mean square error is {axes}."

@@ -149,13 +149,13 @@ def test_a_finding_shows_where_what_and_the_remedy_on_one_line() -> None:
 def test_data_are_plain_and_lists_are_short() -> None:
     found = finding("solution.outside_validity", image=Path("left"), n=80, points=tuple(map(str, range(80))))
     assert found.data == {"image": "left", "n": 80, "points": [str(k) for k in range(50)]}
-    assert str(found).endswith("left: 80 points: 0, 1, 2, 3, 4, 5, 6, 7, 8, 9 ...")
+    assert str(found).startswith("80 points lie outside") and str(found).endswith(" 7, 8, 9 ...")
 
 
 @pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("n", "text"),
-    [(1, "1 check point is not in the accuracy"), (12, "12 check points are not in the accuracy")],
+    [(1, "1 check point is not used for the accuracy"), (12, "12 check points are not used for the accuracy")],
 )
 def test_noun_and_verb_agree_with_their_number(n: int, text: str) -> None:
     assert finding("search.check_points", n=n, points=["7"]).message.startswith(text)

@@ -135,7 +135,7 @@ def test_file_of_the_user_beside_the_script(site: Path, tmp_path: Path) -> None:
     write(file, "print('RUN')\n")
     text = refusal(file.parent, site)
     assert text.startswith(f"{file}: ") and str(site / "factors") in text
-    assert "rename the file" in text and "my_factors.py" in text
+    assert "give the file a name" in text and "my_factors.py" in text
     file.rename(file.with_name("my_factors.py"))
     assert imported(file.parent, site).stdout == "good\n"
 
@@ -162,7 +162,7 @@ def test_folder_of_the_user(repository: Path, site: Path, tmp_path: Path, old_co
 def test_folder_on_pythonpath(site: Path, tmp_path: Path) -> None:
     write(tmp_path / "other" / "factors" / "__init__.py", "print('RUN')\n")
     text = refusal(tmp_path / "other", site, environment={"PYTHONPATH": str(tmp_path / "other")})
-    assert f"take {tmp_path / 'other'} off PYTHONPATH" in text
+    assert f"remove {tmp_path / 'other'} from PYTHONPATH" in text
 
 
 @pytest.mark.parametrize("editable", [False, True])
@@ -199,7 +199,9 @@ def test_reinstalled_from_where_it_came(site: Path, direct_url: object, source: 
 def test_other_version(site: Path, tmp_path: Path) -> None:
     write(site / "factors" / "__init__.py", "FG_ORIENT_FACTORS = '0.0.9'\n")
     text = refusal(site)
-    assert f"of fg_orient 0.0.9, the rest is of {__version__}" in text and text.endswith(reinstall(tmp_path))
+    assert f"belongs to fg_orient 0.0.9, the other packages to {__version__}" in text and text.endswith(
+        reinstall(tmp_path)
+    )
 
 
 def test_source_tree_is_restored_not_installed(repository: Path, tmp_path: Path) -> None:

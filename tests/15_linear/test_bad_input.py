@@ -129,7 +129,7 @@ def test_solver_from_outside() -> None:
     found = solve("ours", EYE, as_run=True)
     assert found.x.tolist() == [1.0, 1.0]
     assert found.notes == ("as_run True",)
-    with pytest.raises(Breakdown, match=r"ours: the linear algebra library cannot go on \(found Singular matrix\)"):
+    with pytest.raises(Breakdown, match=r"ours: the linear algebra library stopped \(found Singular matrix\)"):
         solve("ours", LinearSystem(np.zeros((2, 2)), np.ones(2)))
     assert "Singular" in attempt("ours", LinearSystem(np.zeros((2, 2)), np.ones(2))).failure
     regular = LinearSystem.from_design(np.vstack([np.eye(2), np.eye(2)]), np.ones(4))

@@ -127,7 +127,7 @@ def test_geotiff_tags_round_trip_and_pixels_stay(tmp_path: Path, model: RpcModel
 
 @pytest.mark.behaviour
 def test_geotiff_without_tags_and_without_an_image(tmp_path: Path, model: RpcModel) -> None:
-    with pytest.raises(InputError, match="holds no RPC"):
+    with pytest.raises(InputError, match="contains no RPC"):
         read_rpc(geotiff(tmp_path / "image.tif"))
     with pytest.raises(InputError, match="existing GeoTIFF"):
         write_rpc(tmp_path / "none.tif", model)
@@ -194,7 +194,7 @@ def test_digitalglobe_xml_and_virtual_raster(tmp_path: Path, model: RpcModel, na
     assert (found.n_lines, found.n_samples) == (20000, 24000)
     if name == "a.vrt":
         path.write_text(vrt_text(model).replace('domain="RPC"', 'domain="RPB"'))
-        with pytest.raises(InputError, match="holds no RPC"):
+        with pytest.raises(InputError, match="contains no RPC"):
             read_rpc(path)
 
 
@@ -350,13 +350,17 @@ def test_bad_rpb_and_dimap_name_the_place(tmp_path: Path, model: RpcModel) -> No
     write_rpc(rpb, model)
     write_rpc(xml, replace(model, direct=model.coefficients))
     rpb.write_text(re.sub(r",\n\s*[-\d.e]+\);", ");", rpb.read_text(), count=1))
-    with pytest.raises(InputError, match=r"LINE_NUM_COEFF: needs 20 coefficients, 19 given"):
+    with pytest.raises(InputError, match=r"LINE_NUM_COEFF: 20 coefficients are needed, 19 are given"):
         read_rpc(rpb)
     text = xml.read_text()
     for old, new, expected in (
         ("<LINE_SCALE>10000.0</LINE_SCALE>", "", "LINE_SCALE is missing"),
-        ("<LINE_OFF>10001.0<", "<LINE_OFF>many<", r"line \d+, .*LINE_OFF.*not a plain finite number \(found many\)"),
-        ("<LINE_SCALE>10000.0<", "<LINE_SCALE>0<", "scale of line: a scale of zero"),
+        (
+            "<LINE_OFF>10001.0<",
+            "<LINE_OFF>many<",
+            r"line \d+, .*LINE_OFF.*this is not a plain finite number \(found many\)",
+        ),
+        ("<LINE_SCALE>10000.0<", "<LINE_SCALE>0<", "scale of line: the scale is zero"),
     ):
         assert old in text
         xml.write_text(text.replace(old, new))
@@ -384,7 +388,7 @@ def test_other_bad_files(tmp_path: Path, model: RpcModel) -> None:
     short = tmp_path / "list.txt"
     short.write_text(list_text(model).rsplit("\n", 1)[0])
     for first_pixel in (1.0, None):  # a table of other numbers is none, whatever it counts from
-        with pytest.raises(InputError, match=r"holds 90 numbers \(found 89 numbers\)"):
+        with pytest.raises(InputError, match=r"must contain 90 numbers \(found 89 numbers\)"):
             read_rpc(short, first_pixel=first_pixel)
     isd = tmp_path / "isd.XML"
     isd.write_text("<isd><IMD/></isd>")
@@ -392,13 +396,13 @@ def test_other_bad_files(tmp_path: Path, model: RpcModel) -> None:
         read_rpc(isd)
     geom = tmp_path / "a.geom"
     geom.write_text(geom_text(model).replace("number_lines:  20000", "number_lines:  many"))
-    with pytest.raises(InputError, match="line 3, number_lines: not a plain finite number"):
+    with pytest.raises(InputError, match="line 3, number_lines: this is not a plain finite number"):
         read_rpc(geom)
     with pytest.raises(InputError, match="does not exist"):
         read_rpc(tmp_path / "none")
     with pytest.raises(InputError, match="folder"):
         read_rpc(tmp_path)
-    with pytest.raises(InputError, match=r"end it with _RPC\.TXT"):
+    with pytest.raises(InputError, match=r"end the name with _RPC\.TXT"):
         write_rpc(tmp_path / "model.dat", model)
     with pytest.raises(InputError, match=r"none.*model\.RPB"):
         write_rpc(tmp_path / "none" / "model.RPB", model)

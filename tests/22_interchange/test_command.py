@@ -98,13 +98,13 @@ def test_points_in_another_crs(folder: Path) -> None:
     [
         (["--to", "pix5d", "--out", "x"], "did you mean pix4d"),
         (["--to", "pix4d"], "Give IN"),
-        (["--out", "x.csv"], "name it: one of csv, metashape-csv, pix4d"),
+        (["--out", "x.csv"], "give the format: one of csv, metashape-csv, pix4d"),
         (["--to", "csv", "--out", "x", "--sigma-axes", "xyz"], "ecef or enu"),
         (["--to", "csv", "--out", "x", "--image-size", "left"], "NAME=LINES,SAMPLES"),
         (["--to", "csv", "--out", "x", "--crs", "EPSG:32635"], "not the one given"),
         (["--to", "csv", "--out", "x", "--check", "nobody"], "no point with coordinates"),
-        (["--to", "geojson", "--out", "x", "--out", "y"], "other files"),
-        (["--to", "dbat", "--out", "x"], "only read"),
+        (["--to", "geojson", "--out", "x", "--out", "y"], "not the files of format"),
+        (["--to", "dbat", "--out", "x"], "only be read"),
         (["--to", "odm", "--out", "no/such/folder/x"], "cannot be written"),
     ],
 )
@@ -132,7 +132,7 @@ def test_validate_marks_unverified_formats(folder: Path) -> None:
     record = in_process(*words, "--crs", "EPSG:32636", "--json").json
     assert [p["code"] for p in record["remarks"]] == ["remark.unverified"] and record["points"] == 1
     ended = in_process(*words, "--crs", "EPSG:32636")
-    assert ended.code == 0 and "never tried" in ended.stdout
+    assert ended.code == 0 and "never tested" in ended.stdout
     assert in_process(*words).code == 2
     own = in_process("validate", folder / "points.csv", "--format", "csv", "--json")
     assert own.json["remarks"] == [] and own.json["crs"] == "EPSG:32636"
@@ -173,7 +173,11 @@ def test_validate_takes_several_files_each_for_itself(folder: Path) -> None:
 @pytest.mark.behaviour
 def test_validate_takes_one_project(folder: Path) -> None:
     ended = in_process("validate", folder / "a.toml", folder / "b.toml")
-    assert ended.code == 2 and "b.toml" in ended.stderr and "one project file is checked at a time" in ended.stderr
+    assert (
+        ended.code == 2
+        and "b.toml" in ended.stderr
+        and "only one project file can be checked at a time" in ended.stderr
+    )
 
 
 @pytest.mark.behaviour

@@ -106,7 +106,7 @@ def test_metashape_csv(tmp_path: Path) -> None:
     assert_ground(found)
     assert found.roles == (Role.CONTROL, Role.CHECK, Role.TIE)
     np.testing.assert_array_equal(found.sigma_enu_m, [[0.02, 0.02, 0.05], [0.03] * 3, [np.nan] * 3])
-    assert tuple(map(str, found.notes)) == ("columns not read: Error_(m)",)
+    assert tuple(map(str, found.notes)) == ("these columns are not read: Error_(m)",)
 
 
 def test_a_crs_that_the_users_replaces_is_told(tmp_path: Path) -> None:
@@ -114,8 +114,8 @@ def test_a_crs_that_the_users_replaces_is_told(tmp_path: Path) -> None:
     grid = 'LOCAL_CS["Quarry grid",  UNIT["metre",1]]'
     local = re.sub("(?<=# CoordinateSystem: ).*", grid, METASHAPE_CSV, count=1)
     found = read(tmp_path, "metashape-csv", local, crs="EPSG:32636")
-    told = 'the CRS of the file (LOCAL_CS["Quarry grid", UNIT["metre",1]]) is none of EPSG: EPSG:32636 takes its place'
-    assert found.crs == "EPSG:32636" and [*map(str, found.notes)] == [told, "columns not read: Error_(m)"]
+    told = 'the CRS of the file (LOCAL_CS["Quarry grid", UNIT["metre",1]]) has no EPSG code; EPSG:32636 is used instead'
+    assert found.crs == "EPSG:32636" and [*map(str, found.notes)] == [told, "these columns are not read: Error_(m)"]
     assert read(tmp_path, "metashape-csv", METASHAPE_CSV, crs="EPSG:32636").notes == found.notes[1:]
     for stated in ("", "EPSG:32636", "EPSG:32636+5773"):
         assert decided_crs(stated, "EPSG:32636", "f")[1] == ()
@@ -177,7 +177,7 @@ def test_odm_without_its_first_line_keeps_every_point_and_asks_for_the_crs(tmp_p
     assert found.ids == whole.ids
     np.testing.assert_array_equal(found.coordinates, whole.coordinates)
     np.testing.assert_array_equal(found.observed.line, whole.observed.line)
-    with pytest.raises(InputError, match="does not say its CRS"):
+    with pytest.raises(InputError, match="does not state its CRS"):
         read(tmp_path, "odm", headless)
 
 
@@ -193,7 +193,7 @@ def test_crs_with_a_shift_of_zero_is_that_without_it_and_no_other_shift_is(tmp_p
     found = read(tmp_path, "metashape-csv", METASHAPE_CSV.replace(UTM, bound("0,0,0,0,0,0,0")))
     assert found.crs == "EPSG:32636"
     for shift in ("0,0,5,0,0,0,0", "0,0,0,0,0,0,2"):
-        with pytest.raises(InputError, match="none of EPSG"):
+        with pytest.raises(InputError, match="no EPSG code"):
             read(tmp_path, "metashape-csv", METASHAPE_CSV.replace(UTM, bound(shift)))
     with pytest.raises(InputError, match="not the one given"):
         read(tmp_path, "metashape-csv", METASHAPE_CSV.replace(UTM, bound("0,0,0,0,0,0,0")), crs="EPSG:32635")
@@ -202,7 +202,7 @@ def test_crs_with_a_shift_of_zero_is_that_without_it_and_no_other_shift_is(tmp_p
 @pytest.mark.parametrize("ellipsoid", ["intl", "GRS80", "WGS84"])
 def test_ellipsoid_alone_is_no_datum(tmp_path: Path, ellipsoid: str) -> None:
     # PROJ finds Ain el Abd / UTM zone 36N, BGS2005 / UTM zone 36N, WGS 84 / TMzn36N equal, datum aside.
-    with pytest.raises(InputError, match="none of EPSG"):
+    with pytest.raises(InputError, match="no EPSG code"):
         read(tmp_path, "odm", ODM.format(crs=f"+proj=utm +zone=36 +ellps={ellipsoid} +units=m +no_defs"))
 
 

@@ -114,9 +114,9 @@ def test_faults_name_file_line_and_entry(folder: Path) -> None:
     for gone, said in (
         (
             "sigma_m = [0.06, 0.06, 1.0]\n",
-            r"list.txt, line \d+, point \d+: it has no standard deviation; add sigma_m",
+            r"list.txt, line \d+, point \d+: the entry has no standard deviation; add sigma_m",
         ),
-        ("sigma_px = [0.3, 0.3]\n", "it has no standard deviation .* add sigma_px = "),
+        ("sigma_px = [0.3, 0.3]\n", "the entry has no standard deviation .* add sigma_px = "),
     ):
         path.write_text(text.replace(gone, ""), "utf-8")
         with pytest.raises(InputError, match=said):
@@ -127,7 +127,7 @@ def test_faults_name_file_line_and_entry(folder: Path) -> None:
     with pytest.raises(InputError, match=r"gcp_list.txt, line 5"):
         fg.read_project(path)
     file.write_text("\n".join(lines).replace("left", "middle"), "utf-8")
-    with pytest.raises(InputError, match="image middle: the project has no such image"):
+    with pytest.raises(InputError, match="image middle: the project has no image with this id"):
         fg.read_project(path)
     path.write_text(text.replace("sigma_px = [", 'images = { "middle" = "left" }\nsigma_px = ['), "utf-8")
     assert len(fg.read_project(path).observations) == 94
@@ -147,7 +147,10 @@ def test_another_crs_than_the_file_says_is_one_fault_with_a_remedy_of_projects(f
     ended = in_process("validate", path, "--json")
     (found,) = ended.json["errors"]
     assert (ended.code, found["code"]) == (2, "interchange.crs_differs")
-    assert found["remedy"] == "leave crs out, or give the same with a vertical CRS; the command convert transforms"
+    assert (
+        found["remedy"]
+        == "leave crs out, or give the CRS of the file with a vertical CRS; the command convert transforms"
+    )
 
 
 @pytest.mark.behaviour
@@ -163,7 +166,7 @@ def test_our_points_with_tie_points_of_another_program(folder: Path, own: Block)
     assert block.points.roles[block.points.ids.index(name)] is Role.TIE
     assert len(block.observations) == len(own.observations) and len(block.points.ids) == len(own.points.ids)
     own_with = told(folder, 'file = "points.csv"\ncrs = "EPSG:4979"\nheight_m = 1.0\n', foreign)
-    with pytest.raises(InputError, match=r"points.height_m: this entry is for files of other programs"):
+    with pytest.raises(InputError, match=r"points.height_m: this entry is only for files of other programs"):
         fg.read_project(own_with)
     with pytest.raises(InputError, match=r"points.format.*did you mean"):
         fg.read_project(told(folder, 'file = "m.xml"\nformat = "metashap-xml"\n', foreign))

@@ -84,8 +84,8 @@ def test_a_conflict_is_dropped_and_told(tmp_path: Path) -> None:
     assert survey.observed.line.tolist() == [9.0, 8.0]
     (told,) = survey.notes
     assert str(told) == (
-        "1 of 2 tie points left out (4 image points): their matches chain two places of one image, the first "
-        "(1, 2) and (1, 7) of a"
+        "1 of 2 tie points left out (4 image points): their matches connect two different pixels of one image, the"
+        " first (1, 2) and (1, 7) of a"
     )
 
 
@@ -130,7 +130,7 @@ def test_three_images_need_a_folder_and_names_must_fit_one(tmp_path: Path) -> No
     with pytest.raises(InputError, match="3 images"):
         FORMAT.write(survey, (tmp_path / "run-a__b.match",), Settings())  # type: ignore[misc]
     two = tie_survey(("a", "b"), ("1",), np.arange(2), np.zeros(2, int), np.zeros(2), np.zeros(2))
-    with pytest.raises(InputError, match=r"name it PREFIX-LEFT__RIGHT\.match"):
+    with pytest.raises(InputError, match=r"name the file PREFIX-LEFT__RIGHT\.match"):
         FORMAT.write(two, (tmp_path / "p.match",), Settings())  # type: ignore[misc]
     assert not (tmp_path / "p.match").exists()
     odd = tie_survey(("a__b", "c"), ("1",), np.arange(2), np.zeros(2, int), np.zeros(2), np.zeros(2))

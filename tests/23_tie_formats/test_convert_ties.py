@@ -53,8 +53,8 @@ def test_points_are_no_model(wanted: str, tmp_path: Path) -> None:
     """Formats that are written from a model only say so, and which formats hold one."""
     words = ["convert", matches(tmp_path), "--accept-unverified", "--to", wanted, "--out", tmp_path / "out"]
     ended = in_process(*words)
-    assert ended.code == 2 and "holds cameras and poses, which asp-match does not" in ended.stderr
-    assert "only read" not in ended.stderr and "bal, bundler" in ended.stderr and "colmap-text" in ended.stderr
+    assert ended.code == 2 and "needs cameras and poses, which asp-match does not" in ended.stderr
+    assert "only be read" not in ended.stderr and "bal, bundler" in ended.stderr and "colmap-text" in ended.stderr
 
 
 @pytest.mark.behaviour
@@ -85,8 +85,8 @@ def test_a_model_goes_from_colmap_to_bundler_and_back_with_its_residuals(tmp_pat
     assert in_process(*back).code == 2  # unverified
     ended = in_process(*back, "--accept-unverified", "--json")
     assert ended.code == 0
-    (note,) = (text for text in ended.json["notes"] if "the file holds no sizes of images" in text)
-    assert "are assumed for 0, 1, 2; option image_size" in note
+    (note,) = (text for text in ended.json["notes"] if "the file contains no image sizes" in text)
+    assert "are assumed for 0, 1, 2; give the true sizes" in note
     again = read_colmap_text(tmp_path / "back")
     assert np.sum(again.residuals_px() ** 2) == pytest.approx(np.sum(model.residuals_px() ** 2), rel=1e-9)
 
@@ -99,9 +99,7 @@ def test_sizes_of_images_are_given_or_said_to_be_assumed(tmp_path: Path) -> None
     words = ["convert", bal, "--from", "bal", "--to", "colmap-text", "--out"]
     one = in_process(*words, tmp_path / "one", "--image-size", "1=701,801")
     side = assumed_side(read_bal_data(bal))
-    assert (
-        one.code == 0 and f"{side} x {side} pixels" in one.stderr and "are assumed for 0, 2; --image-size" in one.stderr
-    )
+    assert one.code == 0 and f"{side} x {side} pixels" in one.stderr and "are assumed for 0, 2; give" in one.stderr
     sizes = [(c.n_lines, c.n_samples) for c in read_colmap_text(tmp_path / "one").cameras.values()]
     assert sizes == [(side, side), (701, 801), (side, side)]
     both = in_process(*words, tmp_path / "both", *(f"--image-size={k}=60{k},90{k}" for k in range(3)))
@@ -118,7 +116,7 @@ def test_a_size_of_an_image_that_is_not_there_is_refused(tmp_path: Path, target:
     assert in_process("convert", tmp_path / "sparse", "--from", "colmap-text", "--to", "bal", "--out", bal).code == 0
     ended = in_process("convert", bal, "--from", "bal", "--to", target, "--out", out, "--image-size", "left=9,9")
     assert ended.code == 2
-    assert "--image-size: the file has no such image (found left); choose one of 0, 1, 2" in ended.stderr
+    assert "--image-size: the file has no image of this name (found left); choose one of 0, 1, 2" in ended.stderr
     assert not out.exists()
 
 
@@ -127,7 +125,7 @@ def test_sizes_beside_a_format_that_has_none_are_refused_too(tmp_path: Path) -> 
     ended = in_process("convert", matches(tmp_path), "--accept-unverified", "--to", "micmac-ties", "--out",
                        tmp_path / "out", "--image-size", "c=9,9")  # fmt: skip
     assert ended.code == 2
-    assert "the file has no such image (found c); choose one of a, b" in ended.stderr
+    assert "the file has no image of this name (found c); choose one of a, b" in ended.stderr
 
 
 @pytest.mark.behaviour

@@ -49,7 +49,7 @@ def test_pixels_are_those_of_the_formula(tmp_path: Path) -> None:
     assert np.abs(model.residuals_px()).max() < 1e-3  # float32
     assert (model.cameras["1"].n_lines, model.cameras["1"].n_samples, model.notes) == (480, 640, ())
     (note,) = map(str, read_libmv(tmp_path / "problem.bin").notes)
-    assert "no sizes of images" in note and "for 3, 8" in note
+    assert "no image sizes" in note and "for 3, 8" in note
 
 
 def arrays(path: Path) -> tuple[Array, ...]:
@@ -132,11 +132,14 @@ DAMAGED = {
     "text": (b"49 7776 31843\n" * 9, "does not begin with the letters vP"),
     "big-endian": (spoilt(0, b"V"), "does not begin with the letters vP"),
     "normalised": (spoilt(1, b"N"), "does not begin with the letters vP"),
-    "head alone": (spoilt(0, b"", length=38), "the counts do not fit the length"),
+    "head alone": (spoilt(0, b"", length=38), "the counts in the file do not agree with the length"),
     "no images": (spoilt(34, bytes(4)), "(found 0 images)"),
     "minus one image": (spoilt(34, NO), "(found -1 images)"),
     "too many images": (spoilt(34, FAR), "(found 77 images)"),
-    "too many points": (spoilt(142, FAR), "byte 142: the counts do not fit the length of the file (found 77 points)"),
+    "too many points": (
+        spoilt(142, FAR),
+        "byte 142: the counts in the file do not agree with the length of the file (found 77 points)",
+    ),
     "one image point less": (spoilt(194, struct.pack("<i", 5)), "(found 16 bytes more)"),
     "truncated": (spoilt(0, b"", length=-1), "(found 6 image points)"),
     "ends in the points": (spoilt(0, b"", length=170), "(found 3 points)"),
@@ -150,7 +153,10 @@ DAMAGED = {
     "nan in a translation": (spoilt(78, NAN), "image 0: a number is not finite"),
     "nan in a point": (spoilt(150, NAN), "point 0: a number is not finite"),
     "inf in an image point": (spoilt(206, struct.pack("<f", np.inf)), "image point 0: a number is not finite"),
-    "no such image": (spoilt(198, FAR), "image point 0: the file has no such image or point (found image 77, point 5)"),
+    "no such image": (
+        spoilt(198, FAR),
+        "image point 0: the file has no image or point of this number (found image 77, point 5)",
+    ),
     "no such point": (spoilt(202, FAR), "(found image 3, point 77)"),
     "image point twice": (spoilt(202, struct.pack("<i", 6)), "image point 1"),
 }

@@ -185,7 +185,7 @@ def test_all_faulty_lines_and_missing_files_are_named(tmp_path: Path) -> None:
         done = in_process("validate", "--format", "sba", *(folder / file for file in files))
         assert done.code == 2 and done.stderr.count("\n") == 1, done
     before = f"851.5 330 262 {853.0 / 851.5!r} 0"
-    with pytest.raises(InputError, match="have their own"):
+    with pytest.raises(InputError, match="contain the camera matrix"):
         read(written(tmp_path, before))
-    with pytest.raises(InputError, match="aspect 1 where the camera has distortion"):
+    with pytest.raises(InputError, match="aspect 1 if the camera has distortion"):
         read(written(tmp_path, before + " 0.1 0 0 0 0"), calib=False)

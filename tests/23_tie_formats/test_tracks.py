@@ -71,8 +71,8 @@ def test_a_conflict_is_told_with_its_image_and_places() -> None:
     assert members(found) == [{4, 5}]
     (told,) = conflict_note(number(found), out, ["a", "b", "c"], image, line, sample)
     assert str(told) == (
-        "1 of 2 tie points left out (4 image points): their matches chain two places of one image, the first "
-        "(1.5, 10) and (4, 40) of a"
+        "1 of 2 tie points left out (4 image points): their matches connect two different pixels of one image, the"
+        " first (1.5, 10) and (4, 40) of a"
     )
     good, none = join(image, line, sample, np.array([[4, 5]]))
     assert conflict_note(number(good), none, ["a", "b", "c"], image, line, sample) == ()

@@ -186,7 +186,7 @@ def test_ids_are_those_that_the_other_table_has(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "said"), [(("left", "right"), "the same ids"), (("left", "left.tif"), "in two ways")]
+    ("names", "said"), [(("left", "right"), "the same ids"), (("left", "left.tif"), "two names for the image")]
 )  # fmt: skip
 def test_two_tables_that_may_mean_other_points_or_the_same_image(
     tmp_path: Path, names: tuple[str, str], said: str

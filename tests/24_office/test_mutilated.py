@@ -74,8 +74,8 @@ ROWS: dict[str, tuple[Callable[[Grid], Grid], str]] = {
 #: Changes of the folder.
 FILES: dict[str, tuple[Callable[[Path], object], str]] = {
     "an empty file": (lambda f: (f / POINTS).write_bytes(b""), "no points"),
-    "bytes": (lambda f: (f / POINTS).write_bytes(bytes(range(256)) * 9), "no text"),
-    "half of UTF-16": (lambda f: (f / POINTS).write_bytes(text(points()).encode("utf-16")[:1001]), "no text"),
+    "bytes": (lambda f: (f / POINTS).write_bytes(bytes(range(256)) * 9), "not text"),
+    "half of UTF-16": (lambda f: (f / POINTS).write_bytes(text(points()).encode("utf-16")[:1001]), "not text"),
     "no workbook": (lambda f: (f / "a.xlsx").write_bytes(b"no zip"), "damaged"),
     "an old workbook": (lambda f: (f / "a.xls").write_bytes(b"\xd0\xcf\x11\xe0"), "before 2007"),
     "no GeoPackage": (lambda f: (f / "a.gpkg").write_bytes(b"SQLite format 3\0"), "layers"),
@@ -84,7 +84,7 @@ FILES: dict[str, tuple[Callable[[Path], object], str]] = {
     "a word for a pixel": (mark(3, 3, "x"), "line 4, column Sütun"),
     "a point measured twice": (mark(4, 1, "101"), "line 5"),
     "no pixel": (mark(3, 3, ""), "line 4, column Sütun"),
-    "no images": (lambda f: [p.unlink() for p in f.glob("*_RPC.TXT")], "no file holds"),
+    "no images": (lambda f: [p.unlink() for p in f.glob("*_RPC.TXT")], "no file contains"),
 }
 
 

@@ -305,5 +305,5 @@ def test_a_wrong_name_is_one_error(folder):
     folder.observations.write_text(text, encoding="utf-8")
     wrong = {p.value: str(p) for p in checked_project(folder.project)[1]}
     assert set(wrong) == {"'rigth'", "'k3'"}
-    assert "no such image in 7 lines" in wrong["'rigth'"] and "did you mean right?" in wrong["'rigth'"]
-    assert "no such id (found" in wrong["'k3'"]
+    assert "no image with this id in 7 lines" in wrong["'rigth'"] and "did you mean right?" in wrong["'rigth'"]
+    assert "no point with this id (found" in wrong["'k3'"]

@@ -152,12 +152,12 @@ def test_a_wrong_file_is_named(tmp_path: Path, factor: float, unit: str, message
 def test_points_without_a_value(tmp_path: Path) -> None:
     grid = GeoidFile(write_grid(tmp_path / "small.gtx"))
     for lon, lat in ((30.99, 41.5), (33.01, 41.5), (32.0, 42.01), (32.0, 40.9), (-148.0, 41.5)):
-        with pytest.raises(InputError, match=r"does not cover a point \(found 1 of 2 points\)"):
+        with pytest.raises(InputError, match=r"does not cover this point \(found 1 of 2 points\)"):
             grid.undulation_m([32.0, lon], [41.5, lat])
     holed = UNDULATION.copy()
     holed[2, 4] = -88.8888
     holed_grid = GeoidFile(write_grid(tmp_path / "holed.gtx", holed))
-    with pytest.raises(InputError, match="has no value at a point"):
+    with pytest.raises(InputError, match="has no value at this point"):
         holed_grid.undulation_m([LON[4] + 0.01], [LAT[2]])
     assert np.isfinite(holed_grid.undulation_m([LON[5]], [LAT[2]])).all()  # a node beside the hole
 
@@ -205,7 +205,7 @@ def test_a_project_with_its_own_geoid_file(folder: ProjectFolder) -> None:
     state(folder, 'geoid = "n.gtx"')
     block = read_project(folder.project)
     np.testing.assert_allclose(block.points.known.ecef_m[:4], expected_ecef(undulation), rtol=0, atol=1e-6)
-    assert any("ellipsoidal by the undulations of n.gtx" in str(note) for note in block.notes)
+    assert any("with the undulations of n.gtx" in str(note) for note in block.notes)
     assert [Path(source.path).name for source in block.sources].count("n.gtx") == 1
     # the sealed check points have the same zero level
     lon, lat, height = 31.80, 41.30, 640.0
@@ -250,7 +250,7 @@ def test_a_constant_and_an_estimated_constant(folder: ProjectFolder) -> None:
     folder.change("project.toml", "undulation_m = 34.25", 'both_heights = "both.csv"')
     again = read_project(folder.project)
     np.testing.assert_allclose(again.points.known.ecef_m, block.points.known.ecef_m, rtol=0, atol=1e-6)
-    assert any("34.250 m, standard deviation 0.022 m" in str(note) for note in again.notes)
+    assert any("Its standard deviation is 0.022 m" in str(note) for note in again.notes)
 
 
 @pytest.mark.truth
@@ -269,7 +269,7 @@ def test_an_odd_point_of_both_heights_is_named_and_right_ones_are_not(tmp_path: 
             named += bool(odd)
     assert named <= 14  # binomial (499, 0.01): beyond it with probability 1e-4
     path.write_text("id,height_m,ellipsoidal_height_m\nA,1,37\n", encoding="utf-8")
-    assert "nothing checks it" in str(estimated(path).notes[0])
+    assert "it is not checked" in str(estimated(path).notes[0])
 
 
 @pytest.mark.behaviour
@@ -277,13 +277,13 @@ def test_what_is_said_of_heights(folder: ProjectFolder) -> None:
     assert any("EPSG:4979 (ellipsoidal height) to" in str(note) for note in read_project(folder.project).notes)
     state(folder, "", "EPSG:4326")
     _, remarks = checked_project(folder.project)
-    assert any("taken as ellipsoidal: EPSG:4326 says nothing" in str(p) for p in remarks)
+    assert any("assumed to be ellipsoidal, because EPSG:4326 does not" in str(p) for p in remarks)
     folder.change("project.toml", 'crs = "EPSG:4326"', 'crs = "EPSG:4979"\nundulation_m = -34.25')
     _, remarks = checked_project(folder.project)
     assert any("opposite sign it would fit" in str(p) and p.severity == "warning" for p in remarks)
     folder.change("project.toml", "undulation_m = -34.25", 'undulation_m = 34.25\ngeoid = "n.gtx"')
     _, problems = checked_project(folder.project)
-    assert ["more than one way" in str(p) for p in problems] == [True]
+    assert ["more than one method" in str(p) for p in problems] == [True]
     folder.change("project.toml", 'undulation_m = 34.25\ngeoid = "n.gtx"', 'geoid = "n.gtx"')
     _, problems = checked_project(folder.project)
     assert len(problems) == 1 and "n.gtx: the geoid file does not exist" in str(problems[0])
@@ -396,4 +396,4 @@ def test_geocentric_coordinates_have_no_zero_level(folder: ProjectFolder) -> Non
     folder.change("points.csv", "lon_deg,lat_deg,height_m", "x_m,y_m,z_m")
     state(folder, "undulation_m = 34.0", "EPSG:4978")
     _, problems = checked_project(folder.project)
-    assert any("geocentric coordinates have no heights" in str(p) for p in problems)
+    assert any("geocentric coordinates do not contain heights" in str(p) for p in problems)

@@ -39,7 +39,7 @@ FLAT = LookAnglePolynomial(0.0, np.array([0.0]), np.array([0.1, 0.0]))
     [(lambda m: shifted(m, 150.0), 0.0, OutOfTimeRange, "never extrapolated"),
      (lambda m: open_end(m, 12.0), 0.0, OutOfTimeRange, "attitudes cover"),
      *((lambda m: m, s, InputError, "0 to 5 s only") for s in (-0.1, float("nan"), MAX_EXTRAPOLATION_S + 1e-9)),
-     (lambda m: replace(m, look=FLAT), 0.0, InputError, "same direction")],
+     (lambda m: replace(m, look=FLAT), 0.0, InputError, "same viewing direction")],
     ids=["orbit too short", "no line with attitude", "negative", "no number", "too long", "one direction"],
 )  # fmt: skip
 def test_metadata_that_make_no_sensor_are_refused(
@@ -67,7 +67,10 @@ def test_lines_without_attitude_are_refused_one_by_one(metadata: PushbroomMetada
     sensor = PushbroomSensor(open_end(metadata, 0.15))
     refused = int(np.ceil(0.15 / period))
     assert (sensor.first_line, sensor.last_line) == (0.0, 11999.0 - refused)
-    assert str(sensor.notes[-1]) == f"the attitudes do not cover lines {12000 - refused} to 11999: they are refused"
+    assert (
+        str(sensor.notes[-1])
+        == f"the attitudes do not cover lines {12000 - refused} to 11999, so these lines cannot be used"
+    )
     last = sensor.last_line
     assert np.isfinite(sensor.locate([0.0, last + 0.5], [0.0, 11999.0], height_m=0.0)).all()
     for call in (lambda n: sensor.locate(n, 5.0), sensor.states, lambda n: sensor.rays(n, 5.0)):
@@ -86,7 +89,9 @@ def test_lines_before_the_attitudes(metadata: PushbroomMetadata) -> None:
     sensor = PushbroomSensor(open_end(metadata, -0.055))
     refused = int(np.ceil(0.055 / metadata.timing.line_period_s))
     assert (sensor.first_line, sensor.last_line) == (float(refused), 11999.0)
-    assert str(sensor.notes[-1]) == f"the attitudes do not cover lines 0 to {refused - 1}: they are refused"
+    assert (
+        str(sensor.notes[-1]) == f"the attitudes do not cover lines 0 to {refused - 1}, so these lines cannot be used"
+    )
 
 
 @pytest.mark.consistency
@@ -107,7 +112,7 @@ def test_extrapolation_holds_the_last_rate(metadata: PushbroomMetadata, end_s: f
     """Angles beyond the list: the last sample plus its rate; inside the list nothing changes, bit by bit."""
     held = PushbroomSensor(open_end(metadata, end_s), extrapolate_attitude_s=0.2)
     assert (held.first_line, held.last_line) == (0.0, 11999.0)
-    assert "extrapolated with the last rate by 0.150 s" in str(held.notes[-1])
+    assert "extrapolated by 0.150 s with the last rate" in str(held.notes[-1])
     source, k = held.metadata.attitude, (-1 if end_s > 0 else 0)
     neighbour = k - 1 if k else 1
     rate = (source.angles_rad[k] - source.angles_rad[neighbour]) / (source.time_s[k] - source.time_s[neighbour])

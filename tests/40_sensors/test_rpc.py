@@ -218,7 +218,7 @@ def test_arrays_are_read_only_copies() -> None:
         ({"coefficients": np.ones((4, 21))}, r"found shape \(4, 21\)"),
         ({"offsets": [1.0, 2.0, 3.0]}, r"offsets.*shape \(5,\)"),
         ({"scales": [1.0, 1.0, np.nan, 1.0, 1.0]}, "scales: a value is not finite"),
-        ({"scales": [1.0, 0.0, 1.0, 1.0, 1.0]}, "scale of sample: a scale of zero"),
+        ({"scales": [1.0, 0.0, 1.0, 1.0, 1.0]}, "scale of sample: the scale is zero"),
         ({"coefficients": np.full((4, 20), 0.5)}, r"line denominator, coefficient 1: .*must be 1 \(found 0\.5\)"),
     ],
 )  # fmt: skip

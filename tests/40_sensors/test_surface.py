@@ -145,7 +145,7 @@ def test_rays_beside_the_dem_are_refused(sensor: PushbroomSensor, tmp_path: Path
         ("EPSG:4326", "metre", None),
         ("EPSG:4979", None, None),
         ("EPSG:32636", None, None),
-        ("EPSG:4326+5773", None, "cannot be brought to the ellipsoid.*us_nga_egm96_15.tif.*EGM96 height"),
+        ("EPSG:4326+5773", None, "cannot be transformed to ellipsoidal heights.*us_nga_egm96_15.tif.*EGM96 height"),
         ("EPSG:32636+5773", None, "us_nga_egm96_15.tif"),
         ("EPSG:4326", "US survey foot", "not in metres .found US survey foot"),
     ],

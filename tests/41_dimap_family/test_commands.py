@@ -148,7 +148,7 @@ def test_ortho_extrapolates_as_the_other_commands(short: Path, tmp_path: Path, m
     refused = run(*words)
     assert (refused.code, refused.json["errors"][0]["code"]) == (2, "sensor.attitude_span")
     record = run(*words, "--extrapolate-attitude", 0.2).json
-    assert any("extrapolated with the last rate" in note for note in record["notes"])
+    assert any("are extrapolated by" in note for note in record["notes"])
     assert lines == [11999.0]
 
 
@@ -162,7 +162,7 @@ def test_extrapolation_of_a_project_is_in_its_result(short: Path, tmp_path: Path
     out = tmp_path / "result"
     assert run("adjust", short, "--extrapolate-attitude", 0.2, "--out", out, "--quiet").code == 0
     notes = json.loads((out / "result.json").read_text("utf-8"))["images"][0]["notes"]
-    assert any("extrapolated with the last rate by 0." in note for note in notes)
+    assert any("are extrapolated by 0." in note for note in notes)
     assert run("adjust", short, "--extrapolate-attitude", 9, "--out", tmp_path / "x", "--json").code == 2
     text = short.read_text("utf-8").replace("[orientation]", "[orientation]\nextrapolate_attitude_s = 0.2")
     short.write_text(text, encoding="utf-8")
@@ -191,7 +191,7 @@ def test_frame_of_spot6_is_printed_with_its_heights(real_data: Path) -> None:
     ended = run("locate", real_data / "geocosicorr3d/SPOT6.XML", "--frame")
     assert ended.code == 0
     assert ended.stdout.count("836.4") == 5 and "misfit_m" in ended.stdout
-    assert "height of each is solved" in ended.stderr
+    assert "height of each frame point is estimated" in ended.stderr
 
 
 @pytest.mark.behaviour

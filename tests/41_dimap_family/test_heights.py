@@ -99,12 +99,12 @@ def test_a_projected_dem_above_a_geoid(geoid: None, tmp_path: Path) -> None:
 @pytest.mark.behaviour
 def test_what_the_geoid_cannot_do(geoid: None, tmp_path: Path) -> None:
     place = (0.001, 0.0, 37.6, 0.0, -0.001, 42.0)
-    with pytest.raises(InputError, match=r"cannot be brought to the ellipsoid.*outside the domain"):
+    with pytest.raises(InputError, match=r"cannot be transformed to ellipsoidal heights.*outside the domain"):
         RasterDem(write_dem(tmp_path / "beside.tif", "EPSG:4326+5773", place, (4, 4)))
     plain = write_dem(tmp_path / "plain.tif", "EPSG:4326", place, (4, 4))
     with pytest.raises(InputError, match="not a vertical CRS"):
         RasterDem(plain, vertical_crs="EPSG:4326")
-    with pytest.raises(InputError, match="no such EPSG code"):
+    with pytest.raises(InputError, match="unknown EPSG code"):
         RasterDem(plain, vertical_crs="EPSG:999999")
 
 
@@ -283,7 +283,7 @@ def test_points_beside_the_dem_are_left_out() -> None:
 @pytest.mark.parametrize("sigma", [0.0, -1.0, float("nan")])
 def test_what_dem_control_refuses(sigma: float) -> None:
     block, _ = tie_block(n=5)
-    with pytest.raises(InputError, match="no positive number"):
+    with pytest.raises(InputError, match="not a positive number"):
         adjust_with_dem(block, Hills(), sigma)
-    with pytest.raises(InputError, match="no point to be observed"):
+    with pytest.raises(InputError, match="none of the points that need a height"):
         adjust_with_dem(block, Hills(), 1.0, roles=(Role.CONTROL,))

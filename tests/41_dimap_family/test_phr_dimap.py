@@ -95,7 +95,7 @@ def test_values_are_those_of_the_text(phr: Path) -> None:
     assert m.ephemeris.position_m[1].tolist() == [5447304.949 + 4.7e3, 277507.888 - 1.1e3, 4502106.749 - 5.7e3]
     frame = [(p.line, p.sample, p.height_m) for p in m.frame_points]
     assert frame == [(0.0, 0.0, None), (0.0, 23.0, None), (4000.0, 23.0, None), (4000.0, 0.0, None)]
-    assert "height of each is solved" in str(m.frame_note)
+    assert "height of each frame point is estimated" in str(m.frame_note)
 
 
 FAULTS: dict[str, tuple[Callable[[Path], Path], str]] = {

@@ -83,8 +83,8 @@ def test_hrs_lines_without_attitude_are_refused(real_data: Path) -> None:
             assert "45063.206912 .. 45135.331747 s" in found.message and "option extrapolate_attitude" in found.remedy
     assert refused == 22 + 235
     assert tuple(map(str, sensor.notes[-2:])) == (
-        "the attitudes do not cover lines 0 to 21: they are refused",
-        "the attitudes do not cover lines 95933 to 96167: they are refused",
+        "the attitudes do not cover lines 0 to 21, so these lines cannot be used",
+        "the attitudes do not cover lines 95933 to 96167, so these lines cannot be used",
     )
 
 
@@ -182,9 +182,9 @@ def test_three_units_of_line_periods(real_data: Path, name: str, period_s: float
 def test_a_rigorous_model_that_is_not_there(real_data: Path, name: str) -> None:
     """SPOT 7 and Pléiades Neo: their RPC work, asking for the rigorous model names them."""
     assert np.isfinite(read_sensor(real_data / name, model="rpc").centre_m).all()
-    with pytest.raises(InputError, match=r"holds an RPC, no rigorous model .*option model rpc"):
+    with pytest.raises(InputError, match=r"contains an RPC and not a rigorous model .*option model rpc"):
         read_sensor(real_data / name, model="rigorous")
-    with pytest.raises(InputError, match="holds RPC, not the rigorous model"):
+    with pytest.raises(InputError, match="contains RPC, not the rigorous model"):
         read_dimap(real_data / name)
 
 

@@ -127,5 +127,5 @@ def test_a_selection_of_ones_own(make: Make, monkeypatch: pytest.MonkeyPatch) ->
     assert len(found.x) == 8
     with pytest.raises(ValueError, match="already"):
         select.register_selection("none", "other", source="")(select.lasso)
-    with pytest.raises(InputError, match="no such selection"):
+    with pytest.raises(InputError, match="unknown selection"):
         fit_selected(make(30), RfmForm(2), "best")

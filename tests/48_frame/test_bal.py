@@ -85,7 +85,7 @@ def test_points_seen_once_and_points_behind_are_told(tmp_path: Path) -> None:
     kept, dropped = read_bal(path), read_bal(path, keep_behind=False)
     assert tuple(map(str, kept.notes)) == (
         "left out: 1 point measured in one image only",
-        "behind a camera: 1 point",
+        "1 point lies behind a camera",
     )
     assert len(kept.observations) == 34
     assert len(dropped.observations) == 31
@@ -157,5 +157,5 @@ def test_ladybug_begins_at_the_cost_of_the_printed_model(real_data: Path) -> Non
     found = problem.pixel_residuals(problem.start)
     assert len(found) == 31843
     assert float(np.sum(found**2)) == pytest.approx(float(np.sum(theirs**2)), rel=1e-12)
-    assert [*map(str, read_bal(path).notes)] == ["behind a camera: 10 points"]
+    assert [*map(str, read_bal(path).notes)] == ["10 points lie behind a camera"]
     assert len(read_bal(path, keep_behind=False).observations) == 31843 - 31

@@ -164,10 +164,10 @@ def extra(unknowns: tuple[str, ...], equation: object = CONTROL_POINT) -> ExtraO
 @pytest.mark.parametrize(
     ("names", "equation", "message"),
     [
-        (("point:nowhere",), CONTROL_POINT, "own observation 1.*names no image or point"),
-        (("image:left",), CONTROL_POINT, "own observation 1.*wants the other kind of unknown"),
-        (("point:01",), OBSERVED_PARAMETERS, "own observation 1.*wants the other kind of unknown"),
-        (("point:CHECK",), CONTROL_POINT, "takes no part"),  # an excluded check point
+        (("point:nowhere",), CONTROL_POINT, "own observation 1.*needs names of images or points"),
+        (("image:left",), CONTROL_POINT, "own observation 1.*wrong kind of unknown"),
+        (("point:01",), OBSERVED_PARAMETERS, "own observation 1.*wrong kind of unknown"),
+        (("point:CHECK",), CONTROL_POINT, "does not take part"),  # an excluded check point
     ],
 )
 @pytest.mark.behaviour

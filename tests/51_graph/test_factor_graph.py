@@ -61,7 +61,7 @@ def test_own_optimiser_of_adjust(twin: Block) -> None:
     found = fg.adjust(twin, optimizer=optimised)
     assert found.status is Status.CONVERGED
     assert np.abs(found.state.image - base.state.image).max() <= 1e-9
-    with pytest.raises(InputError, match="optimiser of one's own"):
+    with pytest.raises(InputError, match="your own optimiser"):
         fg.adjust(twin, optimizer=optimised, snoop=True)
 
 
@@ -76,9 +76,9 @@ def test_names_and_keys_lead_to_each_other(twin: Block) -> None:
     explicit = fg.factor_graph(twin, points="explicit")
     assert explicit.name(explicit.key(point)) == point
     assert len(explicit.factors(point)) >= 2
-    with pytest.raises(InputError, match="no variable in the graph"):
+    with pytest.raises(InputError, match="no variable of this name"):
         graph.key(point)
-    with pytest.raises(InputError, match="no variable in the graph"):
+    with pytest.raises(InputError, match="no variable of this name"):
         graph.key("image:none")
     control = next(f"point:{twin.points.ids[j]}" for j in np.flatnonzero(explicit.prepared.problem.observed))
     known = twin.points.known
@@ -86,7 +86,7 @@ def test_names_and_keys_lead_to_each_other(twin: Block) -> None:
         known, fixed=~np.isnan(known.ecef_m[:, 0]), sigma_enu_m=np.full_like(known.sigma_enu_m, np.nan)
     )))  # fmt: skip
     assert len(fg.factor_graph(held).factors(control)) == 1
-    with pytest.raises(InputError, match="no variable in the graph"):
+    with pytest.raises(InputError, match="no variable of this name"):
         fg.factor_graph(held, points="explicit").factors(control)
 
 
@@ -111,7 +111,7 @@ def test_a_wide_factor_is_told_with_its_seconds(twin: Block, monkeypatch: pytest
 
 @pytest.mark.behaviour
 def test_what_has_no_graph_is_refused(twin: Block) -> None:
-    with pytest.raises(InputError, match="no robust loss"):
+    with pytest.raises(InputError, match="cannot contain a robust loss"):
         fg.factor_graph(replace(twin, options=replace(twin.options, loss="huber")))
     with pytest.raises(InputError, match="explicit"):
         fg.factor_graph(replace(twin, options=replace(twin.options, eop_set=2, priors=False)))

@@ -237,9 +237,9 @@ def test_what_does_not_fit_is_refused_in_one_line() -> None:
     sealed = Coordinates(np.where(gone, np.nan, known.ecef_m), np.where(gone, np.nan, known.sigma_enu_m), known.fixed)
     cases: tuple[tuple[Block, fg.Solution | fg.Result, dict[str, object], str], ...] = (
         (replace(second, images=ids), one, {}, "no image of this block"),
-        (second, one, {"look_polynomial": 1}, "unknowns of only one"),
-        (second, one, {"variance_components": ("image", "priors"), "start_prior": True}, "may not be estimated"),
-        (second, one, {"parts": 2, "start_prior": True}, "Schur backend cannot take"),
+        (second, one, {"look_polynomial": 1}, "only one of the two adjustments"),
+        (second, one, {"variance_components": ("image", "priors"), "start_prior": True}, "cannot be estimated"),
+        (second, one, {"parts": 2, "start_prior": True}, "Schur backend cannot adjust"),
         (second, one, {"datum": "inner", "start_prior": True}, "free network"),
         (second, replace(one.result, joint=None), {"start_prior": True}, "covariance.npz"),
         (second, fg.adjust(first, max_iterations=1), {"start_prior": True}, "did not converge"),

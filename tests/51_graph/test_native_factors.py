@@ -177,8 +177,8 @@ def test_only_points_that_factors_name_are_variables() -> None:
 def test_wrong_factors_are_named_by_their_number() -> None:
     unit = gtsam.noiseModel.Unit.Create(3)
     cases = (
-        (gtsam.PriorFactorPoint3(gtsam.symbol("q", 1), np.zeros(3), unit), "no variable of the block"),
-        (gtsam.PriorFactorPoint3(point_key(100_000), np.zeros(3), unit), "no variable of the block"),
+        (gtsam.PriorFactorPoint3(gtsam.symbol("q", 1), np.zeros(3), unit), "not a variable of the block"),
+        (gtsam.PriorFactorPoint3(point_key(100_000), np.zeros(3), unit), "not a variable of the block"),
         (gtsam.PriorFactorVector(image_key(0), np.zeros(2), gtsam.noiseModel.Unit.Create(2)), "cannot be evaluated"),
         (gtsam.PriorFactorPoint3(image_key(0), np.zeros(3), unit), "cannot be evaluated"),
         (gtsam.PriorFactorPoint3(point_key(ties(1)[0]), np.full(3, np.nan), unit), "cannot be evaluated"),

@@ -158,7 +158,8 @@ def test_interrupt_leaves_a_checkpoint_and_says_so(project: Path, tmp_path: Path
         stopped = run("adjust", project, "--out", out)
     assert stopped.code == 130
     assert (
-        "interrupted after iteration 1, which .out.checkpoint.npz keeps; --resume goes on from there" in stopped.stderr
+        "interrupted after iteration 1; its values are saved in .out.checkpoint.npz; continue from there with --resume"
+        in stopped.stderr
     )
     assert sorted(p.name for p in tmp_path.iterdir()) == [".out.checkpoint.npz"]
     done = run("adjust", project, "--out", out, "--resume", "--json")

@@ -123,9 +123,9 @@ def test_stages_left() -> None:
 def test_refusals() -> None:
     block = clean_block(2, 2, 40)
     for options, words in (
-        ({"loss": "huber"}, "leads to a bounded loss"),
+        ({"loss": "huber"}, "needs a bounded loss"),
         ({"loss": "none"}, "choose one of tls, geman_mcclure"),
-        ({"loss": "hubre", "gnc": False}, "no such robust loss"),
+        ({"loss": "hubre", "gnc": False}, "unknown robust loss"),
     ):
         with pytest.raises(InputError, match=words):
             adjusted(block, **options)
@@ -164,7 +164,7 @@ def test_solution_says_what_its_figures_are() -> None:
     assert down >= len(bad)
     name = f"image:{block.images[0].id}"
     assert np.array_equal(solution.covariance(name).values, solution.cofactor_matrix(name).values)
-    with pytest.raises(fg.NoSolutionError, match="not tested for under a robust loss"):
+    with pytest.raises(fg.NoSolutionError, match="not tested for gross errors under a robust loss"):
         solution.outlier_tests()
 
 
@@ -178,7 +178,7 @@ def test_a_loss_that_turns_most_points_down_is_not_trusted() -> None:
 
     solution = fg.adjust(replace(block, observations=tiny), loss="welsch", max_iterations=500, backend="schur")
     assert solution.status is fg.Status.NOT_TRUSTWORTHY
-    assert "have a weight below 0.5: the model does not hold" in solution.reason
+    assert "have a weight below 0.5: the model is wrong" in solution.reason
 
 
 @pytest.mark.oracle
@@ -226,6 +226,6 @@ def test_result_folder_under_a_loss(tmp_path: Path) -> None:
     assert record["robust"]["n_image_points_below_half"] == sum(float(r["weight"]) < DOWN for r in tables["residuals"])
     assert len(record["robust"]["least"]) == record["robust"]["n_image_points_below_half"]
     text = (tmp_path / "out" / "report.html").read_text("utf-8")
-    assert "The loss welsch has turned down" in text
+    assert "The loss welsch has down-weighted" in text
     assert "not tested under a loss" in text
     assert "fit the model within their standard deviations" not in text

@@ -645,9 +645,10 @@ def test_blocks_that_the_procedure_cannot_take_are_refused(
 
 @pytest.mark.behaviour
 @pytest.mark.parametrize(("arguments", "message"), [
-    ((0, 1, SOLVER), "no such EOP set"), ((21, 1, SOLVER), "no such EOP set"),
-    ((2, 3, SOLVER), "no such bundle adjustment"), ((2, 1, SOLVER, 0), "no such bundle adjustment"),
-    ((2, 1, "nosuch"), "no solver of this name"), ((2, 2, "nosuch"), "no solver of this name"),
+    ((0, 1, SOLVER), "unknown EOP set"), ((21, 1, SOLVER), "unknown EOP set"),
+    ((2, 3, SOLVER), "this bundle adjustment is not possible"),
+    ((2, 1, SOLVER, 0), "this bundle adjustment is not possible"),
+    ((2, 1, "nosuch"), "unknown solver"), ((2, 2, "nosuch"), "unknown solver"),
 ])  # fmt: skip
 def test_bundles_that_do_not_exist_are_refused(run: TwoStage, arguments: tuple[object, ...], message: str) -> None:
     with pytest.raises(InputError, match=message):

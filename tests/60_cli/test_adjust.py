@@ -277,8 +277,8 @@ def test_for_people_warnings_come_first_and_lines_fit(run: Any, twin: Path) -> N
     ended = run("adjust", twin)
     lines = ended.stdout.splitlines()
     assert ended.code == 0
-    assert sum("check points:" in line for line in (ended.stdout + ended.stderr).splitlines()) == 1
-    assert lines[0] == "warning: 10 check points: ASPRS (2023) asks for at least 30"
+    assert sum("check points are given" in line for line in (ended.stdout + ended.stderr).splitlines()) == 1
+    assert lines[0] == "warning: only 10 check points are given; ASPRS (2023) requires at least 30"
     assert max(map(len, lines[:-1])) <= 80  # the last line is the path of the report
     assert any("check RMSE (10)" in line for line in lines)
     assert lines[-1].startswith("report: ")

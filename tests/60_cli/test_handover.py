@@ -114,7 +114,7 @@ def test_images_get_their_rpc_as_virtual_raster_or_copy(
     small = blank(tmp_path / "small.tif", (10, 10))
     words = ("--image", f"left={small}", "--image", f"right={image}", "--out", tmp_path / "other")
     ended = run("rpc", "convert", result, "--to", "vrt", *words)
-    assert (ended.code, "the image has not the 12000 x 12000 pixels" in ended.stderr) == (2, True)
+    assert (ended.code, "the image does not have the 12000 x 12000 pixels" in ended.stderr) == (2, True)
 
 
 @pytest.mark.oracle
@@ -175,7 +175,7 @@ def test_no_adjust_file_without_the_reason(shifted: tuple[RpcTwin, Path], run: R
     written = {path.name for path in (tmp_path / "out").glob("*.adjust")}
     refused = [f for f in ended.json["findings"] if f["code"] == "handover.no_translation"]
     assert len(written) + len(refused) == 2
-    assert all("is no translation of the camera" in f["message"] and f["severity"] == "warning" for f in refused)
+    assert all("is not a translation of the camera" in f["message"] and f["severity"] == "warning" for f in refused)
 
 
 # --- refusals ------------------------------------------------------------------------------------
@@ -185,12 +185,12 @@ def test_no_adjust_file_without_the_reason(shifted: tuple[RpcTwin, Path], run: R
 def test_what_is_refused(shifted: tuple[RpcTwin, Path], run: Run, tmp_path: Path) -> None:
     result, out = shifted[1], tmp_path / "out"
     for words, message in (
-        (("--for", "envi"), "no such program (found envi); give one of: gdal, qgis, otb, asp, cars, s2p"),
-        ((), "nothing says for which program"),
-        (("--to", "vrt"), "is a raster: it needs the image"),
+        (("--for", "envi"), "unknown program (found envi); give one of: gdal, qgis, otb, asp, cars, s2p"),
+        ((), "needs the program or the format"),
+        (("--to", "vrt"), "is a raster, so it needs the image"),
         (("--for", "gdal", "--to", "rpb"), "exclude each other"),
-        (("--for", "gdal", "--image", "middle=a.tif"), "no RPC image has this id"),
-        (("--for", "gdal", "--image", "a.tif"), "not to which image the raster belongs"),
+        (("--for", "gdal", "--image", "middle=a.tif"), "there is no RPC image with this id"),
+        (("--for", "gdal", "--image", "a.tif"), "does not state to which image the raster belongs"),
     ):
         ended = run("rpc", "convert", result, "--out", out, *words)
         assert ended.code == 2 and message in ended.stderr and ended.stderr.count("\n") == 1, ended.stderr
@@ -210,7 +210,7 @@ def test_a_doubtful_result_is_heard(shifted: tuple[RpcTwin, Path], run: Run, tmp
     record["status"] = "not_trustworthy"
     (copy / "result.json").write_text(json.dumps(record), "utf-8")
     ended = run("rpc", "convert", copy, "--for", "gdal", "--out", tmp_path / "out")
-    assert ended.code == 4 and "the adjustment ended not trustworthy" in ended.stderr
+    assert ended.code == 4 and "the adjustment is not trustworthy" in ended.stderr
 
 
 # --- other programs, by their own code -----------------------------------------------------------

@@ -88,7 +88,7 @@ def test_changed_input_is_refused_by_name_or_its_effect_is_listed(run: Any, spoi
 def test_records_that_cannot_be_repeated(run: Any, spoiled: Path, tmp_path: Path) -> None:
     result, project = spoiled / "result", spoiled / "project.toml"
     assert "would replace the result" in run("replay", result, "--out", result, "--overwrite").stderr
-    assert "holds no result" in run("replay", spoiled / "truth").stderr
+    assert "contains no result" in run("replay", spoiled / "truth").stderr
     project.rename(tmp_path / "moved.toml")
     ended = run("replay", result)
     assert ended.code == 2 and f"{project}, --project: " in ended.stderr
@@ -98,7 +98,7 @@ def test_records_that_cannot_be_repeated(run: Any, spoiled: Path, tmp_path: Path
     del record["provenance"]["repeat"]
     (result / "result.json").write_text(json.dumps(record), encoding="utf-8")
     ended = run("replay", result)
-    assert ended.code == 2 and "does not say how to repeat its run" in ended.stderr
+    assert ended.code == 2 and "does not contain the data to repeat its run" in ended.stderr
 
 
 @pytest.mark.behaviour
@@ -159,7 +159,7 @@ def test_the_project_is_found_by_its_content(run: Any, spoiled: Path, tmp_path: 
     (work / "decoy" / "project.toml").write_text("schema = 1\n", "utf-8")
     shutil.move(spoiled / "result", work / "result")
     refused = run("replay", work / "result", "--out", tmp_path / "again")
-    assert refused.code == 2 and "neither in a folder above it nor in one beside it" in refused.stderr
+    assert refused.code == 2 and "not in a folder above it or beside it" in refused.stderr
     shutil.move(spoiled, work / "scene")
     assert run("replay", work / "result", "--out", tmp_path / "again", "--json").json["equal"]
     deep = work / "scene" / "a" / "b" / "result"

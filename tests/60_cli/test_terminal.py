@@ -110,7 +110,7 @@ def test_other_files_are_not_added_to(run: Any, tmp_path: Path, json_option: tup
     other = tmp_path / "points.csv"
     other.write_text("id,role\n", encoding="utf-8")
     ended = run("validate", tmp_path / "none.toml", "--log", other, *json_option)
-    assert ended.code == 2 and "no log of fg-orient" in ended.stderr and "none.toml" not in ended.stderr
+    assert ended.code == 2 and "not a log of fg-orient" in ended.stderr and "none.toml" not in ended.stderr
     assert other.read_text("utf-8") == "id,role\n"
     if json_option:
         assert [p["code"] for p in ended.json["errors"]] == ["log.foreign"]

@@ -151,7 +151,7 @@ def test_images_with_rpc() -> None:
 def test_an_intersection_that_does_not_settle_is_refused(twin: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     solution = fg.adjust(twin, eop_set=10)
     monkeypatch.setattr(located_point, "MAX_STEPS", 1)
-    with pytest.raises(fg.NoSolutionError, match="does not settle"):
+    with pytest.raises(fg.NoSolutionError, match="does not converge"):
         solution.intersect(pixels_of(solution, 3))
 
 

@@ -216,7 +216,7 @@ def test_gross_errors_of_image_points_are_no_wrong_sigmas() -> None:
 @pytest.mark.truth
 def test_units_that_cannot_be_told_apart_are_named_together(block: Block) -> None:
     text = cause(fg.adjust(with_control(block, written(lambda x, y, h: (x, y, h / 0.3048)))))
-    first, _, also = text.partition("cannot be told apart from: ")
+    first, _, also = text.partition("cannot be distinguished from: ")
     assert "feet" in first
     assert "feet" in also
 
@@ -318,7 +318,7 @@ def test_a_part_of_a_table_that_is_misread_is_named(block: Block) -> None:
     solution = fg.adjust(replace(block, observations=replace(o, line=line, sample=sample)))
     (text,) = (str(f) for f in solution.findings if f.code == "solution.mix_up")
     seen = int(np.isin(o.point[o.image == 0], rows).sum())
-    assert f"image {block.images[0].id}: {wrong.sum()} of its {seen} control points lie" in text
+    assert f"the misclosures of {wrong.sum()} of its {seen} control points" in text
     assert "line and sample exchanged" in text and "no doubt remains" in text
 
 

@@ -130,8 +130,10 @@ def test_what_went_with_it_is_counted_and_named() -> None:
     assert search.check_points == (point,)
     assert len(solution.accuracy.check) == len(block.points.where(Role.CHECK)) - 1
     first, second = solution.warnings[:2]
-    assert first.endswith(f"; with them, as single rays of their points: {search.went_with[0]}")
-    assert second == f"1 check point is not in the accuracy, as snooping left them no two rays: {point}"
+    assert first.endswith(f"; also left out, as the only remaining rays of their points: {search.went_with[0]}")
+    assert second == (
+        f"1 check point is not used for the accuracy, because snooping left them fewer than two rays: {point}"
+    )
     control = fg.adjust(with_error(block, row_of(block, Role.CONTROL, 2), 5.0, 1.0), snoop=True, outlier_level=0.001)
     assert (control.snooping.went_with, control.snooping.check_points) == ((), ())
 
@@ -345,7 +347,7 @@ def test_each_round_begins_where_the_last_one_ended() -> None:
 @pytest.mark.behaviour
 def test_refusals() -> None:
     block = twin()
-    with pytest.raises(InputError, match="not under a robust loss"):
+    with pytest.raises(InputError, match="needs least squares: a robust loss"):
         fg.adjust(block, snoop=True, loss="huber")
     with pytest.raises(InputError, match="not allowed"):
         fg.adjust(block, snoop=True, snoop_kind="coordinates")

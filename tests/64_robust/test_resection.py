@@ -124,10 +124,10 @@ def test_too_few_control_points_are_named() -> None:
     with pytest.raises(InputError) as raised:
         fg.adjust(block, loss="tukey", robust_start="lms")
     assert [p.place for p in raised.value.problems] == [f"image {image.id}" for image in block.images]
-    assert "too few control points" in str(raised.value)
-    with pytest.raises(InputError, match="with a robust loss"):
+    assert "too few points for a robust start" in str(raised.value)
+    with pytest.raises(InputError, match="needs a robust loss"):
         fg.adjust(block, robust_start="lms")
-    with pytest.raises(InputError, match="with a robust loss"):
+    with pytest.raises(InputError, match="needs a robust loss"):
         fg.adjust(block, robust_scale="mad")
     with pytest.raises(InputError, match="graduated non-convexity begins with"):
         fg.adjust(block, loss="tls", gnc=True, robust_start="lms")

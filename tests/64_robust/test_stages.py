@@ -105,7 +105,7 @@ def test_an_image_turned_down_is_said() -> None:
     assert solution.weights is not None
     assert solution.status is fg.Status.NOT_TRUSTWORTHY
     assert "image left" in solution.reason
-    assert "rests on the rest and on the priors" in solution.reason
+    assert "depends on the other image points and on the priors" in solution.reason
     clean = fg.adjust(block, loss="tukey", max_iterations=200)
     assert clean.status is fg.Status.CONVERGED
     assert not [w for w in clean.warnings if "all rays of" in w]
@@ -151,11 +151,11 @@ def test_least_absolute_values_have_no_covariance_and_turn_nothing_down() -> Non
     assert solution.weights is not None and solution.weights.image.max() > 1.0
     assert solution.status is fg.Status.CONVERGED
     assert solution.cofactors is None
-    assert "above 1, which are no information" in str(solution.unavailable[0])
+    assert "above 1, which contain no information" in str(solution.unavailable[0])
     assert np.isnan(solution.accuracy.check.predicted_sigma_enu_m).all()
     (text,) = (w for w in solution.warnings if w.startswith("robust loss lad"))
     beyond = int(np.count_nonzero(solution.weights.image < 0.5))
-    assert beyond > 0 and f"{beyond} of 94 image points and 0 control points lie beyond 2 sigmas" in text
+    assert beyond > 0 and f"the residuals of {beyond} of 94 image points and 0 control points exceed 2 sigmas" in text
     robust = summary(solution)["robust"]
     assert robust["points_without_ray"] == robust["points_on_one_ray"] == robust["images_below_half"] == []
     free = fg.adjust(twin(), loss="lad", max_iterations=200, priors=False, eop_set=10)
@@ -189,7 +189,7 @@ def test_the_unit_of_the_loss_is_said() -> None:
     solution = fg.adjust(block, loss="tukey", robust_scale="mad", max_iterations=200)
     assert solution.weights is not None
     (text,) = (w for w in solution.warnings if w.startswith("robust loss tukey"))
-    assert f"its unit is {solution.weights.scale[0]:.2f} sigmas of image points" in text
+    assert f"the unit of the loss is {solution.weights.scale[0]:.2f} sigmas of image points" in text
 
 
 @pytest.mark.oracle

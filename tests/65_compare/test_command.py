@@ -255,7 +255,7 @@ def test_without_matplotlib(run: Any, project: Path, tmp_path: Path, monkeypatch
     out = tmp_path / "out"
     ended = run("compare", project, "--eop-sets", "2", "--backends", "graph", "--out", out)
     assert ended.code == 0
-    assert [line for line in ended.stdout.splitlines() if "matplotlib is missing" in line]
+    assert [line for line in ended.stdout.splitlines() if "matplotlib is not installed" in line]
     assert {p.name for p in out.iterdir()} == TABLES - {"l_curves.csv"}  # of the published procedure alone
     assert "svg" not in structure((out / "report.html").read_text("utf-8")).tags
 

@@ -96,7 +96,7 @@ def test_one_control_point_in_a_frame_block() -> None:
     assert held.status is fg.Status.CONVERGED
     assert sum("may be turned about" in text for text in held.unobservable) == 3
     assert any("4 motions are held by the priors alone" in text and remedy in text for text in held.warnings)
-    assert not any("no control point tells" in text for text in held.warnings)
+    assert not any("no control point determines the position" in text for text in held.warnings)
 
 
 @pytest.mark.truth
@@ -196,7 +196,8 @@ def test_points_seen_once_without_coordinates_have_no_start_value(make) -> None:
     assert [p.code for p in caught.value.problems] == ["initial.seen_once"] * 2
     o = once.observations
     only = [block.images[int(o.image[o.point == j][0])].id for j in check]
-    told = [f"seen in image {image} only, without control: 1 free motion, along the ray" for image in only]
+    rest = "only and has no control coordinates: it can move along its ray"
+    told = [f"the point is seen in image {image} {rest}" for image in only]
     assert [p.message for p in caught.value.problems] == told
     assert [p.place for p in caught.value.problems] == [f"point {block.points.ids[j]}" for j in check]
 

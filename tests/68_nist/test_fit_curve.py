@@ -147,18 +147,18 @@ def test_callback_and_public_name() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"start": [1.0, np.nan, 1.0]}, "start: these must be finite"),
-        ({"y": np.ones((5, 5))}, "y: these must be finite"),
+        ({"start": [1.0, np.nan, 1.0]}, "start: these values must be finite"),
+        ({"y": np.ones((5, 5))}, "y: these values must be finite"),
         ({"sigma": 0.0}, "standard deviations above zero"),
         ({"sigma": [1.0, 2.0]}, "standard deviations above zero"),
         ({"y": [1.0, 2.0], "x": np.ones(2)}, "2 observations do not determine 3 unknowns"),
         ({"model": lambda x, a, b, c: a}, "one finite number per observation"),
         ({"model": lambda x, a, b, c: a * np.log(-b * x)}, "one finite number per observation"),
-        ({"model": lambda x, a, b, c: np.abs(a) * x + b * x**2 + c}, "parameter 1: the derivatives differ"),
-        ({"jacobian": lambda x, *b: 2.0 * decay_derivatives(x, *b)}, "parameter 1: the derivatives differ"),
-        ({"jacobian": lambda x, *b: decay_derivatives(x, *b).T}, "jacobian: the derivatives differ"),
-        ({"model": lambda x, a, b, c: a * np.array([float(b)] * 25) + c}, "the derivatives differ"),
-        ({"optimizer": "dogleg"}, "no such optimiser"),
+        ({"model": lambda x, a, b, c: np.abs(a) * x + b * x**2 + c}, "parameter 1: the derivatives do not agree"),
+        ({"jacobian": lambda x, *b: 2.0 * decay_derivatives(x, *b)}, "parameter 1: the derivatives do not agree"),
+        ({"jacobian": lambda x, *b: decay_derivatives(x, *b).T}, "jacobian: the derivatives do not agree"),
+        ({"model": lambda x, a, b, c: a * np.array([float(b)] * 25) + c}, "the derivatives do not agree"),
+        ({"optimizer": "dogleg"}, "unknown optimiser"),
     ],
 )  # fmt: skip
 def test_refusals(change: dict[str, Any], message: str) -> None:

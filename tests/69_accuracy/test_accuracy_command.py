@@ -54,7 +54,7 @@ def test_refusals(folder: Path, tmp_path: Path) -> None:
     dem = raster(tmp_path / "dem.tif", 0.0)
     for words, message in (
         (("--dem", tmp_path / "none.tif"), "none.tif"),
-        (("--dem", dem, "--role", "pass"), "no points of this role"),
+        (("--dem", dem, "--role", "pass"), "no points with this role"),
         (("--dem", raster(tmp_path / "geoid.tif", 0.0, "EPSG:4326+5773")), "geoid.tif"),
     ):
         ended = in_process("accuracy", folder, *words)

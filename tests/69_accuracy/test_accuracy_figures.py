@@ -258,7 +258,7 @@ def scaled(solution: Solution, scale: float) -> PredictionTest:
 @pytest.mark.behaviour
 def test_reasons_instead_of_figures() -> None:
     block, _ = grid_block(BlockOptions(rows=1, columns=2, points=60, seed=1, check_share=0.2))
-    with pytest.raises(NoSolutionError, match="located afterwards"):
+    with pytest.raises(NoSolutionError, match="located after the adjustment"):
         fg.adjust(block, eop_set=20, check_points="exclude").prediction_test()
     empty = replace(solved(1), accuracy=replace(solved(1).accuracy, check=points(np.zeros((0, 3)))))
     with pytest.raises(NoSolutionError, match="no check points"):

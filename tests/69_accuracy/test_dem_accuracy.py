@@ -142,7 +142,7 @@ def test_solution_and_refusals() -> None:
 
     found = solution.compare_dem(Plane(), role="check")
     assert found.statistics()["n"] == len(solution.accuracy.check)
-    with pytest.raises(InputError, match="no points of this role"):
+    with pytest.raises(InputError, match="no points with this role"):
         solution.compare_dem(Plane(), role="pass")
-    with pytest.raises(InputError, match="no point lies over"):
+    with pytest.raises(InputError, match="no point is inside"):
         solution.compare_dem(Nothing())

@@ -172,7 +172,7 @@ def test_a_dem_restricts_the_search(project: Path, matched: Matched, scene: Scen
     scene.write_dem(project.parent / "dem.tif", 5.0, 500.0)
     ended = in_process("match", project, "--dem", project.parent / "dem.tif", "--dem-sigma", 5, "--overwrite")
     assert ended.code == 2
-    assert "no two images have common ground" in ended.stderr or "no pair of images matches" in ended.stderr
+    assert "no two images overlap" in ended.stderr or "no pair of images matches" in ended.stderr
 
 
 @pytest.mark.oracle

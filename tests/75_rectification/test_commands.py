@@ -145,7 +145,7 @@ def test_sigmas_weight_and_are_refused_on_the_other_side(tmp_path: Path, rng: np
     ("old", "new", "text"),
     [
         ("P2,", "P1,", "used twice"),
-        ("control", "tie", "no such role"),
+        ("control", "tie", "unknown role"),
         ("line,", "row,", "row"),
         ("P1,", "P1,x", "line 2"),
     ],
@@ -162,8 +162,8 @@ def test_faults_of_the_table(old: str, new: str, text: str, tmp_path: Path, rng:
 @pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("words", "text"),
-    [(("--degree", "9"), "degree"), (("--model", "spline"), "no such transformation"),
-     (("--model", "dlt", "--direction", "image-to-map"), "no such direction"), (("--pixel-size", "0"), "--pixel-size"),
+    [(("--degree", "9"), "degree"), (("--model", "spline"), "unknown transformation"),
+     (("--model", "dlt", "--direction", "image-to-map"), "unknown direction"), (("--pixel-size", "0"), "--pixel-size"),
      (("--degree", "5"), "no redundancy"), (("--model", "polynomial"), "degree")],
 )  # fmt: skip
 def test_refusals_of_fit(words: tuple[str, ...], text: str, tmp_path: Path, rng: np.random.Generator) -> None:

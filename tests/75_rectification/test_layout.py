@@ -54,7 +54,7 @@ def test_points_within_their_noise_of_a_line_are_refused(name: str, degree: int 
 @pytest.mark.behaviour
 def test_the_refusal_names_the_direction() -> None:
     text = str(refusal(strip(0.0, 0.0)))
-    assert "along line they spread over only" in text
+    assert "their spread along line is only" in text
     assert "0.71 sample" in str(refusal(strip(0.0, math.pi / 4.0)))
 
 
@@ -98,7 +98,7 @@ def test_narrow_points_are_remarked_and_wide_ones_are_not(tmp_path: Path) -> Non
         points = strip(width, 0.0)
         path = write_points(tmp_path / "p.csv", points.source[:, ::-1], points.target)
         words = run("rectify", "fit", path, "--json").json["warnings"]
-        assert any("reach little along line" in text for text in words) is remarked
+        assert any("have a small extent along line" in text for text in words) is remarked
 
 
 @pytest.mark.behaviour
@@ -129,7 +129,7 @@ def test_heights_that_say_nothing_are_remarked(name: str) -> None:
         points = Observations.of(np.column_stack([plan, height * share]), image + rng.normal(0.0, 0.3, image.shape))
         found = fit(points, find_model(name), source_names=("easting", "northing", "height"))
         words = record_of(PointFit(found, "map-to-image", None, np.zeros((0, 2))))["warnings"]
-        assert any("reach little along height" in text for text in words) is remarked
+        assert any("have a small extent along height" in text for text in words) is remarked
 
 
 def derivatives(found: TransformationFit, source: Array) -> Array:
@@ -188,7 +188,7 @@ def test_each_bad_check_point_is_named(tmp_path: Path, rng: np.random.Generator)
     record = run("rectify", "fit", path, "--degree", "2", "--out", out, "--json").json
     named = [text for text in record["warnings"] if text.startswith("check point ")]
     assert [text.split(":")[0] for text in named] == ["check point P34", "check point P38"]
-    assert any("times worse than control points predict" in text for text in record["warnings"])
+    assert any("times as large as the control points predict" in text for text in record["warnings"])
     rows = {row["id"]: row for row in record["points"]}
     assert [name for name, row in rows.items() if row["suspicious"]] == ["P34", "P38"]
     assert rows["P34"]["redundancy"] is None and rows["P34"]["F"] > rows["P34"]["F_limit"]

@@ -76,8 +76,8 @@ def test_projection_and_its_inverse(tmp_path: Path) -> None:
     [
         (("area", "PATH", "--projection", "utm:36"), "projected already"),
         (("projection", "PATH", "--to", "utm:99"), "1 to 60"),
-        (("projection", "PATH", "--to", "utm:x"), "no such projection"),
-        (("projection", "PATH", "--to", "nonsense"), "no such projection"),
+        (("projection", "PATH", "--to", "utm:x"), "not a projection of PROJ"),
+        (("projection", "PATH", "--to", "nonsense"), "not a projection of PROJ"),
         (("scanner", "--height", "705e3", "--ifov-along", "4e-5"), "scan angles or a swath"),
         (("scanner", "--height", "705e3", "--ifov-along", "4e-5", "--angles", "a"), "numbers between commas"),
     ],

@@ -133,9 +133,9 @@ def test_two_levels_end_with_2_and_a_prior_helps(tmp_path: Path, land: Array) ->
     ("words", "text"),
     [
         (("dlt", "missing.csv"), "missing.csv"),
-        (("dlt", "control.csv", "--distortion", "k9"), "no such distortion"),
+        (("dlt", "control.csv", "--distortion", "k9"), "this distortion of a DLT is unknown"),
         (("dlt", "control.csv", "--sigma", "0"), "--sigma"),
-        (("resect", "control.csv", "one.toml"), "no such photo (found left)"),
+        (("resect", "control.csv", "one.toml"), "no photo of this name (found left)"),
         (("resect", "control.csv", "bad.toml"), "photos[1].focal"),
         (("resect", "control.csv", "extra.toml"), "did you mean focal?"),
         (("resect", "control.csv", "twice.toml"), "used twice"),

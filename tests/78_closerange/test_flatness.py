@@ -130,7 +130,7 @@ def test_the_command_names_the_flatness_and_asks_for_sigma(tmp_path: Path) -> No
         return path
 
     ended = run("closerange", "dlt", table(1e-4, 20, 0), "--sigma", SIGMA)
-    assert ended.code == 2 and "flat within the noise of the image: heights of 2.4e-05 m rms" in ended.stderr
+    assert ended.code == 2 and "(RMS distance from the plane 2.4e-05 m)" in ended.stderr
     done = run("closerange", "dlt", table(1.0, 6, 2), "--json")
     assert done.code == 0 and "redundancy 1" in done.json["photos"][0]["warnings"][0]
     stated = run("closerange", "dlt", tmp_path / "control.csv", "--sigma", SIGMA, "--json").json

@@ -230,7 +230,7 @@ def test_sets_are_named() -> None:
     with pytest.raises(InputError, match="radial-orthogonal, decentring"):
         parameters_of(("radial-9",), "--shared")
     scene = make(3, 20, 2)
-    with pytest.raises(InputError, match="not determined") as caught:
+    with pytest.raises(InputError, match="do not determine") as caught:
         adjusted(scene, scene.photos(shared=("c", *SETS["radial-odd"]), camera="one"))
     assert "c" in str(caught.value) and "radial_1" in str(caught.value)
 
@@ -357,7 +357,7 @@ def test_refusals() -> None:
     for words, code, more in (
         ("follows from the others", "closerange.dependent", {"constraints": twice}),
         ("not allowed", "options.value", {"backend": "ceres"}),
-        ("not there", "closerange.member", {"constraints": [Constraint("base", ("p1", "ph1"), 1.0)]}),
+        ("does not exist", "closerange.member", {"constraints": [Constraint("base", ("p1", "ph1"), 1.0)]}),
         ("standard deviations", "closerange.sigma", {"sigma": 0.0}),
     ):
         with pytest.raises(InputError, match=words) as caught:

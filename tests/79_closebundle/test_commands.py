@@ -71,7 +71,8 @@ def test_what_cannot_be_written_or_was_not_measured_is_said(tmp_path: Path) -> N
     assert done.code == 0, done.stderr
     assert done.json["weights"] == "relative"
     assert done.json["warnings"] == [
-        "control points measured in no photo: far", "photos.toml is not written: it cannot hold film_xx",
+        "these control points are not measured in any photo: far",
+        "photos.toml is not written, because it cannot contain film_xx",
     ]  # fmt: skip
     assert [n["name"] for n in done.json["cameras"][0]["parameters"]] == ["k1", "film_xx", "affinity_b"]
     assert not (tmp_path / "out" / "photos.toml").exists() and (tmp_path / "out" / "points.csv").exists()
@@ -85,21 +86,24 @@ def test_what_cannot_be_written_or_was_not_measured_is_said(tmp_path: Path) -> N
         (("--unknown", "radial-9"), "radial-orthogonal"),
         (("--constraints", "kind.toml"), "one of distance, parallel"),
         (("--constraints", "field.toml"), "did you mean value_m?"),
-        (("--constraints", "member.toml"), "not there (found p99)"),
+        (("--constraints", "member.toml"), "does not exist (found p99)"),
         (("--sigma-control", "-1"), "--sigma-control"),
         (
             ("--sigma-control", "0.01"),
-            "error: --sigma-control: a standard deviation in metres or radians means nothing",
+            "error: --sigma-control: a standard deviation in metres or radians cannot be used",
         ),
         (
             ("--control", "sigmas.csv"),
-            "sigmas.csv, control p0: a standard deviation in metres or radians means nothing",
+            "sigmas.csv, control p0: a standard deviation in metres or radians cannot be used",
         ),
         (("--constraints", "soft.toml"), "soft.toml, constraints[2].sigma: a standard deviation in metres or radians"),
         (("--constraints", "seen.toml"), "seen.toml, constraints[1].observed.radius: a standard deviation in metres"),
         ((), "the photo is not oriented"),
         (("--constraints", "twice.toml"), "distance of p10, p12: 0.5 m; distance of p12, p10: 0.6 m"),
-        (("--constraints", "far.toml"), "cannot hold together: distance of p1, p10; distance of p2, p10 (found 24.4 l"),
+        (
+            ("--constraints", "far.toml"),
+            "contradict each other: distance of p1, p10; distance of p2, p10 (found 24.4 l",
+        ),
         (("--constraints", "held.toml"), "distance of p1, p2, members: this constraint is not possible"),
         (("--constraints", "value.toml"), "value.toml, constraints[1].value_m: the value is not allowed (found -1.0)"),
         (("--constraints", "minus.toml"), "minus.toml, constraints[1].observed: the value is not allowed"),

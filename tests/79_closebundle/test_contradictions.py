@@ -64,7 +64,8 @@ def test_points_that_constraints_make_one_are_named() -> None:
     error = refused(cloud(), Constraint("plumb line", ("p0", "p1", "p2")),
                     Constraint("horizontal circle", ("p0", "p1", "p2", "p3")))  # fmt: skip
     assert error.problems[0].code == "closerange.merged"
-    assert "hold together only with the points p0, p1, p2" in str(error)  # the circle may vanish: p3 as well
+    # the circle may vanish: p3 as well
+    assert "can be met together only if the points p0, p1, p2 are at one place" in str(error)
     assert "at one place: plumb line of p0, p1, p2; horizontal circle of p0, p1, p2, p3;" in str(error)
 
 

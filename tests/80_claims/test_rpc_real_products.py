@@ -142,6 +142,6 @@ def test_spot7_pair_without_control(real_data: Path) -> None:
         assert np.median(after) < 0.6 * np.median(before)
         shifts = [text for text in solution.unobservable if "may be shifted together" in text]
         assert [s.split("together ")[1].split(":")[0] for s in shifts] == ["East", "North", "Up"]
-        assert any("no control point tells where the block lies" in text for text in solution.warnings)
+        assert any("no control point determines the position of the block" in text for text in solution.warnings)
         assert len(solution.accuracy.control) == len(solution.accuracy.check) == 0
         print("    " + next(text for text in solution.warnings if text.startswith("relative")))

@@ -74,7 +74,7 @@ def test_sets_without_one_are_called_untrustworthy(runs: Callable[..., Runs], se
             run = runs(seeds, None)[eop_set, seed]
             assert run.sigma0 > 4.0, (eop_set, seed, run.sigma0)
             assert run.status is Status.NOT_TRUSTWORTHY and EXIT_CODE[run.status] == 4
-            assert "must not be trusted" in run.reason and "cannot take up" in run.reason
+            assert "must not be trusted" in run.reason and "lacks unknowns" in run.reason
             assert run.iterations <= 5
             if run.rmse_3d_m <= 10.0:
                 below.add((eop_set, seed))

@@ -112,10 +112,10 @@ def test_people_see_counts_claims_and_the_report(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (("terlemezoglu2018",), "no such publication"),
-        (("terlemezoglu2019", "--tables", "4.99"), "--tables: no such table"),
+        (("terlemezoglu2018",), "unknown publication"),
+        (("terlemezoglu2019", "--tables", "4.99"), "--tables: unknown table"),
         (("terlemezoglu2019", "--seeds", "0"), "--seeds"),
-        (("terlemezoglu2019", "--published", "nowhere"), "no folder"),
+        (("terlemezoglu2019", "--published", "nowhere"), "not a folder"),
     ],
 )
 def test_bad_input_is_one_line(words: tuple[str, ...], text: str, tmp_path: Path) -> None:

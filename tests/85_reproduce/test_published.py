@@ -128,7 +128,7 @@ def test_missing_and_unreadable_files_are_refused(copied: Callable[[str], Path],
         with pytest.raises(InputError) as caught:
             load("terlemezoglu2019", folder)
         assert (caught.value.problems[0].code, Path(caught.value.problems[0].file).name) == (code, CONDITIONS)
-    with pytest.raises(InputError, match="no folder"):
+    with pytest.raises(InputError, match="not a folder"):
         load("terlemezoglu2019", tmp_path / "nowhere")
     with pytest.raises(InputError, match="choose one of terlemezoglu2019, topan2010"):
         load("topan2011")

@@ -104,7 +104,7 @@ def test_first_page_says_the_accuracy_at_check_points(record: dict[str, Any]) ->
     text = render(record)
     first = text[: text.index('id="map"')]
     rms = [words.length(v / 1e3) for v in record["check"]["rms_mm"]]
-    assert f"At 4 check points, whose coordinates took no part, the root mean square error is {rms[0]} X" in first
+    assert f"At 4 check points, whose coordinates were not used, the root mean square error is {rms[0]} X" in first
     unit, factor = words.unit_of([v / 1e3 for v in record["check"]["worst_mm"]])
     cells = "".join(f"<td>{words.significant(factor * v / 1e3)}</td>" for v in record["check"]["rms_mm"])
     assert unit == "mm" and f"<tr><th>root mean square</th>{cells}</tr>" in first
@@ -249,7 +249,7 @@ def test_a_gross_error_is_named_and_its_residual_has_its_sign(command: str, made
 def test_an_unknown_camera_parameter_is_told_with_the_known_ones(made: Path) -> None:
     tables = [made / w if w.endswith((".csv", ".toml")) else w for w in BUNDLE[:-1]]
     done = run(*tables, "q9")
-    assert done.code == 2 and "no name of a camera parameter" in done.stderr
+    assert done.code == 2 and "not the name of a camera parameter" in done.stderr
     assert "choose one of c, x0, y0, k1" in done.stderr
 
 
@@ -431,7 +431,7 @@ def test_the_report_is_written_again_from_the_folder(made: Path) -> None:
     assert path.read_bytes() == before
     for option in ("--truth", "--export"):
         done = run("report", made / "out", option, made / "x.gpkg")
-        assert done.code == 2 and "neither" not in done.stderr and "no truth and no geographic" in done.stderr
+        assert done.code == 2 and "neither" not in done.stderr and "no true values and no geographic" in done.stderr
     (made / "old").mkdir()
     (made / "old" / "closerange.json").write_text('{"schema": 1}', "utf-8")
     done = run("report", made / "old")

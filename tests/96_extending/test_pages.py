@@ -357,8 +357,8 @@ def test_loss_in_an_adjustment(files: dict[str, Path], twin: Path, tmp_path: Pat
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("absent.py", None, "no such Python file"),
-        ("two words.py", "", "no such Python file"),
+        ("absent.py", None, "no Python file of this name"),
+        ("two words.py", "", "no Python file of this name"),
         ("numpy.py", "", "another module has this name"),
         ("docs_fails.py", "x = 1\ny = 1 / 0\n", "docs_fails.py, line 2"),
         ("docs_wrong.py", "x = 1\nif x\n", "docs_wrong.py, line 2"),
@@ -388,9 +388,9 @@ def test_a_reader_that_stumbles_is_named_with_its_line(
     line = 1 + next(k for k, text in enumerate(files["sensor"].read_text().splitlines()) if 'found["place"]' in text)
     assert ended.code == 2 and len(ended.stderr.splitlines()) == 1 and "error of the program" not in ended.stderr
     assert ended.stderr.startswith(
-        f"error: {image}, reader parallel: the plugin that reads it, {files['sensor']}, line {line},"
+        f"error: {image}, reader parallel: the plugin that reads the file, {files['sensor']}, line {line},"
     )
-    assert "(found KeyError: 'place'); correct it there" in ended.stderr
+    assert "(found KeyError: 'place'); correct the plugin there" in ended.stderr
     assert "Traceback" in in_process(*words, "--debug").stderr
     told = in_process(*words, "--json")
     assert (told.code, [e["code"] for e in told.json["errors"]]) == (2, ["sensor.own_reader"])

@@ -7,39 +7,39 @@ from typing import Final
 from fg_orient.model.messages.entry import words
 
 WORDS: Final = words("""
-closerange.points: points are finite numbers, {width} a row
+closerange.points: points must be finite numbers, {width} per row
     -> check the values
 closerange.range: the number is too large to be a coordinate
-    -> give at most {limit:g} in size; look for a wrong digit or another unit
-closerange.sigma_range: no standard deviation has this size
+    -> give at most {limit:g} in size; check for a wrong digit or another unit
+closerange.sigma_range: this value is too small or too large for a standard deviation
     -> give {least:g} to {limit:g}, in the unit of the points
-closerange.sigma: standard deviations are finite numbers above 0
+closerange.sigma: standard deviations must be finite numbers above 0
     -> give them in the unit of the points
-closerange.relative: a standard deviation in metres or radians means nothing beside points of {points} that have
-    none: their weights are only relative
+closerange.relative: a standard deviation in metres or radians cannot be used together with {points} without standard
+    deviations, whose weights are only relative
     -> give <sigma>, or columns of standard deviations in {points}
 closerange.needs_sigma: this needs standard deviations of the image points, and {points} has none
     -> give <sigma>, or columns of standard deviations in {points}
 closerange.not_converged: the adjustment does not converge: {reason}
-    -> look for gross errors in the points, and at their distribution
-closerange.surface: these parameters make no surface
+    -> search for gross errors in the points, and check their distribution
+closerange.surface: these parameters do not define a surface
     -> give finite numbers {shape}, semi-axes above 0
-closerange.kind: not possible with this kind of surface
-closerange.method: no such method
-closerange.prior: no such observed parameter, or a value or sigma that is not possible (lengths are above 0); the
-    algebraic method and quadrics take none
-closerange.member: the constraint names a point or photo that is not measured, or not there
-closerange.parameter: this is no name of a camera parameter, nor of a set of them
+closerange.kind: this is not possible with this kind of surface
+closerange.method: unknown method
+closerange.prior: the observed parameter is unknown, or its value or sigma is not possible (lengths are above 0); the
+    algebraic method and quadrics do not accept observed parameters
+closerange.member: the constraint names a point or photo that is not measured or does not exist
+closerange.parameter: this is not the name of a camera parameter or of a set of camera parameters
     -> choose one of {known}
-closerange.axis: no such axis of revolution
+closerange.axis: unknown axis of revolution
     -> choose one of x, y, z, free
 closerange.few: too few points
     -> give {least} or more
-closerange.undetermined: not determined by these points: {names} ({direction}); a standard deviation exceeds
-    {limit:g} times that of a point
-    -> measure points elsewhere (other levels of the surface, other depths), or observe a parameter; give the sigma
-       of the points if it is known
-closerange.unverified: whether the points determine {name} could not be verified: no fit with it held far away
+closerange.undetermined: these points do not determine all unknowns: {names} ({direction}); a standard deviation
+    exceeds {limit:g} times the standard deviation of a point
+    -> measure points elsewhere (other levels of the surface, other depths), or observe a parameter; give the sigma of
+       the points if you know it
+closerange.unverified: it could not be verified that the points determine {name}: no fit with a far value of {name}
     converges
     -> measure points elsewhere (other levels of the surface), observe {name}, or give the sigma of the points
 closerange.camera: this value of the camera is not possible
@@ -48,24 +48,25 @@ closerange.bundle: this part of the bundle is not possible
     -> give {expected}
 closerange.fold: the distortion of the camera cannot be inverted here
     -> check k1, k2, k3, p1, p2: the polynomial folds inside the image
-closerange.distortion: no such distortion of a DLT, or one that the direct solution does not have
-    -> choose one of {known}; they need the iteration
-closerange.plane: the control points do not determine a DLT: they lie in a plane, or close to it
-    -> add points in front of it and behind, or use resect, which needs a known camera
-closerange.critical: the control points do not determine a DLT, though they lie in no plane: with the camera they
-    are near another critical configuration (a twisted cubic; a plane and a line through the camera), or it is far
-    away
-    -> add points elsewhere, in front and behind, or use resect, which needs a known camera
-closerange.flat: the control points are flat within the noise of the image: heights of {height} rms above a plane,
-    whose photo alone leaves the camera open
-    -> add points in front of it and behind, state <sigma> if it is known, or use resect, which needs a known camera
-closerange.parallel_noise: the projection is parallel within the noise of the image, which leaves the distance of
-    the camera open
-    -> add points in front and behind, or use resect, which needs a known camera
+closerange.distortion: this distortion of a DLT is unknown, or the direct solution cannot estimate it
+    -> choose one of {known}, with the iterative solution
+closerange.plane: the control points do not determine a DLT: they lie in a plane or close to a plane
+    -> add points in front of the plane and behind it, or use resect, which needs a known camera
+closerange.critical: the control points do not determine a DLT, although they do not lie in a plane. Either points and
+    camera are close to another critical configuration (a twisted cubic; a plane and a line through the camera), or the
+    camera is far away
+    -> add points at other places and depths, or use resect, which needs a known camera
+closerange.flat: within the noise of the image the control points lie in a plane (RMS distance from the plane
+    {height}), and the photo of a plane does not determine the camera
+    -> add points in front of the plane and behind it, give <sigma> if you know it, or use resect, which needs a known
+       camera
+closerange.parallel_noise: the projection is parallel within the noise of the image, so the distance of the camera is
+    not determined
+    -> add points at other depths, or use resect, which needs a known camera
 closerange.parallel: the projection is parallel or degenerate: it has no projection centre
     -> check the control points
 closerange.behind: the solution puts a point behind the camera
-    -> look for gross errors and mixed-up points
+    -> search for gross errors and exchanged points
 closerange.no_start: no position of the camera fits any three of the points
     -> check focal length, y_axis and the numbers of the points
 closerange.pose: the points do not determine the orientation of the photo (on a line, or on a cylinder through the
@@ -91,71 +92,71 @@ closerange.no_base: the photos were taken from one place, within noise: a rotati
 closerange.pair: the points do not determine the relative orientation (too close together, or on a plane through the
     base)
     -> measure points that fill the common part of both photos, at several depths
-closerange.line: the points lie on a line or at one place, and do not determine the rotation about it
-    -> add points off the line
+closerange.line: the points lie on a line or at one place, so they do not determine the rotation about this line
+    -> add points beside the line
 closerange.no_camera: the photo has no camera
-    -> give its focal, principal and y_axis
+    -> give focal, principal and y_axis of the photo
 closerange.not_oriented: the photo is not oriented
     -> give rotation, centre_m and focal, or matrix and origin_m: closerange dlt and resect write them
-closerange.no_photo: the file has no such photo
-    -> photos in it: {known}
+closerange.no_photo: the file has no photo of this name
+    -> photos in the file: {known}
 closerange.two_photos: a relative orientation needs exactly two photos
     -> give a table with the image points of two photos
 closerange.equal_sigmas: a relative orientation needs equal standard deviations of all image coordinates
     -> leave the columns out and give <sigma>
-closerange.station_twice: the photo has two stations
-    -> give each photo one row
-closerange.no_model: the format holds no cameras and poses
-    -> choose photomodeler, or a format of docs/formats that bundle programs have
-closerange.control_mixed: the point is exact, and others have standard deviations
-    -> give all control points standard deviations, or none
+closerange.station_twice: the photo has two rows of stations
+    -> keep one row per photo
+closerange.no_model: the format contains no cameras and poses
+    -> choose photomodeler, or a format of a bundle program in docs/formats
+closerange.control_mixed: this control point has no standard deviation, but others have one
+    -> give standard deviations for all control points or for none
 closerange.not_in_project: the project has none of the control points
-    -> points in it: {known}, ...
+    -> points in the project: {known}, ...
 closerange.control_left_out (note): {n} control point(s) that the project does not have are left out: {names}
-closerange.direction: the distortion of this camera leads from ideal to measured coordinates, that of close range
-    the other way
-    -> take the camera without distortion and determine k1 to p2: <shared> k1,k2,p1,p2
-closerange.check_and_control: a point cannot judge the result and take part in it
-    -> leave it out of <control>, or of <check>
-closerange.no_layers: results of close range have no truth and no geographic coordinates
-    -> leave the option out; points.csv holds the coordinates
-closerange.printed_sigma: a published standard deviation is a number above 0
+closerange.direction: the distortion of this camera converts ideal to measured coordinates; close range needs the
+    distortion from measured to ideal coordinates
+    -> use the camera without distortion and determine k1 to p2: <shared> k1,k2,p1,p2
+closerange.check_and_control: a point cannot be both check point and control point
+    -> remove the point from <control> or from <check>
+closerange.no_layers: close-range results have no true values and no geographic coordinates
+    -> leave the option out; points.csv contains the coordinates
+closerange.printed_sigma: a published standard deviation must be a number above 0
     -> correct it, or leave the cell empty
-closerange.printed_digits: the number of significant digits is a whole number from 1 to {limit}
+closerange.printed_digits: the number of significant digits must be a whole number from 1 to {limit}
     -> correct it, or leave the cell empty
-closerange.printed_twice: {first} has this name
-    -> give each value one row
+closerange.printed_twice: {first} has this name already
+    -> keep one row per value
 closerange.printed_name: the result has no values of these names; {hint}
     -> use the names of the result: m0, camera all c, photo NAME X0, point ID x_m, camera all k1/k2 (correlation)
 closerange.dependent: this hard constraint follows from the others, or contradicts them
     -> leave it out, or give it a sigma
-closerange.saddle: this hard constraint is not met, and no small change of the start brings it nearer (as lines at
-    right angles that shall be parallel)
-    -> look for a wrong member, or begin with points nearer to the constraint
-closerange.contradiction: these hard constraints cannot hold together: {names}
-    -> look for a wrong value or member; give them sigmas, or leave one out
-closerange.merged: these hard constraints hold together only with the points {points} at one place: {names}
-    -> look for a point that is not on a figure; give the constraints sigmas, or leave one out
+closerange.saddle: this hard constraint is not met, and no small change of the start values brings it nearer (for
+    example parallel lines that start at right angles)
+    -> check for a wrong member, or start with points closer to the constraint
+closerange.contradiction: these hard constraints contradict each other: {names}
+    -> check for a wrong value or member; give the constraints sigmas, or leave one out
+closerange.merged: these hard constraints can be met together only if the points {points} are at one place: {names}
+    -> check for a point that is not on a figure; give the constraints sigmas, or leave one out
 closerange.no_place: the point is seen in one photo only and has no coordinates
     -> measure it in a second photo, give its coordinates, or leave it out
-closerange.prior_text: not an observed parameter
+closerange.prior_text: this is not an observed parameter
     -> write it as name=value:sigma, for instance b=0.845:0.001
 closerange.no_redundancy (warning): there is no redundancy, so there are no standard deviations
-closerange.little_redundancy (warning): redundancy 1: m0, and standard deviations with it, are ten times too small
-    in 8 of 100 sets, and 1 of 15 sets that are flat within the noise passes
+closerange.little_redundancy (warning): with redundancy 1, m0 and the standard deviations are ten times too small in 8
+    of 100 sets, and 1 of 15 sets that are flat within the noise is not detected
     -> give <sigma>
-closerange.nearly_parallel (warning): the projection is {sigmas:.2g} sigmas from a parallel one: standard deviations
-    of the centre and of the principal distances are too small (honest from {honest:.3g} on)
+closerange.nearly_parallel (warning): the projection is {sigmas:.2g} sigmas from a parallel one: standard deviations of
+    the centre and of the principal distances are too small (correct above {honest:.3g} sigmas)
 closerange.second_pose (warning): a second pose fits nearly as well, centre at {centre_m[0]:.4g}, {centre_m[1]:.4g},
-    {centre_m[2]:.4g} m: weighted squares {ratio:.3g} times as large, an F test at 5 % tells poses apart from
-    {limit:.3g} on
+    {centre_m[2]:.4g} m. Its weighted sum of squares is {ratio:.3g} times as large; an F test at 5 % distinguishes the
+    poses only above {limit:.3g}
     -> add control points off the plane
 closerange.second_orientation (warning): a second orientation fits nearly as well, base along {base[0]:.4g},
-    {base[1]:.4g}, {base[2]:.4g}: weighted squares {ratio:.3g} times as large, a test at 5 % distinguishes orientations
-    from {limit:.3g} on
+    {base[1]:.4g}, {base[2]:.4g}. Its weighted sum of squares is {ratio:.3g} times as large; a test at 5 %
+    distinguishes the orientations only above {limit:.3g}
     -> add points, some of them off the plane
-closerange.unseen_control (warning): control points measured in no photo: {names:40}
-closerange.unseen_check (warning): check points measured in no photo: {names:40}
-closerange.unseen_station (warning): stations of photos without image points: {names:40}
-closerange.no_photo_file (warning): photos.toml is not written: it cannot hold {parameters:40}
+closerange.unseen_control (warning): these control points are not measured in any photo: {names:40}
+closerange.unseen_check (warning): these check points are not measured in any photo: {names:40}
+closerange.unseen_station (warning): these stations belong to photos without image points: {names:40}
+closerange.no_photo_file (warning): photos.toml is not written, because it cannot contain {parameters:40}
 """)

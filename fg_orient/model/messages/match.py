@@ -13,38 +13,39 @@ match.no_rasterio: reading pixels needs rasterio
     -> install the extra: pip install 'fg-orient[match]'
 match.one_image: tie points need at least two images
     -> add [[images]] tables
-match.local: the image has no position on the Earth, so its epipolar lines are not known
-    -> take tie points of a photogrammetry program (docs/formats)
-match.no_pixels: no raster with the pixels of the image is known: {value} does not exist, or no raster beside it has its
-    name
-    -> name it in the project file: pixels = "image.tif" in the [[images]] table
+match.local: the image has no position on the Earth, so its epipolar lines cannot be computed
+    -> use tie points of another photogrammetry program (docs/formats)
+match.no_pixels: the raster of the image is not found: {value} does not exist, or there is no raster of the same name
+    beside it
+    -> name the raster in the project file: pixels = "image.tif" in the [[images]] table
 match.pixels: the raster cannot be read: {reason}
     -> give a raster of numbers that GDAL reads
-match.no_overlap: no two images have common ground at heights from {low:g} to {high:g} m
+match.no_overlap: no two images overlap at heights from {low:g} to {high:g} m
     -> give <lowest_m> and <highest_m>, or check the metadata
 match.none: no pair of images matches: {reason}
     -> give <lowest_m> and <highest_m>, a DEM, or realistic prior sigmas of the orientation
-match.table_form: tie points are added to CSV tables of this program only
+match.table_form: tie points can be added only to CSV tables of this program
     -> convert the table first: fg-orient convert
-match.matched: the table has matched points of an earlier run
+match.matched: the table already contains matched points of an earlier run
     -> give <overwrite> to replace them
 match.table_unreadable: the table cannot be read
     -> save it as CSV in UTF-8
 match.no_chip: the point needs {missing}
-    -> coordinates, sigmas and a chip are needed: ID.tif in the folder that has the file's name, or beside the file
+    -> give coordinates, sigmas and a chip: ID.tif beside the file, or in the folder that has the file's name
 match.chip_crs: the chip has no coordinate system
     -> give a georeferenced raster, such as a part of an orthoimage
 match.control_crs: control points in {crs} cannot be written to this table
     -> convert them to the CRS of the table: fg-orient convert
-match.chip_lost (warning): no image shows the chip clearly
-match.chip_apart (warning): the chip was found {distance:.1f} px from where the other chips of the image are; left out
+match.chip_lost (warning): the chip is not found clearly in any image
+match.chip_apart (warning): the position of the chip differs by {distance:.1f} px from the shift of the other chips of
+    the image; the chip is left out
 match.interrupted (note): interrupted: {done} of {total} {name} are matched and kept
     -> go on with <resume>
 match.pair_failed (warning): no tie points: {reason}
 match.image_without (warning): the image has no tie points
-match.many_rejected (warning): {share:.1f} % of the matches have y-parallaxes beyond 4 standard deviations from a smooth
-    trend
-    -> the orientation may change fast along the lines (jitter); look at the residuals of the adjustment
+match.many_rejected (warning): {share:.1f} % of the matches have y-parallaxes beyond 4 standard deviations from a
+    smooth trend
+    -> the orientation may change fast along the lines (jitter); check the residuals of the adjustment
 match.many_wrong (warning): {share:.2f} % of the accepted matches are wrong, as predicted from those beyond the limit
     -> adjust with <snoop> or a robust loss
 """)

@@ -7,22 +7,24 @@ from typing import Final
 from fg_orient.model.messages.entry import words
 
 WORDS: Final = words("""
-installation.overwritten: this file of fg_orient was overwritten by the distribution {owner}, which has a package
-    'factors' too
-    -> pip uninstall {name}, and then pip install --force-reinstall --no-deps {source}, in this order; an
-       environment has room for one of the two
-installation.damaged: this file of fg_orient is missing or changed, as after an uninstalled package 'factors'
-installation.other_version: this package 'factors' is of fg_orient {other}, the rest is of {version}
+installation.overwritten: this file of fg_orient was overwritten by the distribution {owner}, which also has a package
+    'factors'
+    -> pip uninstall {name}, and then pip install --force-reinstall --no-deps {source}, in this order; only one of the
+       two can be installed in an environment
+installation.damaged: this file of fg_orient is missing or changed, probably because another package 'factors' was
+    uninstalled
+installation.other_version: this package 'factors' belongs to fg_orient {other}, the other packages to {version}
     -> pip install --force-reinstall --no-deps {source}
 installation.damaged_tree: this file of fg_orient's source tree is missing or changed
     -> restore it from the repository (git checkout factors), or install again from it
 installation.other_distribution: the package 'factors' of the distribution {owner} hides the one of fg_orient in
     {ours}
     -> pip uninstall {name}, or install fg-orient into an environment of its own
-installation.on_pythonpath: this hides the package 'factors' of fg_orient in {ours}, for its folder is in PYTHONPATH
-    -> take {root} off PYTHONPATH, or rename it
+installation.on_pythonpath: this hides the package 'factors' of fg_orient in {ours}, because its folder is in
+    PYTHONPATH
+    -> remove {root} from PYTHONPATH, or rename it
 installation.user_file: this file hides the package 'factors' of fg_orient in {ours}
-    -> rename the file to a name that no package has, such as {new}
+    -> give the file a name that is not the name of a package, such as {new}
 installation.user_folder: this folder hides the package 'factors' of fg_orient in {ours}
     -> rename or remove the folder, or start Python where it is not on the search path
 output.exists: the output exists already
@@ -31,34 +33,34 @@ output.not_a_folder: this is not a folder, or it is a link to one
 replay.same_folder: the repeated run would replace the result that it repeats
     -> give another <out>
 output.foreign: the folder holds other files, so it is not replaced
-    -> give another <out>, or move them; <overwrite> replaces only a folder with {mark} and nothing of others
+    -> give another <out>, or move them; <overwrite> replaces only a folder that contains {mark} and no other files
 output.unwritable: the file cannot be written
     -> check folder, permissions and free space
-replay.record: the result does not say how to repeat its run
-    -> it is damaged or of an older version: run fg-orient adjust again
-replay.project: the project file of this result is neither in a folder above it nor in one beside it
+replay.record: the result does not contain the data to repeat its run
+    -> the result is damaged or was written by an older version: run fg-orient adjust again
+replay.project: the project file of this result is not in a folder above it or beside it
     -> give it: <project> FOLDER/{name}
 replay.dem: the elevation model of this run is not in the project's folder
-    -> put it there, or a link to it
+    -> copy the elevation model there, or make a link
 replay.changed: the file has changed since the run: SHA-256 {now}, recorded {then}
-    -> bring back the file of the run, or add <allow_changed> to go on with this one
-replay.missing: the run read this file, and now it is missing or no longer named by the project
-    -> bring it back, or add <allow_changed> to go on without it
+    -> restore the file of the run, or add <allow_changed> to continue with the changed file
+replay.missing: the run read this file, but the file is now missing or no longer in the project
+    -> restore the file, or add <allow_changed> to continue without it
 replay.new: the run did not read this file
-    -> bring back the project of the run, or add <allow_changed> to go on with it
+    -> restore the project of the run, or add <allow_changed> to continue with this file
 internal: error of the program: {kind}: {text}
     -> please report it{hint}
-plugin.file: there is no such Python file
-    -> give a file such as my_sensor.py, its name being a module's name
+plugin.file: there is no Python file of this name
+    -> give a file such as my_sensor.py, whose name can be a module name
 plugin.name: another module has this name already
     -> rename the file
 plugin.raised: the plugin raised an exception
-    -> correct it there; report file errors with InputError; <debug> shows the traceback
+    -> correct the plugin there; report file errors with InputError; <debug> shows the traceback
 plugin.failed: the plugin cannot be loaded
-    -> correct the file; from Python, import it to see more
+    -> correct the file; import it in Python to see the details
 cli.no_pixel: no pixel is given
     -> give <line> L <sample> S, or <points> FILE, or <frame>
-cli.no_height: no height to locate at
+cli.no_height: no height is given
     -> give <height> H (m, ellipsoidal) or <dem> FILE, or a column height_m in the points file
 cli.height_range: the height is outside {low:g} .. {high:g} m
     -> give an ellipsoidal height in m
@@ -68,48 +70,48 @@ cli.two_ways: these options exclude each other
     -> give only one of {options}
 cli.no_ground: no ground point is given
     -> give <lon>, <lat> and <height>, or <points> FILE
-cli.pixel: this is no pixel
+cli.pixel: this is not a pixel
     -> write <pixel> LINE,SAMPLE, for instance <pixel> 5999.5,120
 cli.pixel_count: {pixels} pixel(s) for {images} image(s)
     -> give one <pixel> per image, in order
-cli.one_image: an intersection needs two images
+cli.one_image: an intersection needs at least two images
     -> give several metadata files, or one project file (.toml)
-cli.one_project: one project file is checked at a time
-    -> check one after the other; for several files of points add <format> NAME
-cli.no_frame: the file states no frame points of its own
+cli.one_project: only one project file can be checked at a time
+    -> check the files one after the other; for several files of points add <format> NAME
+cli.no_frame: the file contains no frame points
     -> locate a pixel with <line> and <sample>
-log.foreign: the file is no log of fg-orient, so nothing is added to it
+log.foreign: the file is not a log of fg-orient, so nothing is appended
     -> give <log> the name of a new file, or of a log that fg-orient wrote
-cli.no_schema: no command of this name prints JSON
+cli.no_schema: there is no command of this name that prints JSON
     -> {hint}
-cli.shell: completion is not written for this shell
+cli.shell: completion is not available for this shell
     -> choose one of {known}
 cli.usage: {text}
     -> see the command's <help>
-report.no_result: the folder holds no result of an adjustment
+report.no_result: the folder contains no result of an adjustment
     -> give a folder that fg-orient adjust wrote
 report.nothing_adjusted: nothing was adjusted, so there are neither coordinates nor an orientation
-    -> report.html in the folder names what was not determined and the way out
+    -> read report.html in the folder: it names the undetermined directions and the remedy
 report.damaged: the result cannot be read
     -> run fg-orient adjust again
 report.no_matplotlib: figures need matplotlib
     -> install the extra: pip install 'fg-orient[report]'
 report.no_map: the result has no geographic coordinates
-    -> layers need a block on the Earth
+    -> only blocks on the Earth can be exported as layers
 report.no_pyogrio: a GeoPackage needs pyogrio and shapely
     -> install the extra: pip install 'fg-orient[geo]', or give a .geojson
 report.export_suffix: this file is neither GeoPackage nor GeoJSON
     -> end its name with .gpkg or .geojson
-cloud.suffix: the end of the name is that of no format of points
-    -> end its name with one of {known}
+cloud.suffix: the end of the name does not identify a format of points
+    -> end the name with one of {known}
 cloud.no_laspy: LAS and LAZ need laspy and lazrs
     -> install the extra: pip install 'fg-orient[cloud]', or give a .ply, .csv or .gpkg
 cloud.no_points: no point is left to write
     -> give other limits, or adjust with tie or check points
-cloud.doubt (doubt): the adjustment of these points did not end well
-    -> read its findings before the points are used
-report.no_truth: the folder holds no truth of a simulation
-    -> give the folder truth of fg-orient simulate
-report.other_truth: the truth belongs to another project
-    -> give the truth of these images and points
+cloud.doubt (doubt): the adjustment of these points is not trustworthy
+    -> read the findings of the adjustment before you use the points
+report.no_truth: the folder contains no true values of a simulation
+    -> give the folder "truth" written by fg-orient simulate
+report.other_truth: the true values belong to another project
+    -> give the true values of these images and points
 """)
