@@ -44,12 +44,14 @@ OF_BACKEND = {
 def adjust(
     project: Project,
     options: Mapping[str, Any],
-    parts: Annotated[int | None, option("Adjust in so many parts; default: by size.", "N")] = None,
+    parts: Annotated[int | None, option("Number of parts; default: by the size of the block.", "N")] = None,
     workers: Annotated[
-        int | None, option("Processes that work on the parts; the result is the same for any.", "N")
+        int | None, option("Processes that work on the parts; the result does not depend on it.", "N")
     ] = None,
     scheduler: Scheduler = None,
-    work_dir: Annotated[Path | None, option("Folder for the parts, seen by all workers of the cluster.", "DIR")] = None,
+    work_dir: Annotated[
+        Path | None, option("Folder for the parts that all workers of the cluster can read.", "DIR")
+    ] = None,
     dem_control: Annotated[
         Path | None, option("Observe heights of the tie points from this elevation model.", "DEM")
     ] = None,
@@ -59,14 +61,14 @@ def adjust(
         Path | None, option("Start from the result folder of an earlier run.", "RESULT", flag="--from")
     ] = None,
     from_prior: Annotated[
-        bool, option("Take the joint covariance of the result of --from as a prior.", flag="--from-prior")
+        bool, option("Use the joint covariance of the result of --from as a prior.", flag="--from-prior")
     ] = False,
     out: Annotated[Path | None, option("Result folder; default: result, beside the project file.")] = None,
     overwrite: Overwrite = False,
     checkpoint_every: Annotated[
         float, option("Time between two checkpoints; 0: after each iteration.", "SECONDS")
     ] = 60.0,
-    resume: Annotated[bool, option("Go on from the checkpoint of a run that was stopped.", flag="--resume")] = False,
+    resume: Annotated[bool, option("Continue from the checkpoint of a run that was stopped.", flag="--resume")] = False,
 ) -> None:
     """Adjust a block: orientation, ground points, statistics, result folder and HTML report.
 
@@ -177,11 +179,11 @@ def reduce(
     project: Project,
     options: Mapping[str, Any],
     direction: Annotated[
-        Literal["backward", "forward"], option("Drop from the whole set, or add to the best coefficient.")
+        Literal["backward", "forward"], option("Remove coefficients from the whole set, or add them to the best one.")
     ] = "backward",
     level: Annotated[float, option("Probability of a false choice in one step.", "P")] = 0.05,
     cross_validation: Annotated[
-        str | None, option("Predict control points left out: one at a time, or in K parts.", "loo|K")
+        str | None, option("Predict control points that are left out: one at a time, or in K parts.", "loo|K")
     ] = None,
 ) -> None:
     """Reduce the unknowns of the images one at a time by F tests; with AIC, AICc, BIC and prediction errors."""
@@ -197,7 +199,7 @@ def reduce(
 
 
 def _folds(text: str | None) -> int | None:
-    """Number of parts; 0: leave one out; None: no cross-validation."""
+    """Return the number of parts; 0 means leave-one-out, None means no cross-validation."""
     if text is None or text == "loo":
         return None if text is None else 0
     if text.isdecimal() and int(text) >= 2:
@@ -243,7 +245,7 @@ def _show_reduction(found: Reduction) -> None:
 def graph(
     project: Project,
     options: Mapping[str, Any],
-    out: Annotated[Path | None, option("Folder; default: graph, beside the project file.", "DIR")] = None,
+    out: Annotated[Path | None, option("Folder of the output; default: graph, beside the project file.", "DIR")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Draw the factor graph of a project, its elimination tree and normal matrix; count variables, factors and fill.

@@ -55,7 +55,7 @@ def help_of(name: str) -> str | None:
 
 @cache
 def built(name: str) -> Any:
-    """Build a command when it is needed: typer takes 0.1 s to build all."""
+    """Build a command when it is needed, because typer needs 0.1 s to build all commands."""
     one, alone = declared(name), typer.Typer(add_completion=False)
     if not isinstance(one, typer.Typer):
         alone.command(name)(one)
@@ -73,7 +73,7 @@ class _Root(TyperGroup):
         self.commands: Any = dict.fromkeys(COMMANDS)
 
     def get_command(self, ctx: Any, name: str) -> Any:
-        """Command of this name; None if there is none."""
+        """Return the command of this name; None if it does not exist."""
         return (self.commands[name] or built(name)) if name in COMMANDS else None
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -162,7 +162,9 @@ def _usage_error(error: Exception) -> int:
     if explain is None:
         raise error
     context = getattr(error, "ctx", None)
-    text = explain().rstrip(".").replace("Value error, ", "")  # pydantic's prefix of what the choices of a type refuse
+    text = (
+        explain().rstrip(".").replace("Value error, ", "")
+    )  # prefix of pydantic's message for a value that is not one of the choices
     usage = InputError.of("cli.usage", place=context.command_path if context else PROGRAM, text=text)
     if "--json" in sys.argv:
         emit_errors(*usage.problems)

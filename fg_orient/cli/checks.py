@@ -37,13 +37,11 @@ if TYPE_CHECKING:
 
 @command(several=OFFICE)
 def validate(
-    sources: Annotated[
-        list[Path], argument("PROJECT.toml", "Project file; or, with --format, one file of points or more.")
-    ],
+    sources: Annotated[list[Path], argument("PROJECT.toml", "Project file; with --format, one or more point files.")],
     format_name: Annotated[
-        str, option("Check files of points of another program instead.", "FORMAT", flag="--format")
+        str, option("Check point files of another program, in this format.", "FORMAT", flag="--format")
     ] = "",
-    crs: Annotated[str, option("Its CRS, where the file does not say it.", "EPSG:N")] = "",
+    crs: Annotated[str, option("CRS of the points, if the file does not state it.", "EPSG:N")] = "",
     office: Any = None,
 ) -> None:
     """Check a project and all its files: errors (exit code 2) and remarks."""
@@ -135,7 +133,7 @@ def _checked_points(
 
 
 def _impossible(block: Block, project: Path) -> list[Finding]:
-    """Options that ``adjust`` would refuse."""
+    """Return errors of options that ``adjust`` would refuse."""
     from fg_orient.orientation.run import require_possible_options
 
     try:
@@ -147,7 +145,7 @@ def _impossible(block: Block, project: Path) -> list[Finding]:
 
 @command()
 def doctor() -> None:
-    """Show versions, check the installation and adjust a small block of its own.
+    """Show versions, check the installation and adjust a small simulated block.
 
     Exit code 1 if the installation is broken.
     """
@@ -371,9 +369,11 @@ def self_test() -> tuple[bool, str]:
 
 @command()
 def schema(
-    words: Annotated[list[str] | None, argument("COMMAND", "Such as adjust or rpc convert; or errors.")] = None,
+    words: Annotated[
+        list[str] | None, argument("COMMAND", "Name of a command, such as adjust or rpc convert; or errors.")
+    ] = None,
 ) -> None:
-    """Print the JSON Schema of what a command prints with --json; without COMMAND list the commands."""
+    """Print the JSON Schema of the --json output of a command; without COMMAND list the commands."""
     folder = Path(__file__).with_name("schemas")
     known = sorted(path.stem for path in folder.glob("*.json"))
     if not words:

@@ -23,9 +23,9 @@ Control = Annotated[
     Path, argument("POINTS", "CSV: id,x,y,x_m,y_m,z_m; photo, role (control, check), sigma_x and sigma_y if wanted.")
 ]
 Measured = Annotated[Path, argument("POINTS", "CSV: id,photo,x,y; sigma_x and sigma_y if wanted.")]
-Photos = Annotated[Path, argument("PHOTOS", 'TOML: a table "photos" for each.')]
-Out = Annotated[Path | None, option("Folder of the results, report.html among them.", "DIR")]
-Report = Annotated[Path | None, option("The report alone, as one self-contained page.", "FILE.html")]
+Photos = Annotated[Path, argument("PHOTOS", 'TOML file with one table "photos" per photo.')]
+Out = Annotated[Path | None, option("Folder of the results, with report.html.", "DIR")]
+Report = Annotated[Path | None, option("Write the report only, as one self-contained page.", "FILE.html")]
 
 
 def _output(**given: Any) -> Any:
@@ -137,7 +137,9 @@ def bundle(
     start: Annotated[
         Path | None, option("id,x_m,y_m,z_m: approximate values of new points; others are intersected.", "CSV")
     ] = None,
-    constraints: Annotated[Path | None, option('TOML: a table "constraints" for each, between points.', "TOML")] = None,
+    constraints: Annotated[
+        Path | None, option('TOML file with one table "constraints" per constraint.', "TOML")
+    ] = None,
     stations: Annotated[
         Path | None,
         option(
@@ -165,7 +167,9 @@ def bundle(
 def import_(
     export: Annotated[list[Path], argument("EXPORT", "File or folder of the project, or all files of its format.")],
     out: Annotated[Path, option("Folder of the tables.", "DIR")],
-    source: Annotated[str, option("A format that holds cameras and poses.", "FORMAT", flag="--from")] = "photomodeler",
+    source: Annotated[
+        str, option("Format of EXPORT, with cameras and poses.", "FORMAT", flag="--from")
+    ] = "photomodeler",
     control: Annotated[Path | None, option("Control points: id, name, X, Y, Z and sigmas if wanted.", "FILE")] = None,
     stations: Annotated[Path | None, option("Observed projection centres: photo, X, Y, Z, sigma.", "FILE")] = None,
     sigma_image: Annotated[float | None, option("Sigma of image coordinates, pixels.", "PX")] = None,

@@ -47,8 +47,8 @@ def argument(metavar: str, help: str) -> Any:
     return typer.Argument(metavar=metavar, help=help, show_default=False)
 
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no tables: errors and doubts only.")]
-Log = Annotated[Path | None, option("Add each event to this file, one JSON object a line.", "FILE")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors and doubts only, no progress and no tables.")]
+Log = Annotated[Path | None, option("Append each event to this file, one JSON object per line.", "FILE")]
 Json = Annotated[bool, option("Print one JSON object on standard output and nothing else.", flag="--json")]
 Debug = Annotated[bool, option("Show the traceback of an error of the program itself.", flag="--debug")]
 #: Options of every command.
@@ -56,7 +56,7 @@ SHARED: Final = {"quiet": (Quiet, False), "log": (Log, None), "as_json": (Json, 
 
 
 class Several(NamedTuple):
-    """Options of a command, with their defaults, and a function that makes one argument of them."""
+    """Return the options of a command with their defaults, and a function that makes one argument of them."""
 
     options: Mapping[str, tuple[Any, Any]]
     make: Callable[..., Any]
@@ -131,7 +131,7 @@ def outcome(
 
 
 class _CompilationNote:
-    """Note, once in a command, that kernels are being compiled, if this takes longer than ``NOTED_S``."""
+    """Print once per command that kernels are being compiled, if this takes longer than ``NOTED_S``."""
 
     def __init__(self) -> None:
         self._begin, self._noted = preparing_seconds(), False
@@ -196,7 +196,7 @@ def internal(error: Exception, debug: bool) -> Finding:
 
 
 def _parameters(option: Option) -> Iterator[inspect.Parameter]:
-    """Parameters of a command for an option; None: not given."""
+    """Return the parameters of a command for an option; their default None means not given."""
     kind: Any = option.kind if option.kind in (int, float) and not option.named else str
     name, flag = option.name, option.flag
     if option.kind is bool:
@@ -204,7 +204,11 @@ def _parameters(option: Option) -> Iterator[inspect.Parameter]:
     elif option.usual:
         yield _parameter(option, _usual(option), bool, flag)
         yield _parameter(
-            option, name, kind, f"{flag}-of", help=f"The same for these only, such as {','.join(option.usual[:2])}."
+            option,
+            name,
+            kind,
+            f"{flag}-of",
+            help=f"The same for the named groups only, such as {','.join(option.usual[:2])}.",
         )
     else:
         yield _parameter(option, name, kind, flag)
@@ -238,7 +242,7 @@ def _usual(option: Option) -> str:
 
 
 def _value(option: Option, values: dict[str, Any]) -> Any:
-    """Take the value of an option out of the arguments of a command; None: not given."""
+    """Remove an option from the arguments of a command and return its value; None means not given."""
     value, usual = values.pop(option.name), values.pop(_usual(option), None)
     if value is None:
         return option.usual if usual else None
@@ -253,8 +257,10 @@ def _value(option: Option, values: dict[str, Any]) -> Any:
 
 EXTRAPOLATE = declared(Reading)["extrapolate_attitude_s"]
 ModelOf = Annotated[str, option("Model to use if the file contains both.", "auto|rigorous|rpc")]
-Result = Annotated[Path | None, option("Result folder of adjust: its orientation of the image.", "DIR")]
-Dem = Annotated[Path | None, option("DEM, any raster GDAL reads; ellipsoidal unless it says otherwise.")]
+Result = Annotated[Path | None, option("Result folder of adjust with the orientation of the image.", "DIR")]
+Dem = Annotated[
+    Path | None, option("DEM, a raster that GDAL reads; heights are ellipsoidal unless it states a vertical CRS.")
+]
 VerticalCrs = Annotated[
     str, option("Vertical CRS of a DEM without one, such as EGM96, or a geoid file.", "EPSG:N|NAME|FILE")
 ]
@@ -267,26 +273,26 @@ Scheduler = Annotated[str | None, option("Scheduler of a running dask cluster, i
 ImageSize = Annotated[
     list[str] | None, option("Size of an image, for formats that need it; may be repeated.", "NAME=LINES,SAMPLES")
 ]
-#: What points of other programs and offices may lack.
+#: Values that points of other programs and offices may lack.
 SigmaGround = Annotated[
     tuple[float, float, float] | None,
-    option("Standard deviations of ground points without any, m.", "EAST NORTH UP"),
+    option("Standard deviations of ground points that have none, m.", "EAST NORTH UP"),
 ]
 SigmaImage = Annotated[
-    tuple[float, float] | None, option("Standard deviations of image points without any, pixels.", "LINE SAMPLE")
+    tuple[float, float] | None, option("Standard deviations of image points that have none, pixels.", "LINE SAMPLE")
 ]
-Height = Annotated[float | None, option("Height of points without one, m.")]
-CheckIds = Annotated[list[str] | None, option("Make this a check point; may be repeated.", "ID")]
+Height = Annotated[float | None, option("Height of points that have none, m.")]
+CheckIds = Annotated[list[str] | None, option("Id of a point that becomes a check point; may be repeated.", "ID")]
 Overwrite = Annotated[bool, option("Replace an existing output once the new one is complete.", flag="--overwrite")]
 
 
 def command_line() -> list[str]:
-    """Words of this command line, for the record of a result."""
+    """Return the words of this command line, for the record of a result."""
     return ["fg-orient", *sys.argv[1:]]
 
 
 def image_sizes(words: list[str] | None) -> dict[str, tuple[int, int]]:
-    """Sizes of images by name: lines, samples; InputError for other words."""
+    """Return the sizes of images (lines, samples) by name; other words raise InputError."""
     sizes = {}
     for word in words or []:
         name, _, size = word.rpartition("=")
@@ -351,7 +357,7 @@ def read_dem(path: Path | None, vertical_crs: str) -> RasterDem | None:
 
 
 def open_dem(path: Path, vertical_crs: str = "") -> RasterDem:
-    """Read a DEM; warn of heights that no land has."""
+    """Read a DEM; warn of heights that are impossible on land."""
     from fg_orient.sensors.surface import RasterDem
 
     surface = RasterDem(path, vertical_crs=vertical_crs)

@@ -27,28 +27,30 @@ from fg_orient.model.errors import Finding, InputError
 
 @command(several=OFFICE | LEVEL)
 def convert(
-    files: Annotated[list[Path] | None, argument("IN [IN2]", "File to read, or both of a format that has two.")] = None,
+    files: Annotated[
+        list[Path] | None, argument("IN [IN2]", "File to read, or both files of a format that has two.")
+    ] = None,
     source: Annotated[str, option("Format of IN; default: by the end of its name.", "FORMAT", flag="--from")] = "",
     target: Annotated[
         str, option("Format of the output; default: by the end of its name.", "FORMAT", flag="--to")
     ] = "",
     out: Annotated[
-        list[Path] | None, option("File to write; the second of two is named after it, or given by a second --out.")
+        list[Path] | None, option("File to write; a second file gets a similar name, or the name of a second --out.")
     ] = None,
-    crs: Annotated[str, option("CRS of IN, where the file does not say it.", "EPSG:N")] = "",
+    crs: Annotated[str, option("CRS of IN, if the file does not state it.", "EPSG:N")] = "",
     to_crs: Annotated[str, option("Transform the points to this CRS.", "EPSG:N")] = "",
     sigma_ground: SigmaGround = None,
     sigma_image: SigmaImage = None,
     height: Height = None,
     check: CheckIds = None,
-    image: Annotated[str, option("The image, of formats that hold one image without its name.", "NAME")] = "",
+    image: Annotated[str, option("Name of the image, for formats that do not contain it.", "NAME")] = "",
     sigma_axes: Annotated[str, option("Axes of the standard deviations in ASP's .gcp.", "ecef|enu")] = "ecef",
     image_size: ImageSize = None,
     metadata: Annotated[
-        list[Path] | None, option("Metadata of an image: points far from all of them are refused.")
+        list[Path] | None, option("Metadata of an image; points far from all these images are refused.")
     ] = None,
     accept_unverified: Annotated[
-        bool, option("Read a format that was never tried on a file of its program.", flag="--accept-unverified")
+        bool, option("Read a format that was never tested with a file of its program.", flag="--accept-unverified")
     ] = False,
     formats: Annotated[bool, option("List the formats and end.", flag="--formats")] = False,
     overwrite: Overwrite = False,
@@ -57,7 +59,7 @@ def convert(
 ) -> None:
     """Bring ground and image points from one format into another.
 
-    What the new format cannot hold is said, one line each.
+    The command prints one line for each kind of information that the new format cannot contain.
     """
     from fg_orient.formats.exchange.convert import filled, placed, read_survey, write_survey
     from fg_orient.formats.heights import without_vertical

@@ -28,17 +28,17 @@ PIXEL = ("id", "line", "sample", "inside")
 
 ImageFile = Annotated[Path, argument("IMAGE", "Metadata file of the image (DIMAP, RPC).")]
 Height = Annotated[float | None, option("Height, m above the ellipsoid.")]
-Out = Annotated[Path | None, option("Write the points into this CSV file, too.")]
+Out = Annotated[Path | None, option("Also write the points to this CSV file.")]
 Sources = Annotated[list[Path], argument("IMAGE ... | PROJECT.toml", "Metadata files, or one project file.")]
-Points = Annotated[Path | None, option("CSV file of points; columns see below.")]
+Points = Annotated[Path | None, option("CSV file of points; the columns are listed below.")]
 
 
 @command(several=SENSORS)
 def locate(
     image: ImageFile,
     sensors: Sensors,
-    line: Annotated[float | None, option("Line, pixels; 0 = centre of the first.")] = None,
-    sample: Annotated[float | None, option("Sample, pixels; 0 = centre of the first.")] = None,
+    line: Annotated[float | None, option("Line, pixels; 0 is the centre of the first line.")] = None,
+    sample: Annotated[float | None, option("Sample, pixels; 0 is the centre of the first sample.")] = None,
     height: Height = None,
     dem: Dem = None,
     dem_vertical_crs: VerticalCrs = "",
@@ -140,15 +140,17 @@ def project(
 def intersect(
     sources: Sources,
     sensors: Sensors,
-    pixel: Annotated[list[str] | None, option("Pixel, one per image, in their order.", "LINE,SAMPLE")] = None,
+    pixel: Annotated[
+        list[str] | None, option("Pixel, one per image, in the order of the images.", "LINE,SAMPLE")
+    ] = None,
     out: Out = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Stereo: the ground point where rays of several images meet.
 
     A project file gives all its points that are measured twice or more; their coordinates in the
-    file are not used. Sigmas of a point are those that its image points give it (--pixel: 1 pixel each), the
-    orientation held as free of error.
+    file are not used. Sigmas of a point follow from its image points (--pixel: 1 pixel each); the orientation is
+    assumed to have no errors.
     """
     from fg_orient.sensors.ground import intersection_records
 
@@ -209,7 +211,7 @@ def _pixel(text: str) -> tuple[float, float]:
 
 
 def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[list[str], list[Array]]:
-    """Ids and numeric columns of a CSV file, the last is ``optional``; InputError lists all faults of the file."""
+    """Read ids and numeric columns of a CSV file; the last is ``optional``; InputError lists all errors of the file."""
     from fg_orient.formats.tables import read_numbers
 
     layouts = [("id", *names), *([("id", *names, optional)] if optional else [])]
@@ -220,7 +222,7 @@ def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[li
 def _publish(
     sensor: Any, records: list[dict[str, Any]], columns: tuple[str, ...], out: Path | None, overwrite: bool
 ) -> None:
-    """Write the CSV file if asked; print JSON or a table."""
+    """Write the CSV file if ``--out`` is given; print JSON or a table."""
     if out is not None:
         write_records(out, columns, records, overwrite)
     where = None if out is None else str(out)
@@ -235,7 +237,7 @@ def _publish(
 def _show_points(
     records: list[dict[str, Any]], columns: tuple[str, ...], notes: tuple[Finding, ...] = (), out: Path | None = None
 ) -> None:
-    """Print notes, columns of the points, and the file that holds them."""
+    """Print notes, columns of the points, and the file that contains them."""
     for one in notes:
         tell("note", one)
     table("", columns, [[_cell(name, record[name]) for name in columns] for record in records])

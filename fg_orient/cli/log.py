@@ -1,6 +1,6 @@
 """Log of a command: one JSON object a line, added to a file as each event happens.
 
-Every line holds ``time_utc``, ``run`` (the same for all lines of one command) and ``event``: ``start``, ``stage``,
+Every line contains ``time_utc``, ``run`` (the same for all lines of one command) and ``event``: ``start``, ``stage``,
 ``iteration``, ``progress``, ``warning``, ``note``, ``remark``, ``lost``, ``error``, ``end``. A
 line is written at once and whole, so that several commands may share a file and the log of a killed command is complete
 up to its end. Nothing goes to standard output.

@@ -30,13 +30,15 @@ def match(
     dem_vertical_crs: VerticalCrs = "",
     control: Annotated[
         Path | None,
-        option("Control points to measure by chips: GeoPackage or table; ID.tif beside it or in a folder of its name."),
+        option(
+            "Control points to measure with chips: GeoPackage or table; ID.tif beside it or in a folder of its name."
+        ),
     ] = None,
-    workers: Annotated[int, option("Processes; the result is the same for any.", "N", min=1)] = 1,
+    workers: Annotated[int, option("Number of processes; the result does not depend on it.", "N", min=1)] = 1,
     out: Annotated[Path | None, option("Folder of the quality report; default: match, beside the project.")] = None,
     overwrite: Overwrite = False,
     resume: Annotated[
-        bool, option("Go on from the finished parts of a run that was stopped.", flag="--resume")
+        bool, option("Continue from the finished parts of a run that was stopped.", flag="--resume")
     ] = False,
 ) -> None:
     """Measure tie points in the pixels of the images; add them to the tables of the project.

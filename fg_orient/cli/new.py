@@ -35,7 +35,7 @@ _PAIR: Final = re.compile(r",(?=\s*[A-Za-z]\w*\s*=)")
 def _office(
     columns: str, heights: str, units: str, decimal: str, role_column: str, first_pixel: float | None
 ) -> Office:
-    """What the user states about tables of unknown form; InputError for values that are not understood."""
+    """Return the user's statements about tables of unknown form; values that are not understood raise InputError."""
     from fg_orient.formats.office.decisions import Office
     from fg_orient.formats.office.pixels import FIRST_PIXELS
     from fg_orient.formats.office.words import ANGLES, LENGTHS
@@ -92,8 +92,8 @@ OFFICE: Final = {"office": Several({
         Annotated[str, option("Heights: ellipsoidal, or a vertical CRS.", "ellipsoidal|EPSG:N|NAME")], ""
     ),
     "units": (Annotated[str, option("Units that the headers do not name.", "E=km,H=ft")], ""),
-    "decimal": (Annotated[str, option("Decimal sign, where the numbers can be read with both.", "comma|point")], ""),
-    "role_column": (Annotated[str, option("Column of roles; none: all are control.", "HEADER")], ""),
+    "decimal": (Annotated[str, option("Decimal sign, if both signs are possible.", "comma|point")], ""),
+    "role_column": (Annotated[str, option("Column of roles; none: all points are control points.", "HEADER")], ""),
     "first_pixel": (
         Annotated[float | None, option("Coordinate of the centre of the first pixel: 0, 1 or 0.5.", "NUMBER")], None
     ),
@@ -109,14 +109,14 @@ def _level(geoid: Path | None, undulation_m: float | None, both_heights: Path | 
 #: Options about the zero level of heights, in place of the parameter ``level`` of a command.
 LEVEL: Final = {"level": Several({
     "geoid": (
-        Annotated[Path | None, option("Geoid file: the heights of IN are above it and become ellipsoidal.")], None
+        Annotated[Path | None, option("Geoid file, to convert the heights of IN to ellipsoidal heights.")], None
     ),
     "undulation_m": (
         Annotated[float | None, option("Constant undulation of the heights of IN, m.", "METRES", flag="--undulation")],
         None,
     ),
     "both_heights": (
-        Annotated[Path | None, option("Table id,height_m,ellipsoidal_height_m: estimates the constant undulation.")],
+        Annotated[Path | None, option("Table id,height_m,ellipsoidal_height_m, to estimate the constant undulation.")],
         None,
     ),
 }, _level)}  # fmt: skip
@@ -127,7 +127,7 @@ def new(
     sources: Annotated[
         list[Path], argument("FOLDER_OR_FILES...", "Images or their metadata, tables, or their folder.")
     ],
-    out: Annotated[Path, option("Folder of the project to make.", "PROJECT")],
+    out: Annotated[Path, option("Folder of the new project.", "PROJECT")],
     office: Any = None,
     level: Any = None,
     crs: Annotated[str, option("CRS of the ground points.", "EPSG:N[+M]")] = "",
@@ -135,15 +135,17 @@ def new(
     sigma_image: SigmaImage = None,
     height: Height = None,
     check: CheckIds = None,
-    image: Annotated[list[str] | None, option("Image of a name in the tables; may be repeated.", "NAME=IMAGE")] = None,
-    yes: Annotated[bool, option("Accept the assumptions, which are listed.", flag="--yes")] = False,
+    image: Annotated[
+        list[str] | None, option("Image that a name in the tables stands for; may be repeated.", "NAME=IMAGE")
+    ] = None,
+    yes: Annotated[bool, option("Accept the listed assumptions.", flag="--yes")] = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Make a project from images and tables of any form.
 
     Columns, units, CRS and pixel origin are found out by names and by projecting the points into the images. Each
-    assumption is listed, and written into project.toml. What nothing decides is asked on a terminal; elsewhere the
-    command ends and names the option.
+    assumption is listed, and written into project.toml. On a terminal the command asks about properties that the data
+    do not determine; elsewhere it ends and names the option.
     """
     from fg_orient.formats.office.decisions import Decisions
     from fg_orient.formats.office.project import Given, draft, write_draft

@@ -128,7 +128,7 @@ def answer(record: Any, show: Callable[..., None], *shown: Any) -> None:
 
 
 def number(value: object, digits: int = 3) -> str:
-    """Write a number for people; a dash where there is none."""
+    """Write a number for people; a missing number is a dash."""
     if not isinstance(value, (int, float)) or value != value:
         return "-"
     return f"{round(value, digits) + 0.0:.{digits}f}"  # no minus before a zero
@@ -151,7 +151,7 @@ def write_records(path: Path, columns: Sequence[str], records: Sequence[dict[str
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, left: int = 1) -> None:
     """Print a table; nothing under ``--quiet``.
 
-    The first ``left`` columns hold text and are aligned to the left, the others hold numbers.
+    The first ``left`` columns contain text and are aligned to the left, the others contain numbers.
     """
     if session().quiet:
         return

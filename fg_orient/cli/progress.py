@@ -37,7 +37,7 @@ SHRINKING = 0.9
 
 
 def iterations_left(log: Sequence[IterationRecord]) -> int | None:
-    """Estimated number of further iterations at the present rate of convergence; None if unknown."""
+    """Estimate the number of further iterations at the present rate of convergence; None if unknown."""
     from fg_orient.adjustment.loop import STEP_TOLERANCE
     from fg_orient.adjustment.stages import stages_left
 
@@ -103,7 +103,7 @@ def progress_bar(first: str) -> Iterator[Callable[[int, int, str], None] | None]
 
 @contextlib.contextmanager
 def _bar(first: str) -> Iterator[Show | None]:
-    """Function that shows text, steps done and steps in all on a terminal; None without a terminal."""
+    """Return a function that shows text, finished steps and all steps on a terminal; None without a terminal."""
     if session().as_json or session().quiet or not sys.stderr.isatty():
         yield None
         return

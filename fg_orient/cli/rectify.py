@@ -157,9 +157,11 @@ def ortho(
     dem: Annotated[Path | None, option("DEM of ellipsoidal heights, m.")] = None,
     height: Annotated[float | None, option("One height instead of a DEM.", "M")] = None,
     result: Result = None,
-    image_id: Annotated[str, option("Image in it; usual: by file name.", "ID")] = "",
+    image_id: Annotated[str, option("Image in the result folder; default: by file name.", "ID")] = "",
     crs: Annotated[str, option("CRS of the map; default: from DEM or fit.", "EPSG")] = "",
-    resolution: Annotated[float | None, option("Size of a map pixel; default: about an image pixel.", "SIZE")] = None,
+    resolution: Annotated[
+        float | None, option("Size of a map pixel; default: about the size of an image pixel.", "SIZE")
+    ] = None,
     bounds: Annotated[str, option("Left,bottom,right,top; default: the whole common area.", "L,B,R,T")] = "",
     extrapolate_attitude: Extrapolate = 0.0,
     overwrite: Overwrite = False,

@@ -26,13 +26,15 @@ Folder = Annotated[Path, argument("DIR", "Result folder of adjust.")]
 @command()
 def report(
     folder: Annotated[Path, argument("DIR", "Folder of adjust or closerange.")],
-    truth: Annotated[Path | None, option("Folder truth of a simulation, to compare with.", "TRUTHDIR")] = None,
+    truth: Annotated[
+        Path | None, option("Folder truth of a simulation; the result is compared with it.", "TRUTHDIR")
+    ] = None,
     figures: Annotated[
-        bool, option("Also draw every plot as SVG and PDF, into the folder DIR/figures.", flag="--figures")
+        bool, option("Also write every plot as SVG and PDF to the folder DIR/figures.", flag="--figures")
     ] = False,
-    figures_out: Annotated[Path | None, option("Draw them into this folder instead.", "FOLDER")] = None,
+    figures_out: Annotated[Path | None, option("Write the plots to this folder instead.", "FOLDER")] = None,
     export: Annotated[
-        Path | None, option("Write points, error vectors, footprints: .gpkg or .geojson.", "FILE")
+        Path | None, option("Write points, error vectors and footprints to a .gpkg or .geojson file.", "FILE")
     ] = None,
     vector_scale: Annotated[float | None, option("Enlarge the error vectors of --export N times.", "N")] = None,
     overwrite: Overwrite = False,
@@ -87,10 +89,10 @@ def replay(
     folder: Folder,
     out: Annotated[Path | None, option("Result folder of the repeated run; default: DIR-replay, beside DIR.")] = None,
     project: Annotated[
-        Path | None, option("The project file, if it is not in the folder above.", "PROJECT.toml")
+        Path | None, option("Project file, if it is not in the folder above DIR.", "PROJECT.toml")
     ] = None,
     allow_changed: Annotated[
-        bool, option("Go on although inputs have changed since, and name them.", flag="--allow-changed")
+        bool, option("Continue if inputs have changed, and list them.", flag="--allow-changed")
     ] = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -139,8 +141,8 @@ def show_replay(repeated: Replay) -> None:
 @command()
 def accuracy(
     folder: Folder,
-    dem: Annotated[Path, option("Reference DEM of ellipsoidal heights, any raster GDAL reads.", show_default=False)],
-    role: Annotated[str | None, option("Only points of this role: control, check or tie.")] = None,
+    dem: Annotated[Path, option("Reference DEM of ellipsoidal heights, a raster that GDAL reads.", show_default=False)],
+    role: Annotated[str | None, option("Use only points of this role: control, check or tie.")] = None,
 ) -> None:
     """Compare the heights of adjusted points with a DEM: bias, scatter, and the shift that explains them."""
     from fg_orient.quality.dem_accuracy import compare_dem, rows_of_role

@@ -49,11 +49,11 @@ def check(
     file: File,
     options: Mapping[str, Any],
     heights: Heights = None,
-    dem: Annotated[Path | None, option("Take the heights of this DEM (ellipsoidal, any raster GDAL reads).")] = None,
+    dem: Annotated[Path | None, option("Use the heights of this DEM (ellipsoidal, a raster that GDAL reads).")] = None,
     points: Annotated[
         Path | None, option("CSV of points: id,line,sample,lon_deg,lat_deg,height_m (pixels, degrees, m).")
     ] = None,
-    against: Annotated[Path | None, option("Another RPC file, or metadata (DIMAP).", "OTHER")] = None,
+    against: Annotated[Path | None, option("RPC file or metadata (DIMAP) to compare with.", "OTHER")] = None,
 ) -> None:
     """Check an RPC: the file, denominators, its two directions, points, another model.
 
@@ -74,20 +74,22 @@ def check(
 @command(FileOptions)
 def convert(
     file: Annotated[
-        Path, argument("FILE|RESULT", "RPC file of any known format, or result folder of adjust: its corrected RPC.")
+        Path, argument("FILE|RESULT", "RPC file of any known format, or result folder of adjust with corrected RPC.")
     ],
     out: Annotated[
         Path,
-        option("File to write; with --for or a RESULT a folder; with geotiff-tags an image.", show_default=False),
+        option("File to write; with --for or RESULT: a folder; with geotiff-tags: an image.", show_default=False),
     ],
     options: Mapping[str, Any],
     to: To = None,
     program: Annotated[
-        str, option("Write what this program reads: gdal, qgis, otb, asp, cars or s2p.", "PROGRAM", flag="--for")
+        str, option("Write the files of this program: gdal, qgis, otb, asp, cars or s2p.", "PROGRAM", flag="--for")
     ] = "",
     image: Annotated[
         list[str] | None,
-        option("Raster of the image: files get its name; for vrt and copies with tags; may be repeated.", "[ID=]FILE"),
+        option(
+            "Raster of the image, for the names of the files, vrt and copies with tags; may be repeated.", "[ID=]FILE"
+        ),
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -180,7 +182,8 @@ def fit(
     options: Mapping[str, Any],
     heights: Heights = None,
     grid: Annotated[
-        tuple[int, int, int] | None, option("IMAGE: lines, samples, heights of the grid; default 20 20 5.", "L S H")
+        tuple[int, int, int] | None,
+        option("Lines, samples and heights of the grid for IMAGE; default 20 20 5.", "L S H"),
     ] = None,
     extrapolate_attitude: Extrapolate = 0.0,
     result: Result = None,

@@ -34,13 +34,17 @@ def compare(
         str, option(f"EOP sets: {ALL_SETS}, or numbers and names such as 5,13,PUA.", "SETS")
     ] = ALL_SETS,
     solvers: Annotated[str, option("all, published, or names of solvers: qr,cholesky_inverse.", "NAMES")] = "published",
-    backends: Annotated[str, option("Any of faithful (as published), dense, graph.", "NAMES")] = "faithful,dense,graph",
+    backends: Annotated[
+        str, option("One or more of faithful (as published), dense, graph.", "NAMES")
+    ] = "faithful,dense,graph",
     types: Annotated[
         str, option("Pre-adjustments as published: 1 look angles, 2 look angles and EOPs.", "1,2")
     ] = "1,2",
-    as_run: Annotated[bool, option("The published procedure as the authors' program works.", flag="--as-run")] = False,
-    target: Annotated[float | None, option("RMSE to reach, m; default: the distance of the pixels.", "M")] = None,
-    workers: Annotated[int, option("Processes that share the EOP sets.", "N")] = 0,
+    as_run: Annotated[
+        bool, option("Compute the published procedure as the authors' program does.", flag="--as-run")
+    ] = False,
+    target: Annotated[float | None, option("Target RMSE, m; default: the pixel size.", "M")] = None,
+    workers: Annotated[int, option("Number of processes; they share the EOP sets.", "N")] = 0,
     scheduler: Scheduler = None,
     out: Annotated[Path | None, option("Folder of the results; default: comparison, beside the project file.")] = None,
     overwrite: Overwrite = False,
@@ -93,15 +97,16 @@ def _metres(value: float | None) -> str:
 @command()
 def reproduce(
     source: Annotated[str, argument("SOURCE", "terlemezoglu2019, topan2010, ipbuker1994, ayhan1996.")],
-    tables: Annotated[str, option("Tables and ranges: 4.3-4.9,4.28; all if not given.", "TABLES")] = "",
-    seeds: Annotated[int, option("Twins, with the seeds 1 to N.", "N")] = 10,
+    tables: Annotated[str, option("Tables and ranges, such as 4.3-4.9,4.28; default: all.", "TABLES")] = "",
+    seeds: Annotated[int, option("Number of simulated twins, with the seeds 1 to N.", "N")] = 10,
     as_run: Annotated[
-        bool, option("As the authors' program works, on a twin with radial velocity and attitude.", flag="--as-run")
+        bool,
+        option("Compute as the authors' program does, on a twin with radial velocity and attitude.", flag="--as-run"),
     ] = False,
-    claims: Annotated[bool, option("Judge the claims about the publication, too.")] = True,
-    published: Annotated[Path | None, option("Other folder of published tables (CSV).", "DIR")] = None,
+    claims: Annotated[bool, option("Also assess the claims about the publication.")] = True,
+    published: Annotated[Path | None, option("Folder of published tables (CSV) to use instead.", "DIR")] = None,
     data: Annotated[Path | None, option("Control points of SPOT-6 (tables 4.35-4.55).", "FILE_OR_FOLDER")] = None,
-    permutations: Annotated[int, option("Orders of these points, with the seeds 1 to N.", "N")] = 50,
+    permutations: Annotated[int, option("Number of random orders of these points, with the seeds 1 to N.", "N")] = 50,
     out: Annotated[Path | None, option("Folder of the results; default: reproduced-SOURCE.")] = None,
     overwrite: Overwrite = False,
 ) -> None:

@@ -21,7 +21,7 @@ COMMON: Final = (
     "variance_components",
 )  # fmt: skip
 DEFAULTS: Final[dict[str, Any]] = {"optimizer": "levenberg-marquardt", "max_iterations": 100}
-RELATIVE: Final = "without it weights are relative, and m0 is that standard deviation"
+RELATIVE: Final = "without this option weights are relative, and m0 is that standard deviation"
 
 # fmt: off
 
@@ -41,8 +41,8 @@ class ImageOptions(Checked):
 class DltOptions(ImageOptions):
     """Options of a direct linear transformation."""
 
-    distortion: Names = option((), MODEL, "Unknown coefficients: k1,k2,k3,p1,p2; none if not given.")
-    direct: bool = option(False, MODEL, "The direct linear solution, not iterated.")
+    distortion: Names = option((), MODEL, "Unknown distortion coefficients: k1,k2,k3,p1,p2; default: none.")
+    direct: bool = option(False, MODEL, "Compute the direct linear solution without iteration.")
 
 
 @documented
@@ -54,14 +54,14 @@ class BundleOptions(ImageOptions):
         (), MODEL, "Unknown camera parameters of each photo: c,x0,y0,k1,k2,k3,p1,p2, a1 to a21, or sets such as "
         "radial-even, film or brown (docs/closerange.md).",
     )
-    shared: Names = option((), MODEL, "Unknown camera parameters that all photos share.")
+    shared: Names = option((), MODEL, "Unknown camera parameters with the same value for all photos.")
     sigma_control_m: float = option(
-        0.0, WEIGHTS, "Default standard deviation of control points, 0 for exact ones.", unit="m", within=SIZES,
+        0.0, WEIGHTS, "Default standard deviation of control points; 0: exact control points.", unit="m", within=SIZES,
         zero="exact control points",
     )
     backend: Backend = option(
-        "auto", MODEL, "Full matrices, a GTSAM graph, or our own loop on arrays (schur); auto: full matrices up to "
-        "2000 unknowns, else the graph.",
+        "auto", MODEL, "Full matrices (dense), a GTSAM graph, or our own loop on arrays (schur); auto: dense up to "
+        "2000 unknowns, else graph.",
     )
 
 
@@ -72,7 +72,7 @@ class SurfaceOptions(Checked):
 
     axis: Literal["x", "y", "z", "free"] = option("y", MODEL, "Axis of a spheroid.")
     method: Literal["geometric", "algebraic"] = option(
-        "geometric", MODEL, "Distances to the surface, or conditions (Ayhan 1996).",
+        "geometric", MODEL, "geometric: distances to the surface; algebraic: conditions (Ayhan 1996).",
     )
     sigma_m: float | None = option(
         None, WEIGHTS, f"Default standard deviation of coordinates; {RELATIVE}.", unit="m", within=SIZES,

@@ -84,26 +84,31 @@ class Options(Checked):
     curve_position_sigma_m: float = option(
         1.0, PRIORS, "Prior sigma of a position curve, root mean square over the image.", unit="m"
     )
-    curve_attitude_sigma_rad: float = option(5e-6, PRIORS, "Prior sigma of an attitude curve, alike.", unit="rad")
+    curve_attitude_sigma_rad: float = option(
+        5e-6, PRIORS, "Prior sigma of an attitude curve, root mean square over the image.", unit="rad"
+    )
     rpc_compensation: RpcCompensation = option(
         "shift", UNKNOWNS,
-        "Unknowns of an RPC image: shift; with terms linear in line; with terms linear in line and sample.",
+        "Unknowns of an RPC image. shift: a shift in line and sample; shift_drift: also terms linear in line; affine: "
+        "also terms linear in sample.",
         recorded=True,
     )
     rpc_shift_sigma_px: float = option(
         100.0, PRIORS,
-        "Prior sigma of the shift of an RPC image. Vendor RPC of metre-resolution images are wrong by some ten pixels.",
+        "Prior sigma of the shift of an RPC image. Vendor RPC of images with metre resolution have errors of some ten "
+        "pixels.",
         unit="px", component="prior RPC shift",
     )
     rpc_linear_sigma_px: float = option(
         10.0, PRIORS,
-        "Prior sigma of the other terms of an RPC image, at its ends. The normalised line or sample is -1 or 1 there.",
+        "Prior sigma of the other terms of an RPC image, at the ends of the image. There the normalised line or sample "
+        "is -1 or 1.",
         unit="px", component="prior RPC linear",
     )
     image_unknowns: Names = option(
         (), UNKNOWNS,
         "Names of single unknowns of an image instead of a set. They replace `eop_set`, `look_polynomial` and "
-        "`rpc_compensation`. Each image takes the names that its sensor has, such as psi_y_s1 or line_l1; the other "
+        "`rpc_compensation`. Each image uses the names that its sensor has, such as psi_y_s1 or line_l1. The other "
         "unknowns keep the values of the metadata.",
         such=("x_0", "roll_0"), left_out="the EOP set",
     )
@@ -112,9 +117,9 @@ class Options(Checked):
     )
     backend: Backend = option(
         "auto", ADJUSTMENT,
-        "Least-squares engine: GTSAM's optimisers on a factor graph (graph), our own loop on arrays (schur), full "
-        "matrices (dense). auto: graph, but schur for a free datum and where its reduced system of many images is "
-        "solved in a third of the time; dense: up to 2000 unknowns.",
+        "Least-squares engine: GTSAM's optimisers on a factor graph (graph), our own loop on arrays (schur), or full "
+        "matrices for up to 2000 unknowns (dense). auto chooses graph. It chooses schur for a free datum, and for many "
+        "images if schur solves the reduced system in a third of the time.",
     )
     solver: str | None = option(
         None, ADJUSTMENT,
@@ -123,7 +128,7 @@ class Options(Checked):
     )
     optimizer: Optimizer = option(
         "gauss-newton", ADJUSTMENT,
-        "Optimiser: GTSAM's own with the graph backend, ours with the others.",
+        "Optimiser. The graph backend uses GTSAM's optimiser, the other backends use ours.",
         recorded=True,
     )
     regularisation: Regularisation = option(
@@ -167,33 +172,33 @@ class Options(Checked):
     )
     loss: str = option(
         "none", ROBUST,
-        "Robust loss, such as huber, hampel, tukey or tls; none: least squares. Image points and control points have "
-        "the loss. Others are andrews, danish, cauchy, geman_mcclure, welsch, danish_original and lad "
+        "Robust loss, such as huber, hampel, tukey or tls; none: least squares. The loss applies to image points and "
+"control points. Other losses are andrews, danish, cauchy, geman_mcclure, welsch, danish_original and lad "
         "(`factors.losses`).",
         such="huber", recorded=True,
     )
     gnc: bool = option(
         False, ROBUST,
-        "Graduated non-convexity: reach the loss tls or geman_mcclure in stages. Many gross errors then do not lead "
-        "to a wrong minimum. The limit of the loss follows from `inlier_probability`.",
+        "Graduated non-convexity: start from least squares and approach the loss tls or geman_mcclure in stages. This "
+        "avoids wrong minima with many gross errors. The limit of the loss follows from `inlier_probability`.",
         recorded=True,
     )
     inlier_probability: float = option(
         0.99, ROBUST,
-        "Probability that a good observation lies within the limit of GNC. The quantile is that of chi-square with the "
-        "observation's dimension.",
+        "Probability that a good observation lies within the limit of GNC. The limit is a quantile of the chi-square "
+        "distribution with the dimension of the observation.",
         below=1.0,
     )
     robust_start: RobustStart = option(
         "huber", ROBUST,
-        "Start of a redescending loss; lms, lts: resections by control points. They minimise the median or the trimmed "
+        "Start of a redescending loss. lms, lts: resections by control points that minimise the median or the trimmed "
         "sum of squares of each image; huber: minimum of Huber's loss; none: least squares.",
         recorded=True,
     )
     robust_scale: RobustScale = option(
         "prior", ROBUST,
-        "Unit of a loss: the given standard deviations, or these times the scale of the residuals. mad: the robust "
-        "scales of image points and of control points.",
+        "Unit of a loss. prior: the given standard deviations; mad: the given standard deviations times robust scales "
+        "of the residuals of image points and of control points.",
         recorded=True,
     )
     snoop: bool = option(
@@ -204,29 +209,30 @@ class Options(Checked):
     )
     snoop_kind: SnoopKind = option(
         "groups", TESTS,
-        "What the search leaves out: observations, or all those of a point. groups: an image point or the "
-        "coordinates of a control point; points: all observations of a point.",
+        "Observations that the search leaves out together. groups: an image point or the coordinates of a control "
+        "point; points: all observations of a point.",
         iterates=False,
     )
     outlier_test: OutlierTest = option(
         "t", TESTS,
-        "Test of single observations; baarda: standard deviations a priori. pope: tau test; t: scale without the "
-        "tested observation. Reports use the same test.",
+        "Test of single observations. baarda: test with a priori standard deviations; pope: tau test; t: test with a "
+        "scale estimated without the tested observation. Reports use the same test.",
         iterates=False,
     )
     outlier_level: float = option(
-        0.05, TESTS, "Probability of any false alarm (see `multiple_testing`).", below=1.0, iterates=False
+        0.05, TESTS, "Probability of at least one false alarm (see `multiple_testing`).", below=1.0, iterates=False
     )
     multiple_testing: MultipleTesting = option(
         "sidak", TESTS,
-        "Control of the false alarms of many tests. none: `outlier_level` of each test; bonferroni, sidak, holm: of "
-        "any false alarm; benjamini_hochberg: share of false alarms among the alarms.",
+        "Quantity that `outlier_level` limits. none: the probability of a false alarm of each test; bonferroni, sidak, "
+        "holm: the probability of at least one false alarm; benjamini_hochberg: the share of false alarms among the "
+        "alarms.",
         iterates=False,
     )
     accept: Names = option(
         (), TESTS,
-        "Known doubts, which do not decide on the status. Each is CODE, CODE:OBJECT or CODE:OBJECT<=LIMIT, as the "
-        "remedy of the doubt writes it; LIMIT is the largest accepted size.",
+        "Known doubts that do not change the status. Write each as CODE, CODE:OBJECT or CODE:OBJECT<=LIMIT, as in the "
+        "remedy of the doubt; LIMIT is the largest accepted size.",
         such=("gross_error:point 12",), left_out="none", iterates=False,
     )
     required_accuracy_m: float | None = option(
@@ -250,17 +256,17 @@ class Options(Checked):
     )
     datum: Datum = option(
         "auto", ADJUSTMENT,
-        "Datum. control: by control points, which the block must have; all others: relative. vendor: directions of the "
-        "images that the rays hardly see stay as in the metadata; auto: vendor for satellite images with priors and "
-        "without control point, else control; priors: they define what no control point does; "
-        "inner: free network without priors, inner constraints on the ground points give its covariance; free: all "
-        "steps are damped, there is no covariance.",
+        "Datum of the block. control: the control points define it, the block must have some. The other datums are "
+        "relative. vendor: directions of the images that the rays hardly determine stay as in the metadata; auto: "
+        "vendor for satellite images with priors and without control point, else control; priors: the priors define "
+        "what control points do not determine; inner: free network without priors, inner constraints on the ground "
+        "points define its covariance; free: all steps are damped, and there is no covariance.",
         recorded=True,
     )
     statistics: StatisticsChoice = option(
         "auto", TESTS,
-        "Reliability of every observation; auto: up to 2 000 000 image points. full: redundancy numbers, reliability "
-        "and normalised residuals in the results of a run; basic: without them.",
+        "Statistics of every observation. full: the results contain redundancy numbers, reliability and normalised "
+        "residuals; basic: they do not; auto: full for up to 2 000 000 image points.",
         iterates=False,
     )
     tables: TableForm = option(
@@ -271,7 +277,7 @@ class Options(Checked):
     )
     memory_limit_gb: float | None = option(
         None, ADJUSTMENT,
-        "Memory that a run may need, by an estimate before it: larger blocks are adjusted in parts, or refused.",
+        "Memory limit of a run. The memory is estimated before the run; larger blocks are in parts or refused.",
         unit="GB", spelled="memory-limit-gb", left_out="80 % of the available memory", iterates=False,
     )
     # fmt: on
@@ -290,7 +296,7 @@ class Reading(Checked):
     # fmt: off
     extrapolate_attitude_s: float = option(
         0.0, UNKNOWNS,
-        "Hold the last rate where attitudes do not cover the image. 0: these lines are refused one by one.",
+        "Extrapolate attitudes with the last rate by at most this time. Lines without attitudes are refused.",
         within=(0.0, MAX_EXTRAPOLATION_S), unit="s",
     )
     points_seen_once: Literal["error", "drop"] = option(

@@ -35,12 +35,13 @@ class PointOptions(Checked):
     )
     crs: str | None = option(None, FIT, _CRS)
     pixel_size_m: float | None = option(
-        None, FIT, "Pixel size for a comparison of pairwise distances, image with map.", unit="m",
+        None, FIT, "Pixel size, for a comparison of distances between points in image and map.", unit="m",
     )
     prune_to: float | None = option(
-        None, FIT, "Radial RMSE to reach: the worst point is left out until it is reached. Unit of the residuals.",
+        None, FIT, "Target of the radial RMSE: the worst point is left out until it is reached. It has the unit of the "
+        "residuals.",
     )
-    prune_by: Literal["residual", "test"] = option("residual", FIT, "Worst point by its residual or by the F test.")
+    prune_by: Literal["residual", "test"] = option("residual", FIT, "Worst point by the residual or by the F test.")
 
 
 @documented
@@ -48,8 +49,8 @@ class PointOptions(Checked):
 class StudyOptions(Checked):
     """Options of a study of numbers of control points and degrees."""
 
-    layouts: int = option(30, STUDY, "Random choices of the points.", within=(1, math.inf))
-    seed: int = option(1, STUDY, "Seed of these choices.", within=(0, math.inf))
+    layouts: int = option(30, STUDY, "Number of random choices of the points.", within=(1, math.inf))
+    seed: int = option(1, STUDY, "Seed of the random choices.", within=(0, math.inf))
     crs: str | None = option(None, STUDY, _CRS)
 
 

@@ -30,7 +30,7 @@ class FileOptions:
     order: str = option("RPC00B", MODEL, "Order of the coefficients in FILE: RPC00B, RPC00A or T2.54.")
     first_pixel: float | None = option(
         None, MODEL, "Coordinate of the first pixel's centre in FILE.", within=(-math.inf, math.inf),
-        left_out="the convention of its format",
+        left_out="the convention of the format",
     )
 
 
@@ -39,14 +39,14 @@ class FileOptions:
 class RefineOptions:
     """Options of a refinement with control points."""
 
-    compensation: str = option("shift", MODEL, "shift (1 point at least), shift_drift (2) or affine (3).")
+    compensation: str = option("shift", MODEL, "shift (at least 1 point), shift_drift (2) or affine (3).")
     extrapolate: bool = option(False, MODEL, "Use points outside the validity range of the model.")
 
 
 @documented
 @dataclass(frozen=True)
 class FitOptions:
-    """Options of a fit to control points; of these a fit to a sensor takes degree, denominators and seed."""
+    """Options of a fit to control points. A fit to a sensor uses only degree, denominators and seed."""
 
     degree: int = option(3, MODEL, "Degree of the polynomials.", within=(1, 3))
     denominators: Denominators = option(
@@ -56,19 +56,19 @@ class FitOptions:
         "true", POINTS, "Equations: true, linear (as published) or weighted.",
     )
     selection: str | None = option(
-        None, POINTS, "Choice of the coefficients: ridge_press, ridge_gcv, ridge_l_curve, lasso, nested, uss, scatter "
-        "or none.", left_out="ridge_press for true equations without kappa", spelled="select",
+        None, POINTS, "Method to select the coefficients: ridge_press, ridge_gcv, ridge_l_curve, lasso, nested, uss, "
+        "scatter or none.", left_out="ridge_press for true equations without kappa", spelled="select",
     )
     kappa: float | None = option(
         None, POINTS, "Penalty on squared normalised coefficients, instead of `select`.", within=(0.0, math.inf),
     )
-    penalty: Penalty = option("beyond_affine", POINTS, "Coefficients that kappa holds near zero.")
+    penalty: Penalty = option("beyond_affine", POINTS, "Coefficients that kappa keeps near zero.")
     solver: str | None = option(None, POINTS, "Solver of the linear form, such as svd_scaled.")
     normalise: bool = option(True, POINTS, "Scale coordinates to the range -1 to 1.")
     folds: int | None = option(
         None, POINTS, "Parts of the cross-validation.", within=(2, math.inf), left_out="10, or all points if fewer",
     )
-    seed: int = option(1, MODEL, "Seed of the folds or of the independent points.", within=(0, math.inf))
+    seed: int = option(1, MODEL, "Random seed of the folds or of the independent points.", within=(0, math.inf))
 
     def __post_init__(self) -> None:
         require_allowed(self)
@@ -82,7 +82,7 @@ class FitOptions:
 
     @property
     def selector(self) -> str | None:
-        """Selection that is used; None for a plain or a penalised fit."""
+        """Selection that the fit uses; None for a plain or a penalised fit."""
         if self.selection is not None:
             return None if self.selection == NO_SELECTION else self.selection
         return SELECTION if self.equations == "true" and self.kappa is None and self.normalise else None

@@ -32,7 +32,7 @@ _GROUND_NOISE: Final = "Sigmas East, North, Up of the noise of control and check
 @documented
 @dataclass(frozen=True)
 class ZonguldakOptions(Checked):
-    """Options of the twin.
+    """Options of the synthetic Zonguldak pair.
 
     Points, roles, errors of the metadata, image noise and ground noise come from independent streams of the seed.
     """
@@ -42,11 +42,12 @@ class ZonguldakOptions(Checked):
     image_noise_px: float = option(0.3, NOISE, _IMAGE_NOISE, within=(0.0, 30.0), unit="px")
     errors: Errors = option(
         "constant", ORIENTATION, "Errors of the metadata's orientation. constant: 5 m per ECEF axis, 20 microrad per "
-        "angle, signs drawn per image; prior: all 27 coefficients drawn from the prior sigmas.",
+        "angle, random signs per image; prior: all 27 coefficients are random with the prior sigmas.",
     )
     distortion_rad: float = option(
         0.0, ORIENTATION,
-        "True look angles exceed the file's by this times s^2. s is -1 at the first sample, +1 at the last.",
+        "True look angles: look angles of the file plus this value times s^2. s is -1 at the first sample, +1 at the "
+        "last.",
         within=(-1e-4, 1e-4), unit="rad",
     )
     radial_velocity_m_s: float = option(
@@ -67,10 +68,12 @@ class BlockOptions:
 
     rows: int = option(2, BLOCK, "Rows of scenes.", within=(1, 20))
     columns: int = option(2, BLOCK, "Columns of scenes.", within=(1, 20))
-    points: int = option(400, BLOCK, "Ground points, each seen twice or more.", within=(LEAST_CONTROL, 10_000_000))
+    points: int = option(400, BLOCK, "Ground points, each in two or more images.", within=(LEAST_CONTROL, 10_000_000))
     seed: int = option(1, NOISE, _SEED, within=(0, math.inf))
     spacing_m: float = option(28e3, BLOCK, "Distance of neighbouring scenes.", within=(1e3, 40e3), unit="m")
-    roll_deg: float = option(12.0, BLOCK, "Mirror angle, to both sides in turn.", within=(1.0, 27.0), unit="deg")
+    roll_deg: float = option(
+        12.0, BLOCK, "Mirror angle; strips look alternately to both sides.", within=(1.0, 27.0), unit="deg",
+    )
     control_share: float = option(0.02, BLOCK, "Share of control points (at least 6 points).", within=(0.0, 1.0))
     check_share: float = option(0.1, BLOCK, "Share of check points; the rest are tie points.", within=(0.0, 1.0))
     image_noise_px: float = option(0.3, NOISE, _IMAGE_NOISE, within=(0.0, 30.0), unit="px")
@@ -79,7 +82,9 @@ class BlockOptions:
     tables: TableForm = option(
         TABLE_FORM, BLOCK, "Form of the tables. parquet and arrow need pyarrow (extra `arrow`) and suit large blocks."
     )
-    max_height_m: float = option(500.0, BLOCK, "Heights are uniform from 0 to this.", within=(0.0, 8000.0), unit="m")
+    max_height_m: float = option(
+        500.0, BLOCK, "Largest height; heights are uniformly distributed from 0 to it.", within=(0.0, 8000.0), unit="m",
+    )
 
     def __post_init__(self) -> None:
         require_allowed(self)
@@ -93,14 +98,16 @@ class BlockOptions:
 class MixedOptions:
     """Options of a mixed block."""
 
-    points: int = option(90, BLOCK, "Ground points in all.", within=(10, 100_000))
+    points: int = option(90, BLOCK, "Total number of ground points.", within=(10, 100_000))
     control: int = option(8, BLOCK, "Control points.", within=(3, 100_000))
     check: int = option(12, BLOCK, "Check points; the rest are tie points.", within=(0, 100_000))
     seed: int = option(1, NOISE, _SEED, within=(0, math.inf))
     spot_noise_px: float = option(0.4, NOISE, "Sigma of the noise of the SPOT-5 images.", within=(0.0, 10.0), unit="px")
     rpc_noise_px: float = option(0.3, NOISE, "Sigma of the noise of the RPC images.", within=(0.0, 10.0), unit="px")
     frame_noise_px: float = option(0.5, NOISE, "Sigma of the noise of the frame images.", within=(0.0, 10.0), unit="px")
-    errors: Literal["prior", "none"] = option("prior", ORIENTATION, "Errors of the orientation, from the prior sigmas.")
+    errors: Literal["prior", "none"] = option(
+        "prior", ORIENTATION, "Errors of the orientation: random with the prior sigmas, or none.",
+    )
     ground_noise_m: Three = option((0.05, 0.05, 0.08), NOISE, _GROUND_NOISE, within=(0.0, 100.0), unit="m")
 
     def __post_init__(self) -> None:

@@ -18,22 +18,22 @@ POINTS: Final = Group("Points")
 @documented
 @dataclass(frozen=True)
 class MatchOptions(Checked):
-    """Choices of matching; the prior sigmas of the orientation are those of the project."""
+    """Choices of matching; the prior sigmas of the orientation come from the project."""
 
     lowest_m: float | None = option(
         None, SEARCH, "Lowest ellipsoidal height of the ground.", within=(-12000.0, 10000.0), unit="m",
-        left_out="that of the RPC, else 1000 m below the scenes", spelled="lowest",
+        left_out="the lowest height of the RPC, else 1000 m below the scenes", spelled="lowest",
     )
     highest_m: float | None = option(
         None, SEARCH, "Highest ellipsoidal height of the ground.", within=(-12000.0, 10000.0), unit="m",
-        left_out="that of the RPC, else 3000 m above the scenes", spelled="highest",
+        left_out="the highest height of the RPC, else 3000 m above the scenes", spelled="highest",
     )
     dem_sigma_m: float = option(
         20.0, SEARCH, "Standard deviation of the heights of a DEM that restricts the search.", unit="m",
         within=(0.1, 10000.0),
     )
     ratio: float = option(
-        0.85, SEARCH, "Largest distance of descriptors, as a part of that of the second best candidate (Lowe 2004).",
+        0.85, SEARCH, "Largest ratio of descriptor distances, best to second best candidate (Lowe 2004).",
         below=1.0,
     )
     window: int = option(
@@ -46,7 +46,7 @@ class MatchOptions(Checked):
         "and whole map; shift: position.",
     )
     correlation: float = option(
-        0.7, POINTS, "Least correlation of the grey values of a window after matching.", below=1.0,
+        0.7, POINTS, "Smallest correlation of the grey values of a window after matching.", below=1.0,
     )
     cells: int = option(20, POINTS, "Cells along each side of an image, for an even distribution.", within=(1, 200))
     points_per_cell: int = option(
@@ -54,9 +54,9 @@ class MatchOptions(Checked):
         spelled="per-cell",
     )
     distance_px: float = option(
-        6.0, POINTS, "Least distance of points in an image.", within=(0.0, 1000.0), unit="px",
+        6.0, POINTS, "Smallest distance of points in an image.", within=(0.0, 1000.0), unit="px",
     )
     sigma_px: float | None = option(
-        None, POINTS, "One sigma of all image points, instead of those of least-squares matching.", unit="px",
+        None, POINTS, "Sigma of all image points, instead of the sigmas of least-squares matching.", unit="px",
         within=(0.001, 100.0), left_out="the sigma of each point, from its covariance and an estimated factor",
     )
