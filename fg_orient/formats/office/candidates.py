@@ -42,7 +42,22 @@ def scene_box(sensors: Mapping[str, Any]) -> tuple[float, float, float, float]:
 
 
 def possible_crs(kind: str, coordinates: Array, box: tuple[float, float, float, float] | None) -> list[str]:
-    """CRS of EPSG in which coordinates of a kind may lie in the box, the usual ones first."""
+    """List EPSG codes of CRS in which coordinates of a kind may lie in the box; the usual CRS come first.
+
+    Parameters
+    ----------
+    kind : str
+        "geocentric", "geographic" or "projected".
+    coordinates : (n, 3) array
+        As in the table, easting or longitude first; nan where a cell is empty.
+    box : four floats or None
+        West, south, east, north of all images, degrees; None without images.
+
+    Returns
+    -------
+    list of str
+        Codes such as "EPSG:32636"; empty without images, except for geocentric coordinates.
+    """
     if kind == "geocentric":
         return ["EPSG:4978"]
     if box is None:
@@ -111,7 +126,22 @@ def _geographic(box: tuple[float, ...]) -> list[str]:
 
 
 def in_ecef(crs: str, coordinates: Array, sensors: Mapping[str, Any]) -> Array | None:
-    """Points (n, 3) in ECEF, nan where a coordinate is missing; None if the CRS cannot hold them."""
+    """Transform coordinates of a table to ECEF.
+
+    Parameters
+    ----------
+    crs : str
+        EPSG code of the coordinates.
+    coordinates : (n, 3) array
+        A missing height is replaced by the mean height of the scenes.
+    sensors : mapping of str to Sensor
+        Georeferenced images, which limit the area of the transformation.
+
+    Returns
+    -------
+    (n, 3) array or None
+        ECEF m, nan if a horizontal coordinate is missing; None if the coordinates are impossible in the CRS.
+    """
     heights = [s.mean_height_m for s in sensors.values()] or [0.0]
     whole = np.isfinite(coordinates[:, :2]).all(axis=1)
     out = np.full((len(coordinates), 3), np.nan)
@@ -135,7 +165,7 @@ def in_ecef(crs: str, coordinates: Array, sensors: Mapping[str, Any]) -> Array |
 
 @cache
 def _transformer(crs: str, box: tuple[float, float, float, float]) -> Any:
-    """Operation from a CRS to ECEF for a box in degrees, searched once for all readings; None if there is none."""
+    """Find the operation from a CRS to ECEF for a box in degrees, once for all readings; None if it does not exist."""
     try:
         return operation_to_ecef(crs, spatial_crs(crs), np.array(box).reshape(2, 2))[0]
     except InputError:

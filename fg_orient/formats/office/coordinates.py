@@ -30,7 +30,39 @@ def read_coordinates(
     grounds: list[tuple[Table, list[Triple]]], row: Mapping[str, int], labels: list[tuple[str, ...]], fit: Fit,
     parts: Sequence[ImagePart], office: Office, decisions: Decisions,
 ) -> tuple[Reading | None, str, Array]:  # fmt: skip
-    """Best reading of the tables of ground points, its CRS with heights, and the coordinates of all points."""
+    """Decide how the coordinates of all tables of ground points are read.
+
+    Parameters
+    ----------
+    grounds : list of (Table, list of Triple)
+        Tables of ground points with their possible triples of columns.
+    row : mapping of str to int
+        Row of each of the n ground points.
+    labels : list of tuples of str
+        Possible images of the labels of the tables of image points.
+    fit : Fit
+        Images and image points, against which readings are tested.
+    parts : sequence of ImagePart
+        Columns of image points.
+    office : Office
+        Statements of the user.
+    decisions : Decisions
+        Receives the assumptions and questions.
+
+    Returns
+    -------
+    reading : Reading or None
+        Best reading of the largest table.
+    crs : str
+        CRS with the vertical CRS of the heights.
+    coordinates : (n, 3) array
+        Easting or longitude first, nan where a table has none.
+
+    Raises
+    ------
+    InputError
+        No columns of coordinates, no CRS that fits the images, or tables with different columns.
+    """
     grounds = sorted(grounds, key=lambda one: -len(one[0]))
     table, triples = grounds[0]
     if not triples:
@@ -67,7 +99,7 @@ class Spread:
 
     @staticmethod
     def of(table: Table, triple: Triple, row: Mapping[str, int]) -> Triple:
-        """Triple whose coordinates (n, 3) stand in the rows of the survey; nan in rows of other tables."""
+        """Return a triple with the coordinates (n, 3) in the rows of the survey; nan in rows of other tables."""
         out = np.full((len(row), 3), np.nan)
         for k, name in enumerate(table.texts(id_column(table))):
             if name in row:
@@ -76,7 +108,7 @@ class Spread:
 
 
 def _take(table: Table, triple: Triple, row: Mapping[str, int], coordinates: Array, decisions: Decisions) -> None:
-    """Take the coordinates of a table; they must agree with those of other tables."""
+    """Add the coordinates of a table; they must agree with the coordinates in other tables."""
     columns = [k for k in triple.columns if k >= 0]
     filled = np.any([table.filled(k) for k in columns], axis=0)
     at = np.array([row[name] for name in table.texts(id_column(table))], np.intp)
@@ -96,7 +128,7 @@ def _take(table: Table, triple: Triple, row: Mapping[str, int], coordinates: Arr
 def _with_heights(
     table: Table, best: Reading, fit: Fit, coordinates: Array, office: Office, decisions: Decisions
 ) -> str:
-    """CRS with the vertical CRS of the heights; ellipsoidal heights have none."""
+    """Return the CRS with the vertical CRS of the heights; ellipsoidal heights have no vertical CRS."""
     if office.heights:
         return best.crs if office.heights == "ellipsoidal" else f"{best.crs}+{office.heights.partition(':')[2]}"
     if best.triple.columns[2] < 0:

@@ -1,7 +1,7 @@
-"""What the user states about tables of unknown form, what their reader assumes, and what it has to ask.
+"""Statements of the user about tables of unknown form, assumptions of their reader, and its questions.
 
 A question has ranked choices. If the data or the names decide clearly, the first choice is assumed, and listed. Else
-the user decides: by an option, or by an answer on a terminal. Nothing is assumed without being listed.
+the user decides: by an option, or by an answer on a terminal. Every assumption is listed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from fg_orient.model.errors import Finding, InputError, finding
 
 @dataclass(frozen=True)
 class Office:
-    """What the user states; None or "" is found out or asked.
+    """Statements of the user; the reader finds or asks values that are None or "".
 
     Parameters
     ----------
@@ -45,13 +45,13 @@ class Office:
 
     @property
     def given(self) -> dict[str, Any]:
-        """Options about which nothing is asked, by name."""
+        """Return the options that need no question, by name."""
         return {"crs": self.crs, "decimal": self.decimal, "columns": self.columns}
 
 
 @dataclass(frozen=True)
 class Assumption:
-    """What was assumed: subject, value, reason, and the option by which the user decides otherwise ("": none)."""
+    """Assumption: subject, value, reason, and the option with which the user can change it ("": no option)."""
 
     subject: str
     value: str
@@ -115,7 +115,8 @@ class Decisions:
     def settle(self, question: Question, file: object = "", *, later: bool = False) -> Choice | None:
         """Choose an answer.
 
-        A question that nobody answers is raised, or with ``later`` kept for :meth:`require_answers` (None then).
+        A question without an answer is raised as an error, or with ``later`` kept for :meth:`require_answers` (None
+        then).
 
         Raises
         ------

@@ -18,16 +18,16 @@ from fg_orient.formats.office.candidates import in_ecef
 from fg_orient.formats.office.ground import Triple
 from fg_orient.formats.scenes import REACH, Scene
 
-#: A reading is turned down if its scatter is this many times that of another one, which is at least this, px.
+#: A reading is rejected if its scatter is this many times the scatter of another one, which is at least this, px.
 RATIO: Final = 3.0
 LEAST_PX: Final = 0.5
-#: Fewest points in an image by whose scatter a reading is judged.
+#: Fewest points in an image whose scatter is used.
 FEWEST: Final = 5
-#: It is turned down, too, if its images would be moved by so much (m) and so many times more than in another one.
+#: It is also rejected if it shifts its images by this distance (m) and by this factor more than another one.
 FAR_M: Final = 40.0
 FAR_RATIO: Final = 8.0
 #: Largest move of images whose orientation has proved accurate, px; a reading with more, and with as many times more,
-#: is turned down. Moves below the last one are noise.
+#: is rejected. Shifts below the last number are noise.
 ACCURATE_PX: Final = 2.0
 ACCURATE_RATIO: Final = 5.0
 NOISE_PX: Final = 0.1
@@ -39,7 +39,17 @@ SAME_PX: Final = 0.1
 
 
 class Evidence(NamedTuple):
-    """Scatter of the differences in the worst image, and largest move of an image; nan without image points."""
+    """Agreement of a reading with the images.
+
+    Parameters
+    ----------
+    scatter_px : float
+        Scatter of the differences between projected and measured image points, in the worst image.
+    move_px, move_m : float
+        Largest common shift of an image; nan without image points.
+    fewest : int
+        Number of points in the image with the fewest points.
+    """
 
     scatter_px: float
     move_px: float
@@ -76,9 +86,20 @@ NO_EVIDENCE: Final = Evidence(np.nan, np.nan, np.nan, 0)
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """Image points as read: name of the image in the table, id of the point, first and second pixel coordinate.
+    """Image points as they are in the tables.
 
-    ``first`` is the line, unless line and sample are exchanged. ``places`` are file and place of each, for messages.
+    Parameters
+    ----------
+    labels : tuple of str
+        Names of images in the tables.
+    label : (n,) int array
+        Row of ``labels`` of each image point.
+    ids : n strings
+        Ids of the points.
+    first, second : (n,) arrays
+        Pixel coordinates; ``first`` is the line, unless line and sample are exchanged.
+    places : n pairs of str
+        File and place of each image point, for messages.
     """
 
     labels: tuple[str, ...]
@@ -94,7 +115,24 @@ class Marks:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """A triple of columns in a CRS, an image for each label, and whether line and sample are exchanged."""
+    """One way to read the tables.
+
+    Parameters
+    ----------
+    triple : Triple
+        Columns of the three coordinates.
+    crs : str
+        EPSG code.
+    images : tuple of str
+        Image of each label.
+    exchanged : bool
+        Whether line and sample are exchanged.
+    evidence : Evidence
+    predicted : (n, 2) array
+        Places in the images, or on the ground without image points, to compare readings.
+    same : tuple of str
+        CRS that give the same places.
+    """
 
     triple: Triple
     crs: str

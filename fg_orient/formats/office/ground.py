@@ -62,7 +62,7 @@ class Triple:
 
 
 def ground_triples(table: Table, units: dict[str, str]) -> list[Triple]:
-    """Readings of a table as ground points; empty if it has none."""
+    """List the readings of a table as ground points; empty if it has no ground points."""
     keyed = {key: table.one(key) for key in ("lon", "lat", "E", "N", "H", "X", "Y", "Z")}
     height = keyed["H"] if keyed["H"] is not None else -1
     orders: list[tuple[tuple[int, int, int], bool]] = []

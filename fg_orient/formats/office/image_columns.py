@@ -37,7 +37,7 @@ class ImagePart:
 
 
 def image_part(table: Table, images: Sequence[str]) -> ImagePart | None:
-    """Columns of image points of a table; None if it has none."""
+    """Find the columns of image points of a table; None if it has no image points."""
     image = table.one("image")
     lines, samples = table.having("line"), table.having("sample")
     named = bool(lines)

@@ -36,7 +36,7 @@ class FoundImage:
 
 
 def sorted_files(sources: Sequence[Path]) -> tuple[list[tuple[Path, bool]], list[Path]]:
-    """Files that may hold images, with whether they were named, and tables, of files and folders.
+    """Sort files and folders into tables and files that may contain images, with whether the user named them.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def _is_rpc(path: Path) -> bool:
 
 
 def read_images(files: Sequence[tuple[Path, bool]], decisions: Decisions) -> list[FoundImage]:
-    """Read the images; of several files about one image the rigorous model is taken, else the RPC file, else tags.
+    """Read the images; of several files about one image the rigorous model is used, else the RPC file, else tags.
 
     Raises
     ------

@@ -50,7 +50,7 @@ def bare(cell: str) -> str:
 
 
 def value_of(cell: Cell, style: Style) -> float:
-    """Number of a cell in this style; nan if it is none."""
+    """Return the number of a cell in this style; nan if it is not a number."""
     if not isinstance(cell, str):
         return float(cell) if math.isfinite(cell) else math.nan
     text = bare(cell)
@@ -63,7 +63,7 @@ def value_of(cell: Cell, style: Style) -> float:
 
 
 def angle_of(cell: Cell) -> float:
-    """Degrees of a cell with minutes and seconds, or with a sign of degrees or a hemisphere; nan if it has none."""
+    """Degrees of a cell with minutes and seconds, or with a sign of degrees or a hemisphere; nan for other cells."""
     if not isinstance(cell, str):
         return math.nan
     text = bare(cell)
@@ -95,21 +95,31 @@ def is_number(cell: Cell) -> bool:
 
 
 def angles(cells: Sequence[Cell]) -> Array | None:
-    """Degrees (n,) of cells that are all angles or blank; None if most are not."""
+    """Return degrees (n,) of cells that are all angles or blank; None if most cells are not angles."""
     values = np.array([angle_of(cell) for cell in cells])
     filled = np.array([cell != "" for cell in cells], bool)
     return values if filled.any() and np.isfinite(values[filled]).mean() > 0.5 else None
 
 
 def values(cells: Sequence[Cell], style: Style) -> Array:
-    """Numbers (n,) of cells, nan where there is none."""
+    """Return the numbers (n,) of cells; nan if a cell is not a number."""
     return np.array([value_of(cell, style) for cell in cells], float)
 
 
 def possible_styles(columns: Sequence[Sequence[Cell]]) -> tuple[Style, ...]:
     """Styles in which nearly all cells of these columns are numbers; one if all give the same numbers.
 
-    Groups of thousands are not in use if a number above 999 has none.
+    Groups of thousands are not used if a number above 999 has no group.
+
+    Parameters
+    ----------
+    columns : sequence of sequences of cells
+        Columns with numbers.
+
+    Returns
+    -------
+    tuple of Style
+        One or two: decimal point and decimal comma.
     """
     texts = [cell for cells in columns for cell in cells if isinstance(cell, str) and cell != ""]
     found: dict[Style, Array] = {}
@@ -128,7 +138,19 @@ def possible_styles(columns: Sequence[Sequence[Cell]]) -> tuple[Style, ...]:
 
 
 def unpacked(values: Array, form: str) -> Array:
-    """Degrees of plain numbers (n,): "deg", "gon", "rad", "dms" (dddmmss.s) or "d.mmss"; nan where impossible."""
+    """Convert plain numbers to degrees.
+
+    Parameters
+    ----------
+    values : (n,) array
+    form : str
+        "deg", "gon", "rad", "dms" (dddmmss.s) or "d.mmss".
+
+    Returns
+    -------
+    (n,) array
+        Degrees; nan if the number is impossible in this form.
+    """
     if form == "deg":
         return values
     if form == "gon":

@@ -21,7 +21,7 @@ FIRST_PIXELS: Final = (0.0, 1.0, 0.5)
 
 
 def read_marks(parts: Sequence[ImagePart]) -> tuple[Marks, Array]:
-    """Image points of all tables, and their standard deviations (n, 2), nan where there is none."""
+    """Read the image points of all tables, and their standard deviations (n, 2), nan if missing."""
     labels: dict[str, int] = {}
     label, ids, pixels, sigmas = list[int](), list[str](), list[list[float]](), list[list[float]]()
     seen: dict[tuple[int, str], str] = {}
@@ -58,7 +58,7 @@ def read_marks(parts: Sequence[ImagePart]) -> tuple[Marks, Array]:
 
 
 def _require_own_ids(parts: Sequence[ImagePart]) -> None:
-    """Refuse two tables of several images each that have ids in common: they may name other points alike."""
+    """Refuse two tables of several images each with common ids: they may use the same id for different points."""
     before: set[str] = set()
     for part in (part for part in parts if part.image >= 0 and len(set(part.table.texts(part.image))) > 1):
         own = set(part.table.texts(part.id))
@@ -71,7 +71,35 @@ def first_pixel(
     given: float | None, parts: Sequence[ImagePart], marks: Marks, fit: Fit, reading: Reading | None, crs: str,
     coordinates: Array, decisions: Decisions,
 ) -> float:  # fmt: skip
-    """Coordinate of the centre of the first pixel."""
+    """Decide the coordinate of the centre of the first pixel.
+
+    Parameters
+    ----------
+    given : float or None
+        Statement of the user.
+    parts : sequence of ImagePart
+        Columns of image points; tables of this program count from 0.
+    marks : Marks
+    fit : Fit
+    reading : Reading or None
+        None without ground points.
+    crs : str
+        CRS of ``coordinates``.
+    coordinates : (n, 3) array
+        Coordinates of the ground points.
+    decisions : Decisions
+        Receives the assumption, or the question if the images are not accurate enough.
+
+    Returns
+    -------
+    float
+        0, 1, 0.5 or the given value.
+
+    Raises
+    ------
+    InputError
+        An image point is outside its image with any first pixel.
+    """
     if given is not None:
         return given
     if all(set(COLUMNS) <= set(part.table.headers) for part in parts):
@@ -105,7 +133,25 @@ def first_pixel(
 def outside(
     marks: Marks, images: Sequence[str], exchanged: bool, sensors: Mapping[str, Any], first_pixel: float
 ) -> Mask:
-    """Image points (n,) outside their images."""
+    """Find image points outside their images.
+
+    Parameters
+    ----------
+    marks : Marks
+        n image points.
+    images : sequence of str
+        Image of each label.
+    exchanged : bool
+        Whether the second coordinate is the line.
+    sensors : mapping of str to Sensor
+        Images by name; without images no point is outside.
+    first_pixel : float
+        Coordinate of the centre of the first pixel.
+
+    Returns
+    -------
+    (n,) bool array
+    """
     out = np.zeros(len(marks), bool)
     line, sample = (marks.second, marks.first) if exchanged else (marks.first, marks.second)
     for k, name in enumerate(images if sensors else ()):

@@ -1,4 +1,4 @@
-"""A project made from the files of an office: images, tables of unknown form, and what was assumed about them."""
+"""A project made from the files of an office: images, tables of unknown form, and assumptions about them."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def _lift_m(level: ZeroLevel, images: Sequence[FoundImage]) -> float:
 
 
 def _found_level(survey: Survey, folders: Sequence[Path], decisions: Decisions, file: str) -> ZeroLevel:
-    """Geoid file of the heights if PROJ lacks their grid: the one of its name in the folders, or asked for."""
+    """Find the geoid file of the heights if PROJ lacks their grid: a file of its name in the folders, else ask."""
     name = vertical_reference(survey.crs)[0] if survey.crs and survey.located.any() else ""
     error = lacking_operation(survey) if name else None
     if error is None or found_grid(error) is not None:
@@ -132,7 +132,7 @@ def _found_level(survey: Survey, folders: Sequence[Path], decisions: Decisions, 
 
 
 def _completed(survey: Survey, given: Given, decisions: Decisions, file: str) -> Survey:
-    """Survey with the given values; missing ones are asked for."""
+    """Complete the survey with the given values; ask for missing values."""
     survey = filled(survey, sigma_ground_m=given.sigma_ground_m, sigma_image_px=given.sigma_image_px,
                     height_m=given.height_m, check=given.check)  # fmt: skip
     known, o = survey.located & np.array([r is not Role.TIE for r in survey.roles], bool), survey.observed
@@ -175,7 +175,7 @@ def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:
 
 
 def write_draft(made: Draft, out: Path, decisions: Decisions, *, overwrite: bool = False) -> tuple[Finding, ...]:
-    """Write a project; it is read again by the strict reader before it takes its place.
+    """Write a project; it is read again by the strict reader before it replaces the output.
 
     Returns
     -------

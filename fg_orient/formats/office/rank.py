@@ -24,7 +24,25 @@ _USUAL: Final = ("", "H=m", "E=m", "E=m,H=m", "lon=deg", "lon=deg,H=m")
 def readings(
     triples: Sequence[Triple], crs: str, labels: Sequence[tuple[str, ...]], fit: Fit, exchange: bool
 ) -> list[Reading]:
-    """All readings of which more than half of the points lie near the images."""
+    """List all readings with more than half of the points near the images.
+
+    Parameters
+    ----------
+    triples : sequence of Triple
+        Possible columns of the coordinates of one table.
+    crs : str
+        CRS that is stated; "" to try all CRS of the area.
+    labels : sequence of tuples of str
+        Possible images of the labels.
+    fit : Fit
+    exchange : bool
+        Also try exchanged lines and samples.
+
+    Returns
+    -------
+    list of Reading
+        In no order of preference.
+    """
     box = scene_box(fit.sensors) if fit.sensors else None
     out = []
     for triple in triples:
@@ -51,7 +69,7 @@ def readings(
 def best_reading(
     table: Table, triples: Sequence[Triple], found: list[Reading], fit: Fit, named_pixels: bool, decisions: Decisions
 ) -> Reading:
-    """Best reading; what it assumes is listed.
+    """Select the best reading and list its assumptions.
 
     Raises
     ------
@@ -98,7 +116,7 @@ def _preference(one: Reading) -> tuple[Any, ...]:
 
 
 def _distinct(found: list[Reading]) -> list[Reading]:
-    """Readings that differ in the images; the first of those that do not names the others."""
+    """Return readings that differ in the images; the first of several equal readings names the others."""
     out: list[Reading] = []
     for one in found:
         for k, other in enumerate(out):
@@ -121,7 +139,7 @@ def _alike(one: Reading, other: Reading) -> bool:
 
 
 def _champion(believable: list[Reading]) -> Reading:
-    """Reading that no other beats; among several the one that moves the images least."""
+    """Return the reading that no other reading beats; of several, the reading with the smallest shift of the images."""
     unbeaten = [one for one in believable if not any(other.evidence.beats(one.evidence) for other in believable)]
     if not believable[0].evidence.fewest:
         return (unbeaten or believable)[0]
@@ -139,7 +157,7 @@ def _dimensions(table: Table, labels: Sequence[str]) -> list[tuple[str, str, Cal
 
 
 def _list(table: Table, chosen: Reading, found: list[Reading], named_pixels: bool, decisions: Decisions) -> None:
-    """List what the chosen reading assumes."""
+    """List the assumptions of the chosen reading."""
     seen = not np.isnan(chosen.evidence.move_px)
     figures = chosen.evidence.words()
     by_fit = f"it fits the images best: {figures}" if seen else "its points lie in the images"

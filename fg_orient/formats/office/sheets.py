@@ -23,7 +23,7 @@ LAYERS: Final = (".gpkg", ".shp")
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A table as it stands in a file.
+    """A table as it is in a file.
 
     Parameters
     ----------

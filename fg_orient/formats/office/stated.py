@@ -1,4 +1,4 @@
-"""What a table states in words about itself: CRS, datum, zone, images."""
+"""Statements of a table in words: CRS, datum, zone, images."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _ZONE: Final = re.compile(r"\b(?:UTM(?: zone)?[ /-]*|zone )([0-9]{1,2}) ?([NS])?
 
 
 def stated_crs(table: Table) -> str:
-    """CRS that a file, its titles or its headers name by number; "" if none."""
+    """Return the CRS that a file, its titles or its headers name by number; "" if they name no CRS."""
     if table.sheet.crs:
         return table.sheet.crs
     codes = {found[1] for text in (table.titles, *table.headers) for found in _CODE.finditer(text)}
@@ -42,7 +42,31 @@ def named_pairs(labels: Sequence[str], images: Sequence[str]) -> str:
 
 def label_images(labels: Sequence[str], images: Sequence[str], given: Mapping[str, str], decisions: Decisions,
                  file: str) -> list[tuple[str, ...]]:  # fmt: skip
-    """Possible images of the labels of a table: one by the names, else all orders."""
+    """List possible images of the labels of a table: one by the names, else all orders.
+
+    Parameters
+    ----------
+    labels : sequence of str
+        Names of images in the table.
+    images : sequence of str
+        Ids of the images.
+    given : mapping of str to str
+        Images of labels that the user states.
+    decisions : Decisions
+        Receives the assumption if the names differ.
+    file : str
+        File of the table, for messages.
+
+    Returns
+    -------
+    list of tuples of str
+        Images in the order of ``labels``.
+
+    Raises
+    ------
+    InputError
+        Two labels name one image, or a label cannot be assigned.
+    """
     found = [given.get(label) or match_image(label, images) for label in labels]
     if len(labels) == 1 and not found[0] and len(images) == 1:
         found = [images[0]]
@@ -72,7 +96,7 @@ def label_images(labels: Sequence[str], images: Sequence[str], given: Mapping[st
 
 
 def titled(table: Table, found: list[Reading], decisions: Decisions) -> list[Reading]:
-    """Readings in the datum and zone that titles or headers name; all if none is."""
+    """Select readings in the datum and zone that titles or headers name; all readings if they name neither."""
     text = " ".join((table.titles, *table.headers)).replace("_", " ")
     for pattern, names in _DATUMS:
         if re.search(pattern, text, re.IGNORECASE):

@@ -142,7 +142,7 @@ def _survey(
 def _crossing(
     labels: list[tuple[str, ...]], marks: Marks, fit: Fit, decisions: Decisions, file: str
 ) -> tuple[str, ...]:
-    """Images of the labels of a table of tie points: those with which the rays to the same points meet."""
+    """Assign images to the labels of a table of tie points such that the rays to the same points meet."""
     apart = {one: fit.crossing_m(one) if fit.sensors else float("inf") for one in labels}
     ranked = sorted(labels, key=lambda one: apart[one])
     clear = apart[ranked[0]] < CROSSING_M and apart[ranked[1]] > RATIO * CROSSING_M
@@ -155,7 +155,7 @@ def _crossing(
 
 
 def _settle_ids(tables: Sequence[Table], decisions: Decisions) -> None:
-    """Of several columns like ids, keep the one whose cells other tables have as ids, too."""
+    """Of several columns that look like ids, keep the column whose cells are also ids of other tables."""
     for table in tables:
         found = table.having("id")
         others = {cell for own in tables if own is not table for k in own.having("id") for cell in own.texts(k)}

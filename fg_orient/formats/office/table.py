@@ -64,7 +64,7 @@ class Table:
         return [k for k, one in enumerate(self.names) if one.key == key]
 
     def one(self, key: str) -> int | None:
-        """Column with a key; None if there is none. InputError if several have it."""
+        """Return the column of a key; None if no column has it. InputError if several have it."""
         found = self.having(key)
         if len(found) > 1:
             stated = [k for k in found if k in self.stated]
@@ -94,7 +94,7 @@ class Table:
         return [str(int(c)) if isinstance(c, float) and c.is_integer() else str(c) for c in self.columns[column]]
 
     def numbers(self, column: int) -> Array:
-        """Plain numbers (n,), nan where there is none."""
+        """Return plain numbers (n,); nan if a cell is not a number."""
         return values(self.columns[column], self.style)
 
     def angles(self, column: int) -> Array | None:
@@ -112,7 +112,15 @@ class Table:
 
 
 def id_column(table: Table) -> int:
-    """Column of the points' ids; without a usual name the first one, of points that occur once the first unique one."""
+    """Find the column of the points' ids.
+
+    Without a usual name it is the first column; in a table of ground points the first column with unique cells.
+
+    Raises
+    ------
+    InputError
+        There is no column that can contain ids.
+    """
     named = table.one("id")
     if named is not None:
         return named

@@ -20,7 +20,7 @@ from fg_orient.model.errors import InputError
 
 #: Largest text, bytes.
 MAX_TEXT: Final = 256_000_000
-#: Cells by which a separator is judged.
+#: Cells that are used to select a separator.
 _LOOKED_AT: Final = 2000
 #: Letters of Windows-1254 (Turkish) that are others in Windows-1252.
 _TURKISH: Final = re.compile(rb"[\xd0\xdd\xde\xf0\xfd\xfe]")
@@ -36,7 +36,20 @@ _CRS: Final = re.compile(r"^[#\s\"]*crs\s*[:=]\s*(EPSG:\S+?)[\s\";,]*$", re.IGNO
 
 
 def decoded(path: Path) -> tuple[str, str]:
-    """Text of a file of unknown encoding, with LF as line end, and the name of the encoding."""
+    """Read a text file of unknown encoding.
+
+    Returns
+    -------
+    text : str
+        With LF as line end.
+    encoding : str
+        Name of the encoding.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is too large, or is not text.
+    """
     faults = Faults(str(path))
     data = read_data(path, faults, MAX_TEXT + 1)
     faults.raise_if_any()
@@ -69,7 +82,23 @@ def _encoding(data: bytes) -> str:
 
 
 def rows_of(path: Path) -> tuple[Rows, list[int], str, tuple[Assumption, ...]]:
-    """Rows of a text, the line of each, the CRS that a comment states, and what was assumed."""
+    """Read a text table of unknown separator.
+
+    Returns
+    -------
+    rows : list of lists of cells
+    lines : list of int
+        Line of each row in the file, from 1.
+    crs : str
+        CRS that a comment states; "" without one.
+    assumptions : tuple of Assumption
+        Separator and encoding.
+
+    Raises
+    ------
+    InputError
+        The file is not text, or has no lines.
+    """
     text, encoding = decoded(path)
     stated = _CRS.search(text)
     lines = [(n, line) for n, line in enumerate(text.split("\n"), start=1) if line.strip() and line[:1] != "#"]

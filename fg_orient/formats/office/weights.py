@@ -22,7 +22,7 @@ _SURELY_M: Final = 0.5
 
 
 def pixel_sigmas(table: Table) -> Array:
-    """Standard deviations (n, 2) px of line and sample, nan where there is none."""
+    """Return standard deviations (n, 2) px of line and sample, nan if missing."""
     both = table.one("spx")
     columns = [both, both] if both is not None else [table.one("sline"), table.one("ssample")]
     faults = Faults(table.file)
@@ -50,7 +50,31 @@ def roles_and_sigmas(
     role_column: str,
     decisions: Decisions,
 ) -> tuple[list[Role], Array, Mask]:
-    """Roles, standard deviations (n, 3) m and fixed points (n,) of the ground points."""
+    """Read roles and standard deviations of the ground points.
+
+    Parameters
+    ----------
+    tables : sequence of Table
+        Tables of ground points.
+    row : mapping of str to int
+        Row of each of the n ground points.
+    coordinates : (n, 3) array
+        Points without coordinates are tie points.
+    units : mapping of str to str
+        Units that the user states.
+    role_column : str
+        "none" to read without a column of roles.
+    decisions : Decisions
+        Receives the assumptions.
+
+    Returns
+    -------
+    roles : list of Role
+    sigmas : (n, 3) array
+        East, North, Up, m; nan if missing.
+    fixed : (n,) bool array
+        Points without uncertainty.
+    """
     known = np.asarray(np.isfinite(coordinates[:, :2]).all(axis=1))
     roles = [Role.CONTROL if yes else Role.TIE for yes in known]
     sigma, fixed = np.full((len(row), 3), np.nan), np.zeros(len(row), bool)
@@ -87,7 +111,7 @@ def _take_roles(table: Table, column: int, at: Index, roles: list[Role], known: 
 
 
 def _ground_sigmas(table: Table, units: Mapping[str, str], decisions: Decisions) -> tuple[Array, Mask]:
-    """Standard deviations East, North, Up (n, 3) m of a table, nan where there is none, and fixed points (n,)."""
+    """Return standard deviations East, North, Up (n, 3) m of a table, nan if missing, and fixed points (n,)."""
     plane = table.one("sEN")
     own = [table.one(key) for key in ("sE", "sN", "sH")]
     x, y = table.one("sx"), table.one("sy")

@@ -55,7 +55,7 @@ _AXIS: Final = {
     "x": "sx", "y": "sy",
 }  # fmt: skip
 _SHORT: Final = re.compile(r"[sm](e|n|h|z|x|y|xy|en)")
-#: Words of a header that say nothing of the column.
+#: Words of a header that contain no information about the column.
 _FILLERS: Final = frozenset("""coordinate coordinates koordinat koordinati koordinatlari koordinatlar koordinate
     koordinaten coordonnee coordonnees coordenada coordenadas coord value deger degeri wert valor valeur standart utm
     zone zon dilim wgs84 wgs itrf itrf96 itrf2005 etrs89 etrs ed50 rgf93 dhdn gk gauss kruger lambert tm tm3 tm30
@@ -95,7 +95,7 @@ ROLE_WORDS: Final = {" ".join(word.split()): role for role, text in _ROLE_WORDS.
 
 @dataclass(frozen=True)
 class Named:
-    """What a header says: key of the column ("": nothing known), unit, and words that are left, such as an image."""
+    """Content of a header: key of the column ("" if unknown), unit, and other words, such as an image."""
 
     key: str
     unit: str = ""
@@ -194,6 +194,6 @@ def _longest(words: list[str]) -> tuple[str, str]:
 
 
 def role_of(cell: str) -> Role | None:
-    """Role that a cell names in one of the languages; None for other words."""
+    """Return the role that a cell names in one of the languages; None for other words."""
     low = cell.strip().lower()
     return ROLE_WORDS.get(low) or ROLE_WORDS.get(plain(cell))

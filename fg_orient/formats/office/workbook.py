@@ -52,7 +52,7 @@ def read_workbook(path: Path) -> dict[str, Rows]:
 
 
 def _require_small(archive: zipfile.ZipFile, path: Path) -> None:
-    """Unpack all parts, whatever size they state, and stop beyond the limit; refuse document types."""
+    """Unpack all parts, ignore their stated sizes, and stop above the limit; refuse document types."""
     total = 0
     for info in archive.infolist():
         real = copy.copy(info)
@@ -78,7 +78,7 @@ def _xlsx(path: Path) -> dict[str, Rows]:
     import warnings
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # styles and extensions that openpyxl does not know
+        warnings.simplefilter("ignore")  # styles and extensions that openpyxl does not support
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         try:
             sheets = {}

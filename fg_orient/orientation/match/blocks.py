@@ -40,7 +40,17 @@ BORDER: Final = 16
 
 
 class Expected(NamedTuple):
-    """What the coarse level says about a pair in a block: range of t, trend of the y-parallax, half width, px."""
+    """Prediction of the coarse level for a pair in a block.
+
+    Parameters
+    ----------
+    t_low, t_high : float
+        Range of the height parameter t along the epipolar curves.
+    trend : Trend
+        Expected y-parallax, px of b.
+    width_px : float
+        Half width of the band about the trend, px of b.
+    """
 
     t_low: float
     t_high: float
@@ -49,7 +59,15 @@ class Expected(NamedTuple):
 
 
 class Window(NamedTuple):
-    """First pixel and size of a window, in pixels of a raster."""
+    """Part of a raster, in pixels of the raster.
+
+    Parameters
+    ----------
+    row, column : int
+        First pixel; may lie outside the raster.
+    rows, columns : int
+        Size.
+    """
 
     row: int
     column: int
@@ -97,7 +115,19 @@ class Matches:
 
 
 class Counts(NamedTuple):
-    """Numbers of candidates that each test leaves over."""
+    """Numbers of candidates that pass each test.
+
+    Parameters
+    ----------
+    candidates : int
+        Pairs of features that are each other's best ones.
+    neighbours : int
+        Candidates whose parallax agrees with that of their neighbours.
+    fitted : int
+        Candidates refined by least-squares matching.
+    backward : int
+        Candidates whose matching back returns to the same pixel.
+    """
 
     candidates: int = 0
     neighbours: int = 0
@@ -115,6 +145,23 @@ def match_block(
     """Match a block of image a with other images; one result of at most ``most`` matches for each of them.
 
     All results have the same features of a, so that the same pixel of a is one point in all images.
+
+    Parameters
+    ----------
+    raster_a : Raster
+        Pixels of image a.
+    window : Window
+        Block in the raster of a.
+    others : list of (Pair, Raster, Expected)
+        Each other image: pair with a, its pixels, and the prediction of the coarse level.
+    options : MatchOptions
+    most : int
+        Largest number of matches with each other image.
+
+    Returns
+    -------
+    list of (Matches, Counts)
+        In the order of ``others``; empty matches if the block has no features.
     """
     border = BORDER + round(WIDER * (options.window // 2))
     top, left = window.row - border, window.column - border
@@ -144,7 +191,23 @@ def joined(parts: list[Matches]) -> Matches:
 
 
 def spread(pixel: Array, strength: Array, distance_px: float, most: int) -> Index:
-    """Rows of at most ``most`` pixels, ``distance_px`` apart: first the strongest of each of ``most`` squares."""
+    """Select at most ``most`` pixels, ``distance_px`` apart: first the strongest of each of ``most`` squares.
+
+    Parameters
+    ----------
+    pixel : (n, 2) array
+    strength : (n,) array
+        Larger values are selected first.
+    distance_px : float
+        Smallest distance of two selected pixels; 0 for any distance.
+    most : int
+        Number of squares and largest number of pixels.
+
+    Returns
+    -------
+    (m,) array of int
+        Selected rows, m <= ``most``, strongest pixels of all squares first.
+    """
     n = len(pixel)
     if not n:
         return np.empty(0, np.intp)
@@ -252,7 +315,20 @@ def _match_pair(
 
 
 def variance_along(covariance: Array, direction: Array) -> Array:
-    """Variances (n,) along unit vectors (n, 2) of covariances (n, 3): line line, line sample, sample sample."""
+    """Compute variances along unit vectors.
+
+    Parameters
+    ----------
+    covariance : (n, 3) array
+        Line line, line sample, sample sample.
+    direction : (n, 2) array
+        Unit vectors: line, sample.
+
+    Returns
+    -------
+    (n,) array
+        In the unit of ``covariance``.
+    """
     (ll, ls, ss), (x, y) = covariance.T, direction.T
     return np.asarray(x * x * ll + 2.0 * x * y * ls + y * y * ss)
 

@@ -44,7 +44,7 @@ SCALE: Final = 2.5
 #: Displacements that differ from their median in an image by more robust standard deviations are wrong; least one, px.
 LIMIT: Final = 4.0
 LEAST_PX: Final = 1.0
-#: Fewest control points of an image from which the scatter of their displacements is taken.
+#: Fewest control points of an image whose scatter of displacements is used.
 FEWEST: Final = 8
 
 
@@ -75,7 +75,17 @@ class Mark:
 
 @dataclass(frozen=True, eq=False)
 class Control:
-    """Points of known position: survey, geocentric positions (n, 3) m, chips by point."""
+    """Control points with chips.
+
+    Parameters
+    ----------
+    survey : Survey
+        Ids, coordinates and standard deviations of n points.
+    ecef_m : (n, 3) array
+        Geocentric positions, m.
+    chips : n paths
+        Raster with the chip of each point.
+    """
 
     survey: Survey
     ecef_m: Array
@@ -110,7 +120,26 @@ def read_control(path: Path) -> Control:
 def measure(
     control: Control, images: tuple[Any, ...], rasters: tuple[Raster, ...], options: Options, chosen: MatchOptions
 ) -> tuple[list[Mark], list[Finding]]:
-    """Measure all control points in all images that show them; findings name points that were not found."""
+    """Measure all control points in all images that show them.
+
+    Parameters
+    ----------
+    control : Control
+    images : tuple of images
+        Images of the project.
+    rasters : tuple of Raster
+        Pixels of each image.
+    options : Options
+        Prior sigmas of the orientation, which limit the search.
+    chosen : MatchOptions
+
+    Returns
+    -------
+    marks : list of Mark
+        Sorted by point and image.
+    findings : list of Finding
+        Points that no image shows clearly, and displacements that contradict the other chips of an image.
+    """
     marks, findings = [], []
     for k, name in enumerate(control.survey.ids):
         found = [m for i in range(len(images)) for m in _measured(control, k, i, images[i].sensor, rasters[i], options,
@@ -141,6 +170,18 @@ def sigmas_of(marks: list[Mark], factor: float) -> Array:
     the wider windows (:func:`fg_orient.orientation.match.tracks.relief_variance`). If the displacements of an image
     scatter more about an affine trend than this, their variance is added: errors of the chips' own positions belong to
     it.
+
+    Parameters
+    ----------
+    marks : list of Mark
+        m measured points.
+    factor : float
+        Estimated factor of the standard deviations of least-squares matching.
+
+    Returns
+    -------
+    (m, 2) array
+        Standard deviations of line and sample, px.
     """
     if not marks:
         return np.empty((0, 2))

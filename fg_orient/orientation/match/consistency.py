@@ -25,7 +25,7 @@ LIMIT: Final = 4.0
 
 
 def fits_neighbours(pixel: Array, along_px: Array, floor_px: float) -> Mask:
-    """Whether the parallax along the curve agrees with that of the neighbours (median and MAD, and a floor).
+    """Test whether the parallax along the curve agrees with the neighbours' (median and MAD, and a floor).
 
     Parameters
     ----------
@@ -79,9 +79,23 @@ def _terms(x: Array, count: int) -> Array:
 
 
 def trend_of(pixel: Array, parallax_px: Array, half_width_px: float) -> Trend | None:
-    """Robust polynomial of y-parallaxes: mode of the histogram, then least squares within 4 robust standard deviations.
+    """Fit a robust polynomial to y-parallaxes.
 
-    None if no more matches agree than a uniform distribution would give.
+    The mode of their histogram is followed by least squares within 4 robust standard deviations.
+
+    Parameters
+    ----------
+    pixel : (n, 2) array
+        Pixels of a.
+    parallax_px : (n,) array
+        Y-parallaxes, px of b.
+    half_width_px : float
+        Half width of the band in which the matches were searched, px.
+
+    Returns
+    -------
+    Trend or None
+        None with fewer than 12 matches, or if no more matches agree than a uniform distribution would give.
     """
     n = len(pixel)
     if n < 12:
@@ -128,7 +142,7 @@ class Calibration:
     n: int
 
     def variance(self, formal: Array) -> Array:
-        """Variances px^2 of those of least-squares matching."""
+        """Variances px^2 from the variances of least-squares matching."""
         return np.asarray(self.factor**2 * formal + self.floor_px**2)
 
 

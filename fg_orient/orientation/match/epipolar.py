@@ -21,12 +21,22 @@ from fg_orient.sensors.rpc_sensor import RpcSensor
 BELOW_M, ABOVE_M = 1000.0, 3000.0
 #: Distance of pixels for derivatives.
 STEP_PX: Final = 8.0
-#: Shorter curves (pixels) have no direction of their own: the images see the ground from the same side.
+#: Shorter curves (pixels) have no defined direction: the images see the ground from the same side.
 LEAST_CURVE_PX: Final = 1e-3
 
 
 class Curves(NamedTuple):
-    """Epipolar curves of n pixels: coefficients (n, 2) of P(t), unit vectors (n, 2) along and across, half length."""
+    """Epipolar curves of n pixels.
+
+    Parameters
+    ----------
+    c0, c1, c2 : (n, 2) arrays
+        Coefficients of the curve P(t) = c0 + c1 t + c2 t^2, pixels.
+    along, across : (n, 2) arrays
+        Unit vectors along and across the curve.
+    half_px : (n,) array
+        Half length of the curve, px.
+    """
 
     c0: Array
     c1: Array
@@ -110,7 +120,20 @@ class Pair:
 
 
 def height_range(sensors: tuple[Any, ...], low_m: float | None, high_m: float | None) -> tuple[float, float]:
-    """Heights of the ground of all images: those given, else of the RPC, else about the mean height of the scenes."""
+    """Range of heights of the ground of all images.
+
+    Parameters
+    ----------
+    sensors : tuple of Sensor
+    low_m, high_m : float or None
+        Given limits, m above the ellipsoid; None: the heights of the RPC, else a range about the mean height of the
+        scene.
+
+    Returns
+    -------
+    low_m, high_m : float
+        Heights that all images have in common; if there are none, the range that contains all of them.
+    """
     lows, highs = [], []
     for sensor in sensors:
         if isinstance(sensor, RpcSensor):
@@ -124,7 +147,23 @@ def height_range(sensors: tuple[Any, ...], low_m: float | None, high_m: float | 
 
 
 def prior_covariance(sensor: Any, options: Options, line: float, sample: float, height_m: float) -> Array:
-    """Covariance (2, 2) px^2 of the pixel of a ground point by the prior sigmas of the image's unknowns."""
+    """Propagate the prior sigmas of an image's unknowns to the pixel of a ground point.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    options : Options
+        Unknowns and their prior sigmas.
+    line, sample : float
+        Pixel of the point.
+    height_m : float
+        Ellipsoidal height of the point, m.
+
+    Returns
+    -------
+    (2, 2) array
+        Covariance of line and sample, px^2.
+    """
     model = sensor.image_model(options)
     ground = sensor.locate([line], [sample], height_m=height_m)
     there = np.stack(sensor.project(ground), axis=1)
@@ -136,7 +175,21 @@ def prior_covariance(sensor: Any, options: Options, line: float, sample: float, 
 
 
 def parallax_sigma_px(pair: Pair, options: Options, line: float, sample: float) -> float:
-    """Prior standard deviation of the y-parallax of a pair at a pixel of a, px of b."""
+    """Compute the prior standard deviation of the y-parallax of a pair.
+
+    Parameters
+    ----------
+    pair : Pair
+    options : Options
+        Unknowns of the images and their prior sigmas.
+    line, sample : float
+        Pixel of a.
+
+    Returns
+    -------
+    float
+        Standard deviation across the epipolar curve, px of b.
+    """
     height = 0.5 * (pair.low_m + pair.high_m)
     there, s = pair.project(np.array([line]), np.array([sample]), height)[0], pair.b
     at = np.clip(there, [s.first_line, s.first_sample], [s.last_line, s.last_sample])
@@ -148,7 +201,22 @@ def parallax_sigma_px(pair: Pair, options: Options, line: float, sample: float) 
 
 
 def dem_range(dem: Any, pair: Pair, line: Array, sample: Array, sigma_m: float) -> tuple[float, float] | None:
-    """Lowest and highest height of a DEM about pixels of a, widened by 3 sigma; None where the DEM has no height."""
+    """Range of the heights of a DEM at some pixels of a.
+
+    Parameters
+    ----------
+    dem : HeightSurface
+    pair : Pair
+    line, sample : (n,) arrays
+        Pixels of a, located at the lowest, mean and highest height of the DEM.
+    sigma_m : float
+        Standard deviation of the heights; the range is widened by three of them.
+
+    Returns
+    -------
+    (float, float) or None
+        Lowest and highest ellipsoidal height, m; None if the DEM has no height there.
+    """
     heights = []
     for h in (dem.range_m[0], 0.5 * sum(dem.range_m), dem.range_m[1]):
         lon, lat, _ = ecef_to_geodetic(pair.ground(line, sample, h))
@@ -160,7 +228,21 @@ def dem_range(dem: Any, pair: Pair, line: Array, sample: Array, sigma_m: float) 
 
 
 def inside(points: Array, place: Any, border: float = 0.0) -> Mask:
-    """Whether pixels (n, 2) of the sensor lie in a raster, ``border`` pixels from its edge."""
+    """Test which pixels of a sensor are inside a raster.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        Line and sample.
+    place : Place
+        Position and size of the raster in the image.
+    border : float
+        Smallest distance from the edge of the raster, px.
+
+    Returns
+    -------
+    (n,) bool array
+    """
     row, column = points[:, 0] - place.line, points[:, 1] - place.sample
     good = (row >= border) & (row <= place.rows - 1 - border)
     return np.asarray(good & (column >= border) & (column <= place.columns - 1 - border))

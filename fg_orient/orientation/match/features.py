@@ -1,8 +1,8 @@
 """Features of a window of an image, and candidates of the same feature in another window.
 
-Features are those of SIFT (Lowe 2004), by OpenCV. Descriptors are upright: the
-sensor models know how the images are rotated against each other. A candidate lies in the band of the epipolar curve and
-has about the same size; it is taken if both features are each other's best one and clearly better than the second best.
+Features are those of SIFT (Lowe 2004), by OpenCV. Descriptors are upright: the sensor models give the rotation between
+the images. A candidate lies in the band of the epipolar curve and has about the same size; it is taken if both features
+are each other's best one and clearly better than the second best.
 """
 
 from __future__ import annotations
@@ -33,7 +33,17 @@ AT_ONCE: Final = 2_000_000
 
 
 class Features(NamedTuple):
-    """Features of a window: pixels (n, 2) from the window's first pixel, sizes, responses and descriptors (n, d)."""
+    """Features of a window.
+
+    Parameters
+    ----------
+    pixel : (n, 2) array
+        Line and sample from the window's first pixel.
+    size, response : (n,) arrays
+        Diameter, px, and strength.
+    descriptor : (n, d) array
+        Unit vectors.
+    """
 
     pixel: Array
     size: Array
@@ -46,7 +56,15 @@ class Features(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Candidates: rows of the features of a and of b, t and y-parallax (px) of the second ones."""
+    """Pairs of features that may match.
+
+    Parameters
+    ----------
+    a, b : (n,) int arrays
+        Rows of the features of a and of b.
+    t, parallax_px : (n,) arrays
+        Height parameter and y-parallax (px) of the features of b.
+    """
 
     a: Index
     b: Index
@@ -123,7 +141,7 @@ def candidates(
     a: Features, b: Features, curves: Curves, t_range: tuple[Array, Array], band: tuple[Array, float], ratio: float,
     scale: float, margin_px: float,
 ) -> Candidates:  # fmt: skip
-    """Candidates of the features of a among those of b.
+    """Find candidates for the features of a among the features of b.
 
     Parameters
     ----------

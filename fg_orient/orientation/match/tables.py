@@ -1,4 +1,4 @@
-"""Tie points in the tables of a project, and the tables in its project file; nothing else of these files changes."""
+"""Tie points in the tables of a project, and the tables in its project file; other content of the files is kept."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ PRIOR_SIGMAS: Final = 3.0
 
 @dataclass(frozen=True)
 class Setup:
-    """What all tasks of a run have in common; it is read again in each process.
+    """Data that all tasks of a run have in common; each process reads them again.
 
     Parameters
     ----------

@@ -26,7 +26,21 @@ FEWEST: Final = 20
 
 @dataclass(frozen=True, eq=False)
 class PairResult:
-    """Accepted matches of a pair with their sigmas, and what the report says about it."""
+    """Accepted matches of a pair with their sigmas.
+
+    Parameters
+    ----------
+    a, b : int
+        Images.
+    matches : Matches
+        n accepted matches.
+    variance_b, variance_a : (n, 2) arrays
+        Variances of line and sample in each image, px^2.
+    residual_px, variance_parallax : (n,) arrays
+        Y-parallax minus its trend, and the variance of the y-parallax.
+    record : dict
+        Numbers for the report.
+    """
 
     a: int
     b: int
@@ -49,6 +63,17 @@ def relief_variance(matches: Matches, factor: float) -> float:
 
     The noise of a difference has the variance of the narrow minus that of the wide window, as that of any estimate
     minus a more efficient one (Hausman 1978).
+
+    Parameters
+    ----------
+    matches : Matches
+    factor : float
+        Estimated factor of the standard deviations of least-squares matching.
+
+    Returns
+    -------
+    float
+        Variance, px^2; 0 if the differences are not larger than their noise.
     """
     noise = factor**2 * (variance_along(matches.covariance, matches.direction) - matches.wider_variance)
     excess = matches.wider_px**2 - np.maximum(noise, 0.0)
@@ -144,7 +169,15 @@ def _rms(values: Array) -> float:
 
 
 class TiePoints(NamedTuple):
-    """Image points of tie points: image and point (m,), pixels and sigmas (m, 2) of line and sample."""
+    """Image points of tie points.
+
+    Parameters
+    ----------
+    image, point : (m,) int arrays
+        Image and tie point of each image point.
+    pixel, sigma_px : (m, 2) arrays
+        Line and sample, and their standard deviations.
+    """
 
     image: Index
     point: Index
@@ -161,6 +194,20 @@ def tie_points(results: list[PairResult], places: tuple[Place, ...], options: Ma
     """Points of all pairs: the same pixel of a first image is one point in all images, evenly distributed.
 
     A cell of an image has at most ``points_per_cell`` points with each other image, those with most rays first.
+
+    Parameters
+    ----------
+    results : list of PairResult
+        Accepted matches of all pairs.
+    places : tuple of Place
+        Position and size of the raster of each image.
+    options : MatchOptions
+        Cells and points in each of them.
+
+    Returns
+    -------
+    TiePoints
+        Empty if there are no matches.
     """
     image, point, pixel, sigma, number = [], [], [], [], 0
     for a in sorted({r.a for r in results}):
