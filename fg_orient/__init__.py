@@ -64,7 +64,7 @@ def _require_own_factors() -> None:
         import factors
 
         other = getattr(factors, "FG_ORIENT_FACTORS", None)
-    except (Exception, SystemExit):  # ours imports nothing, so that another one lies here
+    except (Exception, SystemExit):  # our package imports nothing, so the name refers to another package
         other = None
     if other != __version__:
         from fg_orient.model.installation import clash

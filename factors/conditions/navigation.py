@@ -27,7 +27,7 @@ from factors.records import Record
 _BOTH: Final = Record(whitening=9, rotation=9, mounting=9, tau=1)
 POSITION: Final = Record(**_BOTH.fields, offset=3, arm=3, strip=9)
 ATTITUDE: Final = Record(**_BOTH.fields, observed=9)
-#: Codes of the unknowns, behind those of the camera: shift and drift of position and of attitude, lever, boresight.
+#: Codes of the unknowns, after the codes of the camera: shift and drift of position and of attitude, lever, boresight.
 UNKNOWN: Final = Record(**frame.UNKNOWN.fields, shift=3, drift=3, turn=3, turn_drift=3, lever=3, boresight=3)
 #: Squared sine of an angle below which angle / sine is a series.
 SMALL_SQUARED: Final = 1e-6

@@ -12,7 +12,7 @@ from factors.arrays import Array, Index
 
 #: Samples interpolated by one Lagrange polynomial.
 MAX_SAMPLES = 8
-#: Number of times from which on a compiled loop takes a fifth of numpy's time, with the same bits.
+#: Number of times above which a compiled loop takes a fifth of numpy's time, with the same bits.
 MANY = 1024
 
 

@@ -8,8 +8,8 @@ chosen among the measured coordinates and the intersections of all pairs of rays
     c(x) = sum min(|v|^2, L^2),   L: limit of right observations
 
 Each is followed by steps with the observations within twice the limit, because two rays intersect less precisely than
-all right ones, and within the limit. At the solution, rays of which nothing tells which one is wrong have one weight
-(:func:`sharing`).
+all right ones, and within the limit. At the solution, rays have the same weight if the data do not show which of them
+is wrong (:func:`sharing`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import DOWN, Weights
 from fg_orient.adjustment.rows import linearised, residuals, summed
 
-#: Numbers of rays of a point: with two, nothing tells which one is wrong; with more than twelve, most agree.
+#: Numbers of rays of a point: with two, the data do not show which one is wrong; with more than twelve, most agree.
 FEWEST: Final = 3
 MOST: Final = 12
 #: Steps of an intersection, and the largest one, m: rays that are nearly parallel do not meet.
@@ -73,12 +73,12 @@ def with_best_rays(problem: Problem, state: State, limits: tuple[float, float]) 
 
 
 def sharing(problem: Problem, state: State, weights: Weights) -> Weights | None:
-    """Weights in which rivals have one weight, that of the ray turned down; None without rivals.
+    """Return weights in which rivals have the weight of the down-weighted ray; None without rivals.
 
-    A loss keeps the rays that fit best, and turns down others. A kept ray is a rival of one turned down if the point
-    fits nearly as well when both are exchanged, and far worse with both: one of them is wrong, but nothing tells which
-    one (of two nearly parallel rays with an error along their plane, for example). The point loses both, as a point
-    with two rays does.
+    A loss keeps the rays that fit best, and down-weights the others. A kept ray is a rival of one turned down if the
+    point fits nearly as well when both are exchanged, and far worse with both: one of them is wrong, but nothing tells
+    which one (of two nearly parallel rays with an error along their plane, for example). The point loses both, as a
+    point with two rays does.
 
     Parameters
     ----------

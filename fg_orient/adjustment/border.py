@@ -40,9 +40,9 @@ KEPT: Final = 100_000
 
 
 def divided(problem: Problem) -> tuple[Problem, Problem | None]:
-    """Problem of the points to eliminate, and that of the named points with all extra observations.
+    """Problem of the points to eliminate, and problem of the named points with all extra observations.
 
-    The second is None where no extra observation names a point; the first then has all extra observations.
+    The second is None if no extra observation names a point; the first then has all extra observations.
     """
     points = problem.named_points()
     if not points:
@@ -131,7 +131,8 @@ def bordered(problem: Problem, pattern: Pattern, blocks: Array, design: sparse.c
 class Border(BorderMatrix):
     """The border of a problem, linearised at a state.
 
-    Its unknowns are those of the images (shared ones once, prior sigmas), then three of each named ground point (m).
+    Its unknowns are the image unknowns (shared unknowns once, in prior sigmas), then three of each named ground point
+    (m).
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 The border of a free network is singular. With a basis U of its null space, orthonormal in the unknowns scaled to a unit
 diagonal of S, ``(S + U U^T)^-1 - U U^T`` is its pseudo-inverse in this scale (Koch 1999, 1.59). No unknown is held, so
-that the condition is that of the network itself, whatever its datum.
+that the condition number belongs to the network itself, for any datum.
 """
 
 from __future__ import annotations

@@ -193,7 +193,7 @@ def constraint_observation(
 ) -> ConstraintObservation:
     """Extra observation of a constraint between ground points or images; :func:`prepared` completes it.
 
-    ``is_exact`` allows a figure that goes through any such points: it has no rows, but :func:`fitted_figures`.
+    ``is_exact`` allows a figure that goes exactly through its points: it has no rows, but :func:`fitted_figures`.
 
     InputError: a figure through too few points.
     """
@@ -259,7 +259,7 @@ class WholeRows:
 
 
 def whole_rows(constraint: Constraint, record: Any, points: Any, total: int) -> WholeRows:
-    """Rows of a constraint. Points may be complex; the derivatives are those of their real parts."""
+    """Rows of a constraint. Points may be complex; the derivatives belong to their real parts."""
     head, own = record[: HEAD.size], record[HEAD.size : len(record) - total].copy()
     correlates, real = record[len(record) - total :], [np.ascontiguousarray(np.real(p)) for p in points]
     if constraint.kind not in SIZES:

@@ -5,7 +5,7 @@ no correlates.
 
 A hard constraint has a large weight w and correlates k, which are improved by ``k + w c`` at the solution until c is
 zero (method of multipliers: Hestenes 1969, Powell 1969). Therefore every backend, loss and datum accepts it, and the
-result does not depend on w. Cofactors are those of the weight: they deviate by about :data:`HARD` squared.
+result does not depend on w. Cofactors refer to the finite weight: they deviate by about :data:`HARD` squared.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ CENTRE: Final = ("centre_x", "centre_y", "centre_z")
 ROTATION: Final = ("rotation_x", "rotation_y", "rotation_z")
 #: Smallest sigma of a constraint in the first adjustment, and sigma of a hard one afterwards, in units of the smallest
 #: sigma of its points with the images held fixed. A smaller sigma at the start makes a narrow curved valley.
-#: The valley of an observed constraint is wide enough if its sigma is not far below that of the points.
+#: The valley of an observed constraint is wide enough if its sigma is not far below the sigma of the points.
 FIRST: Final = 1.0
 FIRST_OBSERVED: Final = 0.1
 HARD: Final = 1e-3
@@ -123,7 +123,7 @@ def _columns(problem: Problem, extra: ConstraintObservation) -> list[int]:
 def _on_constraints(problem: Problem, state: State) -> State:
     """State that fulfils the hard constraints, by the smallest movements of their points or images.
 
-    InputError: they cannot hold together, or depend on each other.
+    InputError: they contradict each other, or depend on each other.
     """
     hard = [e for e in problem.block.extra if isinstance(e, ConstraintObservation) and e.hard]
     columns = np.unique([c for e in hard for c in _columns(problem, e)]).astype(np.intp)
@@ -170,7 +170,7 @@ def _require_slopes(rows: Array, design: Array, labels: list[str]) -> None:
 
 
 def _require_apart(problem: Problem, before: State, after: State) -> None:
-    """Refuse hard constraints that hold only where points that were apart are at one place."""
+    """Refuse hard constraints that can be met only if different points move to one place."""
     hard = [e for e in problem.block.extra if isinstance(e, ConstraintObservation) and e.hard and not e.places]
     numbers = np.unique([a.index for e in hard for a in problem.extra_arguments(e)]).astype(np.intp)
     first, second = np.triu_indices(len(numbers), 1)
@@ -260,7 +260,7 @@ def _constraints(problem: Problem, state: State) -> list[tuple[int, ConstraintOb
 
 
 def misclosures(problem: Problem, state: State) -> list[tuple[ConstraintObservation, Array]]:
-    """Constraints with their misclosures (c,) at a state, m or sines; of a figure those of its points."""
+    """Return constraints with their misclosures (c,) at a state, m or sines; for a figure, of its points."""
     return [(e, c) for _, e, c, _ in _constraints(problem, state)]
 
 
@@ -280,11 +280,11 @@ def tightened(problem: Problem) -> Problem:
 def hold(
     problem: Problem, estimate: Estimate, run: Callable[[Problem, State, int], Estimate]
 ) -> tuple[Problem, Estimate]:  # fmt: skip
-    """Improve the correlates of hard constraints until they hold.
+    """Improve the correlates of hard constraints until the constraints are met.
 
     ``run`` adjusts a problem from a state after a number of iterations.
 
-    InputError: hard constraints depend on each other, or cannot hold together.
+    InputError: hard constraints depend on each other, or contradict each other.
     """
     last = np.inf
     for _ in range(ROUNDS):
@@ -325,7 +325,7 @@ def _continued(problem: Problem, before: Estimate, run: Callable[[Problem, State
 
 
 def _require_held(problem: Problem, state: State) -> None:
-    """Raise InputError for hard constraints that do not hold, or depend on each other."""
+    """Raise InputError for hard constraints that are not met, or depend on each other."""
     hard, (_, rows, labels) = [s for s in _constraints(problem, state) if s[1].hard], linear_rows(problem, state)
     away = np.nan_to_num([np.abs(c).max() for _, _, c, _ in hard], nan=np.inf)
     if away.max() > CONTRADICTION:

@@ -1,8 +1,8 @@
 """The dense backend: the same rows as the graph, as full matrices, for any registered linear solver.
 
 Rows are whitened (the unit is one sigma): image points, control points, priors, extra observations. Columns are image
-unknowns (prior sigmas), then unknown ground points (m). The kernels are those of the factors, so that a difference from
-the graph backend comes from the solver. GTSAM is not used.
+unknowns (prior sigmas), then unknown ground points (m). The kernels are the same as in the factors, so that a
+difference from the graph backend comes from the solver. GTSAM is not used.
 
 Each step solves ``J x = -r``; Levenberg-Marquardt adds rows of a diagonal matrix. Memory and time grow with the square
 and cube of the unknowns; more than :data:`MAX_UNKNOWNS` are refused.

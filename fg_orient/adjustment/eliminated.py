@@ -1,10 +1,10 @@
-"""Groups of ground points eliminated for given image vectors: what a factor of the reduced graph holds.
+"""Groups of ground points eliminated for given image vectors: the content of a factor of the reduced graph.
 
 A group is a set of ground points with all their rays. For given image vectors x its points are intersected again with
-the images held (variable projection: Golub & Pereyra 1973), and eliminated. What remains is a function of x alone, with
+the images held (variable projection: Golub & Pereyra 1973), and eliminated. The result is a function of x alone, with
 the cost c(x), its gradient g(x) and the reduced normal matrix S(x) of Gauss-Newton, which GTSAM is given as rows, see
-:class:`GroupRows`. S of a group without control is singular. The rows are not the derivative of the error vector but
-for the last; only the cost has a derivative. The sums of all groups are given as a matrix in blocks
+:class:`GroupRows`. S of a group without control is singular. Except for the last row, the rows are not the derivative
+of the error vector; only the cost has a derivative. The sums of all groups are given as a matrix in blocks
 (:meth:`Elimination.linearised`).
 
 Points are intersected by Newton's steps with 3 unknowns. They begin where the last linearised solution, moved along
@@ -44,7 +44,7 @@ INTERSECTED: Final = 1e-6
 SMALL_STEP: Final = 1e-4
 #: Newton decrement, in sigmas, up to which steps are taken without a test of the cost, which hardly changes then.
 SAFE: Final = 1e-4
-#: Steps of the points until a group counts as impossible.
+#: Steps of the points after which a group is treated as impossible.
 MAX_STEPS: Final = 40
 #: Newton decrement, in sigmas, up to which a point that no step improves is at the intersection, but for rounding.
 STALLED: Final = 1e-3
@@ -59,7 +59,7 @@ class NotIntersected(RuntimeError):
 class Elimination:
     """Groups of all ground points of a problem; a group is computed again when the vectors of its images change.
 
-    The values do not depend on the order of calls, but for the start of the points (1e-12 of the cost), nor on the
+    The values do not depend on the order of calls, except for the start of the points (1e-12 of the cost), nor on the
     number of threads.
 
     Parameters
@@ -95,7 +95,7 @@ class Elimination:
         # where each group was linearised last: free unknowns, ground points, and those of the group among them
         self._base: dict[int, tuple[Array, Array, Any]] = {}
         self._rows: list[GroupRows | None] = [None] * len(self.groups)
-        self._total: tuple[Array, float] | None = None  # where the cost of all groups was asked for last, and the cost
+        self._total: tuple[Array, float] | None = None  # where the cost of all groups was computed last, and the cost
         self._excess = np.zeros(len(self.groups))
         self._far = True
         self._shrink = 1.0  # factor by which the last step of the points shortened the largest decrement
@@ -106,7 +106,7 @@ class Elimination:
         self._name = object()  # owner of the buffers; this object itself there would be a reference cycle
 
     def hold_weights(self, robust: Weighing | None, state: State) -> None:
-        """Give the rows the weights of a loss at a state, until the next call; the cost there is that of the loss.
+        """Give the rows the weights of a loss at a state, until the next call; the cost is then the cost of the loss.
 
         Elsewhere the cost is not below the loss's. The weights are held because a redescending loss gives a point
         several minima.
@@ -306,7 +306,7 @@ class Elimination:
     def _intersect(self, groups: Sequence[int], state: State, *, late: bool) -> set[int]:
         """Intersect the points of groups with the images held; the groups that could be, eliminated.
 
-        ``late``: the pairs of rays are summed when the sums are asked for.
+        ``late``: the pairs of rays are summed when the sums are used.
         """
         self.impossible = {g: why for g, why in self.impossible.items() if g not in groups}
         try:
@@ -384,7 +384,7 @@ class Elimination:
         if done:
             return
         backend, b, wide = self.backend, self.backend.buffers, self.backend.structure.widened(state.image)
-        alone = len(backend.structure.tiles) == 1  # else other tiles have taken the space of the reduced rows
+        alone = len(backend.structure.tiles) == 1  # else other tiles have overwritten the reduced rows
         for tile, lo, hi in self._ranges(groups):
             if alone and tile.kept:
                 cost = backend.structure.cost[lo : hi + 1]

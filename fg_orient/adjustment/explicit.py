@@ -153,7 +153,7 @@ def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:
 
 
 def add_image_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:
-    """Add a prior factor for each vector of image unknowns, if the options ask for priors."""
+    """Add a prior factor for each vector of image unknowns, if the options contain priors."""
     if problem.block.options.priors:
         for key, part in vector_keys(problem):
             k = part.stop - part.start

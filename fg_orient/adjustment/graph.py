@@ -1,12 +1,12 @@
 """The graph backend: image vectors as variables, groups of ground points eliminated inside GTSAM factors.
 
-Each factor holds a group of ground points with all their rays (:mod:`fg_orient.adjustment.eliminated`) and links the
-images that see them. Priors are GTSAM's prior factors; an extra observation of images is a factor of its own. GTSAM's
+Each factor contains a group of ground points with all their rays (:mod:`fg_orient.adjustment.eliminated`) and links the
+images that see them. Priors are GTSAM's prior factors; an extra observation of images is a separate factor. GTSAM's
 Gauss-Newton, Levenberg-Marquardt or Dogleg solve this graph (:mod:`fg_orient.adjustment.optimisers`).
 
 In long sequences points and shared unknowns are one variable, and images are eliminated (:class:`ImagesGraph`). For
 given unknowns x of this border (:mod:`fg_orient.adjustment.images_first`) each image is oriented again by its points
-(variable projection: Golub & Pereyra 1973), and eliminated. What remains is a function of x alone, with the cost c(x),
+(variable projection: Golub & Pereyra 1973), and eliminated. The result is a function of x alone, with the cost c(x),
 its gradient g(x) and the reduced normal matrix S(x) of Gauss-Newton. GTSAM's optimisers are given, for each iteration,
 a Hessian factor with S and g, and a factor of the cost, as with eliminated points
 (:mod:`fg_orient.adjustment.reduced_graph`). Images are oriented by Newton's steps. They begin where the last linearised
@@ -115,7 +115,7 @@ class GraphBackend:
         self.sums = GroupSums(self.elimination, keys, alone=explicit is None and not problem.block.extra)
 
     def factors_of_point(self, j: int) -> list[gtsam.NonlinearFactor]:
-        """Factor of the group that holds the rays of ground point j; none for a point without rays."""
+        """Return the factor of the group with the rays of ground point j; None for a point without rays."""
         place = np.flatnonzero(self.elimination.backend.structure.number == j)
         return [
             self.graph.at(g) for g, group in enumerate(self.elimination.groups)
@@ -196,7 +196,7 @@ class ImageElimination:
         self._own = self.places.own_of(state)
         self._at: Array | None = None  # border where the images were eliminated last, None: not yet
         self._now: Images | None = None  # their elimination, None: impossible
-        self._base: tuple[Array, Array, Images] | None = None  # border, images and elimination where S was asked for
+        self._base: tuple[Array, Array, Images] | None = None  # border, images and elimination where S was computed
 
     def hold_weights(self, robust: Weighing | None, state: State) -> None:
         """Give the rows the weights of a loss at a state, until the next call; the cost there is that of the loss."""
@@ -211,7 +211,7 @@ class ImageElimination:
         self._excess = cost - 0.5 * float(np.vdot(image, image_squares) + np.vdot(control, control_squares))
 
     def cost(self, border: Array) -> float:
-        """Cost at unknowns (b,) of the border; that of an impossible place is finite."""
+        """Return the cost at unknowns (b,) of the border; at an impossible place it is finite."""
         images = self._eliminated(border)
         if images is None:
             return IMPOSSIBLE

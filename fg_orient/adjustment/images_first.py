@@ -1,14 +1,14 @@
 """Normal equations of long sequences of images with few ground points: the images are eliminated first.
 
-The own unknowns of an image (those that no other image shares) meet those of other images in no observation. With the
-rows A of an image to its own unknowns and C to the *border*, which has the shared unknowns of the images (prior sigmas)
-and then three of each unknown ground point (m),
+The own unknowns of an image (those that no other image shares) do not occur together with own unknowns of other images
+in any observation. With the rows A of an image to its own unknowns and C to the *border*, which has the shared unknowns
+of the images (prior sigmas) and then three of each unknown ground point (m),
 
     A^T A = L L^T,    W = L^-1 A^T C,    S = sum (C^T C - W^T W),    x_i = -L^-T (L^-1 g_i + W x_b)
 
-with the gradient g_i of the image and the step x_b of the border. S has as many unknowns as the border, whatever the
-number of images. Where few points are seen in many images this takes a small part of the work of an elimination of
-points, after which the unknowns of all images would be left (:mod:`fg_orient.adjustment.border`).
+with the gradient g_i of the image and the step x_b of the border. S has the unknowns of the border only, for any number
+of images. If few points are seen in many images this needs a small part of the work of an elimination of points,
+after which the unknowns of all images would be left (:mod:`fg_orient.adjustment.border`).
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class Places:
         own = free < n_own
         most = max(int(own.sum(axis=1).max()), 1)
         place = np.argsort(~own, axis=1, kind="stable")[:, :most]
-        #: Whether each image has a first, second, ... own unknown (M, k); its place among those of the image, else -1.
+        #: Whether each image has a first, second, ... own unknown (M, k), and its place in the image, else -1.
         self.exists = np.take_along_axis(own, place, axis=1)
         self.own = np.where(self.exists, place, -1).astype(np.int64)
         #: Free unknown (M, k) of each of them; z: none.
@@ -128,7 +128,7 @@ class Places:
         #: Free unknowns (s,) that images share, and place (M, w) of each unknown of an image in the border; -1: own.
         self.shared = np.arange(n_own, z)
         self.in_border = np.where((columns < problem.n_image_unknowns) & ~own, free - n_own, -1).astype(np.int64)
-        #: First place (N,) of each unknown point in the border; other elements have no meaning.
+        #: First place (N,) of each unknown point in the border; other elements are not used.
         self.of_point = problem.point_columns - problem.n_image_unknowns + len(self.shared)
         #: The same of each image point (n,); -1: a constant.
         self.of_ray = np.where(problem.active[self.point], self.of_point[self.point], -1).astype(np.int64)
@@ -149,7 +149,7 @@ class Places:
         return out
 
     def own_columns(self, d_image: Array) -> Array:
-        """Columns (n, 2, k) of the own unknowns, from those of all unknowns of the images."""
+        """Select columns (n, 2, k) of the own unknowns from the columns of all unknowns of the images."""
         if self._alike:
             return np.where(self.exists[0], d_image[:, :, self.own[0]], 0.0)
         picked = np.take_along_axis(d_image, self.own[self.image][:, None], axis=2)

@@ -75,8 +75,8 @@ class IterativeReduced:
     def solve(self, gradient: Array) -> Array:
         """See :class:`Reduced`.
 
-        The square of the error in the norm of the matrix, which is the error in chi2, is at most that of the residual
-        in the preconditioned norm over the least eigenvalue, which the coefficients give (Lanczos 1950).
+        The square of the error in the norm of the matrix, which is the error in chi2, is at most the square of the
+        residual in the preconditioned norm over the least eigenvalue, which the coefficients give (Lanczos 1950).
 
         RuntimeError: more than :data:`MOST_STEPS` steps.
         """
@@ -146,14 +146,14 @@ def _least_eigenvalue(lengths: list[float], turns: list[float]) -> float:
     return min(float(least), 1.0)
 
 
-#: Shares of the points with sums of their own: the order of all sums does not depend on the number of threads.
+#: Shares of the points with separate sums: the order of all sums does not depend on the number of threads.
 SHARES: Final = 16
 
 
 class ImplicitProduct:
     """Reduced matrix of a linearisation under a damping, multiplied by the rows of the image points.
 
-    Where the images that see a point are nearly any, almost all pairs of images have a block, and each block sums a few
+    If nearly any combination of images sees a point, almost all pairs of images have a block, and each block sums a few
     pairs of rays: to form and to read the blocks takes longer than to read the rows again in each product (Agarwal et
     al. 2010).
     """

@@ -99,7 +99,7 @@ class Need:
 
     @property
     def note(self) -> Finding | None:
-        """Finding on parts that the limit requires; None without such parts."""
+        """Return the finding on parts that the limit requires; None without parts."""
         if self.kept is None:
             return None
         return finding(

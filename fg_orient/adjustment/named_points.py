@@ -1,7 +1,8 @@
 """The Schur backend of blocks whose extra observations name ground points.
 
-The named points stay beside the images, as in :mod:`fg_orient.adjustment.border`; compiled kernels eliminate all
-others. With damping the border is ``S(damping) + J^T J + damping``, with J the rows of :func:`border.explicit_rows`.
+The named points remain unknowns together with the images, as in :mod:`fg_orient.adjustment.border`; compiled kernels
+eliminate all other points. With damping the border is ``S(damping) + J^T J + damping``, with J the rows of
+:func:`border.explicit_rows`.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ class NamedSystem(Blended):
         return self._step(image, ground, self._inner.given(image[: self._backend.problem.n_free_unknowns], ground))
 
     def _step(self, border: Array, ground: Array, inner: SchurStep) -> SchurStep:
-        """Step of everything from that of the eliminated points and their images."""
+        """Assemble the whole step from the step of the eliminated points and their images."""
         left, after = self._value + self._design @ border, inner.after
         moved = after.ground.copy()
         moved[self._backend.named] += border[self._backend.problem.n_free_unknowns :].reshape(-1, 3)

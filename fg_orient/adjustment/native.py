@@ -1,7 +1,7 @@
 """GTSAM's own factors, or factors that a user wrote for GTSAM, as observations of a block.
 
 A factor names its variables by the keys of :class:`fg_orient.orientation.factor_graph.FactorGraph`. Every backend and
-all statistics need its whitened rows; GTSAM linearises them. In the graph the factor stands as it is.
+all statistics need its whitened rows; GTSAM linearises them. The graph contains the factor unchanged.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ Under a loss the weights are held during an iteration and then follow the residu
 squares); the held cost is not below the cost of the loss, so that a decrease of the one is a decrease of the other.
 
 iSAM2 (:class:`IncrementalGraph`): groups of ground points are added, replaced and removed one by one. A
-:class:`LocalGroup` is a small adjustment problem of its own: a few images, and ground points with all their rays,
+:class:`LocalGroup` is a separate small adjustment problem: a few images, and ground points with all their rays,
 eliminated inside the factor (:mod:`fg_orient.adjustment.eliminated`). An update costs the groups that changed, and the
 part of the tree above their images. There is a linearisation point for each vector of unknowns. A vector is linearised
 again where its correction exceeds :data:`RELINEARISE` prior sigmas; then the points of its groups are intersected
@@ -84,8 +84,8 @@ class _Step(Step):
 class _Run:
     """Values that one of GTSAM's optimisers has reached, iteration by iteration.
 
-    Each iteration has an optimiser and a graph of its own (:mod:`fg_orient.adjustment.reduced_graph`), which continue
-    with the damping or radius of the last ones.
+    Each iteration has a new optimiser and a new graph (:mod:`fg_orient.adjustment.reduced_graph`), which continue with
+    the damping or radius of the previous iteration.
     """
 
     def __init__(self, kind: str, backend: GraphBackend | ImagesGraph, values: gtsam.Values, control: float) -> None:
@@ -121,7 +121,7 @@ class _Run:
         self._free = backend.free(self.values)
         step = self._free - before
         if not step.any():
-            linear.graph.error(linear.values)  # the last evaluation was that of a refused step
+            linear.graph.error(linear.values)  # the last evaluation belonged to a refused step
         self.state = backend.state(self.values, self._free)
         moved = (self.state.image - here.image, self.state.ground - here.ground) if step.any() else ()
         length = max((float(np.nanmax(np.abs(by), initial=0.0)) for by in moved), default=0.0)
@@ -131,7 +131,7 @@ class _Run:
 
 
 def _optimizer(kind: str, linear: ReducedGraph | ImagesReduced, control: float, least: float) -> Any:
-    """Make an optimiser whose own tests for the end never hold."""
+    """Make an optimiser whose own termination tests are never met."""
     makers: dict[str, tuple[Any, Any]] = {
         "gauss-newton": (gtsam.GaussNewtonParams, gtsam.GaussNewtonOptimizer),
         "levenberg-marquardt": (gtsam.LevenbergMarquardtParams, gtsam.LevenbergMarquardtOptimizer),
@@ -219,7 +219,7 @@ def _begin(kind: str, backend: GraphBackend | ImagesGraph, state: State, control
 def _end(
     course: Course[State], backend: GraphBackend | ImagesGraph, run: _Run, step: _Step, *, changed: bool
 ) -> LoopResult[State]:  # fmt: skip
-    """End of the run after a small step; the gradient says whether it is the solution."""
+    """End the run after a small step; the gradient decides whether it is the solution."""
     if step.length < ROUNDING_STEP and step.gradient <= REMAINING:
         converged, end = True, finding("loop.small_step_damped") if changed else SMALL
     else:
@@ -237,7 +237,7 @@ GTSAM_OPTIMIZERS: Final = {
 RELINEARISE: Final = 2e-3
 #: Change of a correction, in prior sigmas, below which iSAM2's back-substitution ends.
 WILDFIRE: Final = 1e-9
-#: Repetitions of an update until the solution counts as not found.
+#: Repetitions of an update after which the solution is reported as not found.
 MAX_REPEATS: Final = 30
 
 

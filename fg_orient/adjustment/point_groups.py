@@ -32,7 +32,7 @@ MOST_JOINED: Final = 400
 
 
 def vector_names(problem: Problem) -> list[str]:
-    """Names "image:ID" and "shared:ID" of the vectors of unknowns, by number; those of length zero included."""
+    """Names "image:ID" and "shared:ID" of the vectors of unknowns, by number, including vectors of length zero."""
     names = [f"image:{image.id}" for image in problem.block.images]
     return names + ([] if problem.ties is None else [f"shared:{shared}" for shared in problem.ties.ids])
 
@@ -87,7 +87,7 @@ class GroupRows:
         error  (0, t),    Jacobian  (R, g^T / t),    t^2 = 2 c,    R^T R = S - g g^T / t^2,
 
     so that ``J^T J = S``, ``J^T e = g`` and ``|e|^2 = 2 c``. The last row is the length of all residuals of the group
-    and its derivative. R is made when it is first asked for.
+    and its derivative. R is computed at its first use.
 
     Parameters
     ----------
@@ -132,9 +132,9 @@ class GroupRows:
 def numbers_of_groups(first: Small, image: Small, size: Index) -> Index:
     """Number of the group of each ground point, from 0 in the order of the points.
 
-    Points that the same images see belong together. Two groups are joined where the predicted work becomes less: that
-    of a group with n unknowns is that of its matrix in GTSAM, ``n^3``, and :data:`OVERHEAD`. One group for all is the
-    result where all images see points together.
+    Points that the same images see belong together. Two groups are joined if this decreases the predicted work: a group
+    with n unknowns needs ``n^3`` for its matrix in GTSAM, and :data:`OVERHEAD`. One group for all is the result where
+    all images see points together.
 
     Parameters
     ----------

@@ -135,12 +135,12 @@ class Problem:
 
     @property
     def n_image_unknowns(self) -> int:
-        """Number of unknowns of all images, shared ones counted in each image."""
+        """Number of unknowns of all images; a shared unknown counts in each image."""
         return int(self.first[-1])
 
     @property
     def n_free_unknowns(self) -> int:
-        """Number of unknowns of all images, shared ones counted once."""
+        """Number of unknowns of all images; a shared unknown counts once."""
         return self.n_image_unknowns if self.ties is None else len(self.ties)
 
     def unknowns(self, state: State, k: int) -> Array:
@@ -163,7 +163,7 @@ class Problem:
         return out
 
     def prior_squares(self, state: State) -> float:
-        """Sum of squares of the image unknowns, shared ones once."""
+        """Sum of squares of the image unknowns; a shared unknown counts once."""
         unknowns = state.image if self.ties is None else self.image_vector(state)
         return float(np.vdot(unknowns, unknowns))
 
@@ -231,7 +231,7 @@ class Problem:
 
     @property
     def least_damping(self) -> float:
-        """Minimum damping of the normal equations: positive if nothing fixes the datum."""
+        """Minimum damping of the normal equations: positive if the datum is not fixed."""
         options = self.block.options
         return FREE_DAMPING if options.datum == "free" and not options.priors else 0.0
 
@@ -251,7 +251,7 @@ class Problem:
 
     @property
     def n_observations(self) -> int:
-        """Equations: two per image point, three per observed control point, one per prior, and the extra ones."""
+        """Equations: two per image point, three per observed control point, one per prior, and extra observations."""
         priors = self.n_free_unknowns if self.block.options.priors else 0
         extra = sum(e.n_residuals for e in self.block.extra)
         return 2 * len(self.observations) + 3 * int(self.observed.sum()) + priors + extra
@@ -414,7 +414,7 @@ def no_point_is_named(block: Block) -> bool:
 
 
 def participates(block: Block) -> npt.NDArray[np.bool_]:
-    """Mask (n,) of the image points of the adjustment: all, or all except those of check points."""
+    """Return a mask (n,) of the image points of the adjustment: all, or all except image points of check points."""
     if block.options.check_points == "use":
         return np.ones(len(block.observations), bool)
     return ~np.isin(block.observations.point, block.points.where(Role.CHECK))

@@ -25,10 +25,10 @@ BAND_LIMIT: Final = 30_000_000
 LARGEST_FULL: Final = 15_000
 #: Unknowns of the largest full matrix of a border: 0.5 GB.
 FULL_BORDER: Final = 8000
-#: Time of GTSAM over that of LAPACK for the same operations, and its time for each image in these operations.
+#: Time of GTSAM over the time of LAPACK for the same operations, and its time for each image in these operations.
 GTSAM: Final = 6.0
 GTSAM_IMAGE: Final = 1e6
-#: Time of LAPACK's banded factorisation over that of the full one for the same operations (measured: 432 to 2700
+#: Time of LAPACK's banded over its full factorisation for the same operations (measured: 432 to 2700
 #: unknowns).
 BANDED: Final = 1.4
 #: Steps of conjugate gradients that are expected for each link on the way from one image to the farthest one (measured:
@@ -41,9 +41,9 @@ ROW_BYTES: Final = 208
 PER_BLOCK: Final = 1e5
 #: Factor methods are preferred up to this ratio of work: they give the covariance.
 PREFERRED: Final = 2.0
-#: Unknowns from which on conjugate gradients may be chosen: their steps depend on the condition, a factor does not.
+#: Unknowns above which conjugate gradients may be chosen: their steps depend on the condition, a factor does not.
 ITERATIVE: Final = 3000
-#: Image unknowns from which on the Schur backend replaces the graph by default, if it is so many times faster.
+#: Image unknowns above which the Schur backend replaces the graph by default, if it is so many times faster.
 WIDE: Final = 1500
 FASTER: Final = 3.0
 #: Images up to which the fill of a sparse factor is counted.

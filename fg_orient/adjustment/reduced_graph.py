@@ -1,15 +1,15 @@
 """Normal equations of all eliminated points as GTSAM's factors, for one iteration of an optimiser.
 
 A factor that is written in Python can give GTSAM a Jacobian only, of which GTSAM forms the normal matrix again. A
-``HessianFactor`` takes the matrix itself, but its cost is that of a linear model. Therefore the graph of an iteration
-contains, in place of the factors of groups of points,
+``HessianFactor`` contains the matrix itself, but its cost belongs to a linear model. Therefore the graph of an
+iteration contains, in place of the factors of groups of points,
 
 - the blocks of the reduced normal matrix of all groups and the gradient, in Hessian factors of two or three image
   vectors without a cost (``LinearContainerFactor`` without a linearisation point has the cost 0 at all values);
 - one factor with the cost of all groups at any values, and a Jacobian of zeros.
 
 The sum has the matrix, the gradient and the cost of the groups at the values where it was made, and their cost at all
-others: all that an iteration of GTSAM's optimisers asks for.
+other values. An iteration of GTSAM's optimisers needs no more.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _PLACES: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 def cover(pairs: Collection[Pair]) -> list[tuple[int, ...]]:
     """Sets of up to three vectors that contain each pair (n < m) once, with few sets; vectors of no pair are left out.
 
-    A factor of three vectors takes as long to make as one of two.
+    Making a factor of three vectors takes as long as a factor of two.
     """
     size = 1 + max((m for _, m in pairs), default=0)
     left = np.zeros((size, size), bool)
@@ -160,7 +160,7 @@ class GroupSums:
                 return whole[parts[pair[0]], parts[pair[1]]]
 
         right, out = -gradient, gtsam.GaussianFactorGraph()
-        hessian: Any = gtsam.HessianFactor  # its overloads do not know a list of arguments
+        hessian: Any = gtsam.HessianFactor  # its overloads do not accept a list of arguments
         for keys, pairs, own in self._sets:
             g = [block(pair, size) if is_new else zero[size] for pair, size, is_new in pairs]
             r = [right[part] if is_new else zero[part.stop - part.start, part.stop - part.start][0]
@@ -200,7 +200,7 @@ class ReducedGraph:
         self.ordering = sums.ordering
 
     def of_images(self, values: gtsam.Values) -> gtsam.Values:
-        """Values of images from those of the variables of the graph, as a copy."""
+        """Return values of images from the values of the variables of the graph, as a copy."""
         sums = self._backend.sums
         return _values(free_unknowns(values, sums.variables), sums.vectors) if sums.is_joined else gtsam.Values(values)
 

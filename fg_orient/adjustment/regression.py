@@ -3,7 +3,7 @@
 Unknowns have no priors here, so only the columns of the Jacobian define their scales: the larger of the present length
 of the column (Marquardt 1963) and half the scale before it. If a column collapses (an exponent that diverges), its
 unknown stays damped for some steps; if the column stays short, the unknown becomes free. With the largest length so far
-(Moré 1978) such an unknown would stay damped for ever.
+(Moré 1978) this unknown would always stay damped.
 
 A step is measured in the space of the observations, ``|J dx| / (sqrt(u) sigma0)``: the relative offset of Bates and
 Watts (1981), independent of units and parametrisation. Observations that fit exactly have no sigma0; it is therefore
@@ -100,7 +100,7 @@ class CurveFit:
 
     @property
     def sigma0(self) -> float | None:
-        """Standard deviation of unit weight, without given sigmas that of an observation; None without redundancy."""
+        """Standard deviation of unit weight, or of an observation without given sigmas; None without redundancy."""
         return float(np.sqrt(self.chi2 / self.redundancy)) if self.redundancy > 0 else None
 
     @cached_property

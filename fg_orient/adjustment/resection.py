@@ -79,8 +79,8 @@ def subset_count(size: int, share: float = SHARE, certainty: float = CERTAINTY) 
 def resection_start(compiled: Problem, method: str, seed: int = SEED) -> tuple[State, tuple[Resection, ...]]:
     """Start of a robust adjustment, and the resections of all images.
 
-    ``method`` is "lms" or "lts", ``seed`` that of the random subsets. InputError: images have too few control points
-    and located points (names all these images), or share unknowns.
+    ``method`` is "lms" or "lts", ``seed`` is the seed of the random subsets. InputError: images have too few control
+    points and located points (names all these images), or share unknowns.
     """
     if compiled.ties is not None:
         raise InputError.of("frame.shared_not", option="robust_start", value=method, id=", ".join(compiled.ties.ids))
@@ -271,7 +271,7 @@ class LocatedPoints:
         return np.asarray(self.state.ground[self.index] + self.problem.origin_m)
 
     def cofactors(self, blocks: Callable[[Index], Array]) -> Array:
-        """Cofactors (n, 3, 3) m^2 from joint ones of the images; see ``cofactors_of_points``."""
+        """Cofactors (n, 3, 3) m^2 from joint cofactors of the images; see ``cofactors_of_points``."""
         return cofactors_of_points(self.problem, self.state, self.index, blocks)
 
 

@@ -4,10 +4,10 @@ The cost is the sum of rho(t) over image points (t: whitened norm of 2 residuals
 sum of squares of priors and extra observations. Rows multiplied by the root of their weight give the Gauss-Newton steps
 of iteratively reweighted least squares (Holland & Welsch 1977). Their gradient is the gradient of the cost.
 
-The two rays of a tie point without further observations contradict each other in one residual, the y-parallax, and
-nothing says which of them is wrong. Each of them has the mean of their squared norms (:func:`together`): a gross error
-in one of them costs the point, not the ray that happens to have the larger residual. Graduated non-convexity gives
-rivals among three and more rays one weight, too (``fg_orient.adjustment.best_rays.sharing``).
+The two rays of a tie point without further observations contradict each other in one residual, the y-parallax, and the
+data do not show which of them is wrong. Each of them has the mean of their squared norms (:func:`together`): a gross
+error in one of them costs the point, not the ray that happens to have the larger residual. Graduated non-convexity
+gives rivals among three and more rays one weight, too (``fg_orient.adjustment.best_rays.sharing``).
 
 Each loss contains the share :data:`FLOOR` of the square. Therefore the intersection of its rays still determines a
 ground point whose image points have no other weight. With fixed weights the problem is an ordinary least-squares

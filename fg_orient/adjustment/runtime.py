@@ -41,7 +41,7 @@ def processors() -> int:
 
 
 def threads_for(image_points: int) -> int:
-    """Number of threads that takes the least time, of the processors that there are; see :data:`PER_THREAD`.
+    """Number of threads with the shortest time, at most the number of processors; see :data:`PER_THREAD`.
 
     Thread t pays from t (t - 1) :data:`PER_THREAD` image points on.
     """
@@ -132,7 +132,7 @@ def _work(inbox: SimpleQueue[Any], outbox: SimpleQueue[Any]) -> None:
 @cache
 def _libraries() -> ThreadpoolController:
     """The BLAS libraries of this process; the search takes 10 ms and is made once."""
-    import scipy.linalg  # noqa: F401  # scipy has a BLAS of its own, which must be loaded before it can be limited
+    import scipy.linalg  # noqa: F401  # scipy has a separate BLAS, which must be loaded before it can be limited
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
@@ -140,7 +140,7 @@ def _libraries() -> ThreadpoolController:
 
 @contextmanager
 def blas_threads(count: int) -> Iterator[None]:
-    """Let numpy's and scipy's BLAS use so many threads inside the block."""
+    """Set the number of threads of numpy's and scipy's BLAS inside the block."""
     with _libraries().limit(limits=count, user_api="blas"):
         yield
 

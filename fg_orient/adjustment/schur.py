@@ -246,7 +246,7 @@ class SchurSystem(Blended):
         b.held = b.held if tile.kept else tile
 
     def _gathered_gradient(self) -> Array:
-        """Gradient (u,) of the image unknowns, from those of the chunks."""
+        """Assemble the gradient (u,) of the image unknowns from the gradients of the chunks."""
         s, problem, own = self.structure, self._backend.problem, self._extras.gradient.copy()
         gather_gradients(
             s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column, self.buffers().gradients,

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 #: Limit of the condition number of the reduced system, scaled to a unit diagonal. Above it there is no covariance: the
 #: relative rounding error of a cofactor, a few eps cond, exceeds 1e-3.
 CONDITION_LIMIT: Final = 1e13
-#: Unknowns from which on BLAS may take more threads than one: below the bits do not depend on their number.
+#: Unknowns above which BLAS may take more threads than one: below the bits do not depend on their number.
 THREADED: Final = 3000
 #: Elements of the largest band of which blocks of the inverse are formed: 0.8 GB.
 LARGEST_BAND: Final = 100_000_000
@@ -211,7 +211,7 @@ class LapackReduced:
 
 
 def banded_order(pattern: Pattern, first: Index) -> Order | None:
-    """Narrowest order of the images for the inverse; None if the matrix has no band, or one that is too large."""
+    """Narrowest order of the images for the inverse; None if the matrix has no band, or if the band is too large."""
     order, n = narrowest(pattern, first), int(first[-1])
     return order if (order.band + 1) * n <= LARGEST_BAND and order.band < n - 1 else None
 

@@ -215,8 +215,8 @@ class Stages:
 class ImageExtras:
     """Extra observations of images, linearised at a state: J^T J is added to the reduced system.
 
-    That of one image is added to its block, that of several images to the full matrix. Elimination and
-    back-substitution of the ground points do not depend on them.
+    An observation of one image is added to the block of the image, an observation of several images to the full matrix.
+    Elimination and back-substitution of the ground points do not depend on them.
     """
 
     def __init__(self, problem: Problem, state: State) -> None:
@@ -240,7 +240,7 @@ class ImageExtras:
 
     @cached_property
     def matrix(self) -> Array | None:
-        """``J^T J`` (z, z) of the free unknowns by observations of several images; None without such."""
+        """``J^T J`` (z, z) of the free unknowns by observations of several images; None without such observations."""
         wide = [self._free(images, jacobians) for images, _, jacobians in self._rows if len(images) > 1]
         rows = np.vstack(wide) if wide else None
         return None if rows is None else rows.T @ rows

@@ -1,7 +1,7 @@
 """A problem compiled to arrays for the Schur backend: sorted observations, columns, pieces, chunks, tiles.
 
 Image points are sorted by ground point, and ground points by the images that see them, so that data used together are
-adjacent in memory. The layout is that of ``fg_orient.kernels.batch``, ``fg_orient.kernels.batch_points`` and
+adjacent in memory. The layout is the same as in ``fg_orient.kernels.batch``, ``fg_orient.kernels.batch_points`` and
 ``fg_orient.kernels.batch_pairs``.
 """
 
@@ -198,7 +198,7 @@ def compile_structure(problem: Problem, grouping: Grouping | None = None, *, dia
 
 
 def _sorted(problem: Problem, grouping: Grouping | None) -> tuple[Small, Small, Small, Small, Flags]:
-    """Row, image and ground point of the sorted image points, first of each ground point, flags of those of new groups.
+    """Row, image and ground point of sorted image points, first of each ground point, flags of new groups' first ones.
 
     Image points by ground point, ground points by first and last image, number of rays and all their images: rays that
     two images share lie in few runs of memory, and points seen in the same images follow each other.

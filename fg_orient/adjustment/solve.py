@@ -175,9 +175,9 @@ def eliminates_points(problem: Problem) -> bool:
     """Whether the graph eliminates points inside its factors; else it has one factor for each image point.
 
     Without priors the normal equations may be too ill-conditioned for it: GTSAM's QR of the rows does not square the
-    condition. A regularisation bounds the condition, unless its rank counts small singular values. A free or an inner
-    datum holds what control would. Under a loss the rays of points that extra observations name would need weights of
-    their own.
+    condition. A regularisation bounds the condition number, unless its rank includes small singular values. A free or
+    an inner datum fixes the motions that control points would fix. Under a loss the rays of points that extra
+    observations name would need separate weights.
     """
     if needs_rows(problem):
         return False

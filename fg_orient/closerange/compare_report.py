@@ -1,7 +1,7 @@
 """Values of a published report compared with a result: name, value, perhaps sigma and digits, from a CSV table.
 
 ``digits`` is the number of significant digits of a value that was printed without its last zeros. The verdict of a
-value is that of :func:`fg_orient.model.digits.agreement` with the published standard deviation, else with ours; a
+value comes from :func:`fg_orient.model.digits.agreement` with the published standard deviation, else with ours; a
 standard deviation is compared by its digits alone. Counts must be equal. Angles in degrees are compared modulo 360.
 """
 

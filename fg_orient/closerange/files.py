@@ -37,7 +37,7 @@ _LARGEST_TURN_DEG: Final = 180.0
 
 @dataclass(frozen=True)
 class Observed(PointTable):
-    """Rows of a table of points; image or ground coordinates are empty columns where the table has none.
+    """Rows of a table of points; image or ground coordinates are empty columns if the table does not contain them.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def _read(path: Path, layouts: list[tuple[str, ...]], default: float | None) -> 
 
 
 def _numbers(table: Table, names: Sequence[str]) -> Array:
-    """Numbers (n, k) of some columns; those larger than ``LARGEST`` are refused."""
+    """Read numbers (n, k) of some columns; numbers larger than ``LARGEST`` are refused."""
     out = table.numbers(*names)
     for name, values in zip(names, out.T, strict=True):
         table.refuse(np.abs(values) > LARGEST, "closerange.range", name, value=values, limit=LARGEST)
@@ -201,7 +201,7 @@ def read_stations(path: Path) -> dict[str, Station]:
 
 
 def _sigmas(table: Table, names: Sequence[str], limit: float = LARGEST) -> Array:
-    """Standard deviations (n, k); impossible ones are refused."""
+    """Read standard deviations (n, k); impossible values are refused."""
     out = table.numbers(*names)
     for name, values in zip(names, out.T, strict=True):
         wrong = (values < SMALLEST) | (values > limit)

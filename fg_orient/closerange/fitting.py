@@ -30,7 +30,7 @@ Rows = DenseRows
 MAX_ITERATIONS: Final = 100
 #: Smallest singular value of a design with columns of unit length, divided by the largest, that gives a covariance.
 RANK_LIMIT: Final = 1e-12
-#: Standard deviation, divided by that of a point, beyond which the points do not determine a parameter.
+#: Standard deviation, divided by that of a point, above which the points do not determine a parameter.
 UNDETERMINED: Final = 1e3
 _STEPS: Final = 200
 #: Remaining part of a condition, relative to its largest term: a few rounding errors.
@@ -94,7 +94,7 @@ def statistics(whitened: Array, assessed: Determination, iterations: int, away: 
 
 
 def finite_rows(rows: Rows, what: str = "") -> Rows:
-    """Rows that raise NoSolutionError, which names ``what``, where a derivative is not finite.
+    """Return rows that raise NoSolutionError with the name ``what`` if a derivative is not finite.
 
     For example, the centre of a sphere has no nearest point on it.
     """
@@ -301,7 +301,7 @@ def weighted_distances(conditions: Conditions, points: Array, sigma: Array) -> t
 
 
 def distance_rows(by_unknown: Array, slope: Array, sigma: Array) -> Array:
-    """Derivatives (n, u) of weighted distances from those of the conditions and their slopes at the foot points."""
+    """Compute derivatives (n, u) of weighted distances from derivatives and slopes of the conditions at foot points."""
     return np.asarray(by_unknown / np.linalg.norm(slope * sigma, axis=1)[:, None])
 
 

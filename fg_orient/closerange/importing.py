@@ -144,11 +144,11 @@ def _interior(camera: FrameInterior, unit_px: float, file: Path) -> PhotoInterio
     """Camera in the unit of the image coordinates; k1 k2 k3 P1 P2 for x right, y down, from measured to ideal ones."""
     if camera.model != MEASURED_TO_IDEAL and np.any(camera.distortion):
         raise InputError.of("closerange.direction", file=file, place=f"camera {camera.name}", value=camera.model)
-    stretch = 1.0 + camera.aspect  # of x; the principal distance is that of x, and B compresses y
+    stretch = 1.0 + camera.aspect  # of x; the principal distance refers to x, and B compresses y
     if camera.aspect and np.any(camera.distortion):
         raise InputError.of("closerange.camera", file=file, place=f"camera {camera.name}",
                             value=f"aspect {camera.aspect:g}", expected="aspect 0 with distortion")  # fmt: skip
-    ratio = (camera.unit_px or camera.focal_px) / unit_px  # of the polynomial's unit to that of the coordinates
+    ratio = (camera.unit_px or camera.focal_px) / unit_px  # of the polynomial's unit to the unit of the coordinates
     k1, k2, k3, first, second = camera.distortion.tolist()
     corrections = np.array([k1 / ratio**2, k2 / ratio**4, k3 / ratio**6, second / ratio, first / ratio, 0.0,
                             1.0 / stretch - 1.0])  # fmt: skip

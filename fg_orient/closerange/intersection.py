@@ -205,7 +205,7 @@ def _solved(normal: Array, right: Array) -> Array:
 def _require_depth(
     cofactors: Array, depth: Array, matrices: Array, size: Array, of: Index, names: Sequence[str]
 ) -> None:
-    """Refuse points whose standard deviation exceeds that of their image, at their distance, 1000 times."""
+    """Refuse points with a standard deviation above 1000 times the standard deviation of their image points there."""
     focal = np.linalg.norm(matrices[:, 0, :3], axis=1)  # norm of the depth row times the principal distance
     unit = np.zeros(len(cofactors))
     np.maximum.at(unit, of, np.sqrt(np.mean(size**2, axis=1)) * depth / focal)

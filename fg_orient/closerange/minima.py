@@ -67,7 +67,7 @@ class Rival:
     limit: float
 
     def warning(self, code: str, name: str, place: str = "") -> Finding:
-        """Warning of this orientation; ``name`` is that of its place in the message."""
+        """Warning of this orientation; ``name`` is the name of its place in the message."""
         return finding(code, place=place, ratio=self.ratio, limit=self.limit, **{name: self.place.tolist()})
 
 

@@ -148,7 +148,7 @@ class Photo:
         return np.column_stack([self.matrix[:, :3], self.matrix[:, 3] + shift])
 
     def ideal(self, image: npt.ArrayLike) -> Array:
-        """Ideal coordinates (n, 2) of measured ones."""
+        """Convert measured to ideal coordinates (n, 2)."""
         given = as_points(image, 2, "image")
         return np.asarray(lens.ideal_points(self.corrections, given - self.principal) + self.principal)
 
@@ -243,7 +243,7 @@ DIRECTIONS: Final = 24
 _FIRST: Final = 3
 #: Rounding across the radius of corrections along it, as a share of the radius.
 _ROUNDING: Final = 1e-13
-#: Camera parameters of a form, by its name. dr is radial, along r; equation numbers are those of Ayhan 1996.
+#: Camera parameters of a form, by its name. dr is radial, along r; equation numbers refer to Ayhan 1996.
 SETS: Final[dict[str, tuple[str, ...]]] = {
     "radial": ("k1", "k2", "k3"),  # dr = k1 r^3 + k2 r^5 + k3 r^7, eq. 71
     "radial-even": ("radial_2", "radial_4", "radial_6"),  # dr of even powers, eq. 44 as printed

@@ -20,7 +20,7 @@ Pair = tuple[Array, Array]
 LEAST_EIGHT_POINT: Final = 8
 #: Largest number of sets of five points.
 MAX_SETS: Final = 21
-#: Largest number of essential matrices that give starts, and cosine between two matrices that count as one.
+#: Largest number of essential matrices that give starts, and cosine between two matrices that are treated as equal.
 MAX_MATRICES: Final = 12
 SIMILAR: Final = 0.999
 #: Difference of the largest and smallest singular values of a homography without base.

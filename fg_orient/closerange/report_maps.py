@@ -63,7 +63,7 @@ class Scene:
 
 
 def scene_of(record: dict[str, Any]) -> Scene:
-    """Take points and stations out of a record of any kind."""
+    """Extract points and stations from a record of any kind."""
     points = record.get("points") or list({row["id"]: row for row in photo_rows(record)}.values())
     at = columns(points, *(f"{a}_m" for a in "xyz"))
     sigma = columns(points, *(f"sigma_{a}_m" for a in "xyz"))
@@ -158,7 +158,7 @@ def _frame(words: str, places: Array, across: int, up: int) -> Chart:
 
 
 def _thinned(scene: Scene) -> Index:
-    """Rows that are drawn: all control and check points, new ones as many as fit."""
+    """Select the rows that are drawn: all control and check points, and new points up to the limit."""
     new = np.array([role == "new" for role in scene.roles])
     rows, others = np.flatnonzero(new), np.flatnonzero(~new)
     room = max(MAX_POINTS - len(others), 1)

@@ -35,7 +35,7 @@ REFUSED: Final = ("closerange.pose", "resection")
 class Resection(fitting.Fit):
     """Photo oriented by control points.
 
-    Cofactors are those of rotations about the camera axes (rad) and of the centre (m).
+    Cofactors refer to rotations about the camera axes (rad) and to the centre (m).
 
     Parameters
     ----------

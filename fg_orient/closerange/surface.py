@@ -172,8 +172,8 @@ def shape_of(coefficients: Array) -> str:
 class SurfaceModel:
     """Surface near a start; the state (u,) contains corrections for ellipsoids, values for spheres and quadrics.
 
-    ``names``, ``start`` and ``is_length`` (the others are angles or have no unit) are those of the unknowns (u,);
-    record (d,) and setup (2, k) those of the equation.
+    ``names``, ``start`` and ``is_length`` (the others are angles or have no unit) describe the unknowns (u,); record
+    (d,) and setup (2, k) belong to the equation.
     """
 
     kind: Kind

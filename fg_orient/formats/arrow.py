@@ -1,6 +1,6 @@
 """Tables in Parquet files and Arrow files (Feather version 2), by pyarrow: the extra "arrow".
 
-Columns become cells as those of a CSV file do, so that both go through the same checks: a null is an empty cell, text
+Columns become cells like the columns of a CSV file, so that both have the same checks: a null is an empty cell, text
 may be encoded by a dictionary, numbers may be integers, floating-point or decimal. A file is bounded before it is read,
 by the rows and sizes that its footer states. It is read by row groups.
 """
@@ -43,7 +43,7 @@ ROW_GROUP: Final = 250_000
 DICTIONARY: Final = 16_000_000
 #: Bytes of a cell in memory, at least.
 PER_CELL: Final = 16
-#: Characters of a text at most, and those that none can have.
+#: Largest number of characters of a text, and forbidden characters.
 LONGEST: Final = 10_000
 BREAKS: Final = "\n\r\0"
 #: Kinds of columns that are numbers in numpy.
@@ -62,7 +62,7 @@ class _Opened(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """Some cells of a column: numbers and a mask of the empty ones, or positions of texts in ``distinct``."""
+    """Some cells of a column: numbers and a mask of the empty cells, or positions of texts in ``distinct``."""
 
     values: npt.NDArray[Any]
     empty: Mask
@@ -78,7 +78,7 @@ class _Known:
     _positions: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def positions(self, dictionary: Any) -> npt.NDArray[np.int64]:
-        """Positions of the texts of a dictionary, then that of an empty cell."""
+        """Return positions of the texts of a dictionary, then the position of an empty cell."""
         if self._dictionary is None or not dictionary.equals(self._dictionary):
             found = [(text or "").strip() for text in dictionary.to_pylist()]
             self._dictionary = dictionary
@@ -118,7 +118,7 @@ def read_binary(path: Path, faults: Faults, check: Check) -> dict[str, Cells] | 
 
 
 def comments_of(path: Path, faults: Faults) -> str:
-    """Comments in the metadata of a file, as lines of CSV; none, with the fault noted, if it is unusable."""
+    """Return comments in the metadata of a file, as lines of CSV; if unusable, note the error and return none."""
     if _begins_well(path, faults):
         with _noting(path, faults) as pa:
             return str((_opened(pa, path).schema.metadata or {}).get(COMMENTS, b"").decode("utf-8"))
@@ -126,7 +126,7 @@ def comments_of(path: Path, faults: Faults) -> str:
 
 
 def _begins_well(path: Path, faults: Faults) -> bool:
-    """Whether the file exists and begins as its name says; else the fault is noted."""
+    """Return whether the file exists and begins with the signature of its format; else note the error."""
     mark = MARKS[path.suffix.lower()]
     found = read_data(path, faults, len(mark))
     if found not in (mark, None):
@@ -264,7 +264,7 @@ def _check_texts(name: str, part: _Part, before: int, first: int, faults: Faults
 
 
 def _cells(parts: Sequence[_Part]) -> Cells:
-    """Cells of a column from those of the row groups."""
+    """Join the cells of a column from all row groups."""
     values, empty = (np.concatenate([getattr(part, name) for part in parts]) for name in ("values", "empty"))
     distinct = parts[0].distinct
     return NumberCells(values, empty) if distinct is None else CodedCells(list(distinct), values)

@@ -24,9 +24,9 @@ _NAMED: Final = 10
 FEW_CONTROL: Final = 6
 #: ASPRS Positional Accuracy Standards, edition 2 (2023): minimum number of check points.
 FEW_CHECK: Final = 30
-#: Width over length (standard deviations) below which points count as a line.
+#: Width over length (standard deviations) below which points are treated as a line.
 LINE_RATIO: Final = 0.05
-#: Control that spans less than this part of the lines and of the samples counts as clustered.
+#: Control that spans less than this part of the lines and of the samples is called clustered.
 CLUSTER_SPAN: Final = 0.25
 
 

@@ -1,8 +1,8 @@
 """Files and folders written whole or not at all: a hidden sibling is filled, then renamed.
 
 An existing folder is kept until the new one is complete. A folder is only replaced if it contains an output of this
-program and nothing else. This protects a home directory that was given by mistake as ``out``, and a result that is kept
-inside a simulated project.
+program and no other files. This protects a home directory that was given by mistake as ``out``, and a result that is
+kept inside a simulated project.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class Contents:
     names: tuple[str, ...]
 
     def first_foreign(self, folder: Path) -> str:
-        """First file or folder that does not belong to the output; "" if there is none."""
+        """Return the first file or folder that does not belong to the output; "" if all belong to it."""
         for path in sorted(folder.rglob("*")):
             name = path.relative_to(folder)
             is_folder = path.is_dir() and not path.is_symlink()

@@ -20,7 +20,7 @@ ODD: Final = 0.01
 
 @dataclass(frozen=True)
 class Estimate:
-    """Constant undulation from points with both heights: mean, its standard deviation and that of one point, m."""
+    """Constant undulation from points with both heights: mean, standard deviation of mean and of one point, m."""
 
     undulation_m: float
     sigma_m: float
@@ -32,7 +32,7 @@ def estimated(path: Path) -> Estimate:
     """Constant undulation from a table of points with both heights.
 
     The mean of the differences of both heights, its standard deviation from their scatter. A point whose difference
-    is not that of the others (externally studentised, ``ODD`` over all points) is named and kept.
+    does not fit the other points (externally studentised, ``ODD`` over all points) is named and kept.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """Cells of a large table by columns, without a string for each cell; rows of numbers as text.
 
-A CSV table is regular if it is ASCII without quotes and blanks, comments stand before the header only, and every record
-has as many cells as the header. Cells are then slices of its bytes between separators. A column of numbers is read by
-orjson, ten times faster than by ``float``. Any other table is read line by line (``fg_orient.formats.tables``).
+A CSV table is regular if it is ASCII without quotes and blanks, comments are before the header only, and every record
+has the number of cells of the header. Cells are then slices of its bytes between separators. A column of numbers is
+read by orjson, ten times faster than by ``float``. Any other table is read line by line (``fg_orient.formats.tables``).
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Cells(Sequence[str]):
 
 
 def finite(cells: Sequence[str]) -> Array | None:
-    """All texts as finite numbers (n,); None if one is not a number."""
+    """Convert all texts to finite numbers (n,); None if a text is not a number."""
     if "".join(cells).encode().translate(None, OF_NUMBERS):
         return None
     try:
@@ -163,7 +163,7 @@ def _words(texts: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint64]:
 
 
 def _found(known: npt.NDArray[np.uint64], wanted: npt.NDArray[np.uint64]) -> tuple[Index, Index]:
-    """Order (n,) that sorts known numbers, and the places (m,) among the sorted ones where wanted ones would be."""
+    """Return the order (n,) that sorts known numbers, and places (m,) of wanted numbers in this order."""
     order = np.argsort(known, kind="stable")
     return order, np.minimum(np.searchsorted(known[order], wanted), len(known) - 1)
 
@@ -253,7 +253,7 @@ class Regular(NamedTuple):
 
 
 def regular(text: str, longest: int) -> Regular | None:
-    """Read a text; None if it is not regular or a line is longer than ``longest``."""
+    """Read a text; None if it is not regular or has a line longer than ``longest``."""
     begin, line = 0, 0
     while True:  # comments and blank lines before the header
         line, end = line + 1, text.find("\n", begin)
@@ -296,7 +296,7 @@ def _ends(data: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
 
 
 def rows_of_numbers(values: Array) -> list[bytes]:
-    """Texts of the rows (n, k): fewest digits that read back to the same double, nothing where a number is not finite.
+    """Texts of the rows (n, k): the fewest digits that give the same double, empty for numbers that are not finite.
 
     orjson takes a fifteenth of the time of ``repr``.
     """

@@ -8,8 +8,8 @@ Time of a line: ``SCENE_CENTER_TIME + LINE_PERIOD (line - SCENE_CENTER_LINE)``, 
 convention B.
 
 SPOT 5 files contain ``Corrected_Attitudes``, which are used unchanged. SPOT 1 to 4 files contain raw attitudes:
-absolute angles every 9 s and angular speeds at 8 Hz. A speed is taken as the mean over the interval **before** its time
-tag, so angles are piecewise linear between the tags; the sum starts at the first absolute angle::
+absolute angles every 9 s and angular speeds at 8 Hz. A speed is interpreted as the mean over the interval **before**
+its time tag, so angles are piecewise linear between the tags; the sum starts at the first absolute angle::
 
     angle(t_k) = angle(t_(k-1)) + speed_k (t_k - t_(k-1))
 

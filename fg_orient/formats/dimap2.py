@@ -154,7 +154,7 @@ def _polynomial(node: XmlNode) -> Array:
 
 
 def _look_angles(model: XmlNode, n_samples: int) -> tuple[LookAnglePolynomial, tuple[Finding, ...]]:
-    """Look polynomials of the panchromatic band, of the first band if there is none."""
+    """Read the look polynomials of the panchromatic band, or of the first band without a panchromatic band."""
     calibration = model.one("Geometric_Calibration/Instrument_Calibration")
     if calibration.maybe("Band_Calibration_List") is None:
         return _look_polynomial(calibration, n_samples), ()

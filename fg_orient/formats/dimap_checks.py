@@ -24,10 +24,10 @@ RADIUS_M = (6.5e6, 8.0e6)
 SPEED_M_S = (6e3, 9e3)
 LINE_PERIOD_S = (1e-5, 1e-2)
 MAX_LOOK_ANGLE_RAD = math.pi / 4
-#: Attitude angles stay below the yaw steering of 0.07 rad; larger ones are degrees typed as radians.
+#: Attitude angles stay below the yaw steering of 0.07 rad; larger angles are degrees typed as radians.
 MAX_ATTITUDE_RAD = 0.2
 MAX_IMAGE_SIZE = 10**7
-#: Quaternions are delivered normalised; beyond this they are no rotation.
+#: Quaternions are delivered normalised; outside this tolerance they are not a rotation.
 QUATERNION_NORM_TOLERANCE = 1e-3
 #: DIMAP counts lines, columns and detectors from 1 (Raster_CS: PIXEL_ORIGIN 1); here the first is 0.
 DIMAP_FIRST_PIXEL = 1
@@ -146,7 +146,7 @@ def require_unit_quaternions(nodes: Sequence[XmlNode], quaternion: Array) -> Non
 
 
 def flagged(nodes: Sequence[XmlNode], tag: str, good: str, code: str) -> tuple[Finding, ...]:
-    """Note that counts the elements with another flag than ``good``; none if there are none."""
+    """Return a note with the number of elements whose flag is not ``good``; no note if all are good."""
     flags = [node.maybe(tag) for node in nodes]
     count = sum(flag is not None and flag.text() != good for flag in flags)
     return (finding(code, count=count, n=len(nodes)),) if count else ()

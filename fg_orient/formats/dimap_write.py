@@ -100,7 +100,7 @@ def _look_rows(look: LookAngleTable) -> list[dict[str, Any]]:
 
 
 def _frame1(points: tuple[FramePoint, ...]) -> dict[str, Any]:
-    """Frame points as corners and as tie points; nothing if there are none."""
+    """Write frame points as corners and as tie points, if there are any."""
     if not points:
         return {}
     vertices: list[tuple[str, Any]] = [

@@ -1,7 +1,7 @@
 """Points and image points of a project in other programs' files, read by the readers of ``convert``.
 
-A table of a project names the ``format`` of its file and gives the values that the file lacks. The checks are those of
-our own tables; coordinates of check points stay sealed until the file is read again.
+A table of a project names the ``format`` of its file and gives the values that the file lacks. The checks are the same
+as for our own tables; coordinates of check points stay sealed until the file is read again.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 #: Options of ``convert`` in messages, and the corresponding entries of a project.
 _ENTRIES: Final = {"from": "format", "accept_unverified": "accept_unverified = true"}
-#: Format whose reader asks what a project has no entry for.
+#: Format whose reader needs answers for which a project has no entry.
 OFFICE: Final = "office"
 
 
@@ -67,7 +67,7 @@ class Table:
         return tuple(path.absolute() for path in self.paths)
 
     def read(self, faults: Faults) -> Survey | None:
-        """Read the file; None, with the faults noted, if it is unusable. Messages name entries of the project."""
+        """Read the file; if it is unusable, note the errors and return None. Messages name entries of the project."""
         entry, place = self.entry, f"{self.name}.format"
         try:
             format_ = format_named(entry.format, place=place)
@@ -96,7 +96,7 @@ class Table:
 
 
 def read_foreign_points(table: Table, faults: Faults, scenes: list[Scene]) -> PointFile | None:
-    """Read ground points; None, with the faults noted, if the file is unusable.
+    """Read ground points; if the file is unusable, note the errors and return None.
 
     ``scenes`` are the footprints of the images.
     """
@@ -129,7 +129,7 @@ def read_foreign_observations(
 ) -> tuple[ObservationFile, PointFile] | None:
     """Read image points of known ground points; other points of the file become tie points.
 
-    None, with the faults noted, if anything is wrong; parameters as in
+    None, with noted errors, if anything is wrong; parameters as in
     :func:`fg_orient.formats.points.read_observations`.
     """
     survey = table.read(faults)
@@ -188,7 +188,7 @@ def _place(survey: Survey, k: int) -> str:
 
 
 def _with_ties(points: PointFile, survey: Survey) -> PointFile:
-    """Points, and as tie points those that only the image points name."""
+    """Return all points; points that only the image points name become tie points."""
     known, old = set(points.points.ids), points.points
     seen = np.bincount(survey.observed.point, minlength=len(survey.ids)) > 0
     new = tuple(name for name, yes in zip(survey.ids, seen, strict=True) if yes and name not in known)

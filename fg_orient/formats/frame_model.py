@@ -33,7 +33,7 @@ from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameCamera, FrameSensor
 from fg_orient.sensors.frame_unknowns import FURTHER, NAMES, UNKNOWNS
 from fg_orient.sensors.interior import Interior
 
-#: Default unknowns of an image in the adjustment of such a model.
+#: Default unknowns of an image in the adjustment of a frame model.
 EXTERIOR: Final = UNKNOWNS[:6]
 
 
@@ -119,7 +119,7 @@ def frame_block(
 ) -> Block:  # fmt: skip
     """Make the block of a model: tie points with start values, free datum, no priors, Levenberg-Marquardt.
 
-    Points that are measured in one image only are left out: nothing determines their depth.
+    Points that are measured in one image only are left out, because their depth is not determined.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def adjusted_model(model: FrameModel, corrections: Sequence[Array], ground_m: Ar
 
 
 def _further(camera: FrameCamera, correction: Array) -> dict[str, float]:
-    """Adjusted further coefficients of a camera by name, those that are not 0."""
+    """Return adjusted further coefficients of a camera by name, if they are not 0."""
     change = dict(zip(FURTHER, correction[len(NAMES) - len(FURTHER) :].tolist(), strict=False))
     values = {name: camera.further.get(name, 0.0) + change.get(name, 0.0) for name in FURTHER}
     return {name: value for name, value in values.items() if value != 0.0}

@@ -2,7 +2,7 @@
 
 GDAL compares names without regard to case by the C library, and so by the user's locale. In Turkish and Azerbaijani, i
 is not the lower case of I: GDAL then does not recognise its own options and writes dozens of lines to standard error.
-It also resets the decimal point of the calling program to that of "C" (seen with 3.12, writing a GeoPackage).
+It also resets the decimal point of the calling program to the "C" locale (seen with 3.12, writing a GeoPackage).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def rasterio_of(file: object, code: str = "ortho.no_rasterio") -> Any:
 
 
 def opened(rasterio: Any, path: object, mode: str = "r") -> Any:
-    """Open an image without GDAL's warning that it has no map coordinates; errors are those of rasterio."""
+    """Open an image without GDAL's warning that it has no map coordinates; errors are errors of rasterio."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         return rasterio.open(path, mode)

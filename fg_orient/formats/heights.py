@@ -1,4 +1,4 @@
-"""Heights of a table above a zero level that PROJ does not know: they become ellipsoidal when the table is read.
+"""Heights of a table above a zero level that PROJ does not have: they are converted to ellipsoidal heights on reading.
 
 The zero level is given by a geoid file, by a constant undulation, or by a table of points with both heights, from which
 the constant is estimated. A compound CRS whose grid PROJ does not find is converted by a file of another name in PROJ's
@@ -71,12 +71,12 @@ class ZeroLevel:
         return tuple(path for path in (self.geoid, self.both_heights) if path is not None)
 
     def system(self, crs: str) -> GroundSystem:
-        """What a block keeps of the zero level, and of the CRS of the table."""
+        """Return the zero level and the CRS of the table, as the block stores them."""
         constant = self.undulation_m if self.both_heights is None else estimated(self.both_heights).undulation_m
         return GroundSystem(_flat(crs) if self else crs, "" if self.geoid is None else str(self.geoid), constant)
 
     def applied(self, survey: Survey) -> Survey:
-        """Survey with ellipsoidal heights, and a note that says how they became so.
+        """Survey with ellipsoidal heights, and a note on the conversion.
 
         Raises
         ------
@@ -104,8 +104,8 @@ class ZeroLevel:
 def coordinates_in(system: GroundSystem, xyz_m: Array) -> tuple[Array, str]:
     """Coordinates (n, 3) of ECEF points (n, 3), m, in the CRS and above the zero level of a table of points.
 
-    The inverse of what readers do. The second value describes the heights, "" if the CRS is geocentric. InputError: the
-    CRS is unknown, a geoid file or grid is missing or does not cover a point.
+    This is the inverse of the conversion by readers. The second value describes the heights, "" if the CRS is
+    geocentric. InputError: the CRS is unknown, a geoid file or grid is missing or does not cover a point.
     """
     if crs_kind(system.crs) == "geocentric":
         return from_ecef(system.crs, xyz_m)[0], ""
@@ -126,7 +126,7 @@ def coordinates_in(system: GroundSystem, xyz_m: Array) -> tuple[Array, str]:
                 raise
             undulation = found.undulation_m(lon, lat)
     out = from_ecef(_flat(system.crs), xyz_m)[0]
-    out[:, 2] = height - undulation  # undulations are above the WGS84 ellipsoid, whatever that of the CRS is
+    out[:, 2] = height - undulation  # undulations refer to the WGS84 ellipsoid, for any ellipsoid of the CRS
     return out, words
 
 
@@ -144,7 +144,7 @@ def _flat(crs: str) -> str:
 def on_found_grid(survey: Survey) -> Survey:
     """Survey with ellipsoidal heights if only a file of another name in PROJ's folders has the grid of its CRS.
 
-    Otherwise it is unchanged but for a note if its CRS does not say that heights are ellipsoidal.
+    Otherwise it is unchanged; a note is added if its CRS does not state that heights are ellipsoidal.
     """
     if not survey.crs or not survey.located.any() or crs_kind(survey.crs) == "geocentric":
         return survey

@@ -5,7 +5,7 @@ module until :meth:`fg_orient.model.block.WithheldCoordinates.open` reads the fi
 
 Our own tables have ids, roles, coordinates in any EPSG CRS and standard deviations. Roles: **control** points enter the
 adjustment as observed (or, with the word ``fixed`` in all sigma columns, constant) points; the coordinates of **check**
-points are for comparison only; **tie** points have none.
+points are for comparison only; **tie** points have no known coordinates.
 
 A record of observations has pixels and their standard deviations: (line, sample) with (0, 0) in the centre of the first
 pixel. An image of n lines spans -0.5 .. n - 0.5.
@@ -176,7 +176,7 @@ LOSES_IDS: Final = {
 }
 #: Standard deviations outside this range are more likely a wrong unit than a survey: 0.01 mm, 10 km.
 PLAUSIBLE_SIGMA_M: Final = (1e-5, 1e4)
-#: Reads the points of a file, check points included; None, with the faults noted, if it is unusable.
+#: Reads the points of a file, check points included; None, with noted errors, if it is unusable.
 Parse = Callable[[Faults], Survey | None]
 
 
@@ -263,7 +263,7 @@ def point_file(
     scenes: Sequence[Scene] = (),
     level: ZeroLevel | None = None,
 ) -> PointFile | None:
-    """Points of a file of any format, those of check points sealed.
+    """Read points of a file of any format; coordinates of check points are sealed.
 
     ``parse`` reads the ``files`` (absolute paths) now, and again to open the seal; ``level`` as in
     :func:`read_points`.

@@ -1,7 +1,7 @@
 """Writers of point tables, observation tables and project files in our own formats.
 
-Files are written whole or not at all (:mod:`fg_orient.formats.atomic`), tables in the form that the end of their name
-says (:mod:`fg_orient.formats.table_write`). All writers raise ValueError if an id or comment could not be read back or
+Files are written whole or not at all (:mod:`fg_orient.formats.atomic`), tables in the form of the end of their name
+(:mod:`fg_orient.formats.table_write`). All writers raise ValueError if an id or comment could not be read back or
 lengths differ, and InputError if the file cannot be written.
 """
 

@@ -289,7 +289,7 @@ def _options(project: ProjectFile, file: str, overrides: Mapping[str, object]) -
 
 
 def _images(project: ProjectFile, folder: Path, file: str) -> tuple[dict[str, Image | None], list[Finding]]:
-    """Images by id, None if the metadata file is unusable; and faults."""
+    """Read the images by id, None if the metadata file is unusable; and the errors."""
     import fg_orient.formats.sensor as sensor_reader
 
     images: dict[str, Image | None] = {}
@@ -347,7 +347,7 @@ def _tables(
 
 
 def _scenes(images: Mapping[str, Image | None], tables: Sequence[Path]) -> list[Scene]:
-    """Footprints of the images; none if a file is missing, which is reported before kernels are compiled."""
+    """Compute footprints of the images; none if a file is missing, to report it before kernels are compiled."""
     if None in images.values() or not all(path.exists() for path in tables):
         return []
     return [Scene.from_footprint(image.id, image.sensor.footprint()) for image in images.values() if image is not None]

@@ -26,7 +26,7 @@ CACHE_BYTES: Final = 32_000_000
 
 
 def raster_beside(metadata: Path) -> Path | None:
-    """Raster of a metadata file: the file itself, or the only one beside it that has its name; None without one."""
+    """Find the raster of a metadata file: the file itself, or the only raster of its name beside it; else None."""
     if metadata.suffix.lower() in ENDS:
         return metadata
     folder = metadata.parent
@@ -118,7 +118,7 @@ class Raster:
         return out
 
     def reduced(self, factor: int) -> Grey:
-        """Means of ``factor`` x ``factor`` pixels of the whole raster; incomplete ones at its end are left out."""
+        """Means of ``factor`` x ``factor`` pixels of the whole raster; incomplete means at its end are left out."""
         rows, columns = self.place.rows // factor, self.place.columns // factor
         out = np.empty((rows, columns), np.float32)
         strip = max(1, 2_000_000 // (self.place.columns * factor))
@@ -129,7 +129,7 @@ class Raster:
         return out
 
     def decoded(self, factor: float) -> float:
-        """Number of pixels that a picture reduced by a factor decodes: those of the overview that it is made of."""
+        """Return the number of decoded pixels for a picture reduced by a factor: the pixels of the overview used."""
         overview = max((f for f in self._source.overviews(1) if f <= factor), default=1)
         return self.place.rows * self.place.columns / overview**2
 

@@ -238,7 +238,7 @@ def _each(contents: Contents) -> Iterator[Format]:
 
 
 def format_named(name: str, contents: Contents = "points", *, place: object = "format") -> Format:
-    """Format of a name; InputError if there is none."""
+    """Return the format of this name; InputError if it is unknown."""
     known = formats(contents)
     if name not in known:
         raise InputError.of("interchange.format", place=place, value=name, hint=did_you_mean(name, list(known)))
@@ -257,7 +257,7 @@ def format_of(path: Path, *, place: object) -> Format:
 
 
 def format_claiming(path: Path, contents: Contents) -> Format | None:
-    """First format that recognises a file, None if there is none; InputError if the file cannot be read."""
+    """Return the first format that recognises a file, else None; InputError if the file cannot be read."""
     head = read_bytes(path, HEAD_BYTES).removeprefix(BOM_UTF8).decode("latin-1") if path.is_file() else ""
     for one in _each(contents):
         if one.sniff(path, head) if one.sniff else path.name.lower().endswith(one.suffixes):

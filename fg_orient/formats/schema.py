@@ -218,7 +218,7 @@ def validate(content: dict[str, Any], file: str, model: type[Model]) -> Model:
     for detail in details:
         loc = detail["loc"]
         if detail["type"] == "too_short" and any(o["loc"][: len(loc)] == loc and o["loc"] != loc for o in details):
-            continue  # an array counts as short if its items have faults
+            continue  # pydantic calls an array too short if its items have errors
         fault = _problem(detail["type"], loc, detail["input"], file, model)
         places.setdefault(fault.place, fault)  # a union reports one fault per member
     raise InputError(*places.values())
@@ -291,7 +291,7 @@ def constraints_of(
 ) -> tuple[tuple[Constraint, ...], list[Finding]]:
     """Constraints of a file, and faults with the number of their entry.
 
-    ``surplus``: smallest number of residuals of a figure beyond its unknowns.
+    ``surplus``: smallest difference between the numbers of residuals and unknowns of a figure.
     """
     stated, faults = list[Constraint](), list[Finding]()
     for k, e in enumerate(entries):

@@ -1,6 +1,6 @@
-"""The writer of tables: columns of text and numbers to the form that the end of the file name says.
+"""The writer of tables: columns of text and numbers to the form of the end of the file name.
 
-In CSV, numbers have the fewest digits that read back to the same double. What is not finite is an empty cell.
+In CSV, numbers have the fewest digits that read back to the same double. A value that is not finite is an empty cell.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from fg_orient.formats.columns import ROWS, rows_of_numbers
 Column = npt.NDArray[Any] | Sequence[Any]
 #: Ends of the names of binary files.
 BINARY: Final = (".parquet", ".feather", ".arrow")
-#: Columns of text; all others hold numbers.
+#: Columns of text; all others contain numbers.
 WORDS: Final = frozenset((
     "id", "role", "image", "photo", "strip", "parameter", "component", "unit", "sigma_scale", "per_line_unit", "shared",
     "quantity", "part", "test", "inseparable", "left_out_with_it",
 ))  # fmt: skip
 #: Columns of whole numbers, with empty cells.
 WHOLE: Final = frozenset(("degree", "n_rays", "round", "dimension", "readmitted"))
-#: Marks of cells, each after a NUL, that may need quotes; first characters that spreadsheets take for a formula.
+#: Marks of cells, each after a NUL, that may need quotes; first characters that spreadsheets interpret as a formula.
 _ODD: Final = (*',"#\r\n', "\0=", "\0+", "\0@", "\0-")
 _FORMULA: Final = re.compile(r"[=@]|[+-](?![0-9.]+(?:e[+-]?[0-9]+)?$)")
 
@@ -64,7 +64,7 @@ def write_table(path: Path, columns: Mapping[str, Column], comments: Sequence[st
 
 
 def is_binary(path: Path) -> bool:
-    """Whether the file name ends as those of Parquet and Arrow files do."""
+    """Return whether the file name has the suffix of Parquet or Arrow files."""
     return path.suffix.lower() in BINARY
 
 
@@ -77,7 +77,7 @@ def require_writer(path: Path) -> None:
 
 
 def table_file(folder: Path, table: str) -> Path:
-    """File of a table in a folder, in the form that it has there; the CSV file if there is none."""
+    """Return the file of a table in a folder, in any form; the CSV file if there is no file."""
     files = [folder / name for name in in_all_forms(table)]
     return next((file for file in files if file.is_file()), files[0])
 
@@ -134,7 +134,7 @@ def texts(values: Column, whole: bool = False) -> list[str]:
 
 
 def _text(value: Any, whole: bool = False) -> str:
-    """Text of one value; empty for none, words of JSON for truth values."""
+    """Return the text of one value; empty for None, words of JSON for truth values."""
     if not isinstance(value, float):
         return "" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
     return "" if not math.isfinite(value) else str(int(value)) if whole else repr(float(value))

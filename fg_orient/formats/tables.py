@@ -99,9 +99,9 @@ class Table:
         return out
 
     def positions(self, column: str, known: Sequence[str] | None, code: str) -> Index:
-        """Position (n,) of each cell in ``known``; other cells get positions beyond it, and each is refused once.
+        """Return the position (n,) of each cell in ``known``; other cells get larger positions and are refused once.
 
-        Nothing is refused if ``known`` is None.
+        No cell is refused if ``known`` is None.
         """
         cells, place = self.cells[column], {name: k for k, name in enumerate(known or ())}
         try:
@@ -337,7 +337,7 @@ def _lines(text: str, faults: Faults) -> tuple[list[int], list[str]]:
 def _records(
     numbers: list[int], lines: list[str], names: Sequence[str], faults: Faults
 ) -> tuple[list[int], dict[str, Cells]]:
-    """Line numbers and cells by column of the records; those with a wrong number of cells are left out, and noted."""
+    """Line numbers and cells by column of the records; records with a wrong number of cells are left out and noted."""
     width = len(names)
     split = {n: delimited(n, line, faults, width) for n, line in zip(numbers, lines, strict=True)}
     rows = {n: cells for n, cells in split.items() if cells is not None}

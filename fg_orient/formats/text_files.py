@@ -10,7 +10,7 @@ from fg_orient.formats.faults import Faults
 
 
 def read_data(path: Path, faults: Faults, size: int = -1) -> bytes | None:
-    """Bytes of a file, or the first ones; None, with the fault noted, if it cannot be read."""
+    """Read the bytes of a file, or the first bytes; if it cannot be read, note the error and return None."""
     try:
         with path.open("rb") as stream:
             return stream.read(size)
@@ -44,7 +44,7 @@ def read_text(path: Path, faults: Faults) -> str | None:
 
 
 def sha256_of(*paths: Path) -> str:
-    """SHA-256 of one file; of several files, or those of a folder, of their names and contents."""
+    """Compute the SHA-256 of a file; for several files, or a folder, of the names and contents of the files."""
     files = [f for p in paths for f in (sorted(q for q in p.rglob("*") if q.is_file()) if p.is_dir() else [p])]
     if len(files) == 1 and not paths[0].is_dir():
         return _digest(files[0]).hex()
@@ -60,9 +60,9 @@ def _digest(file: Path) -> bytes:
 
 
 def delimited(number: int, line: str, faults: Faults, width: int | None = None, *, mark: str = ",") -> list[str] | None:
-    """Stripped cells of a line; None, with the fault noted, if quotes or the number of cells are wrong.
+    """Return stripped cells of a line; None, with a noted error, if quotes or the number of cells are wrong.
 
-    Empty cells beyond the last column are left out.
+    Empty cells after the last column are left out.
     """
     try:
         cells = [cell.strip() for cell in next(csv.reader([line], delimiter=mark, strict=True))]

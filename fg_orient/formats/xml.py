@@ -1,7 +1,7 @@
 """Hardened reading of XML and typed access to its elements.
 
 Metadata files come from outside: a file is parsed without network, DTD, entities or recovery, and is refused if it
-holds a DOCTYPE or exceeds a size limit. Readers request every value by path, unit and type. A value that is missing,
+contains a DOCTYPE or exceeds a size limit. Readers request every value by path, unit and type. A value that is missing,
 doubled, empty, not a number or in an unknown unit becomes one :class:`~fg_orient.model.errors.InputError` that names
 file, line, element, value and remedy.
 """
@@ -45,7 +45,7 @@ _MAGIC = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """Kind of a number: its units with their factors to SI; ``default`` is the unit of a file that names none."""
+    """Kind of a number: its units with their factors to SI; ``default`` is the unit if the file names no unit."""
 
     name: str
     default: str
@@ -134,7 +134,7 @@ class XmlNode:
     def table(self, tag: str, columns: Mapping[str, tuple[Quantity, float, float]], at_least: int = 1) -> Array:
         """Numbers of the elements ``tag``, one row each.
 
-        Plain elements are read at once, in a sixth of the time that others take, which are read one by one.
+        Plain elements are read together, in a sixth of the time; other elements are read one by one.
 
         Parameters
         ----------

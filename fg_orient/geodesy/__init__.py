@@ -139,8 +139,8 @@ def to_ecef_with_operation(
 ) -> tuple[Array, Operation]:
     """ECEF coordinates as in :func:`to_ecef`, and the operation.
 
-    Messages contain the places ``labels`` of the points. The area of the points ``deciding`` (N,) decides
-    on the operation, or that of all points if it is absent or selects none.
+    Messages contain the places ``labels`` of the points. The area of the points ``deciding`` (N,) selects the
+    operation; if it is absent or empty, the area of all points.
     """
     first, second, third = (np.atleast_1d(np.asarray(a, float)) for a in (east_or_lon, north_or_lat, height))
     source, kind = spatial_crs(crs), crs_kind(crs)
@@ -244,12 +244,12 @@ def _horizontal(source: str, target: str, first: npt.ArrayLike, second: npt.Arra
 
 
 def same_crs(one: str, other: str) -> bool:
-    """True if two CRS (WKT or EPSG codes) are the same but for the order of their axes; InputError if unknown."""
+    """Return whether two CRS (WKT or EPSG codes) differ only in the order of their axes; InputError if unknown."""
     return bool(known_crs(one).equals(known_crs(other), ignore_axis_order=True))
 
 
 def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
-    """West, south, east, north (degrees) of the area for which a CRS was made; None if it states none."""
+    """West, south, east, north (degrees) of the area for which a CRS was made; None if it states no area."""
     area = known_crs(crs).area_of_use
     return None if area is None else (area.west, area.south, area.east, area.north)
 

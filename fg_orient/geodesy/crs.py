@@ -1,7 +1,7 @@
 """Names of coordinate reference systems in files, the order of their axes, and the transformation from ECEF.
 
 Other programs' files name their CRS by WKT, by a PROJ string or by words; this package names it by an EPSG code.
-:func:`known_shifts`: by how much coordinates of other datums differ if they are taken for WGS84 ones.
+:func:`known_shifts`: differences of coordinates of other datums from WGS84 coordinates of the same place.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def _without_null_shift(crs: CRS) -> CRS:
 
 
 def _code_of(crs: CRS) -> int | None:
-    """EPSG number of a horizontal CRS: the stated number, else that of the CRS that PROJ finds equal."""
+    """EPSG number of a horizontal CRS: the stated number, else the number of the CRS that PROJ finds equal."""
     stated = crs.to_json_dict().get("id", {})
     if stated.get("authority") == "EPSG":
         return int(stated["code"])

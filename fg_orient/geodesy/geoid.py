@@ -53,7 +53,7 @@ _EGM96_M: Final = """
 -22 -21 -20 -18 -17 -13 -10 -7 -3 1 4 4 6 8 5 4 -2 -14 -24 -34 -41 -49 -50 -54 -51 -30 -30 -30 -30 -30 -30 -30 -30 -30
 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30
 """
-#: What undulations can be that are no metres above the ellipsoid: factor that puts them right.
+#: Possible wrong units and signs of undulations: factor that corrects them.
 MISTAKES: Final = {
     "has the opposite sign": -1.0, "is in feet": 0.3048, "is in centimetres": 0.01, "is in millimetres": 0.001,
 }  # fmt: skip
@@ -72,7 +72,7 @@ def world_undulation_m(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
 
 
 def mistake(undulation_m: Array, lon_deg: Array, lat_deg: Array) -> tuple[str, float]:
-    """What is wrong with undulations (N,) m, in words, and their median; "" if they can be those of a geoid."""
+    """Describe the error of undulations (N,) m, and their median; "" if they can be undulations of a geoid."""
     world, median = world_undulation_m(lon_deg, lat_deg), float(np.median(undulation_m))
     apart = {what: float(np.median(np.abs(factor * undulation_m - world))) for what, factor in MISTAKES.items()}
     if np.abs(undulation_m - world).max() <= LIMIT_M:

@@ -12,8 +12,8 @@ process them further.
 
 Look-angle collinearity (:func:`rows_of_form`): many observations in one vector instruction. Observations are copied in
 blocks to arrays whose entries lie BLOCK apart, and their rows are copied back. Over a block the loop over
-``pushbroom.collinearity`` has neither branches nor calls. Nothing is fused or reordered: a residual is the same number
-in a factor and in a batch, whatever its place in a block.
+``pushbroom.collinearity`` has neither branches nor calls. Operations are not fused or reordered: a residual is the same
+number in a factor and in a batch, whatever its place in a block.
 """
 
 from __future__ import annotations

@@ -8,10 +8,10 @@ At each pixel u of the window, counted from its centre::
 The unknowns are q (line, sample of the window's centre in the second image), the radiometric r0, r1, and the elements
 of A, or only those that a sensor model leaves open: A = A0 + e s^T, where e is the direction of the epipolar line and s
 the change of the parallax along the window (the slope of the ground); the curvature of the ground adds the second
-powers of u along e. Weights are Gaussian about the centre. The covariance of q is that of least squares, s0^2 (J^T P
-J)^-1, with s0^2 = v^T P v / (n - u). It knows the noise and the texture (Förstner 1982), but neither correlations of
-the noise nor errors of the model: callers multiply it by a factor that they estimate. Pixels are (line, sample) with
-(0, 0) = centre of the first pixel of the arrays.
+powers of u along e. Weights are Gaussian about the centre. The covariance of q is the least-squares covariance, s0^2
+(J^T P J)^-1, with s0^2 = v^T P v / (n - u). It contains the noise and the texture (Förstner 1982), but neither
+correlations of the noise nor errors of the model: callers multiply it by a factor that they estimate. Pixels are (line,
+sample) with (0, 0) = centre of the first pixel of the arrays.
 """
 
 from __future__ import annotations

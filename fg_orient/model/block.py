@@ -73,7 +73,7 @@ class Coordinates:
         return Coordinates(self.ecef_m[rows], self.sigma_enu_m[rows], self.fixed[rows])
 
     def only(self, known: Mask) -> Coordinates:
-        """All rows, without the coordinates of those that are not ``known`` (n,)."""
+        """Return all rows; rows that are not ``known`` (n,) lose their coordinates."""
         ecef_m, sigma_m = (np.where(known[:, None], values, np.nan) for values in (self.ecef_m, self.sigma_enu_m))
         return Coordinates(ecef_m, sigma_m, self.fixed & known)
 
@@ -165,7 +165,7 @@ class ImagePoints:
 
 @dataclass(frozen=True, eq=False)
 class ExtraObservation:
-    """An observation of any registered equation, beyond image and control points.
+    """An observation of any registered equation, in addition to image and control points.
 
     Parameters
     ----------

@@ -102,7 +102,7 @@ class Constraint:
 
     @property
     def surplus(self) -> int:
-        """Residuals of a figure minus its unknowns: 0 if it goes through any such points."""
+        """Residuals of a figure minus its unknowns: 0 if it goes exactly through any points."""
         rows, free = SIZES[self.kind]
         return len(self.members) * rows + len(self.observed) - free
 

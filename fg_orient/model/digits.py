@@ -28,7 +28,7 @@ def last_digit(text: str, significant: int | None = None) -> float:
 
 
 def agreement(off: float, printed: float, unit: float, sigma: float = math.nan) -> Agreement:
-    """First agreement that holds; "differs" if there is none or the difference is nan.
+    """Return the first agreement that is met; "differs" if none is met or the difference is nan.
 
     Parameters
     ----------

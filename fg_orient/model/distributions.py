@@ -27,7 +27,7 @@ normal_probability = _of_arrays(special.ndtr)
 normal_quantile = _of_arrays(special.ndtri)
 #: Student's t: arguments degrees of freedom, probability.
 t_quantile = _of_arrays(special.stdtrit)
-#: Fisher's F: arguments degrees of freedom above and below, probability; F.
+#: Fisher's F: the arguments are the two degrees of freedom and the probability; the result is F.
 f_quantile = _of_arrays(special.fdtri)
 f_tail = _of_arrays(special.fdtrc)
 #: Beta distribution: arguments a, b, probability. The limit is accurate for small probabilities.

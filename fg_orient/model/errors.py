@@ -2,8 +2,8 @@
 
 A :class:`Finding` is the record of a failure, doubt, warning or note: a code with data. Its words come from the entry
 of the code (``fg_orient.model.messages``) when it is shown. ``<out>`` names an option there: "option out" for callers
-of the library, a flag on the command line. Exceptions hold findings and the exit code of the command line: 2 bad input,
-3 no solution.
+of the library, a flag on the command line. Exceptions contain findings and the exit code of the command line: 2 bad
+input, 3 no solution.
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ M_TRIM_THRESHOLD: Final = -1
 M_MMAP_THRESHOLD: Final = -3
 #: Free bytes at the top of the heap that are kept. glibc's own limit is 64 MiB for a process with large arrays.
 KEPT_BYTES: Final = 256 << 20
-#: Rows from which on it is worth the time to give memory back.
+#: Rows above which it is worth the time to give memory back.
 MANY_ROWS: Final = 100_000
 VERY_MANY_ROWS: Final = 500_000
 #: Size from which blocks come directly from the system: upper limit of glibc's adaptive rule, which a value disables.

@@ -84,7 +84,7 @@ ALL_SETS: Final = f"1-{len(EOP_SETS)}"
 class CellKey(NamedTuple):
     """Position of a number in the published tables; fields that do not apply are empty.
 
-    The values are those of the tables under ``fg_orient/studies/published``: for instance
+    The values occur in the tables under ``fg_orient/studies/published``: for instance
     ``CellKey("4.28", "5", "bundle", "1", "gcp", "rmse_x", "pivot_inverse")``.
     """
 

@@ -1,6 +1,6 @@
 """Named parameters of an image: EOP coefficients and look-angle polynomial.
 
-Codes are those of ``factors.cameras.pushbroom``: ``3 component + degree`` for the 27 EOP
+Codes are defined in ``factors.cameras.pushbroom``: ``3 component + degree`` for the 27 EOP
 coefficients, ``27 + 2 k`` and ``28 + 2 k`` for the coefficients of ``s^k`` in psi_x and
 psi_y. Unknowns are in prior sigmas, coefficients belong to tau in [-1, 1].
 """
@@ -31,7 +31,7 @@ CURVE, CURVES = 64, 32
 #: Degrees of tau in words.
 DEGREES = ("constant", "linear in time", "quadratic in time")
 
-#: Short names of terms, and in words what the degree is one of.
+#: Short names of terms, and the variable of their degree in words.
 _TERMS: Final = (
     (re.compile(rf"(?P<component>{'|'.join(COMPONENTS)})_(?P<degree>[012])"), "degree {} in time"),
     (re.compile(rf"(?P<component>{'|'.join(COMPONENTS)})_c[0-9]+(?P<degree>)"), "the curves"),
@@ -44,7 +44,7 @@ _TERMS: Final = (
 
 
 def eop_set_number(name: int | str) -> int:
-    """Number of an EOP set given by number or name; raises InputError if there is no such set."""
+    """Number of an EOP set given by number or name; raises InputError if the set is unknown."""
     text = str(name).strip().upper()
     for number, one in EOP_SETS.items():
         if text in (str(number), one.name):
@@ -75,7 +75,7 @@ def with_options(block: Block, caller: str, **given: Any) -> Block:
 
 
 def chosen_datum(options: Options, images: Sequence[Image], *, control: bool) -> Datum:
-    """Datum of a block: "auto" stands for "vendor" if only the metadata tell where the images lie, else for "control".
+    """Datum of a block: "auto" means "vendor" if only the metadata determine the images' position, else "control".
 
     ``control``: whether the block has control points, or observations that may replace them. "inner" stands for
     "vendor", too, where the metadata orient all images: these have no exact datum defect.
@@ -199,7 +199,7 @@ def require_unknowns(options: Options, codes: tuple[int, ...], file: str, known:
 
 
 def orientation_parameters(options: Options, file: str = "", camera: str = "") -> ImageParameters:
-    """Unknowns of a pushbroom image: EOP coefficients, then those of the look polynomial, then curves.
+    """Unknowns of a pushbroom image: EOP coefficients, then coefficients of the look polynomial, then curves.
 
     ``camera``: with option ``look_shared``, images of the same camera share the look polynomial. InputError if
     ``image_unknowns`` contains none of the unknowns.

@@ -1,7 +1,7 @@
 """A user's own file, loaded by the command line: it registers sensors, equations, solvers, kappa rules and losses.
 
 The command line imports the file of its option ``plugin`` before the command begins; from Python it is imported as any
-other module. Nothing else loads code: a project file that came from elsewhere cannot.
+other module. Nothing else loads code; a project file from another source cannot load code.
 """
 
 from __future__ import annotations

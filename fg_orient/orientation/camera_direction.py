@@ -1,6 +1,6 @@
 """Whether the other direction of the distortion polynomial fits better with the same terms.
 
-Brown's polynomial leads from measured to ideal coordinates or from ideal to measured ones. Its terms do not describe
+Brown's polynomial converts measured to ideal coordinates or ideal to measured coordinates. Its terms do not describe
 the same lenses in both directions: the inverse of a polynomial has infinitely many terms. If sigma0 is larger than
 chance allows, the block is adjusted once more with the other direction, and both are compared by Vuong's test (1989)
 of models of which none contains the other: the differences of the squared residuals of each image point have a mean
@@ -57,7 +57,7 @@ def with_direction(solution: Solution, block: Block, run: Callable[[Block], Solu
 
 
 def _better_direction(solution: Solution, block: Block, run: Callable[[Block], Solution]) -> tuple[Finding, ...]:
-    """Note on a better direction; nothing where sigma0 does not ask for one."""
+    """Return a note on a better direction; None if sigma0 gives no reason for a comparison."""
     problem = solution.problem
     judged = solution.weights is None and solution.components is None and solution.status is not Status.NOT_CONVERGED
     if not judged or not full_statistics(block.options, len(problem.observations), problem.n_image_unknowns):
@@ -87,8 +87,8 @@ def is_better(one: Solution, other: Solution) -> bool:
     """Whether the other of two solutions with the same observations and number of unknowns fits significantly better.
 
     The likelihood must grow more than that of one more unknown without effect would, and by more than chance makes of
-    the image points (Vuong 1989). Residuals are those of measured coordinates: of corrected ones they have the scale
-    of the correction.
+    the image points (Vuong 1989). Residuals refer to measured coordinates: residuals of corrected coordinates have the
+    scale of the correction.
     """
     squares, others = _squares(one), _squares(other)
     scale = float(others.sum()) / max(other.redundancy, 1)

@@ -84,7 +84,7 @@ def conclude(
 
 
 def cofactors_at(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None, tuple[Finding, ...]]:
-    """Cofactors of a solution, or why there are none."""
+    """Return the cofactors of a solution, or the reason why they do not exist."""
     if compiled.least_damping > 0.0:
         return None, (finding("unavailable.free_datum"),)
     loss = compiled.block.options.loss

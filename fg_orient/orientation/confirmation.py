@@ -2,7 +2,7 @@
 
 The named cause stays if the weighted sums of squares of observations and check points decrease by as much as the test
 of the cause demands, and by more than half of what exceeds their expectation: else something else explains more, and
-the cause is withdrawn. The linearised test that found the cause has no say in this.
+the cause is withdrawn. The linearised test that found the cause is not used for this decision.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ OF_SIGMAS: Final = ("verdict.sigma0", "verdict.gross_error")
 
 
 def confirmed(solution: Solution, run: Callable[[Block], Solution]) -> Solution:
-    """The solution with what a further adjustment says about its likely cause.
+    """Complete a solution with the result of a further adjustment on its likely cause.
 
     Parameters
     ----------

@@ -104,7 +104,7 @@ class FactorGraph:
         return {key: name for name, key in self._names().items()}[key]
 
     def factors(self, name: str) -> list[Any]:
-        """Factors of an image, a shared id or a ground point; of an eliminated point the factor that holds its rays.
+        """Factors of an image, a shared id or a ground point; for an eliminated point, the factor with its rays.
 
         Raises
         ------

@@ -43,9 +43,9 @@ WAITING_SHOWN: Final = 10
 class Incremental:
     """Adjustment that follows a growing block.
 
-    After each change, the unknowns of the tested blocks agree with those of :func:`fg_orient.adjust` to 1e-4 of their
-    standard deviations (thresholds and measured differences: docs/incremental.md). Only groups are evaluated
-    that changed, or whose images moved. :meth:`solution` removes the difference and computes all statistics.
+    After each change, the unknowns of the tested blocks agree with the unknowns of :func:`fg_orient.adjust` to 1e-4 of
+    their standard deviations (thresholds and measured differences: docs/incremental.md). Only groups are evaluated that
+    changed, or whose images moved. :meth:`solution` removes the difference and computes all statistics.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ class Incremental:
     def unknowns(self, image: str) -> Array:
         """Unknowns (k,) of an image in prior sigmas, in the order of ``solution().problem.parameters``.
 
-        InputError if there is no such image, or it waits.
+        InputError if the image is unknown, or if it waits.
         """
         names = [i.id for i in self._block.images]
         self._require_known(image in names and self._used_image[names.index(image)], f"image {image}")
@@ -172,7 +172,7 @@ class Incremental:
         return self._models[k].correction(self.unknowns(image))
 
     def ground_m(self, point: str) -> Array:
-        """Ground point (3,), ECEF m. InputError if there is no such point, or it waits."""
+        """Ground point (3,), ECEF m. InputError if the point is unknown, or if it waits."""
         ids = self._block.points.ids
         self._require_known(point in ids and self._used_point[ids.index(point)], f"point {point}")
         j = ids.index(point)

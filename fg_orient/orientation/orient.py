@@ -274,7 +274,7 @@ def adjust_from(block: Block, start: Callable[[Problem], State]) -> Solution:
 class _Run:
     """Adjustments with the same callbacks, in this process or in parts; see :func:`adjust`.
 
-    ``begin`` gives the start of the first adjustment, if it is not that of the problem.
+    ``begin`` gives the start of the first adjustment, if it is not the start of the problem.
     """
 
     execution: Execution | None

@@ -1,8 +1,8 @@
 """Data snooping in a block: observations of an adjustment for the loop of ``fg_orient.quality.rejection``.
 
-After each adjustment every excluded observation is predicted from the others with its covariance. Those that fit at
-the level at which they were excluded are readmitted, the most probable first, as long as each fits with those before
-it. The given block keeps all observations; the record names each excluded observation with its test.
+After each adjustment every excluded observation is predicted from the others with its covariance. Observations that fit
+at the level at which they were excluded are readmitted, the most probable first, as long as each fits together with the
+earlier ones. The given block keeps all observations; the record names each excluded observation with its test.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ def require_possible_search(block: Block) -> None:
 class _Removal:
     """Observations excluded together: ``rows`` of the given block's image points; ``control``: the point's coordinates.
 
-    ``test``, ``with_it`` and ``fit``: see :class:`ExcludedObservation`; ``rivals``: excluded with it, because nothing
-    tells which of them is wrong.
+    ``test``, ``with_it`` and ``fit``: see :class:`ExcludedObservation`; ``rivals``: excluded with it, because the data
+    do not show which of them is wrong.
     """
 
     point: int
@@ -196,7 +196,7 @@ class _Rounds:
             others = [r for r in of_point[j] if r is not removal]
             stay = self._staying(j, [removal, *others])
             back = [row for row in self._staying(j, others) if row not in stay]
-            if not back and not removal.control:  # its rivals are out, too: nothing is left to test it
+            if not back and not removal.control:  # its rivals are also left out, so no observation remains to test it
                 continue
             known = self._is_control(j, others) and self._full.observed[j] and not solution.problem.observed[j]
             part = removal.test.part

@@ -103,7 +103,7 @@ def folds_of(block: Block, count: int = 0) -> Parts:
 def cross_validate(block: Block, folds: Parts, **options: Any) -> CrossValidation:
     """Exclude each part (:func:`folds_of`) once and predict it from the others.
 
-    ``options`` are those of :func:`fg_orient.adjust`, which raises its errors if a part cannot be excluded.
+    ``options`` are the options of :func:`fg_orient.adjust`, which raises its errors if a part cannot be excluded.
     """
     image, ground, ids = [np.zeros((0, 2))], [np.zeros((0, 3))], list[str]()
     check_points = options.pop("check_points", None) or block.options.check_points
@@ -311,7 +311,7 @@ class _Runs:
         self.kept: tuple[str, ...] = ()
 
     def adjust(self, unknowns: tuple[str, ...]) -> Solution:
-        """Adjust with these unknowns; by default those of the options."""
+        """Adjust with these unknowns; by default with the unknowns of the options."""
         self._report(self._done, self.most, f"{len(unknowns)} unknowns" if unknowns else "all unknowns")
         self._done += 1
         given = {**self._options, **({"image_unknowns": unknowns} if unknowns else {})}

@@ -159,7 +159,7 @@ class Solution(AdjustmentResult):
         """Correction of an image in physical units, for ``project``, ``locate`` and ``rays`` of its sensor.
 
         ``Correction`` of a pushbroom image, compensation (6,) in pixels of an RPC image (``factors.cameras.rfm``).
-        InputError if there is no such image.
+        InputError if the image is unknown.
         """
         if image not in [i.id for i in self.block.images]:
             raise InputError.of("covariance.no_such", place="correction", value=image)
@@ -294,7 +294,7 @@ class Solution(AdjustmentResult):
 
         Without names: datum of the adjustment, inner constraints on all ground points.
 
-        NoSolutionError: not a free network (``datum = "inner"``), or no covariance. InputError: no such image or point,
+        NoSolutionError: not a free network (``datum = "inner"``), or no covariance. InputError: unknown image or point,
         or they do not fix all motions.
         """
         from fg_orient.quality.free_network import FreeNetwork

@@ -59,17 +59,17 @@ POSITIVE: Final = 1e-12
 ASPRS_MINIMUM = 30
 #: Factors from the RMSE of one axis to the radius or half-length of 90 or 95 % of normal errors (NSSDA, appendix 3-A).
 CIRCULAR_90, CIRCULAR_95, LINEAR_90, LINEAR_95 = 2.1460, 2.4477, 1.6449, 1.9600
-#: Least ratio of East and North RMSE for which the circular factors hold (NSSDA, appendix 3-A).
+#: Least ratio of East and North RMSE for which the circular factors are valid (NSSDA, appendix 3-A).
 CIRCULAR_RATIO = 0.6
 
 
 @dataclass(frozen=True)
 class Beyond:
-    """Check coordinates beyond ``RATIO_LIMIT`` standard deviations, and the probability of their number by chance.
+    """Number of check coordinates above ``RATIO_LIMIT`` standard deviations, and its probability by chance.
 
     The number is compared with its distribution under the joint covariance (:func:`numbers_by_chance`), because common
-    errors of the images make several coordinates large at once. Sidak's limit of the largest of n holds for correlated
-    coordinates, too.
+    errors of the images make several coordinates large at once. Sidak's limit of the largest of n is also valid for
+    correlated coordinates.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class Beyond:
 
     @property
     def sentence(self) -> str:
-        """Number and expected number in one sentence; "" if no coordinate is beyond the limit."""
+        """State number and expected number in one sentence; "" if no coordinate is above the limit."""
         if not self.count:
             return ""
         p = "" if self.probability is None else f", probability of this number or more {100.0 * self.probability:.2g} %"
@@ -231,7 +231,7 @@ class PointDifferences:
         return out
 
     def suspicious(self) -> list[tuple[str, str, float, float]]:
-        """Check coordinates beyond the limit: (id, axis, difference m, ratio), worst first."""
+        """Return check coordinates above the limit: (id, axis, difference m, ratio), worst first."""
         ratio = self.ratio
         rows = [(self.ids[i], AXES[k], float(self.enu_m[i, k]), float(ratio[i, k]))
                 for i, k in zip(*np.nonzero(ratio > RATIO_LIMIT), strict=True)]  # fmt: skip
@@ -244,7 +244,7 @@ class PointDifferences:
 
     @cached_property
     def covariance_m2(self) -> Array | None:
-        """Joint covariance (3k, 3k) of the selected differences; None where it is not available."""
+        """Return the joint covariance (3k, 3k) of the selected differences; None if it is not available."""
         rows = self.selected
         if self.joint is None or not len(rows):
             return None
@@ -255,7 +255,7 @@ class PointDifferences:
 
     @cached_property
     def beyond(self) -> Beyond:
-        """Number of check coordinates beyond the limit, and its probability by chance."""
+        """Compute the number of check coordinates above the limit, and its probability by chance."""
         n, rows = int(np.count_nonzero(~np.isnan(self.ratio))), self.suspicious()
         farthest = math.sqrt(float(chi_square_limit(1, sidak(CHANCE, n)))) if n else float("nan")
         far = tuple(dict.fromkeys(name for name, _, _, ratio in rows if ratio > farthest))

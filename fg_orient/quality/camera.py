@@ -3,8 +3,8 @@
 A shift of the principal point together with a rotation has nearly the effect of decentring distortion; a change of the
 principal distance together with the distance from the object has nearly none on parallel photos of a flat object. The
 sums of these effects are determined, the single values are not, and each standard deviation is
-``1 / sqrt(1 - rho^2)`` times as large as with the others held. Each camera is judged by the multiple correlation rho of
-x0 or y0 with p1 and p2 together, which does not depend on the order of p1 and p2, and by the median correlation of c
+``1 / sqrt(1 - rho^2)`` times as large as with the others held. Each camera is assessed by the multiple correlation rho
+of x0 or y0 with p1 and p2 together, which does not depend on the order of p1 and p2, and by the median correlation of c
 with the projection centre along the view.
 """
 
@@ -24,7 +24,7 @@ from fg_orient.quality.cofactors import Cofactors
 from fg_orient.sensors.frame import FrameSensor
 from fg_orient.sensors.frame_unknowns import INTERIOR
 
-#: Correlation from which on parameters count as inseparable: standard deviations are 3.2 times as large.
+#: Correlation above which parameters are inseparable: standard deviations are 3.2 times as large.
 INSEPARABLE: Final = 0.95
 #: Names in close range and of frame images.
 DISTANCE: Final[tuple[str, ...]] = ("c", "focal")

@@ -1,4 +1,4 @@
-"""A mistake that was tried against a block, and what all such trials share."""
+"""A mistake that was tested with a block, and common functions of these tests."""
 
 from __future__ import annotations
 

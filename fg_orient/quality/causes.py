@@ -44,9 +44,9 @@ from fg_orient.quality.stated_sigmas import StatedSigma
 
 #: Probability that a cause is named although there is no mistake, where causes are tried.
 ALPHA: Final = 0.001
-#: Twofold logarithm of the likelihood ratio below which two causes cannot be told apart: 1 to 100.
+#: Twice the logarithm of the likelihood ratio below which two causes cannot be distinguished: 1 to 100.
 APART: Final = 2.0 * np.log(100.0)
-#: Number of control points above which nothing is tested, causes named together.
+#: Number of control points above which causes are not tested; number of causes named together.
 MOST: Final = 300
 NAMED: Final = 3
 #: Factor of sigmas above which residuals have other reasons.
@@ -81,7 +81,7 @@ def of_solution(
     problem: Problem, estimate: Estimate, cofactors: PointCofactors | None, sigmas: Sequence[StatedSigma],
     check: PointDifferences, residuals: ResidualCofactors | None = None,
 ) -> tuple[tuple[Finding, ...], Supposed | None]:  # fmt: skip
-    """Note on the most likely cause and those like it; empty if an error of one point explains more.
+    """Name the most likely cause and similar causes in a note; empty if an error of one point explains more.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ class UnseenMistake:
 
 
 def unseen_mistakes(known: ResidualCofactors, check: PointDifferences) -> tuple[UnseenMistake, ...]:
-    """Mistakes that this block cannot show, because its unknowns take them up, and what is assumed instead.
+    """List mistakes that this block cannot show, because its unknowns absorb them, and the assumptions instead.
 
     The non-centrality of a mistake is the decrease of the weighted sum of squares that its true size would give without
     noise (M of this module). Below the limit a test at a level of 0.1 % finds it in fewer than 20 % of cases. Blocks

@@ -26,7 +26,7 @@ TRENDS: Final = {"bias": (0, 1, 2), "drift": (3, 4, 6, 7), "tilt": (5, 8)}
 
 
 def number_statistic(ratio: Array) -> Array:
-    """Number of ratios (..., n) beyond the limit, and in its fraction the largest ratio, which orders equal numbers."""
+    """Return the number of ratios (..., n) above the limit; its fraction, the largest ratio, orders equal numbers."""
     largest = ratio.max(axis=-1)
     return np.asarray((ratio > RATIO_LIMIT).sum(axis=-1) + largest / (1.0 + largest))
 
@@ -43,7 +43,7 @@ def numbers_by_chance(c: Array, draws: int = DRAWS) -> Array:
 
 
 def probability_of_number(statistic: npt.ArrayLike, null: Array) -> Array:
-    """Probability of this :func:`number_statistic` or more among those by chance, ascending."""
+    """Return the probability of this :func:`number_statistic` or more, from ascending values by chance."""
     return np.asarray((1.0 + len(null) - np.searchsorted(null, statistic)) / (1.0 + len(null)))
 
 

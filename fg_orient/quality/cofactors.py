@@ -61,7 +61,7 @@ class Cofactors(PointCofactors, Protocol):
         ...
 
     def star(self) -> Star | None:
-        """Cofactors of images and points where images are eliminated first; None for others."""
+        """Return cofactors of images and points if images are eliminated first; else None."""
         ...
 
     def rays(self, problem: Problem, state: State) -> RayCofactors:
@@ -70,7 +70,7 @@ class Cofactors(PointCofactors, Protocol):
 
 
 class CommonCofactors(ABC):
-    """Common part of classes of :class:`Cofactors`: what follows from ``joint``, or from ``points`` and ``blocks``."""
+    """Common part of classes of :class:`Cofactors`: methods that need only ``joint``, or ``points`` and ``blocks``."""
 
     problem: Problem
 

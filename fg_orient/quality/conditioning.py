@@ -2,8 +2,8 @@
 
 The condition is the same measure for all backends. A Tikhonov solver of the dense backend shortens each step and
 chooses kappa for each step. The L-curve belongs to the equations at the approximate values, where the step is longest;
-at the solution all steps are zero. Sigmas, and under a loss weights, are those of the result; without a loss the
-equations are those of the first Gauss-Newton step.
+at the solution all steps are zero. Sigmas, and under a loss weights, are taken from the result; without a loss the
+equations belong to the first Gauss-Newton step.
 """
 
 from __future__ import annotations

@@ -48,11 +48,11 @@ if TYPE_CHECKING:
     import gtsam
     import pandas
 
-#: Condition of the column-scaled Jacobian beyond which the dense backend withholds the covariance: there the
+#: Condition of the column-scaled Jacobian above which the dense backend withholds the covariance: there the
 #: relative rounding error of a cofactor, about eps cond, exceeds 1e-3. GTSAM's Cholesky fails much earlier on some
 #: well-posed systems (a condition of 3e4 was seen); the standard deviations given here are then correct and large.
 CONDITION_LIMIT = 1e12
-#: Points named by extra observations beyond which one inverse replaces GTSAM's joint marginals of each point, and the
+#: Points named by extra observations above which one inverse replaces GTSAM's joint marginals of each point, and the
 #: largest number of unknowns of this inverse: 32 MB.
 MANY_POINTS = 32
 INVERTED = 2000
@@ -193,7 +193,7 @@ class GraphCofactors(ReducedCofactors):
         order = gtsam.Ordering()
         points = np.flatnonzero(self._problem.active).tolist()
         known = [*(key for key, _ in vector_keys(self._problem)), *map(point_key, points)]
-        for key in (*known, *sorted({*self._linear.keys()} - {*known})):  # others are those of figures
+        for key in (*known, *sorted({*self._linear.keys()} - {*known})):  # others belong to figures
             order.push_back(key)
         normal = np.asarray(self._linear.hessian(order)[0])
         length = np.sqrt(np.diag(normal))

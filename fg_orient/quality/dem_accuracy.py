@@ -33,7 +33,7 @@ MAX_STEPS, STEP_M = 30, 1e-3
 #: Steps after which the selection of points is kept: points near the limit would otherwise change in every step.
 CHOOSING_STEPS: Final = 8
 LEAST_POINTS: Final = 10
-#: Condition of the scaled slopes and the constant beyond which East, North and Up are not separable.
+#: Condition of the scaled slopes and the constant above which East, North and Up are not separable.
 CONDITION: Final = 1e3
 CONFIDENCE: Final = 0.95
 
@@ -133,7 +133,7 @@ def compare_dem(ground_m: Array, dem: HeightSurface) -> DemComparison:
 def compare_points(
     block: Block, ground_m: Array, dem: HeightSurface | str | Path, role: str | None = None
 ) -> DemComparison:
-    """Compare the points of a block, or those of one role, with an elevation model or the raster of this name.
+    """Compare all points of a block, or the points of one role, with an elevation model or a raster file.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def compare_points(
 
 
 def rows_of_role(roles: Sequence[str], role: str | None) -> list[int]:
-    """Rows of the points of a role, of all points for None; InputError without such points."""
+    """Return the rows of the points of a role, of all points for None; InputError if there are no points."""
     if role is not None and role not in roles:
         raise InputError.of("accuracy.role", place="role", value=role, known=", ".join(sorted(set(roles))))
     return [k for k, given in enumerate(roles) if role in (None, given)]
@@ -194,7 +194,7 @@ def _near(d: Array, known: Mask) -> Mask:
 
 
 def _shift(ground: Array, dem: HeightSurface) -> tuple[Shift | None, Finding | None]:
-    """Shift by Gauss-Newton, without blunders by the NMAD of each step; None and the reason if not determined."""
+    """Estimate the shift by Gauss-Newton, without blunders by each step's NMAD; None and a reason if impossible."""
     axes, shift, kept = _axes(ground), np.zeros(3), np.zeros(len(ground), bool)
     for k in range(MAX_STEPS):
         moved = ground - np.einsum("k,nkj->nj", shift, axes)

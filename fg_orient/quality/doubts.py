@@ -1,4 +1,4 @@
-"""Doubts that follow from tests: gross errors, corrections beyond their priors, a required accuracy that is missed.
+"""Doubts that follow from tests: gross errors, corrections too large for their priors, a required accuracy not reached.
 
 Each doubt has a share of the probability that a block without mistakes ends with exit code 4 (:data:`BUDGET`).
 A user accepts a doubt by its code, its place and, if wanted, a limit of its size (:func:`with_accepted`).
@@ -105,7 +105,7 @@ def wrong_sigmas(sigmas: Sequence[StatedSigma]) -> list[Finding]:
 
 
 def gross_errors(tests: OutlierTests, accept: Sequence[str] = ()) -> list[Finding]:
-    """Doubt on the most suspicious observation that is not accepted, after the accepted ones.
+    """Return the doubts on accepted observations, then the doubt on the most suspicious other observation.
 
     A gross error makes other observations suspicious, too: they are counted only. An error that the given sigmas allow
     (Baarda's test of this observation alone) is not a doubt, although it is large relative to a small sigma0.
@@ -152,7 +152,7 @@ def exceeded_priors(problem: Problem, state: State, cofactors: Cofactors) -> lis
 
 
 def of_check_points(check: PointDifferences) -> list[Finding]:
-    """Doubt on check coordinates beyond 3 standard deviations, unless chance explains largest and number."""
+    """Return the doubt on check coordinates above 3 standard deviations, unless chance explains maximum and number."""
     beyond, out = check.beyond, list[Finding]()
     if beyond.far:
         out.append(finding("verdict.check_far", size=beyond.largest, limit=beyond.largest_limit, n=beyond.n,

@@ -104,7 +104,7 @@ def image_columns(problem: Problem, images: Index) -> Index:
 def free_cofactors(
     problem: Problem, joint: Callable[[tuple[int, ...], tuple[int, ...]], Array], named: list[int]
 ) -> Array:
-    """Cofactors of all image unknowns (shared ones once), then of named points; ``joint``: see ``Cofactors``."""
+    """Return cofactors of all image unknowns (shared once), then of named points; ``joint``: see ``Cofactors``."""
     q = joint(tuple(range(problem.n_images)), tuple(named))
     if problem.ties is None:
         return q
@@ -115,7 +115,7 @@ def free_cofactors(
 def eliminated_points(
     problem: Problem, rows: Rows, named: list[int] | tuple[int, ...] = (), *, only: Index | None = None, groups: int = 0
 ) -> Iterator[PointRows]:
-    """Eliminate ground points, those with the same number of rows together.
+    """Eliminate ground points; points with the same number of rows are eliminated together.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def _eliminated(
     problem: Problem, jacobians: Rows, points: Index, seen: Index, observed: bool, eliminate: bool | None,
     named: list[int] | tuple[int, ...],
 ) -> PointRows:  # fmt: skip
-    """Points (P,) with image points ``seen`` (P, m); ``eliminate``: None for named points, False for fixed ones."""
+    """Prepare points (P,) with image points ``seen`` (P, m); ``eliminate``: None for named, False for fixed points."""
     (n, m), o = seen.shape, problem.observations
     r, ground = 2 * m + 3 * observed, np.zeros((n, 2 * m + 3 * observed, 3))
     ground[:, : 2 * m] = jacobians.ground[seen].reshape(n, 2 * m, 3)
@@ -192,7 +192,7 @@ def extra_rows(problem: Problem, state: State, named: list[int], begin: int = 0)
 
 
 def reduced_rows(problem: Problem, rows: Rows, state: State | None = None) -> Array:
-    """Rows (q, z) of all image unknowns (shared ones once) with the ground points eliminated; priors are left out.
+    """Rows (q, z) of all image unknowns (shared unknowns once) after elimination of the points; without priors.
 
     Rows of points that the same images see are compressed by QR before they are put together, so that q does not grow
     with the number of points.

@@ -56,7 +56,7 @@ def adjusted_figures(problem: Problem, state: State, cofactors: Cofactors, scale
 
 
 def constraint_records(problem: Problem, state: State) -> list[dict[str, Any]]:
-    """Constraints for JSON: sigma (None: hard), RMS and largest size of their misclosures."""
+    """Return constraints for JSON: sigma (None: hard), RMS and largest size of their misclosures."""
     return [
         {"constraint": e.label, "sigma": e.constraint.sigma, "rms": float(np.sqrt(np.mean(c**2))),
          "largest": float(np.abs(c).max())}

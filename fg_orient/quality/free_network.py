@@ -1,20 +1,20 @@
 """Free networks: inner constraints and S-transformations.
 
-The Jacobian of a network without control has a null space E: motions without effect on the observations. Constraints
-``E^T D (x - x_0) = 0``, as many as motions, select one solution; the diagonal matrix D selects the unknowns of the
-datum. All choices have the same residuals and the same shape, and each follows from any other by an S-transformation
-(Baarda 1973)::
+The Jacobian of a network without control has a null space E: motions without effect on the observations. One constraint
+per motion, ``E^T D (x - x_0) = 0``, selects one solution; the diagonal matrix D selects the unknowns of the datum. All
+choices have the same residuals and the same shape, and each follows from any other by an S-transformation (Baarda
+1973)::
 
     S = I - E (E^T D E)^-1 E^T D,    x_D = x_0 + S (x - x_0),    Q_D = S Q S^T
 
 With all unknowns in D this is the solution of the pseudo-inverse, with the least trace of Q (Meissl 1962); with some
 unknowns, the trace of their part is least (Koch 1999, 3.3).
 
-The adjustment uses a minimal datum: d image unknowns, as many as motions, each with one observation, selected by
-pivoting so that the datum is well conditioned. These observations get no residual, so shape and residuals are those of
+The adjustment uses a minimal datum: d image unknowns, one per motion, each with one observation, selected by
+pivoting so that the datum is well conditioned. These observations get no residual, so shape and residuals are equal to
 the free network, every backend solves regular equations, and no factor connects more variables. (Inner constraints as
 factors would connect all points.) The state is moved to the requested datum in steps with repeated adjustments, because
-a motion is not linear. The cofactors are those of the border of the normal equations (``fg_orient.adjustment.border``),
+a motion is not linear. The cofactors come from the border of the normal equations (``fg_orient.adjustment.border``),
 transformed where they are asked for.
 """
 
@@ -124,14 +124,14 @@ def motions_of(problem: Problem, state: State, near: BorderMatrix | None = None)
 
 
 def _widened(problem: Problem, moves: Array, ground: Array) -> Array:
-    """Motions (n, d) from those of the free image unknowns (z, d) and of the points (N, 3, d)."""
+    """Assemble motions (n, d) from motions of the free image unknowns (z, d) and of the points (N, 3, d)."""
     wide = moves if problem.ties is None else problem.ties.widened(moves)
     own = ground[problem.active]
     return np.vstack([wide, own.reshape(3 * len(own), moves.shape[1])])
 
 
 def _of_border(border: BorderMatrix, moves: Array) -> Array:
-    """Motions (n, d) from those of the border (b, d)."""
+    """Assemble motions (n, d) from the motions of the border (b, d)."""
     return _widened(border.problem, *border.movements(moves))
 
 
@@ -141,7 +141,7 @@ def without_priors(block: Block) -> Block:
 
 
 def with_minimal_datum(problem: Problem, null: Array) -> Problem:
-    """Hold image unknowns at their start values, as many as motions (z, d) of the unknowns, shared ones once."""
+    """Hold one image unknown per motion at its start value; motions (z, d) of the unknowns, shared unknowns once."""
     motions = null if problem.ties is None else problem.ties.widened(null)
     d = motions.shape[1]
     chosen = np.sort(qr(motions.T, mode="r", pivoting=True)[1][:d]) if d else np.zeros(0)
@@ -149,7 +149,7 @@ def with_minimal_datum(problem: Problem, null: Array) -> Problem:
 
 
 def _holding(problem: Problem, chosen: Index) -> Problem:
-    """Hold these image unknowns (d,) by observations, and no others."""
+    """Hold only these image unknowns (d,) by observations."""
     held = []
     for k, image in enumerate(problem.block.images):
         own = chosen[(chosen >= problem.first[k]) & (chosen < problem.first[k + 1])] - problem.first[k]
@@ -166,7 +166,7 @@ def _holding(problem: Problem, chosen: Index) -> Problem:
 
 
 def held_unknowns(problem: Problem) -> Index:
-    """Image unknowns (d,) that are held for the minimal datum, as many as motions."""
+    """Select image unknowns (d,) that are held for the minimal datum, one per motion."""
     held = [
         problem.first[problem.block.image_index(e.unknowns[0].removeprefix("image:"))] + e.record.astype(np.intp)
         for e in problem.block.extra
@@ -254,7 +254,7 @@ class FreeNetwork:
 
         S Q S^T = Q - E (A Q) - (A Q)^T E^T + E (A Q A^T) E^T,
 
-    of which only those elements are formed that are asked for.
+    of which only the requested elements are formed.
 
     Parameters
     ----------

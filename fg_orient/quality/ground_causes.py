@@ -34,7 +34,7 @@ UNDULATION_M, DATUM_M = 110.0, 1000.0
 AGREES: Final = 3.0
 #: Factors from units in which heights may be given to metres.
 UNITS: Final = {"feet": 0.3048, "US survey feet": 1200.0 / 3937.0, "kilometres": 1000.0}
-#: Points with a mistake of a part of a table at least, and most points of a group in which such parts are looked for.
+#: Points with a mistake of a part of a table at least, and most points of a group in which parts are searched.
 SOME: Final = 3
 MOST_SOME: Final = 100
 #: Name of the group of all measured points.
@@ -84,7 +84,7 @@ class GroundErrors:
     def of(
         cls, problem: Problem, state: State, cofactors: PointCofactors, check: PointDifferences
     ) -> GroundErrors | None:
-        """System of a solution; None without measured points that are unknowns."""
+        """Return the system of a solution; None without measured points that are unknowns."""
         control = np.flatnonzero(problem.observed)
         usable = problem.active[check.index] & (np.nan_to_num(check.own_sigma_enu_m) > 0.0).all(axis=1)
         rows = np.flatnonzero(usable)[:: -(-max(int(usable.sum()), 1) // MOST)]
@@ -199,7 +199,7 @@ class GroundErrors:
                         detail=partial(self._datum, theta, sigma))  # fmt: skip
 
     def _datum(self, error_m: Array, sigma_m: Array) -> str:
-        """The known datum whose coordinates differ by a constant vector, in words; "" if there is none."""
+        """Name the known datum whose coordinates differ by a constant vector; "" if there is none."""
         nearest = (AGREES, "")
         for one in self._known_shifts():
             away = error_m[:2] - (one.east_m, one.north_m)
@@ -229,7 +229,7 @@ class GroundErrors:
             )
 
     def _datums(self, name: str, members: Mask, axes: Array) -> Iterator[Cause]:
-        """Coordinates of some points of a group in another datum; for those of all see :meth:`_offsets`."""
+        """Transform some points of a group to another datum; for all points see :meth:`_offsets`."""
         for one in self._known_shifts():
             shift = np.array([one.east_m, one.north_m, 0.0])
             yield from self._of_some(
@@ -288,7 +288,7 @@ class GroundErrors:
 def _best_part(g: Array, normal: Array) -> tuple[Mask, float]:
     """Members (m,) whose errors of size 1 together have the largest gain ``2 sum(g) - sum(M)``, and this gain.
 
-    Members are added to none, and taken from all, one by one; the better of both ends counts.
+    Members are added to an empty set, and removed from the full set, one by one; the better result is used.
     """
     best = np.zeros(len(g), bool), 0.0
     for begin in (False, True):

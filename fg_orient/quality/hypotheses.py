@@ -153,7 +153,7 @@ def _limits(level: npt.ArrayLike, d: Index, redundancy: float | Array, test: str
 
 
 def level_of_each(p: Array, level: float, control: str) -> float:
-    """Level of single hypotheses with which the control holds over all.
+    """Return the level of single hypotheses that controls the false alarms of all.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ class GlobalTest:
 
 
 def global_test(chi2: float, redundancy: int, level: float = 0.001) -> GlobalTest | None:
-    """Two-sided chi-square test of the variance factor with a priori sigmas; None without redundancy.
+    """Test the variance factor by a two-sided chi-square test with a priori sigmas; None without redundancy.
 
     ``chi2`` is the weighted sum of squares of all residuals. InputError: the level is not between 0 and 1.
     """

@@ -200,7 +200,7 @@ def intersect(orientation: Orientation, pixels: Mapping[str, Pixel], *, sigma_px
 
 #: Gauss-Legendre nodes on a quarter circle: error below 1e-8 of probability for any ratio of the axes (tested).
 NODES: Final = 96
-#: Number of sigmas beyond which the normal density is negligible.
+#: Number of sigmas above which the normal density is negligible.
 FAR: Final = 9.0
 _NODE, _WEIGHT = np.polynomial.legendre.leggauss(NODES)
 

@@ -89,7 +89,7 @@ def with_sigmas(block: Block, group: str, factor: float) -> Block:
 
 
 def with_coordinates_of(block: Block, points: dict[str, str]) -> Block:
-    """Block in which control points have the coordinates of other ones, by their ids."""
+    """Return a block in which control points have the coordinates of other control points, by their ids."""
     place = {name: k for k, name in enumerate(block.points.ids)}
     ecef = block.points.known.ecef_m.copy()
     for name, other in points.items():

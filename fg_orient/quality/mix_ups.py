@@ -1,8 +1,8 @@
 """Mistakes that move points by thousands of pixels, found from the start values.
 
-An adjustment with such a mistake ends far from the solution, where a linearised test has no meaning. The control points
-are therefore projected with the orientation of the metadata, and another reading of the tables, or the coordinates of
-another control point, must fit ten times better (median distance).
+An adjustment with one of these mistakes ends far from the solution, where a linearised test has no meaning. The control
+points are therefore projected with the orientation of the metadata, and another reading of the tables, or the
+coordinates of another control point, must fit ten times better (median distance).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FAR_PX: Final = 30.0
 SAME: Final = 3.0
 #: Distance in pixels of points that a sensor cannot project: on the other side of the Earth, for instance.
 NOWHERE_PX: Final = 1e6
-#: Distance in metres from the centre of an image beyond which no point is projected: one that is may fail for all.
+#: Distance in metres from the centre of an image above which a point is not projected: all projections could fail.
 REACH_M: Final = 2e6
 #: Most control points whose places are compared.
 MOST_POINTS: Final = 300
@@ -65,7 +65,7 @@ READINGS: Final[dict[str, Reading]] = {
 
 
 def _unpacked(angle: Array, *, seconds: bool) -> Array:
-    """Degrees of an angle whose first two decimals are minutes, and whose next two are seconds if told so."""
+    """Return degrees of an angle whose first two decimals are minutes and, as an option, whose next two are seconds."""
     degrees = np.trunc(angle)
     minutes = (angle - degrees) * 100.0
     if seconds:
@@ -92,7 +92,7 @@ LOCAL_READINGS: Final[dict[str, Callable[[Array], Array]]] = {"X and Y exchanged
 
 @dataclass(frozen=True)
 class MixUp:
-    """Another reading that fits control points of an image far better.
+    """Another reading of the coordinates that fits control points of an image much better.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class MixUp:
     given_px: float
 
     def finding(self, block: Block) -> Finding:
-        """Doubt on this image."""
+        """Return the doubt on this image."""
         name = self.reading or f"the metadata of image {block.images[self.other].id}"
         return finding("solution.mix_up", image=block.images[self.image].id, n=len(self.points), of=self.of,
                        best_px=self.best_px, given_px=self.given_px, reading=name, before="", after="",
@@ -132,7 +132,8 @@ class MixUp:
 def mix_ups(block: Block) -> tuple[MixUp, ...]:
     """Images whose control points fit far better with another reading of their coordinates, or other metadata.
 
-    Three control points at least, and more than half of those that lie far from their places.
+    At least three control points, and more than half of the control points far from their image points, must fit
+    better.
 
     Parameters
     ----------
@@ -171,7 +172,7 @@ def _of_image(block: Block, k: int) -> MixUp | None:
 
 @dataclass(frozen=True)
 class IdMixUp:
-    """Control points whose image points show the places of other ones, or that have the coordinates of others.
+    """Control points whose image points show other control points, or with the coordinates of other control points.
 
     Parameters
     ----------
@@ -203,7 +204,8 @@ class IdMixUp:
 def id_mix_ups(block: Block) -> tuple[IdMixUp, ...]:
     """Control points whose image points lie near the place of another control point, and far from their own.
 
-    The metadata bring most points near to their places; whatever is farther off than ten times that is looked at.
+    The metadata project most points close to their image points; points with more than ten times this distance are
+    tested.
     """
     o, control = block.observations, block.points.where(Role.CONTROL)
     if not LEAST_POINTS <= len(control) <= MOST_POINTS:
@@ -249,7 +251,7 @@ def id_mix_ups(block: Block) -> tuple[IdMixUp, ...]:
 
 
 def with_right_ids(block: Block, found: Sequence[IdMixUp]) -> Block:
-    """The block in which control points have the coordinates of the places that they show; a copied one has none."""
+    """Give control points the coordinates of the places that they show; a copied control point gets none."""
     gone = np.isin(block.points.ids, [one.points[0][0] for one in found if one.copied])
     right = with_coordinates_of(block, {name: other for one in found if not one.copied for name, other in one.points})
     return replace(right, points=right.points.without_coordinates(gone, Role.TIE)) if gone.any() else right
@@ -350,5 +352,5 @@ def _projected(sensor: Any, ground_m: Array) -> Array:
 
 
 def _away(projected: Array, pixels: Array) -> Array:
-    """Distances (n,) in pixels of projected from measured image points; those that cannot be projected are far."""
+    """Return distances (n,) px of projected and measured image points; points that cannot be projected are far."""
     return np.asarray(np.nan_to_num(np.linalg.norm(pixels - projected, axis=1), nan=NOWHERE_PX, posinf=NOWHERE_PX))

@@ -7,7 +7,7 @@ motion is tested by its effect on all observations, with the ground points free.
 
 Navigation unknowns: shifts and drifts of strips, lever arm and boresight that only their priors determine. Directions
 of the block without priors that are determined worse than their prior sigma are held by the priors. An unknown is named
-if its share in such directions is at least :data:`HELD`.
+if its share in these directions is at least :data:`HELD`.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class _Part:
 
     @classmethod
     def of(cls, problem: Problem, rows: Rows, images: Index) -> _Part:
-        """Motions about the median of the points; the images take the unknowns that follow best."""
+        """Compute motions about the median of the points; the image unknowns follow them as closely as possible."""
         ground, image, point = problem.start.ground, problem.observations.image, problem.observations.point
         mine = np.flatnonzero(np.isin(image, images))
         points = np.unique(point[mine])
@@ -168,7 +168,7 @@ class _Part:
 
 
 def _free(problem: Problem, wide: Array) -> Array:
-    """Rows of all image unknowns, shared ones once."""
+    """Return the rows of all image unknowns, shared unknowns once."""
     return wide if problem.ties is None else np.asarray(wide[problem.ties.place])
 
 
@@ -233,7 +233,7 @@ def without(space: Array, directions: Array) -> Array:
 
 
 def _named(candidates: list[tuple[str, Array]], free: Array, size: Array) -> list[tuple[str, Array]]:
-    """Names and coefficients of motions that span the free ones (7, d)."""
+    """Return names and coefficients of motions that span the free motions (7, d)."""
     if not free.shape[1]:
         return []
     space = rest = np.linalg.qr(size @ free)[0]
@@ -288,7 +288,7 @@ _KINDS: Final = (
 
 
 def held_on_board(problem: Problem, values: Array, directions: Array, limit: float) -> tuple[str, ...]:
-    """Sentences on navigation unknowns that the priors hold: one per strip and kind.
+    """Return sentences on navigation unknowns that only the priors determine: one per strip and kind.
 
     Parameters
     ----------

@@ -157,10 +157,10 @@ def _name_by_unknowns(directions: Array, words: tuple[str, ...]) -> tuple[str, .
 
 
 def _raw_condition(s: Array, vt: Array, model: ImageModel) -> float:
-    """Condition with the unknowns in physical units per line, where the model has such coefficients.
+    """Return the condition number with the unknowns in physical units per line, if the model has such coefficients.
 
     Product of two norms, ``|J D| |D^-1 J^+|`` with ``J = U S V^T``. The inverse is computed in prior sigmas, where it
-    is accurate, so that conditions far beyond 1 / eps are correct.
+    is accurate, so that condition numbers far above 1 / eps are correct.
     """
     factors, own = model.per_line()[0], model.parameters.own
     unit = (model.parameters.sigma * np.where(np.isfinite(factors), factors, 1.0))[own]
@@ -230,7 +230,7 @@ class BlockObservability:
 
     @property
     def counts(self) -> dict[str, int] | None:
-        """Number of directions of the three classes; None for a block that is too large."""
+        """Return the number of directions of the three classes; None for a block that is too large."""
         s = self.singular_values
         if not len(s):
             return None
@@ -283,7 +283,7 @@ WORK_LIMIT: Final = 2e9
 
 
 def affordable(problem: Problem) -> bool:
-    """Whether the decomposition of the whole block takes much less time than its adjustment."""
+    """Return whether the decomposition of the whole block takes much less time than its adjustment."""
     return 2.0 * len(problem.observations) * problem.n_image_unknowns**2 <= WORK_LIMIT
 
 

@@ -30,7 +30,7 @@ GROUPINGS: Final = (*IMAGE_GROUPINGS, "control", "position", "height", "priors")
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """Group of each observation of a block; -1: none.
+    """Group of each observation of a block; -1 means no group.
 
     Parameters
     ----------
@@ -177,13 +177,13 @@ class GroupedResiduals:
 
     @cached_property
     def parts(self) -> GroupCofactors | None:
-        """Contributions of the groups to the cofactors; None if the block is too large."""
+        """Compute the contributions of the groups to the cofactors; None if the block is too large."""
         if cost(self.known.problem, len(self.groups.names)) > (LARGEST if self.largest is None else self.largest):
             return None
         return GroupCofactors(self.known, self.labels, len(self.groups.names))
 
     def medians(self) -> Array:
-        """Median of the quadratic form of each group's units over that of chi-square; nan if nothing is checked.
+        """Return the median quadratic form of each group's units over the chi-square median; nan if unchecked.
 
         Points with a single image point are left out: their form is the same for image and ground.
         """

@@ -85,7 +85,7 @@ class GroupTest:
 
 @dataclass(frozen=True)
 class OutlierTests(Sequence[GroupTest]):
-    """Tests of all suspects, most suspicious first, untested ones last; stored by columns, rows on demand.
+    """Tests of all suspects: most suspicious first, untested suspects last; stored by columns, rows on demand.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ class OutlierTests(Sequence[GroupTest]):
     @overload
     def __getitem__(self, place: slice) -> tuple[GroupTest, ...]: ...
     def __getitem__(self, place: int | slice) -> GroupTest | tuple[GroupTest, ...]:
-        """One test, or some; suspicious ones with their inseparable suspects."""
+        """Return one test, or some tests; suspicious tests have their inseparable suspects."""
         if isinstance(place, slice):
             return tuple(self[k] for k in range(*place.indices(len(self))))
         k = range(len(self))[place]

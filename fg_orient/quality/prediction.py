@@ -120,7 +120,7 @@ class Misclosures:
 
 
 def misclosures(full: Problem, rest: Problem, state: State, excluded: Sequence[Excluded]) -> list[Misclosures | None]:
-    """Misclosures of each group of excluded observations; None if they do not determine their ground point.
+    """Return the misclosures of each group of excluded observations; None if they do not determine their ground point.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def misclosures(full: Problem, rest: Problem, state: State, excluded: Sequence[E
 def consistency_in_turn(
     groups: Sequence[Misclosures], levels: Sequence[float], rest: Problem, cofactors: Cofactors, chi2: float, test: str
 ) -> list[ConsistencyTest]:
-    """Test groups one after the other, each with those before it that fit, in the linear model of one adjustment.
+    """Test groups in order, each with the earlier groups that fit, in the linear model of one adjustment.
 
     After group a is included, the misclosures of the others and their cofactors are ``v' = v - S_a S_aa^-1 v_a``,
     ``S' = S - S_a S_aa^-1 S_a^T``, and v^T v has increased by ``v_a^T S_aa^-1 v_a``.

@@ -5,8 +5,9 @@ Each domain supplies its fit and its tests, which may name several observations 
 (``fg_orient.quality.successive``); this loop decides which are left out or put back and when the search ends.
 
 An early choice among suspects may be wrong. After each fit the excluded observations are therefore predicted from the
-others, and those that fit are put back before another one is left out. Each observation returns at most once. Every
-round but the last is one of at most three changes of an observation (out, back, out again), so the search ends.
+others, and observations that fit are included again before another observation is left out. Each observation returns at
+most once. Every round but the last is one of at most three changes of an observation (out, back, out again), so the
+search ends.
 
 The record of a search in an adjustment (``fg_orient.orientation.outlier_search``) is :class:`Search`.
 """
@@ -33,7 +34,7 @@ MOST: Final = 0.25
 
 @dataclass(frozen=True)
 class Change(Generic[T]):
-    """Observations that were left out, or those that were put back, after a fit; nothing after the last fit."""
+    """Observations that were left out or included again after a fit; empty after the last fit."""
 
     left_out: tuple[T, ...] = ()
     put_back: tuple[T, ...] = ()
@@ -73,7 +74,7 @@ def reject(
     returning: Callable[[F, Sequence[T], Sequence[T]], Sequence[T]] = lambda *_: (),
     impossible: tuple[type[Exception], ...] = (),
 ) -> Rejection[F, T]:
-    """Leave out the worst observation and fit again until nothing is suspicious.
+    """Leave out the worst observation and fit again until no observation is suspicious.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ ALPHA, POWER = 0.001, 0.80
 CHECKABLE: Final = 0.01
 #: Smaller redundancy numbers are rounding errors of zero: quantities derived from them are not given.
 ROUNDING: Final = 1e-6
-#: Delta-bar above which an error counts as unseen: seven times the radius of the point's 95 % region. Three rays in a
+#: Delta-bar above which an error is unseen: seven times the radius of the point's 95 % region. Three rays in a
 #: plane count as two where two of them enclose less than 0.38 of the angle to the third one.
 UNSEEN: Final = 20.0
 
@@ -156,9 +156,9 @@ def unseen_shifts(known: ResidualCofactors) -> Array:
     """Shift (N, 3) of each unknown point to East, North, Up by an unseen error of one pixel; nan without such an error.
 
     An error of a ray along its least checked direction is unseen if the minimal detectable bias, both coordinates
-    tested together, shifts the point by more than :data:`UNSEEN` of its own sigmas: of a tie point with two rays along
-    the epipolar lines. The ray with the largest shift counts. Under a loss the rays have their final weights. The error
-    may have either sign; the largest component of the shift is positive.
+    tested together, shifts the point by more than :data:`UNSEEN` of its own sigmas. For a tie point with two rays this
+    direction is the epipolar line. The ray with the largest shift counts. Under a loss the rays have their final
+    weights. The error may have either sign; the largest component of the shift is positive.
     """
     problem, o, rays = known.problem, known.problem.observations, known.rays
     some, limit = [], UNSEEN / np.sqrt(noncentrality(dimension=2))

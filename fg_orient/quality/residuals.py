@@ -2,8 +2,8 @@
 
 Cofactors of the residuals are ``Q_vv = I - A N^-1 A^T``; the traces are redundancy numbers, and their sum is the
 redundancy (Baarda 1968). Residuals are whitened (divided by their a priori sigmas), adjusted minus observed. The
-cofactors are formed point by point from those of the images (``fg_orient.adjustment.cofactors``), for ground points
-that extra observations name from joint cofactors.
+cofactors are formed point by point from the cofactors of the images (``fg_orient.adjustment.cofactors``). For ground
+points named by extra observations they are formed from joint cofactors.
 
 Order of all rows: image points (line, sample), weighted control points ``np.flatnonzero(problem.observed)`` (East,
 North, Up; X, Y, Z in a local system), priors, extra observations.
@@ -59,12 +59,12 @@ FULL: Final = 8
 
 
 def parts_of_rows(n: int) -> list[slice]:
-    """Slices of n rows, at least one: temporary arrays of some rows stay in the cache, those of all take 1 GB."""
+    """Divide n rows into slices, at least one: temporary arrays of a slice fit into the cache."""
     return [slice(k, k + CHUNK) for k in range(0, max(n, 1), CHUNK)]
 
 
 def by_parts(n: int, some: Callable[[slice], Sequence[npt.NDArray[Any]]]) -> list[npt.NDArray[Any]]:
-    """Arrays of n rows, of which ``some`` computes a slice."""
+    """Compute arrays of n rows slice by slice; ``some`` computes a slice."""
     out = list[npt.NDArray[Any]]()
     for k in parts_of_rows(n):
         found = some(k)
@@ -256,7 +256,7 @@ class GroupCofactors:
 
     @cached_property
     def parts(self) -> Array:
-        """W (g + 1, u, u): contributions to the cofactors of the image unknowns (shared ones once)."""
+        """Return W (g + 1, u, u): contributions to the cofactors of the image unknowns (shared unknowns once)."""
         u = self._problem.n_free_unknowns
         return np.asarray(self._wide_parts[:, :u, :u])
 

@@ -10,9 +10,9 @@ A prior observation of a tested unknown has the value that the hypothesis states
 with the others drawn from their priors, the corrections therefore have the variance ``Q - Q P Q`` (P: inverse of the
 prior covariance of the tested unknowns, I in prior sigmas; Q and P are their blocks), not Q. T is their square in this
 variance, and m0 is that without these priors: ``m0^2 = (v^T P v - x^T (P^-1 - Q)^-1 x) / (f - d)``. T / (d m0^2) is
-F of d and f - d, and equal to the test of the adjustment without the priors of the tested unknowns. An unknown that its
-prior holds (``prior_share`` near 1) is never significant: the observations contain no information about it. Correlated
-unknowns may each be insignificant but significant together, so they are dropped one at a time
+F of d and f - d, and equal to the test of the adjustment without the priors of the tested unknowns. An unknown that
+only its prior determines (``prior_share`` near 1) is never significant: the observations contain no information about
+it. Correlated unknowns may each be insignificant but significant together, so they are dropped one at a time
 (``fg_orient.orientation.reduction``).
 """
 
@@ -190,7 +190,7 @@ def group_test(
 def under_priors(x: Array, q: Array, m0: float, f: float, estimated: bool) -> tuple[float, int, float]:
     """F of unknowns x (d,) in prior sigmas with cofactors q (d, d), number of tested directions, f without priors.
 
-    ``estimated``: m0 is that of all residuals, with f degrees of freedom; the priors of x are taken out of it.
+    ``estimated``: m0 is computed from all residuals, with f degrees of freedom, without the priors of x.
     """
     share, axes = np.linalg.eigh(q)  # share of the priors in each direction
     tested = 1.0 - share > CHECKED
@@ -268,7 +268,7 @@ def camera_significance(
 
 
 def places_of(problem: Problem, wanted: Callable[[str], object]) -> Index:
-    """Places in ``problem.image_columns`` of unknowns with a wanted name; shared ones in their first image."""
+    """Return places in ``problem.image_columns`` of the named unknowns; shared unknowns in their first image."""
     names = [name for parameters in problem.parameters for name in parameters.names]
     places = range(len(names)) if problem.ties is None else np.sort(problem.ties.place).tolist()
     return np.array([j for j in places if wanted(names[j])], np.intp)

@@ -1,6 +1,6 @@
-"""Stated standard deviations of groups of observations beside those that the residuals of one solution estimate.
+"""Stated standard deviations of groups of observations, and estimates from the residuals of one solution.
 
-The estimate is that of one round of variance components (``fg_orient.quality.variance_components``). The test asks
+The estimate comes from one round of variance components (``fg_orient.quality.variance_components``). The test decides
 whether the residuals of a group are larger than its sigmas allow. With whitened residuals v of the group, redundancy
 ``r = tr(R_gg)`` and ``S = tr(R_gg R_gg)``, the sum of squares ``q = v^T v`` has mean r and variance 2 S if all sigmas
 are right, and
@@ -38,7 +38,7 @@ WORDS: Final = {
 
 @dataclass(frozen=True)
 class StatedSigma:
-    """Stated sigma of a group and what its residuals say.
+    """Stated sigma of a group and its estimate from the residuals.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def stated_sigmas(known: ResidualCofactors, without: OutlierTests | None = None)
 
 
 def _common(problem: Problem, group: str) -> float | None:
-    """Sigma that all observations of a group have; None if they differ."""
+    """Return the sigma that all observations of a group have; None if they differ."""
     if group == "image":
         o = problem.observations
         values = np.concatenate([o.sigma_line_px, o.sigma_sample_px])

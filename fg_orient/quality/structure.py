@@ -2,13 +2,13 @@
 
 Unknowns and observations form a bipartite graph. Its coarse decomposition (Dulmage & Mendelsohn 1958) gives the
 unknowns that have no observation under the best assignment. All unknowns of an image occur in the same observations,
-and so do the three coordinates of a ground point. Whole images and ground points therefore take the place of single
-unknowns. The assignment is a flow: an image point supplies two observations, a control point three; an image needs as
-many as it has unknowns, a ground point three.
+and so do the three coordinates of a ground point. Whole images and ground points are therefore used instead of single
+unknowns. The assignment is a flow: an image point supplies two observations, a control point three; an image needs one
+observation per unknown, a ground point three.
 
-Most blocks need no flow. Each point may take its three in equal shares from its image points. If the rest is enough for
-each image, these shares are a fractional flow, and an integer flow exists too (the constraints of a flow are totally
-unimodular). This test reads the observations a few times.
+Most blocks need no flow. Each point may get its three observations in equal shares from its image points. If the rest
+is enough for each image, these shares are a fractional flow, and an integer flow exists too (the constraints of a flow
+are totally unimodular). This test reads the observations a few times.
 """
 
 from __future__ import annotations

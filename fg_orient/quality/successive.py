@@ -1,15 +1,15 @@
 """Suspects that a search would leave out one after the other, from one adjustment.
 
-After a suspect with the columns e of its error is left out, the residuals of the others and their cofactors are in the
-linear model those of the adjustment without it (Kok 1984)::
+After a suspect with the columns e of its error is left out, the residuals of the other observations and their cofactors
+are, in the linear model, equal to an adjustment without it (Kok 1984)::
 
     v' = v - Q e (e^T Q e)^+ e^T v,     Q' = Q - Q e (e^T Q e)^+ e^T Q,     v^T v' = v^T v - T,     f' = f - d
 
-so that the tests of the next rounds follow from those of this round. The search adjusts again with all of them left
-out, tests all observations anew, and takes back what fits.
+so that the tests of the next rounds follow from the tests of this round. The search adjusts again with all of them left
+out, tests all observations again, and includes observations that fit.
 
 Rays of a point with three and more may be *rivals*: each alone explains the residuals, with likelihoods that differ by
-less than 1 to 100. Nothing tells which one is wrong, so all go.
+less than 1 to 100. The data do not show which one is wrong, so all of them are left out.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ def successive(known: ResidualCofactors, tests: OutlierTests, chi2: float, kind:
 def _test(
     tests: OutlierTests, place: int, t: float, d: int, error: Array, probability: float, chi2: float, f: float
 ) -> GroupTest:
-    """Test of a suspect without those before it."""
+    """Test a suspect without the earlier suspects."""
     at = np.array([t]), np.array([d])
     return replace(
         tests[place], dimension=int(d), statistic=float(hypotheses.statistics(*at, chi2, f, tests.test)[0]),

@@ -146,7 +146,7 @@ def _whole_points(known: ResidualCofactors) -> list[Suspects]:
 
 
 def _joint_of_each(problem: Problem, cofactors: Cofactors, part: PointRows, named: list[int]) -> Array:
-    """Joint cofactors (P, c, c) of the columns of each ground point, where those of all images are too many."""
+    """Compute joint cofactors (P, c, c) of the columns of each ground point, if all images have too many columns."""
     own, size, c = part.point[0] in named, np.diff(problem.first), part.columns.shape[1]
     out = np.empty((len(part.point), c, c))
     for place, images in enumerate(part.kind[:, : part.kind.shape[1] - own].tolist()):

@@ -101,7 +101,7 @@ def one_round(
 
 
 def _hold(s: Array, r: Array, held: list[str], keep: Sequence[bool], judge: bool) -> tuple[Mask, Array]:
-    """Hold components, the worst first, until each estimate is larger than its standard deviation.
+    """Hold components at the given sigmas, the worst first, until each estimate exceeds its standard deviation.
 
     Adds the reasons to ``held``; returns the free components and the inverse of their S.
     """
@@ -117,7 +117,7 @@ def _hold(s: Array, r: Array, held: list[str], keep: Sequence[bool], judge: bool
         if not (kept & free).any() and (sd[worst] < 1.0 or not judge):
             return free, inverse
         held[worst] = f"a redundancy of {r[worst]:.1f} leaves its variance uncertain by {100.0 * sd[worst]:.0f} %"
-        if kept[worst]:  # redundancy and uncertainty are those at the given sigma
+        if kept[worst]:  # redundancy and uncertainty refer to the given sigma
             held[worst] = (
                 f"estimated it would leave itself too little redundancy; at the given sigma it is {r[worst]:.1f}"
             )
@@ -228,7 +228,7 @@ def require_method(method: str) -> None:
         raise InputError.of("statistics.method", place="method", value=method, known=", ".join(METHODS))
 
 
-#: Degrees of freedom of a known variance: the F distribution is that of chi-square to 1e-8.
+#: Degrees of freedom of a known variance: the F distribution equals chi-square to 1e-8.
 KNOWN: Final = 1e8
 
 
@@ -242,7 +242,8 @@ def freedoms(residuals: GroupedResiduals, suspects: Sequence[Suspects], componen
     with the variance ``c^T C c``, C the covariance of the s_j^2. Its degrees of freedom are ``nu = 2 / (c^T C c)``
     (Satterthwaite 1946; of mixed models: Fai & Cornelius 1996). T of the suspect is then tested as in
     ``fg_orient.quality.hypotheses`` with ``v^T v = f = nu``. The redundancy of the whole block would be too strict,
-    that of the suspect's group too lax (docs/variance-components.md); it is used for too many unknowns and groups.
+    the redundancy of the suspect's group too lax (docs/variance-components.md); it is used for too many
+    unknowns and groups.
 
     Parameters
     ----------

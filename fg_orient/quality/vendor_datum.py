@@ -1,8 +1,8 @@
 """Datum of a block without control points: directions that the rays hardly see stay where the metadata put them.
 
-A movement x of the image unknowns moves the image points by ``J x``. The rays of each point follow by a movement of the
-point; what they cannot follow is seen in the residuals. With N = J^T J and S, the normal matrix of the images after
-the elimination of all points (no priors),
+A movement x of the image unknowns moves the image points by ``J x``. The ground points move with the images; the part
+that the points cannot follow appears in the residuals. With N = J^T J and S, the normal matrix of the images after the
+elimination of all points (no priors),
 
     S v = mu N v,    0 <= mu <= 1 without control points
 
@@ -15,7 +15,7 @@ as large as the disagreement of the images would add less than 0.2 sigma to the 
 which reduce the y-parallax, stay free. The correction is the smallest one of the image points with these y-parallaxes
 (minimum norm; Koch 1999, 1.5).
 
-The cofactors Q of the solution are then those of the shape. The held part of the error of the metadata, ``V V^T N x``
+The cofactors Q of the solution then describe the shape. The held part of the error of the metadata, ``V V^T N x``
 with ``x ~ N(0, 1)`` in prior sigmas, is added where a position is compared with the Earth: at check points.
 """
 
@@ -78,7 +78,7 @@ class HeldDatum(ExtraObservation):
 
 @dataclass(frozen=True)
 class WithDatum(CommonCofactors):
-    """Cofactors of a solution plus those of its held directions by the prior sigmas (``covariance.PointCofactors``)."""
+    """Cofactors of a solution (``covariance.PointCofactors``) plus the prior sigmas of its held directions."""
 
     problem: Problem
     shape: PointCofactors
@@ -101,9 +101,9 @@ class WithDatum(CommonCofactors):
 
 
 def with_datum(block: Block) -> Block:
-    """Block with the datum that "auto" stands for: "vendor" if only the metadata tell where it lies, else "control".
+    """Replace the datum "auto" of a block: by "vendor" if only the metadata determine its position, else by "control".
 
-    Constraints between points do not tell it; other extra observations may.
+    Constraints between points do not determine the position; other extra observations may determine it.
     """
     control = bool(block.points.where(Role.CONTROL).size) or not all(
         isinstance(extra, ConstraintObservation | Constraint) for extra in block.extra
@@ -152,7 +152,7 @@ def with_vendor_datum(problem: Problem) -> Problem:
 
 
 def of_problem(problem: Problem) -> HeldDatum | None:
-    """The held directions of a problem; None if there are none."""
+    """Return the held directions of a problem; None if no direction is held."""
     return next((extra for extra in problem.block.extra if isinstance(extra, HeldDatum)), None)
 
 
@@ -169,7 +169,7 @@ def _movement(problem: Problem) -> Array:
 
 
 def _named_that_follow(border: Border) -> Array:
-    """Movements (3n, z) of the named points that follow those of the images best."""
+    """Return movements (3n, z) of the named points that follow the movements of the images best."""
     z, scale = border.n_images, border.scale[border.n_images :]
     inverse = np.linalg.pinv(border.matrix[z:, z:] * np.outer(scale, scale), hermitian=True)
     return np.asarray(-(scale[:, None] * inverse * scale) @ border.matrix[z:, :z])

@@ -3,10 +3,10 @@
 A converged solution with a finding of the severity "doubt" is not trustworthy (exit code 4):
 
 - its datum is free (damped steps without priors and control);
-- it has no covariance, and no priors hold the weak directions;
+- it has no covariance, and no priors determine the weak directions;
 - ``sigma0`` is above the upper end of its two-sided 99.9 % interval: model and weights contradict the observations;
-- a robust loss down-weights more than half of the image points, or of those of one image;
-- a test suspects a gross error, a correction is beyond its prior, or a required accuracy is missed
+- a robust loss down-weights more than half of all image points, or of the image points of one image;
+- a test suspects a gross error, a correction is too large for its prior, or a required accuracy is not reached
   (``fg_orient.quality.doubts``);
 - check points contradict the adjusted points.
 
@@ -84,7 +84,7 @@ def decided(
 
 
 def _doubt(problem: Problem, estimate: Estimate, unavailable: tuple[Finding, ...], limit: float) -> Finding | None:
-    """Reason not to trust a converged solution, or None; ``limit``: upper end of the interval of sigma0."""
+    """Return the reason not to trust a converged solution, or None; ``limit``: upper end of the interval of sigma0."""
     options, weights, f = problem.block.options, estimate.weights, problem.redundancy
     if problem.least_damping > 0.0:
         return finding("verdict.free_datum")

@@ -2,8 +2,8 @@
 
 They are the tie and check points of an adjustment: a check of the orientation, no dense surface model. Coordinates are
 in the CRS and above the zero level of the project's point table; without one, in UTM (WGS 84) with ellipsoidal heights.
-Standard deviations and covariances are those of the tables of the result: East, North, Up in the tangent plane of the
-point, in the scale that the column ``sigma_scale`` names.
+Standard deviations and covariances are the same as in the tables of the result: East, North, Up in the tangent plane of
+the point, in the scale that the column ``sigma_scale`` names.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Selection:
 
 
 def _rejected(result: Result) -> Mask:
-    """Points of which an observation was left out and not taken back."""
+    """Return points with an observation that was left out and not included again."""
     found = result.tables.get("outliers")
     names = set()
     if found is not None:
@@ -161,7 +161,7 @@ def describe(record: dict[str, Any]) -> str:
 
 
 def _findings(result: Result, folder: str | Path) -> list[Finding]:
-    """Why the points may not be trusted, and what their standard deviations leave out."""
+    """Return the doubts about the points, and the effects that their standard deviations do not contain."""
     status = result.record["status"]
     found = [] if status == Status.CONVERGED else [finding("cloud.doubt", file=folder, value=status)]
     return [*found, *(one for one in findings_of(result.record) if one.code == "solution.vendor_datum")]
@@ -170,7 +170,7 @@ def _findings(result: Result, folder: str | Path) -> list[Finding]:
 def _system(
     result: Result, folder: Path, crs: str, geoid: str | Path | None, rows: npt.NDArray[np.intp]
 ) -> GroundSystem:
-    """CRS and zero level of the file: the given ones, else those of the project, else UTM and the ellipsoid."""
+    """Return CRS and zero level of the file: the given values, else the project's, else UTM and the ellipsoid."""
     place = result.points.numbers("lon_deg", "lat_deg", rows=rows)
     if not np.isfinite(place).all():
         if crs or geoid:

@@ -182,7 +182,7 @@ def draw_figures(
 
 
 def captions(result: Result, drawn: Sequence[tuple[str, str, list[str]]]) -> str:
-    """Captions as Markdown, in the order of the figures, and the reasons of those that are missing.
+    """Return captions as Markdown, in the order of the figures, and the reasons for missing figures.
 
     Parameters
     ----------

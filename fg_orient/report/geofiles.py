@@ -104,7 +104,7 @@ def _rounded(value: Any) -> Any:
 
 
 def write_geopackage(path: Path, layers: tuple[Layer, ...], made: str) -> None:
-    """Write a GeoPackage with one table per layer and the table of styles that QGIS looks for.
+    """Write a GeoPackage with one table per layer and the table of styles that QGIS reads.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ class Layer:
 
     @classmethod
     def typed(cls, name: str, kind: str, geometries: list[dict[str, Any]], columns: dict[str, Any]) -> Layer:
-        """Layer with the values of its columns as arrays of their types; None is nan in a column of numbers."""
+        """Return the layer with its columns as arrays of their types; None becomes nan in a column of numbers."""
         typed: dict[str, npt.NDArray[Any]] = {}
         for column, values in columns.items():
             if column in TEXT:
@@ -219,8 +219,9 @@ def points(table: Table) -> Layer:
 def error_vectors(table: Table, scale: float | None) -> Layer:
     """Horizontal differences adjusted minus measured, enlarged, from the adjusted point on.
 
-    The end of a vector is in the tangent plane of the point, projected onto the ellipsoid: the azimuth is that of the
-    difference, and the relative error of the length is 1e-5 up to 30 km. Default scale: a large error is well visible.
+    The end of a vector is in the tangent plane of the point, projected onto the ellipsoid: the azimuth is the azimuth
+    of the difference, and the relative error of the length is 1e-5 up to 30 km. Default scale: a large error is well
+    visible.
     """
     place, enu = table.numbers("lon_deg", "lat_deg"), table.numbers(*(f"difference_{a}" for a in ENU))
     rows = np.flatnonzero(np.isfinite(np.hstack([place, enu[:, :2]])).all(axis=1))

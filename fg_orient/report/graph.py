@@ -249,7 +249,7 @@ def reduced_chart(structure: Structure) -> Chart:
 
 
 def tree_chart(tree: EliminationTree, title: str) -> Chart:
-    """Cliques of an elimination: the root above, the first ones to be eliminated below."""
+    """Draw the cliques of an elimination: the root at the top, the first eliminated cliques at the bottom."""
     cliques = tree.cliques
     children: dict[int, list[int]] = {}
     depth: list[int] = []

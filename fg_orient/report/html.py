@@ -1,4 +1,4 @@
-"""The report of an adjustment: one HTML file of sections that needs nothing else.
+"""The report of an adjustment: one HTML file of sections that needs no other file.
 
 A section is declared once: its id, its heading and its template, which calls the functions of charts and tables. Order
 of declaration is order on the page.
@@ -133,7 +133,7 @@ def _problems(record: dict[str, Any]) -> list[str]:
     return [*named, *([f"{left} more observations to look at are listed with the residuals"] if left else []), *texts]
 
 
-# --- a block whose unknowns nothing determines -----------------------------------------------------
+# --- a block with undetermined unknowns -----------------------------------------------------
 
 #: Directions of one cause that the page shows at once, and that it lists; result.json has all.
 FEW: Final = 6

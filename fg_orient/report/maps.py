@@ -1,4 +1,4 @@
-"""Map of an adjustment, for page and paper alike, and its first view.
+"""Map of an adjustment, for page and paper, and its first view.
 
 The first view shows everything, or only the points where the footprints are so large that these would be a dot.
 """
@@ -146,7 +146,7 @@ def _thinned(rows: Index, tie: Mask, most: int) -> Index:
 
 
 def _footprints(chart: Chart, record: dict[str, Any]) -> None:
-    """Add outlines of the images, and names at the upper corner of those that reach into the map."""
+    """Add outlines of the images, and the names of the images inside the map at their upper corners."""
     low, high = np.array([chart.x.limits, chart.y.limits]).T
     names, places = [], []
     for image in record["images"]:

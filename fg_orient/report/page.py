@@ -50,7 +50,7 @@ def script_hash() -> str:
 
 
 def environment(package: str = SHELL) -> jinja2.Environment:
-    """Environment of a report: its own templates first, then the shared ones.
+    """Return the environment of a report: its own templates first, then the shared templates.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def environment(package: str = SHELL) -> jinja2.Environment:
     import jinja2
 
     class Cache(jinja2.FileSystemBytecodeCache):
-        """Compiled templates beside the compiled kernels; a folder that cannot be written is no error."""
+        """Compiled templates beside the compiled kernels; a folder that cannot be written is not an error."""
 
         def dump_bytecode(self, bucket: Any) -> None:
             with suppress(OSError):

@@ -30,7 +30,7 @@ STYLE: Final[dict[Any, Any]] = {
     "hatch.color": GREY, "hatch.linewidth": 0.6, "axes.linewidth": 0.6, "xtick.major.width": 0.6,
     "ytick.major.width": 0.6, "axes.unicode_minus": True, "figure.max_open_warning": 0,
 }  # fmt: skip
-#: Nothing of the clock or the machine goes into a file.
+#: Files do not depend on the time or the machine.
 _METADATA: Final = {
     "svg": {"Date": None, "Creator": None},
     "pdf": {"CreationDate": None, "Creator": None, "Producer": None},

@@ -108,7 +108,8 @@ def _pack_steps(values: Array) -> dict[str, Any]:
 def _pack_differences(values: Index) -> dict[str, Any]:
     """Pack whole numbers as differences: 7 bits in each byte, the lowest first, the sign as the lowest of all.
 
-    The 8th bit says that a byte follows. Numbers below 2^27; of an image with many points most differences take a byte.
+    The 8th bit states that a byte follows. Numbers below 2^27; for an image with many points most differences need one
+    byte.
     """
     change = np.diff(values, prepend=0)
     folded = np.where(change < 0, -2 * change - 1, 2 * change)
@@ -123,7 +124,7 @@ def _pack_differences(values: Index) -> dict[str, Any]:
 def payload(result: Result, used: int = 0) -> Payload | None:
     """Pack points, footprints and image points; None for a block without geographic coordinates.
 
-    ``used``: bytes of :data:`BUDGET` that pictures take.
+    ``used``: bytes of :data:`BUDGET` that the pictures need.
     """
     located = np.isfinite(result.points.figures["lon_deg"])
     if not located.any():
@@ -162,7 +163,7 @@ def payload(result: Result, used: int = 0) -> Payload | None:
 
 
 def chosen_rays(result: Result, points: Mask, used: int = 0) -> tuple[Index, str, Width]:
-    """Rows of the image points in the page, a sentence on those that are not, and their width.
+    """Select the image points of the page; return their rows, a sentence on the other image points, and the width.
 
     Flagged image points come first, then all image points of points that are drawn at random. ``points`` (N,): those of
     :func:`chosen_points`.
@@ -232,7 +233,7 @@ def _flagged_first(flagged: Mask, ratio: Array, most: int, room: int, order: Ind
 
 
 def _share(kept: int, flagged: Mask) -> str:
-    """Words on the number of flagged ones."""
+    """Return words on the number of flagged points."""
     n = int(np.count_nonzero(flagged))
     return f"all {n:,}" if kept == n else f"the largest {kept:,} of {n:,}"
 
@@ -259,7 +260,7 @@ def _point_columns(result: Result, rows: Index, role: Index, centre: Array, kind
 
 
 def _ray_columns(result: Result, rows: Index, point: Index, kind: str) -> dict[str, Any]:
-    """Columns of the image points, those of an image together."""
+    """Return the columns of the image points; image points of one image are together."""
     table, images = result.residuals, [facts["id"] for facts in result.record["images"]]
     image = table.codes("image", images)[rows]
     order = np.lexsort((point, image))

@@ -24,7 +24,7 @@ MAX_PANELS: Final = 16
 MAX_IMAGES: Final = 40
 #: Length of a large vector (90 % quantile) as a share of the width of an image.
 IMAGE_SHARE: Final = 0.09
-#: Vectors of an image from which on they are drawn shorter.
+#: Vectors of an image above which they are drawn shorter.
 _FEW: Final = 100
 #: Ends of the axis of normalised residuals; values beyond are counted in words.
 ENDS: Final = 5.0
@@ -314,7 +314,7 @@ def redundancy_chart(values: Array, names: tuple[str, str] = LINE_SAMPLE) -> Cha
 
 
 def detectable_chart(values: Array, record: dict[str, Any]) -> Chart | None:
-    """Share of image points with detected errors over their size; ``values`` (n, 2): biases, nan if none is."""
+    """Draw the share of detected errors over their size; ``values`` (n, 2): biases of image points, nan if none."""
     known = [np.sort(column[np.isfinite(column)]) for column in values.T]
     ends = [float(end) for column in known if len(column) for end in column[[0, -1]]]
     if not ends:
@@ -377,7 +377,7 @@ def ranked(section: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def l_curve(section: dict[str, Any] | None, norms: tuple[str, str] = NORMS) -> Chart | None:
-    """Norm of the solution over that of the residuals; marks are numbered as by :func:`ranked`.
+    """Draw the norm of the solution over the norm of the residuals; marks are numbered as by :func:`ranked`.
 
     Parameters
     ----------
@@ -414,7 +414,7 @@ _NORMS: Final = ("residual_norm", "solution_norm")
 
 
 def neighbours(places: Array, near: float) -> list[list[int]]:
-    """Rows of places in their order along a curve; those nearer to the one before than ``near`` in one list."""
+    """Group rows of places along a curve; places nearer than ``near`` to the previous place are in one list."""
     out: list[list[int]] = []
     for k, place in enumerate(places):
         if out and np.linalg.norm(place - places[k - 1]) < near:

@@ -132,7 +132,7 @@ class _Drawing:
             self.parts.append(f'<g><title>{escape(tip)}</title>{stroke}<path class="{mark.kind}" d="{shape}"/></g>')
 
     def _bars(self, mark: Mark) -> None:
-        """Draw columns; those of several marks share the width of a bin."""
+        """Draw columns; columns of several marks share the width of a bin."""
         several = [other for other in self.chart.marks if other.shape == "bars"]
         number = next(k for k, other in enumerate(several) if other is mark)
         zero = self.chart.place(mark.x[0], 0.0)[1]

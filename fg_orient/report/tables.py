@@ -39,7 +39,7 @@ def _component(name: str) -> str:
 
 
 def _degree(degree: float, parameter: str) -> str:
-    """Name the power of an unknown; "" where it has none, as of a frame camera."""
+    """Name the power of an unknown; "" if it has no power, as for a frame camera."""
     if math.isnan(degree):
         return ""
     ending, power = parameter.rpartition("_")[2], int(degree)  # of a polynomial of samples: s and its degree
@@ -111,7 +111,7 @@ def largest_rows(result: Result, count: int) -> Index:
 
 
 def largest_residuals(result: Result, count: int = 20) -> dict[str, Any] | None:
-    """Image points with the largest residuals over their own sigmas, largest first; None without their tests.
+    """Return image points with the largest residuals over their own sigmas, largest first; None without tests.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def largest_residuals(result: Result, count: int = 20) -> dict[str, Any] | None:
 
 
 def not_determined(record: dict[str, Any]) -> list[tuple[str, str, str, float | None]]:
-    """Image, direction in words, its holder ("nothing" first, or "its prior") and its singular value.
+    """Return image, direction in words, what determines it ("nothing" first, or "its prior") and singular value.
 
     A sentence may describe several unobservable directions, so these rows have no singular value.
     """

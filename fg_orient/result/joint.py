@@ -1,6 +1,6 @@
 """Joint cofactors of the images and ground points of a result, with the names of their unknowns.
 
-The next adjustment of the same images takes them as a prior (``fg_orient.orientation.earlier``). They contain the
+The next adjustment of the same images uses them as a prior (``fg_orient.orientation.earlier``). They contain the
 priors of the images and the control coordinates, which that adjustment observes again: the record lists both.
 """
 
@@ -61,7 +61,7 @@ class JointCofactors:
 
     @staticmethod
     def of_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> JointCofactors:
-        """Read the content of ``covariance.npz``; KeyError, ValueError: it is not such a file."""
+        """Read the content of ``covariance.npz``; KeyError or ValueError if it is another file."""
         names, control = (tuple(map(str, arrays[name])) for name in ("names", "control"))
         shapes = {"values": (u := len(names),), "cofactors": (u, u), "prior_sigma": (u,),
                   "control_m": (c := len(control), 3), "control_information": (c, 3, 3)}  # fmt: skip
@@ -70,13 +70,13 @@ class JointCofactors:
 
 
 def unknown_names(image: str, names: tuple[str, ...], shared: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the unknowns of an image; ``shared``: the id under which each is shared, "" for its own, () for none."""
+    """Return names of the unknowns of an image; ``shared``: the shared id of each unknown, "" if not shared, or ()."""
     owners = [f"shared:{group}" if group else f"image:{image}" for group in shared or ("",) * len(names)]
     return tuple(f"{owner}.{name}" for owner, name in zip(owners, names, strict=True))
 
 
 def points_within(solution: Solution, limit: int, common: Index | None = None) -> Index | None:
-    """Unknown ground points (of ``common``) that fit into a number of unknowns: all, those with control, or None."""
+    """Select unknown points (of ``common``) up to a number of unknowns: all points, control points only, or None."""
     problem = solution.problem
     among = np.ones(len(problem.active), bool) if common is None else np.isin(np.arange(len(problem.active)), common)
     for wanted in (problem.active & among, problem.observed & among):
@@ -86,7 +86,7 @@ def points_within(solution: Solution, limit: int, common: Index | None = None) -
 
 
 def joint_cofactors_of(solution: Solution, points: Index) -> JointCofactors | None:
-    """Joint cofactors of all images and of some unknown points; None without a covariance that can be a prior.
+    """Joint cofactors of all images and of some unknown points; None if the covariance cannot be a prior.
 
     With inner constraints the cofactors are singular: they refer to a datum, not to the Earth.
     """

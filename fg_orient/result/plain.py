@@ -1,7 +1,7 @@
 """Plain values as files: strict JSON, and tables that are written and read column by column.
 
-Numbers have the fewest digits that read back to the same double. What is not finite is null in JSON and an empty cell
-in a table; the warnings of a record say why (``fg_orient.result.summary``).
+Numbers have the fewest digits that read back to the same double. A value that is not finite is null in JSON and an
+empty cell in a table; the warnings of a record state the reason (``fg_orient.result.summary``).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fg_orient.model.errors import InputError
 
 
 def plain(value: Any) -> Any:
-    """Turn a value into what JSON can hold; numbers that are not finite become None."""
+    """Convert a value to types of JSON; numbers that are not finite become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, str) or value is None or isinstance(value, bool):
@@ -90,7 +90,7 @@ class Table:
         return np.fromiter(map(place.__getitem__, self.words[name]), np.intp, len(self))
 
     def write(self, path: Path) -> None:
-        """Write the table in the form that the end of the file name says."""
+        """Write the table in the format of the file name's suffix."""
         write_table(path, self.columns)
 
 

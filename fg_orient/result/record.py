@@ -79,7 +79,7 @@ class Result:
 
     @property
     def points(self) -> Table:
-        """Ground points; their start values where nothing was adjusted."""
+        """Ground points; their start values if the block was not adjusted."""
         return self.tables["points" if self.adjusted else START_POINTS]
 
     @property
@@ -123,10 +123,10 @@ class Result:
 
     @cached_property
     def normalised(self) -> tuple[Array, bool]:
-        """Residuals (n, 2) of line and sample over their own standard deviations; False: over those of observations.
+        """Residuals (n, 2) of line and sample over their own standard deviations, or over those of the observations.
 
-        The first, ``w = v / (sigma sqrt(r))``, are standard normal if the model holds; without redundancy numbers only
-        the second are known, and they scatter less. nan where the others do not check an observation.
+        The first, ``w = v / (sigma sqrt(r))``, are standard normal if the model is correct. Without redundancy numbers
+        only the second values are known, which scatter less. nan where the others do not check an observation.
         """
         w = self.residuals.numbers("w_line", "w_sample")
         if np.isfinite(w).any():
@@ -303,7 +303,7 @@ def read_result(folder: str | Path) -> Result:
 
 
 def read_any_result(folder: Path) -> Result:
-    """Read a result folder, also that of a block whose unknowns were not determined.
+    """Read a result folder, also the folder of a block whose unknowns were not determined.
 
     Raises
     ------
@@ -332,7 +332,7 @@ def read_any_result(folder: Path) -> Result:
 
 
 def _read_arrays(path: Path, n_images: int) -> dict[str, npt.NDArray[Any]]:
-    """Arrays of a result; none where there is no such file."""
+    """Return the arrays of a result; empty if the file does not exist."""
     if not path.is_file():
         return {}
     with np.load(path, allow_pickle=False) as stored:

@@ -44,7 +44,7 @@ _ERRORS: Final = {"image": (0, 1), "position": (2, 3), "height": (4,), "point": 
 
 
 def unavailable(solution: Solution, *figures: str) -> Finding | None:
-    """Reason why redundancy numbers, and figures that depend on them, are unavailable; None if they are available."""
+    """Return the reason why redundancy numbers and dependent figures are unavailable; None if they are available."""
     problem, chosen = solution.problem, solution.block.options.statistics
     if solution.cofactors is None:
         return finding("absent.covariance", figures=figures)
@@ -58,7 +58,7 @@ def unavailable(solution: Solution, *figures: str) -> Finding | None:
 
 
 def reliability_of(solution: Solution) -> BlockReliability | None:
-    """Reliability for the results; None if it is unavailable, or with a loss."""
+    """Return the reliability for the results; None if it is unavailable, or with a loss."""
     return None if unavailable(solution) or solution.weights is not None else solution.reliability()
 
 
@@ -100,7 +100,7 @@ def reliability_record(solution: Solution) -> dict[str, Any] | None:
 
 
 def unseen_record(solution: Solution) -> dict[str, Any] | None:
-    """Number of points with unseen errors, median and largest shift by one pixel, m; None without such points."""
+    """Return the number of points with unseen errors, median and largest shift by one pixel, m; None if no point."""
     if unavailable(solution):
         return None
     length = np.linalg.norm(solution.unseen_shifts, axis=1)
@@ -188,7 +188,7 @@ def _largest(solution: Solution, image: Reliability) -> list[dict[str, Any]]:
 
 
 def correlation_record(solution: Solution) -> dict[str, Any] | None:
-    """The section ``correlations`` of the record: those of image unknowns that are high."""
+    """Return the section ``correlations`` of the record: high correlations of image unknowns."""
     if solution.cofactors is None:
         return None
     problem, images = solution.problem, solution.block.images
@@ -211,7 +211,7 @@ def _high(matrix: NamedMatrix) -> list[tuple[float, str, str]]:
 
 
 def image_columns(solution: Solution) -> dict[str, Column]:
-    """Columns of ``residuals.csv``: under a loss only the redundancy numbers, nothing if these are unavailable."""
+    """Return columns of ``residuals.csv``: under a loss only the redundancy numbers; empty if they are unavailable."""
     found = reliability_of(solution)
     if found is not None:
         image = found.image
@@ -227,9 +227,9 @@ def image_columns(solution: Solution) -> dict[str, Column]:
 
 
 def point_columns(solution: Solution) -> dict[str, Column]:
-    """Columns of ``points.csv``: reliability of control points, and what undetected errors do to each point.
+    """Return columns of ``points.csv``: reliability of control points, and effects of undetected errors on each point.
 
-    ``external_m`` is empty where an observation of the point has no minimal detectable bias: nothing bounds the effect.
+    ``external_m`` is empty if an observation of the point has no minimal detectable bias: the effect then has no bound.
     ``unseen_east_m`` ...: see ``Solution.unseen_shifts``; under a loss, too, which leaves out the other columns.
     """
     if unavailable(solution):
@@ -262,7 +262,7 @@ def _unbounded(values: Array) -> Array:
 
 
 def tests_of(solution: Solution) -> OutlierTests | None:
-    """Tests of all observations with the options of the block; None if they are unavailable, or with a loss."""
+    """Return tests of all observations with the options of the block; None if unavailable, or with a loss."""
     return None if unavailable(solution) or solution.weights is not None else solution.outlier_tests()
 
 
@@ -305,7 +305,7 @@ def _test_record(test: GroupTest) -> dict[str, Any]:
 
 
 def search_record(solution: Solution) -> dict[str, Any] | None:
-    """Rounds of the search and the observations that it excluded; None without a search."""
+    """Return the rounds of the search and the observations that it excluded; None without a search."""
     search = solution.snooping
     if search is None:
         return None

@@ -233,7 +233,7 @@ def robust_record(solution: Solution) -> dict[str, Any] | None:
 
 
 def _parallax(solution: Solution) -> dict[str, Any]:
-    """y-parallaxes before and after a relative adjustment, which has no other result; else nothing."""
+    """Return the y-parallaxes before and after a relative adjustment; empty for other adjustments."""
     if solution.block_view is None or not solution.block_view.relative:
         return {}
     problem = solution.problem

@@ -58,7 +58,7 @@ def tables_of(solution: Solution, cofactors: Array) -> dict[str, Table]:
 
 
 def start_points(problem: Problem) -> dict[str, Table]:
-    """Table of the start values of the points: the only one where nothing was adjusted."""
+    """Return the table of start values of the points, the only table if the block was not adjusted."""
     points, ground = problem.block.points, problem.start.ground + problem.origin_m
     lon, lat, _ = _geodetic_deg(ground, problem.block.georeferenced).T
     columns = (points.ids, [role.value for role in points.roles], _ray_counts(problem), lon, lat)
@@ -71,7 +71,7 @@ def _ray_counts(problem: Problem) -> Index:
 
 
 def _geodetic_deg(ground_m: Array, georeferenced: bool) -> Array:
-    """Longitude, latitude (degrees) and height (N, 3) of ECEF coordinates; nan where there are none."""
+    """Return longitude, latitude (degrees) and height (N, 3) of ECEF coordinates; nan for missing coordinates."""
     out = np.full_like(ground_m, np.nan)
     known = np.isfinite(ground_m).all(axis=1)
     if georeferenced and known.any():
@@ -120,7 +120,7 @@ def eop_rows(solution: Solution) -> list[tuple[object, ...]]:
 
 
 def component_and_degree(parameter: str) -> tuple[str, float]:
-    """Component and power in tau of an unknown: "roll_1" is degree 1 of roll; "focal" has none (nan)."""
+    """Return component and power in tau of an unknown: "roll_1" is degree 1 of roll; "focal" has no power (nan)."""
     component, _, degree = parameter.rpartition("_")
     power = degree.lstrip("cls")
     return (component, int(power)) if component and power.isdigit() else (parameter, float("nan"))
@@ -177,8 +177,8 @@ def residual_columns(solution: Solution) -> dict[str, Column]:
 def arrays_of(solution: Solution, points: Array) -> dict[str, npt.NDArray[Any]]:
     """State, adjusted points and cofactors (prior scale) as plain arrays; no pickle needed.
 
-    ``points`` are those of :func:`point_cofactors`; kept are the covariances that the table of points does not have, in
-    the scale of its standard deviations.
+    ``points`` is the result of :func:`point_cofactors`. The function returns the covariances that the table of points
+    does not contain, in the scale of its standard deviations.
 
     Where images differ in their unknowns, the arrays of the unknowns have one row per image, filled up with nan
     (numbers) and "" (names); ``n_parameters`` is the number of unknowns of each image.

@@ -100,7 +100,7 @@ def denominators(model: RpcModel, ground: Array, heights_m: Range) -> dict[str, 
 
 
 def image_to_ground(model: RpcModel, pixels: Array) -> dict[str, Any] | None:
-    """Pixels located by the file's inverse model and projected back, minus these pixels; None without this model."""
+    """Locate pixels by the file's inverse model, project them back and subtract the pixels; None without this model."""
     if model.direct is None:
         return None
     back = np.stack(model.project(*model.locate_directly(*pixels.T), pixels[:, 2]), axis=1)

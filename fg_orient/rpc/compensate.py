@@ -112,7 +112,7 @@ class Compensation:
 
 
 def compensate(model: RpcModel, control: MeasuredPoints, kind: str = "shift", *, level: float = LEVEL) -> Compensation:
-    """Adjust and test; leave out the worst point and adjust again until none is suspicious.
+    """Adjust and test; leave out the worst point and adjust again until no point is suspicious.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def _least_squares(a: Array, l: Array, sigma: Array, kind: str) -> tuple[Array, 
 
 
 def _worst(fit: Compensation, level: float) -> list[dict[str, Any]]:
-    """Point with the largest F if it exceeds its limit, or nothing.
+    """Return the point with the largest F if it exceeds its limit, else no point.
 
     T = (v_l/sigma_l)^2/r_l + (v_s/sigma_s)^2/r_s with redundancy numbers r, because line and sample have no unknown in
     common. F(2, f - 2) has the scale of the other points.
@@ -280,7 +280,7 @@ def _suspicious(model: RpcModel, check: MeasuredPoints, v: Array, fit: Compensat
 def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] | None:
     """Change of observed minus projected pixels with the height in addition to an affine compensation, px per 1000 m.
 
-    No compensation has such a term: it is a sign of a wrong height system, or of the RPC of another image. The test is
+    No compensation has this term: it indicates a wrong height system, or the RPC of another image. The test is
     F(2, f) of one more column for each coordinate, f the redundancy with it. None if not significant or not determined.
     """
     a = np.column_stack([design(model, used, "affine"), used.ground[:, 2] / 1000.0])

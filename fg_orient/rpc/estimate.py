@@ -20,7 +20,7 @@ from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.options import Penalty
 from fg_orient.rpc.points import ControlPoints, Scaling
 
-#: QR of A: its condition number is the root of that of N.
+#: QR of A: its condition number is the square root of the condition number of N.
 SOLVER: Final = "qr_scaled"
 #: Solver of systems with a penalty and of the weighted linear form, whose design may lack full rank.
 STEP_SOLVER: Final = "svd_scaled"
@@ -36,7 +36,7 @@ MAX_DAMPING: Final = 1e10
 
 
 def penalised_unknowns(form: RfmForm, penalty: Penalty) -> Array:
-    """Indicator (u,) of the unknowns that a penalty holds near zero: all, or those beyond the affine ones.
+    """Return an indicator (u,) of the penalised unknowns: all unknowns, or all except the affine part.
 
     A satellite image is affine within some pixels, so the second choice is a suitable prior. The first choice also
     pulls the scale of the image to zero.
@@ -110,8 +110,8 @@ def fit_weighted(
 ) -> RfmFit:  # fmt: skip
     """Fit the linear form with the weights 1/f2^2 of the last cycle until convergence (Tao & Hu 2001).
 
-    At convergence A^T P v = 0, and the weighted residuals are the true ones. But A is not their Jacobian: the result is
-    close to the least-squares solution of the true equations, not equal to it.
+    At convergence A^T P v = 0, and the weighted residuals are the true residuals. But A is not their Jacobian: the
+    result is close to the least-squares solution of the true equations, not equal to it.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def fit_true(
 
 
 def _minimise(form: RfmForm, m: Array, image: Array, x: Array, penalty: Array) -> tuple[Array, int]:
-    """Levenberg-Marquardt; a step over a pole of a point counts as too long."""
+    """Levenberg-Marquardt; a step over a pole of a point is treated as too long."""
     root = np.sqrt(penalty)
     damping, flat, (r, cost) = DAMPING, 0, _misfit(form, m, image, x, root)
     for iteration in range(1, MAX_ITERATIONS + 1):

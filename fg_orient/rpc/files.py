@@ -140,7 +140,7 @@ def write_as(
 
 
 def projected_differences(one: RpcModel, other: RpcModel) -> Array:
-    """Pixels of the first model minus those of the second on a grid over the first one's cube: (n, 2)."""
+    """Subtract pixels of the second model from the first, on a grid over the cube of the first model: (n, 2)."""
     u = np.stack([a.ravel() for a in np.meshgrid(*[np.linspace(-1.0, 1.0, CUBE)] * 3)])
     ground = one.offsets[RANGE.ground, None] + one.scales[RANGE.ground, None] * u
     return np.stack(one.project(*ground), axis=1) - np.stack(other.project(*ground), axis=1)
@@ -184,7 +184,7 @@ N_CHECK: Final = 2000
 
 @dataclass(frozen=True)
 class Corrected:
-    """A model with its compensation put in.
+    """A model that contains its compensation.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ class RfmFit:
         return line, sample
 
     def model(self, n_lines: int | None = None, n_samples: int | None = None, file: str = "") -> RpcModel:
-        """Model for projection, location and files; its validity range is that of the points.
+        """Model for projection, location and files; its validity range is the range of the points.
 
         Parameters
         ----------
@@ -168,7 +168,7 @@ class RfmFit:
 
     @cached_property
     def cofactors(self) -> Array | None:
-        """Cofactor matrix (u, u) of the unknowns; None if the design has no full rank and there is no penalty.
+        """Cofactor matrix (u, u) of the unknowns; None if the design is rank-deficient and there is no penalty.
 
         With a penalty it is the posterior cofactor matrix, the penalty being the prior.
         """
@@ -184,7 +184,7 @@ class RfmFit:
     def covariance(self) -> Array | None:
         """Covariance matrix (u, u) of the unknowns: cofactors times the variance of unit weight; see ``cofactors``.
 
-        The variance is that of the adjusted equations, the same for both coordinates in normalised units.
+        The variance belongs to the adjusted equations and is the same for both coordinates in normalised units.
         """
         if self.cofactors is None or not self.redundancy > 0.0:
             return None
@@ -309,7 +309,7 @@ def cross_validate(
     points: ControlPoints, estimator: Estimator, *, folds: int | None = None, seed: int = 1,
     progress: Progress | None = None,
 ) -> CrossValidation:  # fmt: skip
-    """Leave out each point, or each of k folds; fit the other points and project those left out.
+    """Leave out each point, or each of k folds; fit the other points and project the points left out.
 
     The estimator receives the points of the other folds only, and chooses its kappa or terms anew in each fold (nested
     cross-validation, Varma & Simon 2006).

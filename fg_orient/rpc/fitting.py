@@ -27,7 +27,7 @@ from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.rpc import NEAR_ZERO, RpcModel
 
 FOLDS: Final = 10
-#: Ratio of the errors at points left out to those of the fit above which there are too many coefficients.
+#: Ratio of errors at points left out to errors of the fit, above which there are too many coefficients.
 OVERFITTED: Final = 3.0
 
 

@@ -41,7 +41,7 @@ NODES: Final = (9, 9, 5)
 
 @dataclass(frozen=True)
 class Program:
-    """What a program reads: a format, the end of its file's name, and how to use it."""
+    """Input of a program: a format, the suffix of its file name, and its use."""
 
     format: str
     end: str
@@ -90,13 +90,13 @@ class Handed:
 
 
 def model_of(file: Path, model: RpcModel) -> dict[str, Handed]:
-    """Model of a file under the name of its image: that of the file without ``RPC``."""
+    """Return the model of a file with the name of its image, which is the file name without ``RPC``."""
     stem = re.sub(r"(?i)_RPC$|^RPC_", "", file.stem) or file.stem
     return {stem: Handed(model, None, stem)}
 
 
 def models_of(result: Path) -> tuple[dict[str, Handed], tuple[Finding, ...]]:
-    """Corrected models of the RPC images of a result folder by image id, and what must be said of them.
+    """Return the corrected models of the RPC images of a result folder by image id, and findings on them.
 
     Raises
     ------
@@ -262,5 +262,5 @@ def vendor_pixels(handed: Handed, lon_deg: Array, lat_deg: Array, height_m: Arra
 
 
 def program_lines(records: Sequence[Mapping[str, Any]]) -> list[str]:
-    """One line per image on how its program reads the file, each once."""
+    """Return lines on how the program reads the files; equal lines occur once."""
     return list(dict.fromkeys(str(record["use"]) for record in records if record["use"]))

@@ -264,7 +264,7 @@ def checks(table: Table) -> Mask:
 
 
 def positive_numbers(table: Table, columns: Sequence[str]) -> Array:
-    """Columns (n, k) as numbers; those that are not above 0 are refused."""
+    """Return columns (n, k) as numbers; numbers that are not above 0 are refused."""
     values = table.numbers(*columns)
     for name, column in zip(columns, values.T, strict=True):
         table.refuse(column <= 0.0, "rectify.positive", name, unit=name.rpartition("_")[2])
@@ -272,7 +272,7 @@ def positive_numbers(table: Table, columns: Sequence[str]) -> Array:
 
 
 def statistics(residuals_px: Array) -> dict[str, Any] | None:
-    """Mean, RMS and largest amount of residuals (n, 2) of line and sample; None without points."""
+    """Return mean, RMS and largest absolute value of residuals (n, 2) of line and sample; None without points."""
     if not len(residuals_px):
         return None
     with np.errstate(invalid="ignore", over="ignore"):

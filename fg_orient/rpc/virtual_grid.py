@@ -2,8 +2,8 @@
 
 The sensor's own model locates the pixels of a grid on several height layers. All layers are
 adjusted in one system (Tao & Hu 2001). (Terlemezoğlu 2019, section 2.4, averages the coefficients
-of the layers, which is not a least-squares estimate.) The stated errors are those at independent
-points: pixels and heights between those of the grid.
+of the layers, which is not a least-squares estimate.) The stated errors are errors at independent points, whose pixels
+and heights lie between the grid values.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from fg_orient.sensors.rpc_sensor import RpcSensor
 SHAPE: Final = (20, 20, 5)
 #: Least number of nodes per axis: four for a cubic, and one more to check it.
 LEAST: Final = 5
-#: Penalty of the coefficients beyond the affine ones, because the normal equations of degree 3 are singular in
+#: Penalty of the coefficients except the affine part, because the normal equations of degree 3 are singular in
 #: practice. It changes residuals by less than 1e-4 px.
 KAPPA: Final = 1e-12
 #: Independent points per grid point.

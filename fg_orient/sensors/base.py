@@ -242,7 +242,7 @@ def placed(values: Mapping[str, float], names: tuple[str, ...]) -> Array:
 
 
 class OrientedSensor:
-    """A sensor bound to a correction; all other attributes are those of the sensor.
+    """A sensor bound to a correction; all other attributes are the attributes of the sensor.
 
     Parameters
     ----------

@@ -72,7 +72,7 @@ class ConvertedCamera:
 
     @property
     def sigma(self) -> dict[str, float]:
-        """Standard deviations by name, without covariance none."""
+        """Standard deviations by name; empty without covariance."""
         variances = () if self.covariance is None else self.covariance.diagonal()
         return dict(zip(self.values, np.sqrt(variances).tolist(), strict=False))
 

@@ -100,7 +100,7 @@ class Convention:
         return tuple(OURS[at] for at, *_ in self.parsed)
 
     def is_of(self, interior: Interior) -> bool:
-        """Whether the direction and projection are those of a camera."""
+        """Return whether the direction and projection agree with a camera."""
         return (interior.model, interior.is_fisheye) == (self.direction, self.is_fisheye)
 
     def has(self, used: Mask) -> bool:
@@ -229,7 +229,7 @@ def with_parameters(interior: Interior, ours: Array) -> Interior:
 
 
 def named(name: str) -> Convention:
-    """Convention of a name; InputError if there is none."""
+    """Return the convention of this name; InputError if it is unknown."""
     if name not in CONVENTIONS:
         raise InputError.of(
             "conventions.name (failure): no conversion of cameras in this convention: {reason} -> choose one of "
@@ -239,7 +239,7 @@ def named(name: str) -> Convention:
 
 
 def given_values(values: Mapping[str, float], one: Convention, image: Image) -> tuple[Array, Array]:
-    """Values (k,) in the order of the convention, and their derivatives (k, n) by the n given ones.
+    """Values (k,) in the order of the convention, and their derivatives (k, n) with respect to the n given values.
 
     InputError for unknown and missing names and impossible values.
     """

@@ -151,7 +151,7 @@ class FrameCamera:
 
     @cached_property
     def is_extended(self) -> bool:
-        """Whether the equation is that of ``factors.cameras.frame_extended``."""
+        """Return whether the equation is ``factors.cameras.frame_extended``."""
         given = self.further, self.is_fisheye, self.lines_up, self.nominal_px, self.radius_px, self.is_condition
         aspect = not self.corrects_measured and (self.aspect != 0.0 or "aspect" in self.sigma)
         return any(given) or aspect or not self.sigma.keys().isdisjoint(FURTHER)
@@ -168,7 +168,7 @@ class FrameCamera:
 
     @cached_property
     def _all(self) -> Array:
-        """Record of ``frame_extended``, which begins as that of ``frame``."""
+        """Return the record of ``frame_extended``, which begins like the record of ``frame``."""
         values = np.array([self.further.get(name, 0.0) for name in FURTHER])
         parts = np.split(values, np.cumsum([*frame_corrections.FURTHER.sizes.values()])[:-1])
         further = dict(zip(frame_corrections.FURTHER.fields, parts, strict=True))

@@ -53,7 +53,7 @@ _WORDS: Final = (
 
 
 def camera_parameters(camera: FrameCamera, only: tuple[str, ...] = ()) -> ImageParameters:
-    """Unknowns of a frame image: those with a prior sigma of the camera, or those of them in ``only``, by code."""
+    """Return unknowns of a frame image by code: unknowns with a prior sigma of the camera, restricted to ``only``."""
     codes = tuple(k for k, name in enumerate(NAMES) if name in camera.sigma and (not only or name in only))
     sigma = np.array([camera.sigma[NAMES[k]] for k in codes])
     names = tuple(NAMES[k] for k in codes)

@@ -3,8 +3,8 @@
     P = P_U + R_OG R_UY (C_M + s R_KU p_k),   p_k = (0, y, 0) - c_s + delta       (Terlemezoğlu 2019, eqs. 2.3-2.21)
 
 The chain of the metadata is converted to the look-angle collinearity: the mounting of a line is
-``M = R_OG^T R_ECEF_from_camera`` with R_OG of the projection centre, so that the unknowns, kernels and backends are
-those of ``fg_orient.sensors.pushbroom``. Light time, aberration and refraction rotate the line of sight of each pixel
+``M = R_OG^T R_ECEF_from_camera`` with R_OG of the projection centre, so that the unknowns, kernels and backends of
+``fg_orient.sensors.pushbroom`` are used. Light time, aberration and refraction rotate the line of sight of each pixel
 by up to 3e-5 rad. This rotation is computed from the metadata and the distance of the ground point and held fixed (a
 correction of 1 km or 1e-3 rad changes it by less than 1e-8 rad).
 """
@@ -113,8 +113,8 @@ class GeneralPushbroom(PushbroomSensor):
     def _mounting(self, states: LineStates, psi: tuple[Array, Array], to_ground_m: Array | None) -> Array:
         """Mountings (N, 3, 3) with the effects on light, see :meth:`PushbroomSensor._mounting`.
 
-        Light time and refraction depend on the distance of the ground point. If it is that of height 0 and the point is
-        at 5000 m, light time is wrong by 1 mm and refraction by 1 m tan z.
+        Light time and refraction depend on the distance of the ground point. If it is the distance to height 0 and the
+        point is at 5000 m, light time is wrong by 1 mm and refraction by 1 m tan z.
         """
         effects = self.metadata.effects
         if not effects:
@@ -132,7 +132,7 @@ class GeneralPushbroom(PushbroomSensor):
         return np.asarray(np.swapaxes(frame, 1, 2) @ turned)
 
     def _shifted(self, p: Array, direction: Array, distance_m: Array | None) -> Array:
-        """True directions to the ground points from apparent ones, at given distances (None: height 0)."""
+        """Compute true directions to ground points from apparent directions, at given distances (None: height 0)."""
         effects = self.metadata.effects
         if distance_m is None:
             ground = ellipsoid.intersect(p, np.ascontiguousarray(direction), np.zeros(len(p)))

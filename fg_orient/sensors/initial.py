@@ -201,7 +201,7 @@ def ground_points(
     known_m: Array,
     corrections: Sequence[Any] | None = None,
 ) -> Array:
-    """Start coordinates (N, 3) ECEF m: known ones as given, the others by intersection.
+    """Start coordinates (N, 3) ECEF m: known points as given, other points by intersection.
 
     Raises
     ------

@@ -5,7 +5,7 @@ Readers (``fg_orient.formats.dimap1``, ``dimap2``, ``metadata.pushbroom``) make 
 day of the image), positions and velocities are Earth-fixed (ECEF, WGS84) in m and m/s unless a frame is stated, angles
 rad, pixels (line, sample) with (0, 0) = centre of the first pixel. Attitudes are body to orbital frame of convention B
 (X = V x Z right of flight, Y = Z x X forward, Z = radial outward) or body to ECEF quaternions. Camera and payload axes
-of the general pushbroom are those of convention A: X forward, Y left of flight, Z away from the Earth.
+of the general pushbroom follow convention A: X forward, Y left of flight, Z away from the Earth.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class Ephemeris:
 class AngleAttitude:
     """Sampled angles to an orbital frame, linear in time: ``time_s`` (n,), ``angles_rad`` (n, 3) = roll, pitch, yaw.
 
-    Signs of DIMAP v1 are already changed: roll and pitch are the negated values of the file, yaw is that of the file
-    (docs/equations.md 2). Angles of a general pushbroom are those of ``factors.geometry.orbital``.
+    Signs of DIMAP v1 are already changed: roll and pitch are the negated values of the file, yaw is the value of the
+    file (docs/equations.md 2). Angles of a general pushbroom are defined in ``factors.geometry.orbital``.
     """
 
     time_s: Array

@@ -1,6 +1,6 @@
 """Ground to image for a pushbroom: the zero of the look-angle collinearity in (line, sample).
 
-Newton on both pixel coordinates at once (docs/equations.md 6). The conditions F_y, F_x are those of the observation
+Newton on both pixel coordinates at once (docs/equations.md 6). The conditions F_y, F_x belong to the observation
 equation, so that every correction (EOP, look angles) is included. Their derivatives are differences over half a pixel
 to both sides: attitudes and look angles are piecewise linear, and a pixel may contain a knot. Up to 30 steps are
 therefore needed. They end below 1e-9 px, or below 1e-6 px if they no longer shrink (a time of day has 11 digits: 1e-8

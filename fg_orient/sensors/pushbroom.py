@@ -198,7 +198,7 @@ class PushbroomSensor(Sensor):
         return state[:, :3], state[:, 3:]
 
     def _require_listed(self, code: str, line: Array, listed_s: Array, table: str = "") -> None:
-        """Refuse lines beyond a list of times; half a line, the border of a pixel, is allowed."""
+        """Refuse lines outside a list of times; half a line, the border of a pixel, is allowed."""
         t = self._line_time(line)
         gap = np.maximum(listed_s[0] - t, t - listed_s[-1])
         beyond = gap > TIME_PRINT_S + 0.51 * abs(self.metadata.timing.line_period_s)

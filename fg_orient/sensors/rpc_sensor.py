@@ -135,7 +135,7 @@ class RpcSensor(Sensor):
         """Ground points (N, 3) ECEF m; a rational function has curved lines of sight.
 
         On a DEM, a ray follows first the chord over all heights of the DEM, then the chord about the height of its
-        first hit. The ground point is that of the model at the last height, so that its pixel is exact.
+        first hit. The ground point comes from the model at the last height, so that its pixel is exact.
         """
         line, sample, h = same_length(line, sample, 0.0 if height_m is None else height_m)
         if dem is not None:

@@ -86,7 +86,7 @@ class RasterDem:
         self._to_ellipsoid(unit, vertical_crs)
 
     def _without_implausible(self) -> tuple[Finding, ...]:
-        """Take implausible heights as nodata; a height of -9999 m would bend every ray that passes near it."""
+        """Treat implausible heights as nodata; a height of -9999 m would bend every ray that passes near it."""
         low, high = PLAUSIBLE_M
         wrong = (self.heights_m < low) | (self.heights_m > high)
         if not wrong.any():
@@ -270,7 +270,7 @@ def _bracket(p: Array, u: Array, dem: HeightSurface) -> tuple[Array, Array]:
     top, bottom = dem.range_m[1] + MARGIN_M, dem.range_m[0] - MARGIN_M
     lines = _GridLines(*(_cells(p, u, level, dem) for level in (top, bottom)))
     above, below = np.full(len(p), np.nan), np.full(len(p), np.nan)
-    going, last, t = np.arange(len(p)), np.full(len(p), top), np.zeros(len(p))  # nothing rises to the top
+    going, last, t = np.arange(len(p)), np.full(len(p), top), np.zeros(len(p))  # no cell reaches the top
     depth = _depth(p, u, last, dem)[1]
     while len(going):
         # along a ray the surface of one cell is a parabola: three depths determine its peak

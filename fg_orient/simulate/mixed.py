@@ -53,7 +53,7 @@ RPC_SIDE_PX: Final = 14000
 RPC_PIXEL_M: Final = 0.7
 #: Speed of the nadir point, m/s, for approximately square pixels.
 GROUND_SPEED_M_S: Final = 6.77e3
-#: Heights for the fit of the RPC, m; the range includes that of the points.
+#: Heights for the fit of the RPC, m; the range includes the heights of the points.
 RPC_HEIGHTS_M: Final = (-200.0, 1000.0)
 RPC_SHIFT_SIGMA_PX: Final = 15.0
 RPC_LINEAR_SIGMA_PX: Final = 2.0

@@ -2,8 +2,9 @@
 
 A claim is a function ``study -> Outcome``: whether the claim holds, with its figures. :class:`Study` is one seed and
 computes each result once. :func:`run_claims` runs the claims over seeds and gives pass rates with Wilson's interval; a
-claim is met at 90 % or more. No published value is used here. The bounds are those of the claims (docs/reproduce.md),
-so a claim that fails is reported, not adapted. The claims on solvers, C8 to C16 and C22, stand here.
+claim is met at 90 % or more. No published value is used here. The bounds are the bounds of the claims
+(docs/reproduce.md), so a claim that fails is reported, not adapted. This module contains the claims on solvers, C8 to
+C16 and C22.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ TWIN = ZonguldakOptions(point_set="H-10", image_noise_px=1.0, distortion_rad=3e-
 AS_RUN_TWIN = replace(TWIN, radial_velocity_m_s=8.0, attitude_rad=(-1.6e-4, -7.2e-4, 9e-4))
 #: Sets with redundant unknowns; the thesis calls them ill-conditioned.
 ILL_CONDITIONED = (5, 13, 15, 17, 19, 20)
-#: Those with the velocity: least squares gives very large errors.
+#: Sets with the velocity: least squares gives very large errors.
 WITH_VELOCITY = (5, 13, 17, 19, 20)
 TARGET_M = 5.0
 #: Solvers of N x = b without threshold and regularisation, except Cramer's rule: the minors of a matrix in raw units

@@ -2,8 +2,8 @@
 
 Each image point has two conditions ``F = 0`` with derivatives ``A`` (EOP coefficients), ``G`` (ground point) and ``B``
 (look angles), Terlemezoğlu 2019, eqs. 2.66-2.67 as corrected. Units are raw, as published: metre, m/s, rad, **per
-line** of the image line x. The kernel (``factors.cameras.pushbroom``) is that of the graph with other constants: tau is
-the line number, the whitening is the identity, prior sigmas are one.
+line** of the image line x. The kernel (``factors.cameras.pushbroom``) is the same as in the graph, with other
+constants: tau is the line number, the whitening is the identity, prior sigmas are one.
 
 Some switches of the authors' program (:mod:`fg_orient.studies.switches`) change the equations. x counts from the
 scene-centre line. The EOPs of the records are degree-2 polynomials or interpolated at the line. The across-track axis

@@ -2,7 +2,7 @@
 
 The program (public, 2013) differs from the equations of Topan & Maktav (2010) and Terlemezoğlu (2019) in the points
 below; D8 is inferred from its numbers. Each difference has its own switch, so that its effect can be shown separately
-(docs/program-as-run.md, which uses the same labels D1 to D8): ``TEXT`` has none of them, ``PROGRAM`` all.
+(docs/program-as-run.md, which uses the same labels D1 to D8): ``TEXT`` has no differences, ``PROGRAM`` has all.
 
 Equations that differ from the kernel: the program takes ``X = V/|V| x Z`` without normalisation, and ``Y = Z x X``:
 both have the length ``s = sin(V, Z)``. With the orthonormal frame R, ``D = diag(s, s, 1)``, attitude U and mounting M0

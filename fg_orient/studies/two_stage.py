@@ -397,7 +397,7 @@ class TwoStage:
     ) -> Array:  # fmt: skip
         """Intersect the rays of all points: (N, 3) ECEF m."""
         n = len(self.block.points.ids)
-        with np.errstate(all="ignore"):  # large corrections overflow: such points are nan
+        with np.errstate(all="ignore"):  # large corrections overflow: these points are nan
             centre, direction = at.rays(codes, eop, metadata_position=metadata_position, look_sign=look_sign)
             if len(self.block.images) == 2:
                 return results.from_two_rays(centre, direction, at.image, at.point, n, midpoint=self.switches.midpoint)

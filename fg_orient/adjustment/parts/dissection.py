@@ -2,7 +2,7 @@
 
 The parts are the leaves of a binary tree (``pool.tree``). An image is eliminated at the lowest node that contains all
 its image points: no other part contributes to its normal equations. The front of a node consists of the images that it
-eliminates and of those on its border, which are also observed outside (George 1973; Duff & Reid 1983).
+eliminates and of the images on its border, which are also observed outside (George 1973; Duff & Reid 1983).
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Files of the fronts of a dissected block, and the tasks on them.
 
 With S the normal equations of a front, own unknowns I and border B, the file of a front holds R of ``S_II = R^T R``,
-``W = R^-T S_IB`` and ``R^-T g_I`` of the gradient g. Another file holds what the parent sums, ``S_BB - W^T W`` and
-``g_B - W^T R^-T g_I``. That of the inverse holds the cofactors of all unknowns of the front: with ``G = R^-1 W`` and
-Q_BB from the parent, ``Q_IB = -G Q_BB`` and ``Q_II = (R^T R)^-1 + G Q_BB G^T`` (Takahashi et al. 1973).
+``W = R^-T S_IB`` and ``R^-T g_I`` of the gradient g. Another file contains the contribution to the parent, ``S_BB - W^T
+W`` and ``g_B - W^T R^-T g_I``. The file of the inverse contains the cofactors of all unknowns of the front: with ``G =
+R^-1 W`` and Q_BB from the parent, ``Q_IB = -G Q_BB`` and ``Q_II = (R^T R)^-1 + G Q_BB G^T`` (Takahashi et al. 1973).
 
 Tasks are functions of files and small arguments. Files are written whole or not at all.
 """
@@ -101,7 +101,7 @@ def write_front(folder: str, name: str, node: Front, matrix: Array, added: Added
 
 
 def front_of_children(folder: str, name: str, node: Front, children: list[Front], added: Added) -> None:
-    """Sum what remains of the fronts of the children, and eliminate; see :func:`write_front`."""
+    """Sum the contributions of the children's fronts, and eliminate; see :func:`write_front`."""
     n = len(node.unknowns)
     matrix = np.zeros((n + 1, n))
     for child in (c for c in children if len(c.above)):
@@ -140,7 +140,7 @@ def product(folder: str, name: str, node: Front, x: Array | None) -> Array:
 
 
 def inverse(folder: str, name: str, node: Front, parent: Front | None) -> None:
-    """Write the cofactors (n, n) of a front, from those of its parent."""
+    """Write the cofactors (n, n) of a front, from the cofactors of its parent."""
     (root, w, _), own, n = _factor(folder, name, node), node.own, len(node.unknowns)
     q = np.empty((n, n))
     with one_blas_thread():

@@ -1,7 +1,7 @@
 """Multifrontal solution of the reduced system of a dissected block; this process holds vectors only.
 
 The tree is eliminated from the parts to the root. Solutions go back from the root: each front gives the unknowns of its
-images from those of its border. The matrices are in the files of the fronts.
+images from the unknowns of its border. The matrices are in the files of the fronts.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ class Multifrontal:
         return out
 
     def _cofactors(self, node: Front) -> Array:
-        """Cofactors of a front; those on the path from the root are computed first."""
+        """Cofactors of a front; the fronts on the path from the root are computed first."""
         if self._read is None or self._read[0] is not node:
             path = [f for level in self._levels for f in level if f.lo <= node.lo and node.hi <= f.hi]
             for parent, one in zip([None, *path], path, strict=False):

@@ -33,7 +33,7 @@ def branches(arguments: Sequence[Any], depth: int) -> list[Sequence[Any]]:
 
 
 def summed(task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
-    """Sum of a task over arguments, in this tree."""
+    """Sum the results of a task over its arguments, along this tree."""
     return tree(arguments, math.inf, lambda branch: task(*branch[0]))
 
 

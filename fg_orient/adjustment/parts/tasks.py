@@ -1,7 +1,8 @@
 """Tasks of a worker on a part of a block: functions of the part's file, the state and small arguments.
 
 A task repeated by another worker gives the same bits: results that a process keeps are computed again where they are
-missing. Ground points are never sent: a step writes those of its part to a file of the work folder, named by the state.
+missing. Ground points are never sent: a step writes the points of its part to a file of the work folder, named by the
+state.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ T = TypeVar("T")
 class At:
     """A state of a part: image unknowns (M, k) in prior sigmas, and ground points in a file with the name of the state.
 
-    ``threads`` are those of the kernels; ``robust`` are losses, ``loss`` their number, which changes with them. At most
-    ``kept`` parts stay open in a process (None: all).
+    ``threads`` is the number of threads of the kernels; ``robust`` are losses, ``loss`` their number, which changes
+    with them. At most ``kept`` parts stay open in a process (None: all).
     """
 
     folder: str
@@ -83,7 +84,7 @@ class _Part:
         return self._system[2]
 
     def moved(self, at: At, step: SchurStep, target: str) -> Sums:
-        """Move the ground points; keep those of this state and of the new one."""
+        """Move the ground points; keep the points of this state and of the new state."""
         ground = self.backend.retract(self.state(at), step).ground
         write_ground(at.folder, at.part, target, ground)
         self._ground = {name: self._ground[name] for name in {START, at.name}} | {target: ground}

@@ -193,15 +193,16 @@ N_CAMERA: Final = 9
 UNKNOWN: Final = (
     "rotation_x", "rotation_y", "rotation_z", "centre_x", "centre_y", "centre_z", "focal", "k1", "k2",
 )  # fmt: skip
-#: A count above this is that of a damaged file.
+#: A count above this belongs to a damaged file.
 LARGEST: Final = 10**9
 
 
 def read_bal(path: str | Path, *, keep_behind: bool = True) -> Block:
     """Read a file as a block in a local system, with the options to adjust it as the literature does.
 
-    There are no priors and the datum is free; Levenberg-Marquardt; sigma 1 px: the cost is then that of the literature,
-    in px^2. Points measured in one image only, once or more, are left out: nothing determines their depth.
+    There are no priors and the datum is free; Levenberg-Marquardt; sigma 1 px: the cost is then the same as in the
+    literature, in px^2. Points measured in one image only, once or more, are left out, because their depth is not
+    determined.
 
     Parameters
     ----------

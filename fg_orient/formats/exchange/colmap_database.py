@@ -1,9 +1,9 @@
 """Databases of COLMAP (SQLite): images, keypoints and matches of image pairs.
 
 Keypoints are (x, y) with (0.5, 0.5) in the centre of the first pixel, in single precision: a
-place at 10 000 px is rounded by up to 0.0005 px. ``matches`` contains all matches,
-``two_view_geometries`` those that fit the geometry of the pair. The number of a pair is
-2147483647 times the smaller image id plus the larger one.
+place at 10 000 px is rounded by up to 0.0005 px. ``matches`` contains all matches, ``two_view_geometries`` contains the
+matches that fit the geometry of the pair. The number of a pair is 2147483647 times the smaller image id plus the larger
+one.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ CREATE TABLE matches (pair_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NUL
 
 
 def read_colmap_database(path: str | Path) -> Survey:
-    """Read the tie points of a database: matches of ``two_view_geometries``, else those of ``matches``.
+    """Read the tie points of a database: matches of ``two_view_geometries``, else matches of ``matches``.
 
     An InputError for a damaged database names the table and the id.
     """
@@ -111,7 +111,7 @@ def _blob(file: str, place: str, data: Any, rows: int, columns: int, kind: str) 
 def write_colmap_database(path: Path, survey: Survey, sizes: Mapping[str, tuple[int, int]]) -> float:
     """Write the image points of a survey as keypoints and matches of all pairs.
 
-    Nothing is written to ``two_view_geometries``: COLMAP tests whether matches fit a geometry. ``sizes`` are lines and
+    ``two_view_geometries`` remains empty: COLMAP tests whether matches fit a geometry. ``sizes`` are lines and
     samples of the images. Each image gets a pinhole camera whose focal length is marked as a guess. An existing file is
     replaced.
 

@@ -76,7 +76,7 @@ def interior_of(
 
 
 def parameters_of(interior: Interior) -> tuple[str, tuple[float, ...], float]:
-    """Camera for COLMAP by the smallest sufficient model.
+    """Return a camera for COLMAP, with the smallest model that has all its parameters.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def parameters_of(interior: Interior) -> tuple[str, tuple[float, ...], float]:
 
 
 def camera_lines(model: FrameModel) -> tuple[list[str], tuple[str, ...]]:
-    """Lines of cameras.txt, and information that they cannot hold, in words."""
+    """Return the lines of cameras.txt, and the information that they cannot contain, in words."""
     lines, lost = [], []
     for k, (name, interior) in enumerate(model.cameras.items(), start=1):
         kind, values, error = parameters_of(interior)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 Three = tuple[float, float, float]
 Two = tuple[float, float]
 
-#: Distance from the area of use of a CRS beyond which points cause a remark, degrees.
+#: Distance from the area of use of a CRS above which points cause a remark, degrees.
 AREA_MARGIN_DEG: Final = 3.0
 
 
@@ -289,7 +289,7 @@ def _in_area(crs: str, first: Array, second: Array, area: tuple[float, float, fl
 
 
 def losses(survey: Survey, format_: Format, file: str) -> tuple[Finding, ...]:
-    """List information of the survey that the format cannot hold; ``file`` is for the messages."""
+    """List information of the survey that the format cannot contain; ``file`` is for the messages."""
     lost, holds = [], format_.holds
     for what, (code, implied, count) in _COUNTED.items():
         if what is Holds.IDS and Holds.NUMBERS in holds:

@@ -225,7 +225,7 @@ def write_point_layer(
 def _write_points(
     path: Path, layer: str, coordinates: Array, columns: dict[str, npt.NDArray[Any]], crs: str | None, **options: str
 ) -> None:
-    """Write points with Z; those without coordinates have no geometry, those without a height no Z."""
+    """Write points with Z; points without coordinates have no geometry, points without a height have no Z."""
     pyogrio, shapely = libraries(path)
     geometry: npt.NDArray[np.object_] = shapely.to_wkb(shapely.points(np.nan_to_num(coordinates)))
     located = np.isfinite(coordinates[:, :2]).all(axis=1)

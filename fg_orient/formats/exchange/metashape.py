@@ -180,7 +180,7 @@ def _row(node: XmlNode) -> Row:
 
 
 def _take(gathered: Gathering, marker: XmlNode) -> None:
-    """Take a marker: with coordinates a control or check point, else a tie point."""
+    """Add a marker: with coordinates as control or check point, else as tie point."""
     label, line = marker.element.get("label", ""), _row(marker).line
     node = marker.maybe("reference")
     row = Row(line, {}) if node is None else _row(node)
@@ -194,7 +194,7 @@ def _take(gathered: Gathering, marker: XmlNode) -> None:
 
 
 def _locate(gathered: Gathering, marker: XmlNode, cameras: dict[str, str], labels: dict[str, str]) -> None:
-    """Take the image points of a marker; those marked as not valid are left out."""
+    """Add the image points of a marker; image points marked as not valid are left out."""
     key = marker.element.get("marker_id", "")
     if key not in labels:
         raise marker.fault("interchange.unknown_camera", f"marker_id {key}")

@@ -1,9 +1,9 @@
-"""Tables of offices in any form: encoding, separator, header, columns and units are found out, or asked for.
+"""Tables of offices in any form: the reader finds encoding, separator, header, columns and units, or asks for them.
 
 CSV and other text, workbooks (``.xlsx``, ``.ods``), GeoPackage and Shapefile with any columns, in one file or two.
 Columns are recognised by usual names in English, Turkish, French, German and Spanish. With the metadata of the images,
-axis order, units and CRS are found by projection into them. Each assumption gives a note; a question that nothing
-decides is an error that names the option.
+axis order, units and CRS are found by projection into them. Each assumption gives a note; a question that the data do
+not decide is an error that names the option.
 """
 
 from __future__ import annotations

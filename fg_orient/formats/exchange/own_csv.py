@@ -1,6 +1,6 @@
 """Our own tables: ground points and image observations, as a project names them (docs/file-formats.md).
 
-The end of the file name says the form: .csv, .parquet, .feather or .arrow. The format "csv" has all of them.
+The end of the file name selects the form: .csv, .parquet, .feather or .arrow. The format "csv" has all of them.
 """
 
 from __future__ import annotations

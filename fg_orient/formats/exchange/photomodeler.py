@@ -5,7 +5,7 @@ Exports of PhotoModeler: the text export of a project ("Bundle Soln") and the ta
 The text export has parts between empty lines: image size and camera; each photo with its projection centre and the
 angles kappa, phi, omega (degrees); known points; all points, in a shifted system; marks. Lengths of the camera are in
 mm. Its polynomial leads from measured to ideal coordinates with y up. Photos count from 0 (from 1 in tables). Without
-an image size, the size that fits the marks best is taken, with a note.
+an image size, the size that fits the marks best is used, with a note.
 Pixels run right and down. Neither file states their origin, which marks and principal point have in common. It is
 assumed to be the centre of the first pixel, because DBAT's results are reproduced with it (docs/frame-cameras.md).
 
@@ -261,7 +261,7 @@ def _rows(path: Path, first: int, counts: tuple[int, ...], needed: str) -> dict[
 
 
 def read_dbat(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read marks and, as second file, control points; their CRS is that of the settings."""
+    """Read marks and, as second file, control points; their CRS is the CRS of the settings."""
     images, points, marks = read_marks(paths[0])
     names, control = read_control(paths[1]) if len(paths) > 1 else ([], np.empty((0, 6)))
     ids, image_ids = list(dict.fromkeys([*names, *points])), list(dict.fromkeys(images))

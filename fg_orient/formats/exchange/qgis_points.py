@@ -33,7 +33,7 @@ _QGIS_CRS: Final = re.compile(r"^#\s*CRS:\s*(.+)$", re.MULTILINE)
 
 
 def read_qgis(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read the points of one image, numbered in their order: enabled ones are control, the others check points."""
+    """Read the points of one image, numbered in their order: enabled points are control, the others check points."""
     path = paths[0]
     gathered = Gathering(path, settings.crs, stated_in(path, _QGIS_CRS))
     faults = gathered.faults

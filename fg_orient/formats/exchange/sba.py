@@ -5,8 +5,8 @@ has the common camera matrix; or before them fx, x0, y0, aspect fy/fx, skew, and
 k2 p1 p2 k3. Points, one per line: X Y Z, number of images, then image, x, y for each, and perhaps the covariance matrix
 of x, y, whole or its upper triangle. Images count from 0. Camera axes are X right, Y down, Z forward.
 
-Pixels are counted from the top left corner of the image, according to sba's description: (0.5, 0.5) is taken as the
-centre of the first pixel. Image points and principal point have the origin in common.
+Pixels are counted from the top left corner of the image, according to sba's description: (0.5, 0.5) is assumed to be
+the centre of the first pixel. Image points and principal point have the origin in common.
 """
 
 from __future__ import annotations

@@ -168,7 +168,7 @@ class Gathering:
     def feature(
         self, name: str, role: str, coordinates: Sequence[float], sigma: Sequence[float], *, number: int, fixed: bool
     ) -> None:
-        """Take a control or check point of a layer, given its number from 1; sigmas must be above zero or nan."""
+        """Add a control or check point of a layer, given its number from 1; sigmas must be above zero or nan."""
         if role not in (Role.CONTROL, Role.CHECK):
             self.faults.add("points.role", place=f"feature {number}", value=repr(role))
         elif any(value <= 0.0 for value in sigma):
@@ -180,7 +180,7 @@ class Gathering:
         self, image: str, name: str, line_px: float, sample_px: float,
         sigma: Sequence[float] = UNKNOWN[:2], *, line: int,
     ) -> None:  # fmt: skip
-        """Take an image point: pixels with (0, 0) in the centre of the first pixel, sigmas of line and sample."""
+        """Add an image point: pixels with (0, 0) in the centre of the first pixel, sigmas of line and sample."""
         if not image or not name:
             self.faults.add("interchange.name_missing", place=f"line {line}")
             return

@@ -87,7 +87,7 @@ def read_rows(
 def stated_in(path: Path, pattern: re.Pattern[str], text: str | None = None) -> str:
     """First group of the first match of a pattern in a text file, "" without a match; InputError if unreadable.
 
-    ``text`` replaces that of the file.
+    ``text`` replaces the text of the file.
     """
     faults = Faults(str(path))
     match = pattern.search((read_text(path, faults) if text is None else text) or "")
@@ -102,7 +102,7 @@ def named(n: int, cells: Sequence[str], names: Sequence[str]) -> Row:
 
 
 def numbers(row: Row, columns: Sequence[str], faults: Faults) -> tuple[float, ...]:
-    """Cells as finite numbers; nan, with the fault noted, where there is none."""
+    """Convert cells to finite numbers; a cell that is not a number gives nan and a noted error."""
     return tuple(number(row, column, faults) for column in columns)
 
 
@@ -225,7 +225,7 @@ def make_folder(folder: Path) -> None:
 
 
 def read_packed(path: Path, code: str) -> bytes:
-    """Content of a file, decompressed if its first bytes are those of gzip or bzip2.
+    """Return the content of a file, decompressed if its first bytes are the signature of gzip or bzip2.
 
     InputError with this ``code`` if it cannot be read.
     """

@@ -8,8 +8,8 @@ polarity (one byte), octave, scale level (uint32), length of the descriptor (uin
 the column, y the row, (0, 0) the centre of the first pixel.
 
 The layout is from a description; no file of the program was available, and the format is unverified. The reader
-therefore checks conditions that a wrong layout would violate: equal counts, a polarity of 0 or 1, finite pixels next
-to their whole-numbered ones, and no remaining byte.
+therefore checks conditions that a wrong layout would violate: equal counts, a polarity of 0 or 1, finite pixels next to
+their rounded values, and no remaining byte.
 
 Multi-image tie points of MicMac: a folder with one table ``PMUL-IMAGE.csv`` per image, columns Pt.x, Pt.y, Id.
 

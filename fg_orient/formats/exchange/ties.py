@@ -53,7 +53,8 @@ def matched_survey(
 ) -> Survey:
     """Survey of matched keypoints.
 
-    Tie points are named by numbers from 1. Those with two places in one image are left out, and a note counts them.
+    Tie points are named by numbers from 1. Tie points with two places in one image are left out, and a note counts
+    them.
 
     Parameters
     ----------
@@ -102,7 +103,7 @@ def pairs_of(image: Index, point: Index) -> dict[tuple[int, int], Index]:
 
 
 def model_survey(model: FrameModel) -> Survey:
-    """Tie points of a frame model; a note counts its cameras, poses and coordinates, which a survey cannot hold."""
+    """Return the tie points of a frame model; a note counts the cameras, poses and coordinates, which are left out."""
     left_out = finding("points.model_left_out", poses=len(model.poses), cameras=len(model.cameras),
                        points=len(model.point_ids))  # fmt: skip
     return tie_survey(
@@ -112,7 +113,7 @@ def model_survey(model: FrameModel) -> Survey:
 
 
 def model_format(read_model: Callable[[tuple[Path, ...], Settings], FrameModel], **fields: Any) -> Format:
-    """Registration record of a format of frame models, whose tie points are those of the model."""
+    """Return the registration record of a format of frame models; its tie points are the tie points of the model."""
     usual = {"ground_axes": "local x, y, z (left out)", "holds": TIES_ONLY}
     read = lambda paths, settings: model_survey(read_model(paths, settings))  # noqa: E731
     return Format(read_model=read_model, **{"read": read, **usual, **fields})
@@ -165,9 +166,9 @@ def join(image: Index, line: Array, sample: Array, matches: Index) -> tuple[tupl
 def conflict_note(
     n_tracks: int, conflicts: tuple[Index, Index], names: Sequence[str], image: Index, line: Array, sample: Array
 ) -> tuple[Finding, ...]:
-    """Note with the number of tie points left out and the first of them; nothing if there is no conflict.
+    """Return a note with the number of tie points left out and the first of them; empty without conflict.
 
-    ``names`` are those of the images; ``image``, ``line``, ``sample`` are the arguments of :func:`join`.
+    ``names`` are the names of the images; ``image``, ``line``, ``sample`` are the arguments of :func:`join`.
     """
     keypoint, track = conflicts
     if not len(keypoint):

@@ -74,13 +74,13 @@ class RpcFields:
     cells: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     def add(self, name: str, text: str, place: str) -> None:
-        """Take a text; InputError if the name has a text already."""
+        """Add a text; InputError if the name has a text already."""
         if name in self.cells:
             raise InputError.of("rpc.doubled", file=self.file, place=place, field=name)
         self.cells[name] = (text, place)
 
     def take(self, name: str, text: str, place: str) -> bool:
-        """Take a text of a name of ``_RPC.TXT``, or all texts of ``LINE_NUM_COEFF`` etc.; False for other names."""
+        """Add a text of a name of ``_RPC.TXT``, or all texts of ``LINE_NUM_COEFF`` etc.; False for other names."""
         if not NAMES.fullmatch(name):
             return False
         many = name.endswith("_COEFF")
@@ -167,7 +167,7 @@ def texts_of(model: RpcModel, first_pixel: float = FIRST_PIXEL) -> dict[str, str
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Contents of a text file; bytes beyond ASCII can only be remarks."""
+    """Read a text file; bytes that are not ASCII can only be remarks."""
     return read_bytes(path, MAX_BYTES).decode("latin-1")
 
 

@@ -197,7 +197,7 @@ def dlt_parameter_cells(values: Values) -> Cells:
         assert r.sigma is not None
         angle = r.sigma["turn_x"] / GON, r.sigma["turn_y"] / GON, r.sigma["turn_z"] / GON
         quantities = ("xo_mm", "zo_mm", "c_mm", "omega_gon", "phi_gon", "kappa_gon")
-        # kappa there is that of the x axis (eq. 43), here that of the y axis
+        # kappa there belongs to the x axis (eq. 43), here to the y axis
         numbers = *r.principal, 0.5 * (r.cx + r.cy), -omega, phi, kappa - r.skew / GON
         sigmas = r.sigma["x0"], r.sigma["y0"], r.sigma["cx"], *angle
         out |= cells_of("ek2.dlt", quantities, [photo], numbers, sigmas)

@@ -182,7 +182,7 @@ def verdict(result: Reproduction) -> dict[str, str]:
 
 
 class Grid(NamedTuple):
-    """Verdicts of one table: names of the columns, then address and a Row or None per column for each line."""
+    """Arrange verdicts of one table: names of the columns, then per line its address and a Row or None per column."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, tuple[Row | None, ...]], ...]

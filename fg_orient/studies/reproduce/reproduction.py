@@ -248,7 +248,7 @@ def _of_runs(key: CellKey, computed: Mapping[CellKey, Array]) -> Judge:
 
 #: Number of shuffles, with the seeds 1 to N.
 SHUFFLES: Final = 20
-#: Verdicts that say something on the value of a cell, the strongest first; a common side of a limit says too little.
+#: Verdicts with information on the value of a cell, the strongest first; a common side of a limit is not enough.
 AGREEING: Final[tuple[Kind, ...]] = ("equal", "rounding", "unit", "sigma", "spread", "order")
 #: Verdicts of digits: the only ones that the headline counts.
 DIGITS: Final[tuple[Kind, ...]] = ("equal", "rounding")

@@ -43,7 +43,7 @@ from fg_orient.studies.published.tables import PublishedCell
 
 Test = Literal["equal", "rounding", "order", "spread", "side"]
 Kind = Literal["equal", "rounding", "unit", "spread", "sigma", "order", "side", "fitted", "differs", "not_reproducible"]
-#: Ratio of published and reproduced that still counts as the same order of magnitude.
+#: Ratio of published and reproduced that is accepted as the same order of magnitude.
 ORDER: Final = 10.0
 
 
