@@ -17,15 +17,7 @@ from factors.losses import losses
 from fg_orient.adjustment.best_rays import sharing, with_best_rays
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.images_first import images_first
-from fg_orient.adjustment.irls import (
-    DIMENSIONS,
-    RULES,
-    CycleResult,
-    cycles_on_arrays,
-    norms_at,
-    reweight,
-    weights_of,
-)
+from fg_orient.adjustment.irls import DIMENSIONS, RULES, CycleResult, cycles_on_arrays, norms_at, reweight, weights_of
 from fg_orient.adjustment.loop import (
     OPTIMIZERS,
     SHRINK,
