@@ -71,7 +71,7 @@ def test_published_exports_without_their_image_size_have_the_same_cameras(real_d
         ours, theirs = without.cameras["1"], whole.cameras["1"]
         assert (ours.n_lines, ours.n_samples) == (theirs.n_lines, theirs.n_samples), export.name
         assert (ours.focal_px, ours.principal_px.tolist()) == (theirs.focal_px, theirs.principal_px.tolist())
-        assert f"{theirs.n_lines} lines, {theirs.n_samples} samples" in note
+        assert f"{theirs.n_lines} lines and {theirs.n_samples} samples are used" in note
 
 
 FAULTS = [

@@ -181,7 +181,7 @@ def test_points_that_do_not_do_are_refused(tmp_path: Path, rng: np.random.Genera
     for command, table, words in (
         (("fit",), write_points(tmp_path / "p.csv", line, 30.0 * line + 5.0), "straight line"),
         (("fit",), write_points(tmp_path / "q.csv", line, line, check=10), "0 control points"),
-        (("study", "--counts", "5"), write_points(tmp_path / "r.csv", image, plane), "no check points"),
+        (("study", "--counts", "5"), write_points(tmp_path / "r.csv", image, plane), "needs check points"),
     ):
         done = run("rectify", command[0], table, *command[1:])
         assert done.code == 2 and words in done.stderr

@@ -115,7 +115,7 @@ def test_points_near_a_circle_are_remarked_at_degree_2() -> None:
         image = CENTRE + 400.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1) + rng.normal(0.0, noise, (30, 2))
         found = fit(Observations.of(image, 28.5 * image + rng.normal(0.0, 5.0, (30, 2))), find_model("polynomial", 2))
         words = record_of(PointFit(found, "image-to-map", None, np.zeros((0, 2))))["warnings"]
-        assert any("near a curve" in text for text in words) is remarked
+        assert any("close to a curve" in text for text in words) is remarked
 
 
 @pytest.mark.behaviour

@@ -74,7 +74,7 @@ def test_the_page_asks_nobody_and_has_its_parts(made: Path) -> None:
     assert links and set(links) <= set(found.ids)
     inputs = re.findall(r'<td class="id">([\w.]+)</td><td class="id sha text">\w{64}</td>', text)
     assert inputs == ["image.csv", "cameras.toml", "ground.csv", "check.csv", "constraints.toml"]
-    columns = text[text.index("Of a photo X0, Y0, Z0 are") :].split("</p>")[0]
+    columns = text[text.index("For a photo, X0, Y0, Z0 are") :].split("</p>")[0]
     named = set(re.findall(r"photo (?:left|right) (\w+)", text))
     assert {"X0", "turn_x"} <= named and named <= set(re.findall(r"\w+", columns))
 
