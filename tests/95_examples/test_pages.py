@@ -118,7 +118,7 @@ OWN_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
     "docs/frame-cameras.md": (camera_file,),
     "docs/quickstart.md": (camera_file, *MARKER_FILES),
     "docs/rpc-commands.md": (page_files.rpc_points,),
-    "docs/rectification.md": (page_files.map_points,),
+    "docs/rectification.md": (page_files.map_points, page_files.outlines),
     "docs/rfm.md": (page_files.gcp_file,),
     "docs/terminal.md": (page_files.two_campaigns,),
     "docs/how-to/photomodeler.md": (photomodeler.write_projects,),

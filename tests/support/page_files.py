@@ -197,3 +197,11 @@ def _rows(path: Path) -> list[dict[str, str]]:
 def _write(path: Path, columns: tuple[str, ...], rows: Iterable[Sequence[object]]) -> None:
     with path.open("w", encoding="utf-8", newline="") as out:
         csv.writer(out).writerows([columns, *rows])
+
+
+def outlines(folder: Path) -> None:
+    """Write the outline of an island of 14 km, and two points, as longitude and latitude."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
+    corners = np.column_stack([29.12 + 0.027 * np.cos(angle), 40.86 + 0.02 * np.sin(angle)])
+    np.savetxt(folder / "outlines.csv", corners, delimiter=",", header="lon_deg,lat_deg", comments="", fmt="%.7f")
+    (folder / "geographic.csv").write_text("id,lon_deg,lat_deg\nP1,29.1,40.85\nP2,29.15,40.88\n", "utf-8")
