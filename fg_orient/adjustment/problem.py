@@ -23,7 +23,6 @@ from fg_orient.adjustment.regularised import Regularisation
 from fg_orient.adjustment.rows import (
     computed_by,
     image_models,
-    local_origin,
     recomputed,
     release,
     require_finite,
@@ -38,6 +37,7 @@ from fg_orient.model.names import Role
 from fg_orient.model.parameters import ImageParameters
 from fg_orient.sensors import initial
 from fg_orient.sensors.base import ImageModel
+from fg_orient.sensors.lines import on_features
 
 #: One ground point by its number, or several by numbers or by a mask.
 Points = int | npt.NDArray[np.intp] | npt.NDArray[np.bool_]
@@ -115,8 +115,13 @@ class Problem:
 
     @property
     def has_control(self) -> bool:
-        """Whether any image shows a control point."""
-        return bool(np.isin(self.block.points.where(Role.CONTROL), self.observations.point).any())
+        """Whether any image shows a control point or a control feature."""
+        return bool(self.on_features or np.isin(self.block.points.where(Role.CONTROL), self.observations.point).any())
+
+    @cached_property
+    def on_features(self) -> dict[str, tuple[str, Array]]:
+        """Feature and its chord (3,) by the id of each ground point on a line or spline."""
+        return on_features(self.block.extra)
 
     @cached_property
     def parameters(self) -> tuple[ImageParameters, ...]:
@@ -358,7 +363,7 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
     require_finite(block, observations, control_rows)
     if not block.georeferenced and any(image.sensor.georeferenced for image in block.images):
         raise InputError.of("frame.mixed", file=block.name, place="images")
-    origin = local_origin(block.images)
+    origin = initial.local_origin(block.images)
     known = block.points.known
     start_ecef = known.ecef_m.copy()
     same = np.full(len(observations), -1) if like is None else unchanged_rows(like, block, observations)

@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from factors._contract import NotFiniteError, check_blocks
 from factors.arrays import Array, Index
@@ -224,11 +223,6 @@ def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel,
     if wrong:
         raise InputError.of("parameters.unknown", place="image_unknowns", value=", ".join(wrong))
     return models
-
-
-def local_origin(images: Sequence[Image]) -> npt.NDArray[np.float64]:
-    """Origin (3,) of the ground unknowns, ECEF m: mean of the image centres on the ground."""
-    return np.asarray(np.mean([image.sensor.centre_m for image in images], axis=0))
 
 
 def require_finite(block: Block, observations: ImagePoints, control: Index) -> None:

@@ -102,7 +102,7 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
     known = tuple(image for image in images.values() if image is not None)
     drop = project.values_of(Reading)["points_seen_once"] == "drop"
     ids, control = [image.id for image in known], bool(points.points.where(Role.CONTROL).size)
-    relative = chosen_datum(options, known, control=control) != "control"
+    relative = project.lines is not None or chosen_datum(options, known, control=control) != "control"
     named = {name for c in constraints for name in c.members}
     kept, measured, withheld, left_out = assemble(ids, points, observations, drop=drop, relative=relative, named=named)
     foreign = foreign_members(constraints, kept.ids, ids, str(path))
@@ -127,7 +127,12 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
         ground=points.system,
         extra=constraints,  # type: ignore[arg-type]  # the adjustment makes observations of them
     )
-    return _navigated(block, project, folder, str(path)), remarks
+    block = _navigated(block, project, folder, str(path))
+    if project.lines is not None:
+        from fg_orient.formats.lines import lined
+
+        block = lined(block, project.lines, folder, str(path))
+    return block, remarks
 
 
 class ProjectImages(NamedTuple):

@@ -123,6 +123,14 @@ class NavigationEntry(Table):
     boresight_sigma_deg: Three | None = Field(default=None, description="three numbers above zero, degrees")
 
 
+class LinesEntry(Table):
+    """The ``[lines]`` table: control by lines and splines."""
+
+    file: Text = Field(description="the path of the table or GeoPackage of the features in quotes")
+    observations: Text = Field(description="the path of the table of the image points on them in quotes")
+    crs: Crs = Field(description='an EPSG code in quotes, such as "EPSG:4979"')
+
+
 class ConstraintEntry(Table):
     """One ``[[constraints]]`` table, of a project file or of a file of constraints."""
 
@@ -180,6 +188,7 @@ class ProjectFile(Table):
     points: PointsEntry = Field(default_factory=PointsEntry, description="a table [points] with file and crs")
     observations: ObservationsEntry = Field(description="a table [observations] with file")
     navigation: NavigationEntry | None = Field(default=None, description="a table [navigation] with file and crs")
+    lines: LinesEntry | None = Field(default=None, description="a table [lines] with file, observations and crs")
     constraints: tuple[ConstraintEntry, ...] = Field(default=(), description="[[constraints]] tables with kind")
     orientation: Orientation = Field(default_factory=Orientation, description="a table [orientation]")
     adjustment: Adjustment = Field(default_factory=Adjustment, description="a table [adjustment]")

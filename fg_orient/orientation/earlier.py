@@ -27,7 +27,7 @@ import numpy.typing as npt
 from factors._contract import Argument, Equation
 from factors.arrays import Array, Index
 from fg_orient.adjustment.problem import Problem, State, participates
-from fg_orient.adjustment.rows import image_models, local_origin
+from fg_orient.adjustment.rows import image_models
 from fg_orient.model.block import Block, Coordinates, ExtraObservation
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role, Status
@@ -215,7 +215,7 @@ def _with_prior(
                 at, unit, reference = [*at, n], [*unit, sigma], [*reference, 0.0]
         names.append(f"image:{image.id}")
         places.append(rows.astype(np.intp))
-    origin, single = local_origin(block.images), list[int]()
+    origin, single = initial.local_origin(block.images), list[int]()
     for j in np.flatnonzero(seen).tolist():
         n = column.get(f"point:{points.ids[j]}.x", -1)
         if n >= 0:

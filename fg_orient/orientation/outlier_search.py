@@ -29,6 +29,7 @@ from fg_orient.quality.rejection import MOST, ExcludedObservation, Rejection, Ro
 from fg_orient.quality.successive import Exclusion, successive
 from fg_orient.quality.variance_components import VarianceComponents, least_freedom
 from fg_orient.sensors import initial
+from fg_orient.sensors.lines import on_features
 
 #: Adjusts a block from a state and the problem of the last round, which differs in some observations.
 Run = Callable[[Block, State, Problem], AdjustmentResult]
@@ -233,7 +234,11 @@ class _Rounds:
         for j, mine in _by_point(removals).items():
             keep[self._order[self._first[j] : self._first[j + 1]]] = False
             keep[self._staying(j, mine)] = True
-        return np.flatnonzero(keep), replace(self._block, points=points, observations=o.take(keep))
+        # without its image point, a ground point on a control feature is not in the block
+        on, seen = on_features(self._block.extra), {points.ids[j] for j in o.point[keep]}
+        gone = {f"point:{name}" for name in on if name not in seen}
+        extra = tuple(e for e in self._block.extra if not (gone and e.unknowns[0] in gone))
+        return np.flatnonzero(keep), replace(self._block, points=points, observations=o.take(keep), extra=extra)
 
     def start(self, out: Sequence[_Removal], last: State) -> tuple[Block, State]:
         """The block without excluded observations, and the start of its adjustment.

@@ -36,6 +36,8 @@ NEW: Final = 0.1
 #: Size of a motion in sentences: half of the points move by this distance or more.
 SHIFT_M: Final = 10.0
 _TINY: Final = 1e-10
+#: Features are parallel if the second singular value of their directions is at most this share of the first.
+PARALLEL: Final = 0.05
 
 
 @dataclass(frozen=True)
@@ -44,8 +46,8 @@ class FreeMotions:
 
     Parameters
     ----------
-    images, control : tuple of str
-        Ids of the images and of the control points of the part.
+    images, control, features : tuple of str
+        Ids of the images, of the control points and of the control features of the part.
     words : tuple of str
         One per free motion: "shifted together East".
     felt : (d,) array
@@ -59,6 +61,7 @@ class FreeMotions:
 
     images: tuple[str, ...]
     control: tuple[str, ...]
+    features: tuple[str, ...]
     words: tuple[str, ...]
     felt: Array
     strength: Array
@@ -78,16 +81,17 @@ class FreeMotions:
 class _Part:
     """The seven motions of connected images, and their effects.
 
-    ``images``, ``rows`` (of the image points), ``points`` and ``control`` are indices; ``axes`` (3, 3), ``middle``
-    (3,) m: axes and centre of rotation; ``shift`` (N, 3, 7) m: movement of the points; ``moves`` (u, 7): change of the
-    unknowns of all images; ``whole``, ``left`` (n, 7), compressed by QR: effect on the image points without and with
-    the images following.
+    ``images``, ``rows`` (of the image points), ``points`` and ``control`` are indices; ``chords`` (3,) m by the id of
+    each control feature; ``axes`` (3, 3), ``middle`` (3,) m: axes and centre of rotation; ``shift`` (N, 3, 7) m:
+    movement of the points; ``moves`` (u, 7): change of the unknowns of all images; ``whole``, ``left`` (n, 7),
+    compressed by QR: effect on the image points without and with the images following.
     """
 
     images: Index
     rows: Index
     points: Index
     control: Index
+    chords: dict[str, Array]
     axes: Array
     middle: Array
     shift: Array
@@ -102,6 +106,8 @@ class _Part:
         mine = np.flatnonzero(np.isin(image, images))
         points = np.unique(point[mine])
         control = points[problem.observed[points] | ~problem.active[points]]
+        ids, on = problem.block.points.ids, problem.on_features
+        chords = dict(on[ids[j]] for j in points if ids[j] in on) if on else {}
         axes, middle = problem.axes(problem.origin_m[None])[0], np.zeros(3)
         shift, moves = np.zeros((len(ground), 3, 7)), np.zeros((problem.n_image_unknowns, 7))
         left, whole = [np.zeros((0, 7))], [np.zeros((0, 7))]
@@ -124,7 +130,7 @@ class _Part:
                 moves[problem.first[k] : problem.first[k + 1]] = x
                 left.append(a @ x + b)
                 whole.append(b)
-        return cls(images, mine, points, control, axes, middle, shift, moves, np.vstack(left), np.vstack(whole))
+        return cls(images, mine, points, control, chords, axes, middle, shift, moves, np.vstack(left), np.vstack(whole))
 
     def effect(self, problem: Problem, rows: Rows, effect_of: Effect | None) -> Array:
         """Effect (q, 7) of each motion on the observations, in sigmas."""
@@ -143,6 +149,12 @@ class _Part:
         own = [(f"shifted together {n}", e) for n, e in zip(axes, np.eye(7), strict=False)]
         own += [(f"turned together about {n}", e) for n, e in zip(axes, np.eye(7)[3:], strict=False)]
         own.append(("scaled together", np.eye(7)[6]))
+        if self.chords:
+            unit = np.array([chord / np.linalg.norm(chord) for chord in self.chords.values()])
+            _, spread, along = np.linalg.svd(unit)
+            if len(unit) < 2 or spread[1] <= PARALLEL * spread[0]:
+                direction = np.concatenate([self.axes @ along[0], np.zeros(4)])
+                own.insert(0, ("shifted together along the control features, which are parallel", direction))
         if not len(self.control):
             return own
         ground, ids = problem.start.ground[self.control], [problem.block.points.ids[j] for j in self.control]
@@ -176,7 +188,7 @@ def free_motions(problem: Problem, rows: Rows, effect_of: Effect | None, images:
     """Motions of a part of the block that its observations do not fix.
 
     Without control points a followed motion by 10 m is free if it changes the residuals by less than their sigma (root
-    mean square): only the nonlinearity of the models acts against it. With control points it is free if its effect on
+    mean square): only the nonlinearity of the models acts against it. With control it is free if its effect on
     all observations together is less than one sigma: they determine it to no better than 10 m.
 
     Parameters
@@ -198,7 +210,7 @@ def free_motions(problem: Problem, rows: Rows, effect_of: Effect | None, images:
     if len(part.points):
         size = np.asarray(np.linalg.qr(part.shift[part.points].reshape(-1, 7), mode="r"))
         followed = _weakest(part.left, part.whole, FOLLOWED)
-        sigmas = 1.0 if len(control) else np.sqrt(2 * len(part.rows))
+        sigmas = 1.0 if len(control) or part.chords else np.sqrt(2 * len(part.rows))
         limit = sigmas / (SHIFT_M * np.sqrt(len(part.points)))
         names = _named(part.candidates(problem), followed @ _weakest(effect @ followed, size @ followed, limit), size)
     c = np.array([part.scaled(c) for _, c in names]).reshape(-1, 7).T
@@ -207,7 +219,9 @@ def free_motions(problem: Problem, rows: Rows, effect_of: Effect | None, images:
         strength = change / np.linalg.norm(moves, axis=0)
     words = tuple(w for w, _ in names)
     felt = change / np.sqrt(max(2 * len(part.rows), 1))
-    return FreeMotions(ids, control, words, felt, strength, moves, _remedy(words, ids, control))
+    features = tuple(part.chords)
+    remedy = _remedy(words, ids, control, features)
+    return FreeMotions(ids, control, features, words, felt, strength, moves, remedy)
 
 
 def _weakest(effect: Array, measure: Array, limit: float) -> Array:
@@ -250,7 +264,9 @@ def _named(candidates: list[tuple[str, Array]], free: Array, size: Array) -> lis
     return out + [("moved together in another way", inverse @ rest[:, k]) for k in range(rest.shape[1])]
 
 
-def _remedy(words: tuple[str, ...], images: tuple[str, ...], control: tuple[str, ...]) -> str:
+def _remedy(
+    words: tuple[str, ...], images: tuple[str, ...], control: tuple[str, ...], features: tuple[str, ...]
+) -> str:
     """Measurements that fix these motions."""
     if not words:
         return ""
@@ -260,6 +276,8 @@ def _remedy(words: tuple[str, ...], images: tuple[str, ...], control: tuple[str,
         on_line = "line" in words[0]
         what = f"at least one control point off the line of {named(control)}," if on_line else ""
         what = what or "more control points, or give those smaller sigmas,"
+    elif features:
+        what = "control features of other directions, or a control point,"
     elif all(w.startswith("shifted") for w in words):
         what = "a control point"
     else:

@@ -244,8 +244,9 @@ class BlockObservability:
 
     @property
     def relative(self) -> bool:
-        """Whether only the priors determine the position of the block: free motions and no control point."""
-        return 0 < len(self.motions) == self.structure.n_parts and not any(m.control for m in self.motions)
+        """Whether only the priors determine the position of the block: free motions and no control."""
+        uncontrolled = not any(m.control or m.features for m in self.motions)
+        return uncontrolled and 0 < len(self.motions) == self.structure.n_parts
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for ``result.json`` (docs/results.md)."""
@@ -383,7 +384,9 @@ def _motion_sentences(m: FreeMotions, problem: Problem, *, alone: bool) -> list[
 
 
 def _control_words(m: FreeMotions) -> str:
-    """Number and ids of the control points of a part."""
+    """Number and ids of the control points, or of the control features, of a part."""
+    if m.features and not m.control:
+        return f"control feature{'s' if len(m.features) > 1 else ''} {named(m.features)} only"
     if not m.control:
         return "no control point"
     return f"{len(m.control)} control point{'s' if len(m.control) > 1 else ''} only, {named(m.control)}"

@@ -60,6 +60,7 @@ SECTIONS: Final = [Section(name, title) for name, title in (
     ("summary", "Summary"), ("map", "Map"), ("figures", "Figures"), ("accuracy", "Accuracy axis by axis"),
     ("residuals", "Image residuals"), ("reliability", "Reliability"),
     ("orientation", "Corrections of the exterior orientation"), ("constraints", "Constraints"),
+    ("features", "Control features"),
     ("metadata", "Orientation of the metadata"), ("observability", "Observability"),
     ("regularisation", "Regularisation"), ("iterations", "Iterations"),
 )]  # fmt: skip

@@ -23,6 +23,7 @@ from fg_orient.model.options import Options
 from fg_orient.quality.accuracy import rms_px, y_parallaxes
 from fg_orient.quality.deficiency import DEFICIENT, Evidence, judge_observability
 from fg_orient.quality.elimination import UNOBSERVABLE
+from fg_orient.quality.features import feature_records
 from fg_orient.quality.figures import constraint_records
 from fg_orient.quality.verdict import points_with_rays, turned_down_images
 from fg_orient.result.joint import LIMIT, joint_cofactors_of, points_within
@@ -203,6 +204,7 @@ def summary(solution: Solution) -> dict[str, Any]:
         **outlier_records(solution),
         "reliability": reliability_record(solution),
         "unseen": unseen_record(solution),
+        "features": feature_records(solution),
         "correlations": correlation_record(solution),
         **_parallax(solution),
     }

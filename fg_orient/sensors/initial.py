@@ -21,6 +21,11 @@ from fg_orient.sensors.base import Sensor
 MIN_CONVERGENCE_DEG = 0.1
 
 
+def local_origin(images: Sequence[Image]) -> Array:
+    """Origin (3,) of the ground unknowns, ECEF m: mean of the image centres on the ground."""
+    return np.asarray(np.mean([image.sensor.centre_m for image in images], axis=0))
+
+
 def missing_rows(coordinates_m: Array) -> Mask:
     """Rows without coordinates among (N, 3): (N,)."""
     return np.asarray(np.isnan(coordinates_m).any(axis=1))

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from factors._contract import Array, Equation
 from factors.cameras import dlt as dlt_equation
@@ -21,7 +22,7 @@ from factors.cameras import (
     pushbroom_record,
     rfm_equation,
 )
-from factors.conditions import circles, constraints, control, coplanarity, navigation, similarity, surfaces
+from factors.conditions import circles, constraints, control, coplanarity, curves, navigation, similarity, surfaces
 from factors.conditions.navigation import ATTITUDE, POSITION
 from factors.geometry import rotations
 
@@ -249,6 +250,19 @@ def similarity_point(rng: np.random.Generator) -> Example:
     return Example(record, _NONE, (rng.normal(scale=0.5, size=7),))
 
 
+def curve_point(rng: np.random.Generator) -> Example:
+    """Point near the middle of a segment of a straight line, or of a spline of four segments."""
+    if rng.integers(2):
+        setup = np.concatenate([rng.normal(size=6), np.zeros(6)])[None]
+    else:
+        x = np.arange(5.0)
+        nodes = np.column_stack([2.0 * x, rng.normal(size=5), rng.normal(size=5)])
+        setup = np.moveaxis(CubicSpline(x, nodes).c[::-1], 0, 1).reshape(4, 12)
+    middle = curves.curve(setup[rng.integers(len(setup))], rng.uniform(0.3, 0.7))[0]
+    record = curves.RECORD.pack(axis=rng.normal(size=3), sigma=rng.uniform(0.5, 2.0, 2))
+    return Example(record, setup, (middle + rng.normal(scale=0.05, size=3),))
+
+
 def _simple(record: Callable[[np.random.Generator], Array], *sizes: int) -> Callable[[np.random.Generator], Example]:
     """State with normal unknowns of these sizes."""
     return lambda rng: Example(record(rng), _NONE, tuple(rng.normal(size=n) for n in sizes))
@@ -272,6 +286,7 @@ EXAMPLES: dict[str, Callable[[np.random.Generator], Example]] = {
     "parallel_projection": plane_transformation(8, 1),
     "line_scanner_dlt": plane_transformation(8, 3),
     "control_point": control_point,
+    "curve_control": curve_point,
     "height_control": _simple(lambda rng: rng.normal(size=control.HEIGHT.size), 3),
     "antenna_position": antenna_position,
     "inertial_attitude": inertial_attitude,

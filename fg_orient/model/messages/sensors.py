@@ -7,6 +7,24 @@ from typing import Final
 from fg_orient.model.messages.entry import words
 
 WORDS: Final = words("""
+lines.vertices: a straight line has two vertices, a spline three or more
+    -> divide a broken line into straight lines, or set kind to spline
+lines.equal_vertices: two vertices in sequence have the same place
+    -> leave one of them out
+lines.sigma: standard deviations must be above 0
+    -> give sigma_across_m and sigma_up_m
+lines.steep: a feature near the vertical needs equal standard deviations
+    -> give sigma_up_m the value of sigma_across_m
+lines.unequal: the rows of a feature have different kinds or standard deviations
+    -> give all rows of a feature the same ones
+lines.kind: the kind of a feature must be one of {known}, and its geometry a line with Z
+    -> correct the kind, or leave it out for a straight line
+lines.feature: there is no such feature
+    -> features of the file: {known}
+lines.image: there is no such image
+    -> images of the block: {known}
+lines.taken: a ground point has the name of an image point on a feature
+    -> give the feature another name
 earth.span: the Earth orientation series covers MJD {first:.0f} .. {last:.0f} only
     -> use a C04 file that covers the image, or leave it out (then UT1 = UTC)
 earth.missing: orbit or attitudes are inertial, but the rotation of the Earth to these axes is missing
