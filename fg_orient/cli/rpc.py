@@ -12,7 +12,7 @@ from fg_orient.cli.command import Extrapolate, Overwrite, Result, Sensors, argum
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.declaration import declared
-from fg_orient.model.errors import InputError, judged
+from fg_orient.model.errors import InputError, finding, judged
 from fg_orient.model.names import EXIT_CODE, Status
 from fg_orient.rpc.options import FileOptions, FitOptions, RefineOptions
 
@@ -189,12 +189,14 @@ def fit(
     result: Result = None,
     out: Annotated[Path | None, option("Write the RPC.")] = None,
     to: To = None,
+    force: Annotated[bool, option("Write an RPC that is not trustworthy.", flag="--force")] = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Fit an RPC to control points, or to a rigorous model over --heights.
 
     Errors are stated in pixels of the image at points that were not used in the fit.
-    The exit code is 4 if a denominator is near zero or the points do not determine the coefficients.
+    The exit code is 4 if a denominator is near zero or the points do not determine the coefficients. The RPC is then
+    written with --force only.
     """
     from fg_orient.formats.atomic import require_free_files
     from fg_orient.formats.table_write import is_binary
@@ -228,7 +230,10 @@ def fit(
         with progress_bar("fitting"):
             model, record = fit_image(sensor, heights, chosen, grid or SHAPE)
     record |= {"file": str(source), "out": None}
-    if out is not None:
+    if out is not None and record["status"] == Status.NOT_TRUSTWORTHY and not force:
+        tell("warning", finding("rpc.not_written (warning): the RPC is not trustworthy and is not written -> correct "
+                                "the causes above, or write it with <force>", file=out))  # fmt: skip
+    elif out is not None:
         from fg_orient.rpc.files import write_as
 
         record["out"] = write_as(model, out, target_of(to, out), overwrite=overwrite)

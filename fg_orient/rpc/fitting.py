@@ -35,7 +35,8 @@ def fit_to(points: ControlPoints, options: FitOptions) -> RfmFit:
     """Fit to points; poles are allowed, ``RfmFit.has_pole`` reports them."""
     form, kappa = RfmForm(options.degree, options.denominators), options.kappa or 0.0
     if options.selector is not None:
-        return fit_selected(points, form, options.selector, allow_pole=True)
+        return fit_selected(points, form, options.selector, allow_pole=True, seed=options.seed,
+                            evaluations=options.evaluations)  # fmt: skip
     methods: dict[str, Callable[..., RfmFit]] = {"true": fit_true, "linear": fit_linear, "weighted": fit_weighted}
     solver = {"solver": options.solver or SOLVER} if options.equations == "linear" else {}
     return methods[options.equations](

@@ -18,6 +18,8 @@ POINTS: Final = Group("Fit to control points (POINTS)")
 #: Default selection: the one with the smallest cross-validated errors at real points.
 SELECTION: Final = "ridge_press"
 NO_SELECTION: Final = "none"
+#: Number of subsets of coefficients that a random search evaluates at most.
+EVALUATIONS: Final = 2000
 
 # fmt: off
 
@@ -57,7 +59,11 @@ class FitOptions:
     )
     selection: str | None = option(
         None, POINTS, "Method to select the coefficients: ridge_press, ridge_gcv, ridge_l_curve, lasso, nested, uss, "
-        "scatter or none.", left_out="ridge_press for true equations without kappa", spelled="select",
+        "scatter, genetic, particle_swarm or none.", left_out="ridge_press for true equations without kappa",
+        spelled="select",
+    )
+    evaluations: int = option(
+        EVALUATIONS, POINTS, "Models that a genetic or particle-swarm search evaluates at most.", within=(1, math.inf),
     )
     kappa: float | None = option(
         None, POINTS, "Penalty on squared normalised coefficients, instead of `select`.", within=(0.0, math.inf),
@@ -68,7 +74,9 @@ class FitOptions:
     folds: int | None = option(
         None, POINTS, "Parts of the cross-validation.", within=(2, math.inf), left_out="10, or all points if fewer",
     )
-    seed: int = option(1, MODEL, "Random seed of the folds or of the independent points.", within=(0, math.inf))
+    seed: int = option(
+        1, MODEL, "Random seed of the folds, of a search, or of the independent points.", within=(0, math.inf),
+    )
 
     def __post_init__(self) -> None:
         require_allowed(self)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -27,7 +28,11 @@ from fg_orient.model.errors import InputError
 from fg_orient.rpc.estimate import fit_true, linear_system
 from fg_orient.rpc.fit import RfmFit, leverages
 from fg_orient.rpc.form import RfmForm
+from fg_orient.rpc.options import EVALUATIONS
 from fg_orient.rpc.points import ControlPoints, Scaling
+
+#: Modules of this package with further selections.
+_MODULES: Final = ("search",)
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,8 @@ class Reduced:
         Numbers of the affine unknowns.
     affine : (r, k) array
         Orthonormal basis of the affine columns.
+    seed, evaluations : int
+        Of a random search: its seed, and the largest number of subsets that it evaluates.
     """
 
     design: Array
@@ -53,6 +60,8 @@ class Reduced:
     unknowns: Index
     always: Index
     affine: Array
+    seed: int = 1
+    evaluations: int = EVALUATIONS
 
     @classmethod
     def of(cls, points: ControlPoints, form: RfmForm) -> Reduced:
@@ -175,7 +184,10 @@ def register_selection(name: str, label: str, *, source: str) -> Callable[[Funct
     return add
 
 
-def fit_selected(points: ControlPoints, form: RfmForm, name: str, *, allow_pole: bool = False) -> RfmFit:
+def fit_selected(
+    points: ControlPoints, form: RfmForm, name: str, *, allow_pole: bool = False, seed: int = 1,
+    evaluations: int = EVALUATIONS,
+) -> RfmFit:  # fmt: skip
     """Choose from these points and fit the true equations.
 
     Parameters
@@ -186,6 +198,8 @@ def fit_selected(points: ControlPoints, form: RfmForm, name: str, *, allow_pole:
         Name of a registered selection.
     allow_pole : bool
         Give a model even if a denominator changes sign among the points.
+    seed, evaluations : int
+        See :class:`Reduced`.
 
     Returns
     -------
@@ -199,9 +213,11 @@ def fit_selected(points: ControlPoints, form: RfmForm, name: str, *, allow_pole:
     NoSolutionError
         The fit has no solution, or a pole.
     """
+    for module in _MODULES:
+        import_module(f"fg_orient.rpc.{module}")
     if name not in _REGISTRY:
         raise InputError.of("rfm.selector", place="selection", value=name, known=", ".join(_REGISTRY))
-    reduced = Reduced.of(points, form)
+    reduced = replace(Reduced.of(points, form), seed=seed, evaluations=evaluations)
     selection = _REGISTRY[name].function(reduced)
     chosen = RfmForm(form.degree, form.denominators, reduced.kept(selection.chosen, form))
     fit = fit_true(points, chosen, kappa=selection.kappa, allow_pole=allow_pole)

@@ -23,6 +23,8 @@ from fg_orient.model.names import Role
 from fg_orient.sensors.initial import local_origin
 from fg_orient.sensors.navigation import enu_axes
 
+__all__ = ["LineFeature", "LinePoints", "with_lines"]
+
 Kind = Literal["line", "spline"]
 
 #: Fewest vertices of a spline.

@@ -590,6 +590,29 @@ def test_more_coefficients_than_the_points_carry(run: Run, model: RpcModel, tmp_
 
 
 @pytest.mark.behaviour
+def test_what_is_not_trustworthy_is_written_with_force_only(run: Run, model: RpcModel, tmp_path: Path) -> None:
+    points = write_points(tmp_path / "p.csv", *measured(model, 12, values=np.zeros(6), noise=0.5))
+    out = tmp_path / "fit.RPB"
+    words = ("rpc", "fit", points, "--degree", 2, "--denominators", "one", "--select", "none", "--out", out)
+    ended = run(*words, "--json")
+    assert (ended.code, ended.json["out"]) == (4, None) and not out.exists()
+    assert "not trustworthy and is not written" in ended.stderr and "--force" in ended.stderr
+    forced = run(*words, "--force", "--json")
+    assert forced.code == 4 and forced.json["out"]["file"] and out.exists()
+
+
+@pytest.mark.behaviour
+def test_random_searches_take_seed_and_budget(run: Run, model: RpcModel, tmp_path: Path) -> None:
+    points = write_points(tmp_path / "p.csv", *measured(model, 45, values=np.zeros(6), noise=0.5))
+    words = ("rpc", "fit", points, "--degree", 2, "--folds", 2, "--evaluations", 200)
+    found = [run(*words, "--select", name, "--seed", 3, "--json") for name in ("genetic", "genetic", "particle_swarm")]
+    assert [one.code for one in found] == [0, 0, 0], found[0].json["warnings"]
+    assert found[0].json["choice"] == found[1].json["choice"] and found[0].json["choice"]["terms"]
+    assert (found[0].json["method"], found[2].json["method"]) == ("genetic search", "particle swarm")
+    assert run(*words, "--evaluations", 0).code == 2
+
+
+@pytest.mark.behaviour
 def test_fewer_points_than_coefficients(run: Run, model: RpcModel, tmp_path: Path) -> None:
     points = write_points(tmp_path / "p.csv", *measured(model, 38))
     for words in (("--select", "none"), ()):
