@@ -7,14 +7,12 @@ metadata. What compilation and first calls of the kernels need was taken before 
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import json
 import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, fields, is_dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,23 +24,7 @@ from fg_orient.adjustment.optimisers import GTSAM_OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.schur import SchurBackend
-
-
-def status_bytes(name: str) -> int:
-    """A figure of /proc/self/status: VmRSS, VmHWM."""
-    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(name + ":"))
-    return int(line.split()[1]) * 1024
-
-
-def reset_peak() -> None:
-    """Let VmHWM start again from the present size."""
-    Path("/proc/self/clear_refs").write_text("5")
-
-
-def release() -> None:
-    """Give freed memory back: what simulating the block needed is not ours."""
-    gc.collect()
-    ctypes.CDLL(None).malloc_trim(0)
+from fg_orient.model.machine import release, reset_peak, status_bytes
 
 
 def _arrays(thing: Any) -> Iterator[np.ndarray]:

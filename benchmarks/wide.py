@@ -30,7 +30,7 @@ from statistics import median
 from typing import Any, Final
 
 import fg_orient as fg
-from benchmarks import frames, memory, pinhole
+from benchmarks import frames, pinhole
 from benchmarks.cases import note
 from benchmarks.hardware import this_machine
 from fg_orient.adjustment.loop import levenberg_marquardt
@@ -38,6 +38,7 @@ from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import solve
 from fg_orient.formats.atomic import write_bytes
+from fg_orient.model import machine
 from fg_orient.model.machine import calm_memory
 from tests.support.pinhole import pinhole_block
 
@@ -81,16 +82,16 @@ def iterations(name: str) -> dict[str, Any]:
     """Processor seconds of an iteration after the first, by default options; second run."""
     problem, marks = network(name), list[float]()
     solve(problem)
-    memory.release()
-    before = memory.status_bytes("VmRSS")
-    memory.reset_peak()
+    machine.release()
+    before = machine.status_bytes("VmRSS")
+    machine.reset_peak()
     estimate = solve(problem, lambda _: marks.append(time.process_time()))
     choice = getattr(estimate.linear, "choice", None)
     return {
         "iteration_s": median(b - a for a, b in itertools.pairwise(marks)), "iterations": len(marks),
         "backend": estimate.backend, "reduced": "" if choice is None else choice.kind,
         "image_points": len(problem.observations), "unknowns": problem.n_image_unknowns,
-        "memory": memory.status_bytes("VmHWM") - before,
+        "memory": machine.status_bytes("VmHWM") - before,
     }  # fmt: skip
 
 
@@ -101,9 +102,9 @@ def ours(size: str, threads: int) -> dict[str, Any]:
         for reduced in ("auto", "implicit"):  # what the first calls load does not count
             small = SchurBackend(pinhole.pinhole_problem("1e4"), threads, reduced)
             levenberg_marquardt(small, small.initial(), MOST)
-        memory.release()
-        before = memory.status_bytes("VmRSS")
-        memory.reset_peak()
+        machine.release()
+        before = machine.status_bytes("VmRSS")
+        machine.reset_peak()
         start, processor = time.perf_counter(), time.process_time()
         backend = SchurBackend(problem, threads)
 
@@ -114,7 +115,7 @@ def ours(size: str, threads: int) -> dict[str, Any]:
         result = levenberg_marquardt(backend, backend.initial(), MOST, add)
     return {
         "log": log, "kind": backend.reduced.kind, "ended": result.reason,
-        "memory": memory.status_bytes("VmHWM") - before,
+        "memory": machine.status_bytes("VmHWM") - before,
     }  # fmt: skip
 
 
@@ -124,9 +125,9 @@ def theirs(size: str, threads: int, solver: str, limit_s: float) -> dict[str, An
 
     p = pinhole.as_pinhole(pinhole.pinhole_problem(size))
     scene, (linear_solver, eta) = peers_pinhole.reconstruction(p), CERES[solver]
-    memory.release()
-    before = memory.status_bytes("VmRSS")
-    memory.reset_peak()
+    machine.release()
+    before = machine.status_bytes("VmRSS")
+    machine.reset_peak()
     adjuster = peers_pinhole.adjuster(p, scene, threads, limit_s, linear_solver, eta)
     start, processor = time.perf_counter(), time.process_time()
     with tempfile.TemporaryFile() as file:
@@ -144,7 +145,7 @@ def theirs(size: str, threads: int, solver: str, limit_s: float) -> dict[str, An
         cost += max(float(change), 0.0)
     return {
         "log": log[::-1], "kind": linear_solver, "ended": f"{summary.termination_type.name}: {summary.message}",
-        "memory": memory.status_bytes("VmHWM") - before,
+        "memory": machine.status_bytes("VmHWM") - before,
     }  # fmt: skip
 
 

@@ -5,7 +5,7 @@ unknowns (prior sigmas), then unknown ground points (m). The kernels are the sam
 difference from the graph backend comes from the solver. GTSAM is not used.
 
 Each step solves ``J x = -r``; Levenberg-Marquardt adds rows of a diagonal matrix. Memory and time grow with the square
-and cube of the unknowns; more than :data:`MAX_UNKNOWNS` are refused.
+and cube of the unknowns; more than :data:`MAX_UNKNOWNS` are refused by default.
 """
 
 from __future__ import annotations
@@ -124,13 +124,17 @@ class DenseSystem:
         Cost under a loss minus half the sum of squares of the weighted residuals.
     problem : Problem, optional
         Defines the minimum damping and the damping of ground points; without it all columns have the same damping.
+    limit : int
+        Largest number of unknowns.
     """
 
     def __init__(
-        self, residual: Array, design: Array, solver: str, excess: float = 0.0, problem: Problem | None = None
-    ) -> None:
+        self, residual: Array, design: Array, solver: str, excess: float = 0.0, problem: Problem | None = None,
+        limit: int = MAX_UNKNOWNS,
+    ) -> None:  # fmt: skip
         self.residual, self.design, self._solver, self._excess = residual, design, solver, excess
         self._problem, self._least = problem, 0.0 if problem is None else problem.least_damping
+        self._limit = limit
         self.error = excess + 0.5 * float(residual @ residual)
 
     def solve(self, damping: float) -> Step:
@@ -148,7 +152,7 @@ class DenseSystem:
             u = design.shape[1]
             design = np.vstack([design, np.diag(self._damping_roots(damping))])
             observed = np.concatenate([observed, np.zeros(u)])
-        return LinearSystem.from_design(design, observed)
+        return LinearSystem.from_design(design, observed, limit=self._limit)
 
     def _damping_roots(self, damping: float) -> Array:
         """Roots (u,) of the diagonal that a damping adds to the normal equations."""
@@ -242,18 +246,21 @@ class DenseBackend:
     problem : Problem
     solver : str
         Name in the registry of linear solvers; a regularised solver regularises each step.
+    limit : int, optional
+        Largest number of unknowns; default: :data:`MAX_UNKNOWNS`.
 
     Raises
     ------
     InputError
-        More than 2000 unknowns (checked before any matrix is allocated); there is no such solver.
+        Too many unknowns (checked before any matrix is allocated); there is no such solver.
     """
 
     name = "dense"
 
-    def __init__(self, problem: Problem, solver: str = DEFAULT_SOLVER) -> None:
-        if problem.n_unknowns > MAX_UNKNOWNS:
-            raise InputError.of("linear.too_large", option="backend", value=problem.n_unknowns, limit=MAX_UNKNOWNS)
+    def __init__(self, problem: Problem, solver: str = DEFAULT_SOLVER, limit: int | None = None) -> None:
+        self._limit = MAX_UNKNOWNS if limit is None else limit
+        if problem.n_unknowns > self._limit:
+            raise InputError.of("linear.too_large", option="backend", value=problem.n_unknowns, limit=self._limit)
         self.problem, self.solver = problem, find_solver(solver).name
         self.robust: Robust | None = None
 
@@ -267,9 +274,9 @@ class DenseBackend:
         if self.problem.ties is not None:
             design = self.problem.ties.columns(design)
         if self.robust is None:
-            return DenseSystem(residual, design, self.solver, problem=self.problem)
+            return DenseSystem(residual, design, self.solver, 0.0, self.problem, self._limit)
         root, excess = self._weights(self.robust, residual, state)
-        return DenseSystem(residual * root, design * root[:, None], self.solver, excess, self.problem)
+        return DenseSystem(residual * root, design * root[:, None], self.solver, excess, self.problem, self._limit)
 
     def error(self, state: State) -> float:
         """Half the weighted sum of squares, or the cost under the loss."""

@@ -22,7 +22,7 @@ from fg_orient.adjustment.problem import Problem
 
 Index = npt.NDArray[np.int64]
 
-#: Elimination orders by name.
+#: Elimination orders by name; "natural", of images and then points as they are numbered, is another.
 ORDERINGS = ("points first", "COLAMD", "METIS")
 
 
@@ -70,8 +70,23 @@ class Structure:
         """Pairs of variables that a factor joins, smaller number first: blocks of the normal matrix."""
         return {pair for own in set(self.factors) for pair in combinations(own, 2)}
 
+    @cached_property
+    def without_points(self) -> Structure:
+        """Graph of the other variables after the elimination of the ground points, whose order has no effect."""
+        kept = np.flatnonzero(~self.is_point)
+        place = {int(v): n for n, v in enumerate(kept)}
+        points = [int(v) for v in np.flatnonzero(self.is_point)]
+        tree = self.eliminated([*points, *place])
+        joined = {tuple(sorted(place[v] for v in tree.separators[j] if v in place)) for j in points}
+        joined |= {(place[a], place[b]) for a, b in self.pairs if a in place and b in place}
+        factors = tuple(own for own in sorted(joined) if len(own) > 1)
+        names = tuple(self.names[v] for v in kept)
+        return Structure(names, self.sizes[kept], ("images",) * len(factors), factors, (0,) * len(factors))
+
     def ordering(self, name: str) -> list[int]:
         """Order of elimination; see :data:`ORDERINGS`."""
+        if name == "natural":
+            return list(range(len(self.names)))
         if name == "points first":
             return [int(v) for v in np.argsort(~self.is_point, kind="stable")]
         make = gtsam.Ordering.ColamdSymbolicFactorGraph
@@ -145,6 +160,16 @@ class EliminationTree:
         """Blocks of R that the normal matrix does not have, smaller number first."""
         blocks = {(min(v, w), max(v, w)) for v, rest in self.separators.items() for w in rest}
         return blocks - self.structure.pairs
+
+    @cached_property
+    def operations(self) -> float:
+        """Multiplications and additions of the Cholesky factor, two for each pair of them.
+
+        A variable of s unknowns with a separator of d unknowns takes ``s^3/3 + s^2 d + s d^2``.
+        """
+        s = self.structure.sizes[list(self.order)].astype(float)
+        d = np.array([float(self.structure.sizes[list(self.separators[v])].sum()) for v in self.order])
+        return float(np.sum(s**3 / 3.0 + s**2 * d + s * d**2))
 
     @cached_property
     def counts(self) -> dict[str, int]:

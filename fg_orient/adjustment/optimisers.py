@@ -30,14 +30,14 @@ import functools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import gtsam
 import numpy as np
 
 from factors.arrays import Array
 from fg_orient.adjustment.eliminated import Elimination
-from fg_orient.adjustment.graph import GraphBackend, ImagesGraph, ImagesReduced, group_factor
+from fg_orient.adjustment.graph import GraphBackend, ImagesGraph, group_factor
 from fg_orient.adjustment.loop import (
     ROUNDING_STEP,
     SHRINK,
@@ -54,7 +54,6 @@ from fg_orient.adjustment.loop import (
 )
 from fg_orient.adjustment.point_groups import vector_names
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.reduced_graph import ReducedGraph
 from fg_orient.model.errors import InputError, finding
 
 #: Whitened gradient at the end, in standard deviations of the solution, above which it is not converged.
@@ -101,7 +100,7 @@ class _Run:
         self._linear = self._backend.linearised(self.values, self._free)
         # with less damping GTSAM may find a free datum singular, and each trial takes a factorisation
         least = DAMPING if self._backend.problem.least_damping > 0.0 else 0.0
-        self._optimizer = _optimizer(self.kind, self._linear, self.control, least)
+        self._optimizer = native(self.kind, self._linear, self.control, least)
         self.error = float(self._optimizer.error())
         self._done = False
 
@@ -130,8 +129,19 @@ class _Run:
         return _Step(None, length, predicted, gradient=gradient)
 
 
-def _optimizer(kind: str, linear: ReducedGraph | ImagesReduced, control: float, least: float) -> Any:
-    """Make an optimiser whose own termination tests are never met."""
+class Linearisable(Protocol):
+    """Graph, values and elimination order of an optimiser."""
+
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    ordering: gtsam.Ordering
+
+
+def native(kind: str, at: Linearisable, control: float, least: float) -> Any:
+    """Make one of GTSAM's optimisers whose own termination tests are never met.
+
+    ``control`` is the first damping or radius, ``least`` the smallest damping of Levenberg-Marquardt.
+    """
     makers: dict[str, tuple[Any, Any]] = {
         "gauss-newton": (gtsam.GaussNewtonParams, gtsam.GaussNewtonOptimizer),
         "levenberg-marquardt": (gtsam.LevenbergMarquardtParams, gtsam.LevenbergMarquardtOptimizer),
@@ -141,14 +151,14 @@ def _optimizer(kind: str, linear: ReducedGraph | ImagesReduced, control: float, 
     params = make_params()
     for set_tolerance in (params.setAbsoluteErrorTol, params.setRelativeErrorTol, params.setErrorTol):
         set_tolerance(0.0)
-    params.setOrdering(linear.ordering)
+    params.setOrdering(at.ordering)
     if kind == "levenberg-marquardt":
         params.setRelativeErrorTol(UNCHANGED)
         params.setlambdaInitial(control)
         params.setlambdaLowerBound(least)
     elif kind == "dogleg":
         params.setDeltaInitial(control)
-    return make(linear.graph, linear.values, params)
+    return make(at.graph, at.values, params)
 
 
 def _optimise(

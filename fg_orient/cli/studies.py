@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fg_orient.cli.command import (
     Overwrite,
-    Project,
     Scheduler,
     argument,
     command,
@@ -19,44 +18,74 @@ from fg_orient.cli.command import (
 )
 from fg_orient.cli.output import answer, say, table, tell_findings
 from fg_orient.cli.progress import progress_bar
-from fg_orient.model.names import ALL_SETS
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import ALL_SETS, TIME_LIMIT_S
 from fg_orient.model.options import Options
+
+#: Sets, and engines of each kind, that are printed.
+SHOWN: Final = 6
+FASTEST: Final = 1
+#: Short words for the status of a solution.
+STATUS: Final = {"converged": "good", "not_trustworthy": "doubtful", "not_converged": "failed"}
+#: Columns that name an engine.
+KEY: Final = ("backend", "type", "solver", "optimizer")
 
 if TYPE_CHECKING:
     from fg_orient.studies.reproduce.reproduction import Reproduction
 
 
-@command(Options, only=("look_polynomial",), named={"eop_set": "--eop-sets", "cluster": "--scheduler"})
+@command(
+    Options, only=("look_polynomial", "memory_limit_gb"),
+    named={"eop_set": "--eop-sets", "cluster": "--scheduler", "time_limit_s": "--time-limit"},
+)  # fmt: skip
 def compare(
-    project: Project,
     options: Mapping[str, Any],
+    project: Annotated[Path | None, argument("[PROJECT.toml]", "Project file; none with --scale.")] = None,
     eop_sets: Annotated[
         str, option(f"EOP sets: {ALL_SETS}, or numbers and names such as 5,13,PUA.", "SETS")
     ] = ALL_SETS,
     solvers: Annotated[str, option("all, published, or names of solvers: qr,cholesky_inverse.", "NAMES")] = "published",
     backends: Annotated[
-        str, option("One or more of faithful (as published), dense, graph.", "NAMES")
-    ] = "faithful,dense,graph",
+        str, option("One or more of faithful (as published), dense, schur, explicit, graph.", "NAMES")
+    ] = "faithful,dense,schur,explicit,graph",
     types: Annotated[
         str, option("Pre-adjustments as published: 1 look angles, 2 look angles and EOPs.", "1,2")
     ] = "1,2",
     as_run: Annotated[
         bool, option("Compute the published procedure as the authors' program does.", flag="--as-run")
     ] = False,
-    target: Annotated[float | None, option("Target RMSE, m; default: the pixel size.", "M")] = None,
-    workers: Annotated[int, option("Number of processes; they share the EOP sets.", "N")] = 0,
+    target: Annotated[float | None, option("Target RMSE, m; default: the predicted accuracy.", "M")] = None,
+    time_limit: Annotated[float, option("Largest estimated processor time of an adjustment, s.", "S")] = TIME_LIMIT_S,
+    scale: Annotated[
+        bool, option("Cost against size: synthetic blocks of 10 to 1e6 image points, no project.", flag="--scale")
+    ] = False,
+    sizes: Annotated[str, option("With --scale: numbers of image points, such as 10,1e3,1e5.", "NUMBERS")] = "",
+    workers: Annotated[int, option("Number of processes; they share the EOP sets or sizes.", "N")] = 0,
     scheduler: Scheduler = None,
     out: Annotated[Path | None, option("Folder of the results; default: comparison, beside the project file.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Compare EOP sets, solvers and backends on a block: tables, figures and an HTML report.
+    """Compare EOP sets and engines on a block: recommendation, tables, figures and an HTML report.
 
     With workers, finished sets are kept until the folder is written: the same command continues with them.
     Without matplotlib (extra "report") the tables come without figures.
     """
+    if scale:
+        given = {"eop_sets": eop_sets != ALL_SETS, "solvers": solvers != "published", "types": types != "1,2",
+                 "target": target is not None, "as_run": as_run, "project": project is not None,
+                 "look_polynomial": "look_polynomial" in options}  # fmt: skip
+        if useless := [name for name, is_given in given.items() if is_given]:
+            given_at = {"place": "PROJECT.toml"} if useless[0] == "project" else {"option": useless[0]}
+            raise InputError.of("compare.with_scale", **given_at)
+        _scale(sizes, out or Path("scale"), overwrite, {
+            "time_limit_s": time_limit, "workers": workers, "cluster": scheduler, **options,
+        })  # fmt: skip
+        return
+    if project is None or sizes:
+        raise InputError.of("compare.no_project", place="PROJECT.toml" if project is None else "sizes")
     options = {
         "eop_sets": eop_sets, "solvers": solvers, "backends": backends, "types": types, "as_run": as_run,
-        "target_m": target, "workers": workers, "cluster": scheduler, **options,
+        "target_m": target, "time_limit_s": time_limit, "workers": workers, "cluster": scheduler, **options,
     }  # fmt: skip
     require_project(project)
     from fg_orient.studies.comparison.folder import compare_project
@@ -70,21 +99,101 @@ def compare(
 
 
 def _show_comparison(record: dict[str, Any]) -> None:
-    """Print warnings, the assessment, one line per solver and the path of the report."""
+    """Print warnings, the recommendation, the best sets and the engines of the recommended one."""
     tell_findings(record, as_result=True)
     say(record["verdict"]["title"])
     for text in record["verdict"]["text"]:
         say(f"- {text}")
-    rows = []
-    for line in record["summary"]:
-        name = f"published {line['type']}" if line["backend"] == "faithful" else line["backend"]
-        reached = f"{line['reached']}/{line['tried']}" if line["tried"] else "not tried"
-        rows.append((name, line["label"], reached, _metres(line["worst_control_m"]), _metres(line["worst_check_m"])))
-    say()
-    title = f"EOP sets at the target of {record['target_m']:.3g} m"
-    table(title, ("backend", "solver", "sets", "control m", "check m"), rows, left=2)
-    say("control, check: the worst set with a solution, worst ECEF axis")
+    chosen = (record["advice"] or {}).get("eop_set")
+    if chosen is None:
+        of_engines = ("engine", "sets", "control m", "check m")
+        _show_table(f"sets at the target of {record['target_m']:.3g} m", of_engines, _published_rows(record))
+    else:
+        sets = sorted(record["sets"], key=lambda s: (s["eop_set"] != chosen, s["check_rmse_3d_m"] or math.inf))
+        heads = ("set", "unknowns", "check m", "ratio", "sigma0", "AICc", "BIC", "status")
+        shown = [_set_row(one) for one in sets[:SHOWN]]
+        _show_table(f"EOP sets, the recommended one first: {len(shown)} of {len(sets)}", heads, shown)
+        say("check: 3-D RMSE at check points; ratio: their errors over the predicted ones")
+        measures = ("engine", "processor s", "memory MB", "forward error", "differs m")
+        _show_table(f"engines with set {chosen}, the fastest of each kind", measures, _engine_rows(record, chosen))
     say(f"report: {Path(record['out']) / 'report.html'}")
+
+
+def _scale(sizes: str, out: Path, overwrite: bool, options: dict[str, Any]) -> None:
+    """Run and show the study of sizes."""
+    from fg_orient.studies.comparison.scale_folder import scale_to
+
+    chosen = {"sizes": sizes} if sizes else {}
+    with progress_bar("sizes") as callback:
+        record = scale_to(
+            out, overwrite=overwrite, options=chosen | options, callback=callback, command=command_line()
+        )  # fmt: skip
+    answer(record, _show_scale)
+
+
+def _show_scale(record: dict[str, Any]) -> None:
+    """Print crossing points, exponents and the path of the page."""
+    rows: list[tuple[object, ...]] = []
+    by_engine: dict[str, dict[str, str]] = {}
+    for one in record["exponents"]:
+        text = f"{one['exponent']:.2f} +- {one['half_interval']:.2f}"
+        by_engine.setdefault(one["engine"], {})[one["quantity"]] = text
+    crossing = {c["engine"]: c for c in record["crossings"] if c["quantity"] == "processor_s"}
+    for row in {r["engine"]: r for r in record["rows"]}.values():
+        engine, own = row["engine"], by_engine.get(row["engine"], {})
+        place = crossing.get(engine)
+        below = "" if place is None else _number(place["image_points"]) if place["image_points"] else place["always"]
+        solved = [r["image_points"] for r in record["rows"] if r["engine"] == engine and not r["failure"]]
+        rows.append((engine, max(solved, default="-"), own.get("processor_s", "-"), own.get("peak_bytes", "-"), below))
+    _show_table("engines", ("engine", "largest", "exponent time", "memory", "crossing"), rows)
+    say("largest, crossing: image points; from the crossing on it takes less time than full matrices")
+    say(f"page: {Path(record['out']) / 'scale.md'}")
+
+
+def _show_table(title: str, heads: tuple[str, ...], rows: list[tuple[object, ...]]) -> None:
+    """Print a table after an empty line, if it has rows."""
+    if rows:
+        say()
+        table(title, heads, rows, left=1)
+
+
+def _set_row(one: dict[str, Any]) -> tuple[object, ...]:
+    numbers = (_number(one[name]) for name in ("prediction_factor", "sigma0", "aicc", "bic"))
+    status = "no solution" if one["failure"] else STATUS.get(one["status"], one["status"])
+    return f"{one['eop_set']} {one['name']}", one["image_unknowns"], _metres(one["check_rmse_3d_m"]), *numbers, status
+
+
+def _engine_rows(record: dict[str, Any], eop_set: int) -> list[tuple[object, ...]]:
+    """Fastest engines of each backend with a set; one row for a backend without a solution."""
+    names = {tuple(s[k] for k in KEY): s["name"] for s in record["summary"]}
+    own = [r for r in record["rows"] if r["eop_set"] == eop_set and r["backend"] != "faithful"]
+    out: list[tuple[object, ...]] = []
+    for backend in dict.fromkeys(r["backend"] for r in reversed(own)):
+        of_backend = [r for r in own if r["backend"] == backend]
+        solved = sorted((r for r in of_backend if not r["failure"]), key=lambda r: r["processor_s"])
+        for r in solved[:FASTEST] or of_backend[:1]:
+            name = names[tuple(r[k] for k in KEY)]
+            if r["failure"]:
+                out.append((name, "not tried" if r["left_out"] else "failed", "", "", ""))
+                continue
+            memory = None if r["peak_bytes"] is None else r["peak_bytes"] / 1e6
+            errors = ("-" if r[k] is None else f"{r[k]:.0e}" for k in ("forward_error", "difference_m"))
+            out.append((name, _number(r["processor_s"]), _number(memory), *errors))
+    return out
+
+
+def _published_rows(record: dict[str, Any]) -> list[tuple[object, ...]]:
+    """Sets at the target of each engine."""
+    return [
+        (line["name"], f"{line['reached']}/{line['tried']}" if line["tried"] else "not tried",
+         _metres(line["worst_control_m"]), _metres(line["worst_check_m"]))
+        for line in record["summary"]
+    ]  # fmt: skip
+
+
+def _number(value: float | None) -> str:
+    """Write a number in three digits; a dash for a missing one."""
+    return "-" if value is None or not math.isfinite(value) else f"{value:.3g}" if abs(value) < 1e3 else f"{value:.0f}"
 
 
 def _metres(value: float | None) -> str:

@@ -79,6 +79,8 @@ EOP_SETS: Final = dict(enumerate((
 ), start=1))  # fmt: skip
 #: Numbers of all EOP sets, as a range in text.
 ALL_SETS: Final = f"1-{len(EOP_SETS)}"
+#: Default limit of the predicted processor time of an adjustment in a comparison, s.
+TIME_LIMIT_S: Final = 60.0
 
 
 class CellKey(NamedTuple):

@@ -43,10 +43,7 @@ def conclude(
     weighted = compiled if estimate.weights is None else weighted_problem(compiled, estimate.weights)
     cofactors, unavailable = cofactors_at(weighted, estimate)
     return_memory(len(compiled.observations))
-    located = _located_afterwards(compiled, estimate.state)
-    ground = estimate.state.ground + compiled.origin_m
-    if located is not None:
-        ground[located.index] = located.ground_m
+    ground, located = _adjusted_ground(compiled, estimate.state)
     on_earth = vendor_datum.absolute(compiled, cofactors)
     accuracy = _assess(compiled, ground, located, on_earth)
     assessment = verdict.assess_solution(compiled, estimate, unavailable)
@@ -96,6 +93,20 @@ def cofactors_at(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | Non
         return (FreeNetwork.of(compiled, estimate.state, cofactors) if inner else cofactors), ()
     except Indeterminate as reason:
         return None, (finding("unavailable.indeterminate", why=reason),)
+
+
+def accuracy_at(compiled: Problem, state: State) -> Accuracy:
+    """Differences at control and check points of a state, without cofactors."""
+    return _assess(compiled, *_adjusted_ground(compiled, state), None)
+
+
+def _adjusted_ground(compiled: Problem, state: State) -> tuple[Array, LocatedPoints | None]:
+    """Ground points (N, 3) in ECEF, and the check points among them that were located afterwards."""
+    located = _located_afterwards(compiled, state)
+    ground = state.ground + compiled.origin_m
+    if located is not None:
+        ground[located.index] = located.ground_m
+    return ground, located
 
 
 def _located_afterwards(compiled: Problem, state: State) -> LocatedPoints | None:

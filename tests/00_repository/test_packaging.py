@@ -112,8 +112,10 @@ def test_what_is_declared_is_imported(repository: Path, declared: dict[str, Any]
 
 def test_extras_hold_nothing_of_the_developers(declared: dict[str, Any]) -> None:
     extras = declared["project"]["optional-dependencies"]
-    assert set(extras) == {"geo", "match", "tables", "office", "arrow", "cloud", "report", "cluster", "all"}
-    assert extras["all"] == ["fg-orient[geo,match,tables,office,arrow,cloud,report,cluster]"]
+    assert set(extras) == {
+        "geo", "match", "tables", "office", "arrow", "cloud", "report", "cluster", "reference", "all"
+    }  # fmt: skip
+    assert extras["all"] == ["fg-orient[geo,match,tables,office,arrow,cloud,report,cluster,reference]"]
     tools = group(declared, "dev") | group(declared, "bench")
     assert {"pytest", "sphinx", "mypy", "pycolmap"} <= tools
     assert tools & set().union(*map(names, extras.values())) == set()

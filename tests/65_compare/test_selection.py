@@ -57,7 +57,7 @@ def test_backends_and_types_come_in_our_order() -> None:
         (selection.eop_sets, [], "compare.nothing"),
         (selection.solver_names, "gauss", "linear.solver"),
         (selection.solver_names, [], "compare.nothing"),
-        (selection.backend_names, "schur", "adjust.backend"),
+        (selection.backend_names, "sparse", "adjust.backend"),
         (selection.backend_names, [], "compare.nothing"),
         (selection.types, "3", "compare.type"),
         (selection.types, [], "compare.nothing"),
@@ -67,6 +67,13 @@ def test_what_does_not_exist_is_refused(select: Callable[[Any], Any], given: Any
     with pytest.raises(fg.InputError) as caught:
         select(given)
     assert [p.code for p in caught.value.problems] == [code]
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan")])
+def test_time_limit_is_a_time(twin: Block, limit: float) -> None:
+    with pytest.raises(fg.InputError) as caught:
+        fg.compare(twin, time_limit_s=limit)
+    assert caught.value.problems[0].code == "compare.time_limit"
 
 
 @pytest.mark.parametrize("target", [0.0, -1.0, float("nan"), float("inf")])

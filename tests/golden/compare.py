@@ -16,7 +16,7 @@ import numpy as np
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 #: Places of a record that differ from run to run: times, memory, versions and where things lie.
 OTHER_EACH_TIME = re.compile(
-    r"(^|/)(seconds|provenance|memory|us_per_observation_iteration|ended|out|time|started|elapsed_s|date)(/|$|_)"
+    r"(^|/)(seconds|processor_s|peak_bytes|provenance|memory|us_per_observation_iteration|ended|out|time|started|elapsed_s|date)(/|$|_)"
 )
 #: Lines of pages and texts that hold such values.
 OTHER_LINES = re.compile(r"(?i)seconds|duration|\d\d:\d\d|generated|class=.id|fg_orient \d|memory|µs|us per")

@@ -203,10 +203,10 @@ def regularised_system(system: LinearSystem, kappa: float, penalty: Array | None
         return system
     normal = system.normal + kappa * (matrix.T @ matrix)
     if system.design is None or system.observed is None:
-        return LinearSystem(normal, system.rhs)
+        return LinearSystem(normal, system.rhs, limit=system.limit)
     design = np.vstack([system.design, np.sqrt(kappa) * matrix])
     observed = np.concatenate([system.observed, np.zeros(len(matrix))])
-    return LinearSystem(normal, system.rhs, design, observed, system.rest)
+    return LinearSystem(normal, system.rhs, design, observed, system.rest, system.limit)
 
 
 def regularised(

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from factors.arrays import Array
 from fg_orient.model.errors import InputError, NoSolutionError
 
-#: Dense matrices with more unknowns are refused: the graph backend is made for them.
+#: Dense matrices with more unknowns are refused by default: the graph backend is made for them.
 MAX_UNKNOWNS = 2000
 #: |N - N^T| above this share of the largest element is more than rounding.
 SYMMETRY_TOLERANCE = 1e-10
@@ -56,13 +56,15 @@ class LinearSystem:
         Whitened l with ``b = A^T l``.
     rest : Rest
         Further rows, without unknowns: A is the square root of a reduced system.
+    limit : int
+        Largest number of unknowns.
 
     Integers are converted to float64.
 
     Raises
     ------
     InputError
-        A matrix that is not square, symmetric, real or finite, sizes that do not agree, more than 2000 unknowns.
+        A matrix that is not square, symmetric, real or finite, sizes that do not agree, too many unknowns.
     """
 
     normal: Array
@@ -70,13 +72,14 @@ class LinearSystem:
     design: Array | None = None
     observed: Array | None = None
     rest: Rest = NO_REST
+    limit: int = MAX_UNKNOWNS
 
     def __post_init__(self) -> None:
         for name, place in (("normal", "N"), ("rhs", "b"), ("design", "A"), ("observed", "l")):
             values = getattr(self, name)
             if values is not None:
                 object.__setattr__(self, name, real_numbers(values, place))  # a frozen dataclass
-        check_normal(self.normal)
+        check_normal(self.normal, self.limit)
         u = len(self.normal)
         if self.rhs.shape != (u,) or not np.isfinite(self.rhs).all():
             raise InputError.of("linear.rhs", place="b", value=f"shape {self.rhs.shape}", unknowns=u)
@@ -84,15 +87,17 @@ class LinearSystem:
             check_design(self.design, self.observed, u)
 
     @classmethod
-    def from_design(cls, design: Array, observed: Array, rest: Rest = NO_REST) -> LinearSystem:
+    def from_design(
+        cls, design: Array, observed: Array, rest: Rest = NO_REST, limit: int = MAX_UNKNOWNS
+    ) -> LinearSystem:
         """Normal equations of ``A x = l`` with unit weights; unusable matrices are refused before N is formed."""
         design, observed = real_numbers(design, "A"), real_numbers(observed, "l")
-        if design.ndim == 2 and design.shape[1] > MAX_UNKNOWNS:
-            raise InputError.of("linear.too_large", place="N", value=design.shape[1], limit=MAX_UNKNOWNS)
+        if design.ndim == 2 and design.shape[1] > limit:
+            raise InputError.of("linear.too_large", place="N", value=design.shape[1], limit=limit)
         check_design(design, observed, design.shape[-1] if design.ndim else 0)
         with np.errstate(over="ignore", invalid="ignore"):  # squares that overflow are refused as not finite
             normal, rhs = design.T @ design, design.T @ observed
-        return cls(normal, rhs, design, observed, rest)
+        return cls(normal, rhs, design, observed, rest, limit)
 
     def __len__(self) -> int:
         return len(self.rhs)
@@ -140,12 +145,12 @@ def check_design(design: Array, observed: Array | None, unknowns: int) -> None:
             raise InputError.of("linear.design", place=place, value=values[tuple(at)], unknowns=unknowns)
 
 
-def check_normal(normal: Array) -> None:
+def check_normal(normal: Array, limit: int) -> None:
     """Raise InputError for a matrix that is not square, finite and symmetric, that is empty or too large."""
     if normal.ndim != 2 or normal.shape[0] != normal.shape[1] or not len(normal):
         raise InputError.of("linear.not_square", place="N", value=f"shape {normal.shape}")
-    if len(normal) > MAX_UNKNOWNS:
-        raise InputError.of("linear.too_large", place="N", value=len(normal), limit=MAX_UNKNOWNS)
+    if len(normal) > limit:
+        raise InputError.of("linear.too_large", place="N", value=len(normal), limit=limit)
     if not np.isfinite(normal).all():
         row, column = np.argwhere(~np.isfinite(normal))[0]
         raise InputError.of("linear.not_finite", place=f"N[{row}, {column}]", value=normal[row, column])
@@ -210,8 +215,10 @@ def scaled(system: LinearSystem) -> tuple[LinearSystem, Array]:
     """System in unknowns z_i = d_i x_i, whose columns have length 1, and the lengths d (u,)."""
     lengths = column_lengths(system)
     if system.design is not None and system.observed is not None:
-        return LinearSystem.from_design(system.design / lengths, system.observed, system.rest), lengths
-    return LinearSystem(system.normal / np.outer(lengths, lengths), system.rhs / lengths), lengths
+        design = system.design / lengths
+        return LinearSystem.from_design(design, system.observed, system.rest, system.limit), lengths
+    normal = system.normal / np.outer(lengths, lengths)
+    return LinearSystem(normal, system.rhs / lengths, limit=system.limit), lengths
 
 
 #: Limits of the publication. A system is unstable if the number is above, above, below its limit.

@@ -211,6 +211,8 @@ loop.given (note): the whitened gradient is near zero at the given values
 loop.gradient_left: the optimiser ended too early: the next Gauss-Newton step would be {step:.1e}, which is
     {gradient:.1e} standard deviations
     -> try <optimizer> levenberg-marquardt, or search for gross errors
+loop.step_left: the optimiser ended too early: the next Gauss-Newton step would be {step:.1e}
+    -> search for gross errors, and check the start values
 loop.error_rises: the error rises
     -> try <optimizer> levenberg-marquardt
 loop.last_step: the last step raised the error

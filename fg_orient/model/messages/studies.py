@@ -182,9 +182,29 @@ compare.type: unknown type of pre-adjustment
 compare.nothing: this selection is empty
     -> name what to compare, or leave the option out for its default
 compare.target: the target must be a length above zero
-    -> give it in m, or leave the option out for one pixel
-compare.slow: left out: this solver computes u^2 determinants, which takes minutes above {limit} unknowns
-    -> the other solvers give the same solution
+    -> give it in m, or leave the option out for the predicted accuracy
+compare.time_limit: the limit of the time must be above zero
+    -> give it in seconds of processor time for each adjustment
+compare.size: a size is a whole number of image points from {least} to {most}
+    -> such as 10,1e3,1e5
+compare.with_scale: a study of sizes makes its own blocks and does not have this option
+    -> leave it out, or leave out <scale>
+compare.no_project: a comparison needs a project file, and <sizes> belong to <scale>
+    -> give PROJECT.toml, or <scale>
+compare.memory: not tried: it needs an estimated {needed}, and {allowed} are allowed
+    -> <memory_limit_gb> sets the limit
+compare.time: not tried: it needs an estimated {seconds:.2g} s of processor time, more than {limit:.3g} s
+    -> <time_limit_s> sets the limit
+compare.named: not tried: extra observations name ground points, which arrays cannot eliminate
+    -> the graph has these points as variables
+compare.shared: not tried: images share unknowns, and the reduced matrix is then stored in full
+    -> the row of the full Cholesky factor has it
+compare.full: not tried: the reduced matrix has no band that is narrower than the matrix, or is too large
+    -> the rows of the other methods have it
+compare.not_eliminated: not tried: without priors the graph does not eliminate points
+    -> the rows of the explicit graph have it
+compare.no_reference (note): forward errors are not computed, because python-flint is not installed
+    -> install the extra: pip install "fg-orient[reference]"
 compare.damped: left out: regularised steps converge more slowly to the same minimum
     -> here the priors regularise; the published procedure makes a single step
 compare.no_solution: none of the {count} adjustments has a solution; reason of the first: {why}

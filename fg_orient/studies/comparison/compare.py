@@ -1,4 +1,4 @@
-"""Comparison of every EOP set with every backend and solver, set by set."""
+"""Comparison of every EOP set with every engine and solver, set by set."""
 
 from __future__ import annotations
 
@@ -18,13 +18,17 @@ import numpy as np
 from factors._preparation import working_clock
 from fg_orient.adjustment.linear.registry import solvers as known_solvers
 from fg_orient.adjustment.parts.study import study
+from fg_orient.adjustment.rows import image_models
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
-from fg_orient.model.names import ALL_SETS, EOP_SETS, Progress, Role
+from fg_orient.model.names import ALL_SETS, EOP_SETS, TIME_LIMIT_S, Progress, Role
 from fg_orient.studies.comparison import model
-from fg_orient.studies.comparison.engines import Adjustments, Published
+from fg_orient.studies.comparison.advice import SetResult, advise
+from fg_orient.studies.comparison.engines import Adjustments
 from fg_orient.studies.comparison.model import SELECTIONS, Comparison, Row
+from fg_orient.studies.comparison.published_rows import Published
+from fg_orient.studies.comparison.work import Limits
 
 
 def compare(
@@ -37,12 +41,13 @@ def compare(
     as_run: bool = False,
     look_polynomial: int | None = None,
     target_m: float | None = None,
+    time_limit_s: float = TIME_LIMIT_S,
     workers: int = 0,
     cluster: Any = None,
     folder: str | Path | None = None,
     callback: Progress | None = None,
 ) -> Comparison:
-    """Compare the published procedure, dense matrices and the graph on one block.
+    """Compare EOP sets, and all engines with each set, on one block; recommend a set and an engine.
 
     Parameters
     ----------
@@ -51,18 +56,23 @@ def compare(
     eop_sets : str or iterable
         "1-20", "5,13,PUA", or numbers and names.
     solvers : str or iterable
-        "all", "published", or names in the registry of ``fg_orient.adjustment.linear``; not for the graph.
+        "all", "published", or names in the registry of ``fg_orient.adjustment.linear``, for "faithful" and "dense".
     backends : str or iterable
-        Any of "faithful" (the published two-stage procedure, one iteration), "dense"
-        (``adjust(backend="dense")``: scaled, iterated, with priors) and "graph".
+        Any of "faithful" (the published two-stage procedure, one iteration), "dense" (full matrices), "schur" (arrays,
+        each method for the reduced system), "explicit" (GTSAM, a factor for each image point) and "graph" (GTSAM,
+        points eliminated in the factors).
     types : str or iterable
         Pre-adjustments of the published procedure: 1 look angles, 2 look angles and EOPs.
     as_run : bool
         The published procedure as the authors' program works.
     look_polynomial : int, optional
-        Degree of the look-angle polynomial of "dense" and "graph"; default: that of the block.
+        Degree of the look-angle polynomial of all engines but "faithful"; default: that of the block.
     target_m : float, optional
-        RMSE to reach; default: the ground sampling distance, see :func:`ground_sampling_m`.
+        RMSE to reach; default: the 95 % limit of the RMSE that the adjustment with the recommended set predicts at the
+        check points, without it the ground sampling distance, see :func:`ground_sampling_m`.
+    time_limit_s : float
+        Predicted processor seconds above which an adjustment is not tried. The limit of the memory is an option of the
+        block.
     workers : int
         Processes on this machine that share the EOP sets; 0 or 1: this process.
     cluster : str or dask.distributed.Client, optional
@@ -85,15 +95,17 @@ def compare(
     start = working_clock()
     numbers, names = SELECTIONS["eop_sets"](eop_sets), SELECTIONS["solvers"](solvers)
     engines, kinds = SELECTIONS["backends"](backends), SELECTIONS["types"](types)
+    given, limit_s = SELECTIONS["target_m"](target_m), SELECTIONS["time_limit_s"](time_limit_s)
     _require_control(block)
-    target = SELECTIONS["target_m"](ground_sampling_m(block) if target_m is None else target_m)
     degree = block.options.look_polynomial if look_polynomial is None else look_polynomial
+    block = replace(block, options=replace(block.options, look_polynomial=degree))
+    numbers, repeated = _distinct(block, numbers)
     plan = Comparison(
-        replace(block, options=replace(block.options, look_polynomial=degree)), (), (), target, numbers, names, engines,
-        kinds, as_run, 0.0,
-        {model.GRAPH_SOLVER: "GTSAM"} | {name: known_solvers()[name].label for name in names},
+        block, (), (), math.nan, numbers, names, engines, kinds, as_run, 0.0,
+        model.GRAPH_LABELS | {name: known_solvers()[name].label for name in names}, repeated=repeated,
+        time_limit_s=limit_s,
     )  # fmt: skip
-    per_set = sum({"faithful": len(kinds) * len(names), "dense": len(names), "graph": 1}[one] for one in engines)
+    per_set = sum(_rows_of(one, len(kinds), len(names)) for one in engines)
     done, total = count(1), per_set * len(numbers)
 
     def of_row(row: Row) -> None:
@@ -111,9 +123,13 @@ def compare(
         partial(_one_set, plan, of_row if alone else None), list(numbers), workers=workers, cluster=cluster,
         folder=folder, key="" if folder is None else _key(plan), callback=None if alone else of_set,
     )  # fmt: skip
+    rows = [Row(**row | {"notes": tuple(row["notes"])}) for one in results for row in one["rows"]]
+    sets = tuple(SetResult(**one) for part in results for one in part["sets"])
+    advice = advise(sets, rows, plan.labels)
+    target, source = _target(block, given, next((s for s in sets if s.eop_set == advice.eop_set), None))
     return replace(
-        plan, seconds=working_clock() - start,
-        rows=tuple(Row(**row | {"notes": tuple(row["notes"])}) for one in results for row in one["rows"]),
+        plan, seconds=working_clock() - start, sets=sets, advice=advice, target_m=target, target_from=source,
+        rows=tuple(replace(row, reached=reached(row, target)) for row in rows),
         spectra=tuple(model.Spectrum(**spectrum) for one in results for spectrum in one["spectra"]),
         directions=tuple(model.Direction(**direction) for one in results for direction in one["directions"]),
         curves=tuple(model.Curve.from_dict(curve) for one in results for curve in one["curves"]),
@@ -122,7 +138,7 @@ def compare(
 
 def _key(plan: Comparison) -> str:
     """Digest of the inputs of the rows of a set."""
-    block, selections = plan.block, (plan.solvers, plan.backends, plan.types, plan.as_run, plan.target_m)
+    block, selections = plan.block, (plan.solvers, plan.backends, plan.types, plan.as_run, plan.time_limit_s)
     o, known = block.observations, block.points.known
     points = block.points.ids, block.points.roles
     digest = hashlib.sha256(repr((selections, block.options, block.sources, points)).encode())
@@ -138,32 +154,61 @@ def _one_set(plan: Comparison, report: Callable[[Row], None] | None, number: int
     rows: list[Row] = []
 
     def add(row: Row) -> None:
-        rows.append(replace(row, reached=reached(row, plan.target_m)))
+        rows.append(row)
         if report is not None:
             report(row)
 
     # each row opens the check points after its own adjustment, but their file is read only once
     withheld = replace(plan.block.withheld, reader=functools.cache(plan.block.withheld.reader))
     block = replace(plan.block, withheld=withheld)
-    parts: dict[str, list[Any]] = {"rows": rows, "spectra": [], "directions": [], "curves": []}
+    parts: dict[str, list[Any]] = {"rows": rows, "spectra": [], "directions": [], "curves": [], "sets": []}
+    limits = Limits.of(block.options.memory_limit_gb, plan.time_limit_s)
     with one_blas_thread():
         if "faithful" in plan.backends:
-            published = Published(block, number, plan.as_run)
+            published = Published(block, number, plan.as_run, limits)
             for kind, name in product(plan.types, plan.solvers):
                 add(published.run(kind, name))
             parts["spectra"] += published.spectra
             parts["curves"] += published.curves
-        if set(plan.backends) & {"dense", "graph"}:
-            engine = Adjustments(block, number)
-            # the graph is the reference of the dense adjustments and precedes them
-            solution, row = engine.graph() if "graph" in plan.backends else (None, None)
-            for name in plan.solvers if "dense" in plan.backends else ():
-                add(engine.dense(name, solution))
-            if row is not None:
-                add(row)
-            parts["spectra"] += engine.spectra
-            parts["directions"] += engine.directions
+        if adjusting := [name for name in plan.backends if name != "faithful"]:
+            block_with_set = Adjustments(block, number, limits)
+            for engine in (one for name in adjusting for one in block_with_set.engines(name, plan.solvers)):
+                add(block_with_set.run(engine))
+            parts["spectra"] += block_with_set.spectra
+            parts["directions"] += block_with_set.directions
+            parts["sets"].append(block_with_set.result)
     return {name: [asdict(one) for one in part] for name, part in parts.items()}
+
+
+def _rows_of(backend: str, types: int, solvers: int) -> int:
+    """Number of rows of a backend with one set."""
+    n = len(model.OPTIMIZERS)
+    reduced = n + len(model.REDUCED_LABELS) - 1
+    return {"faithful": types * solvers, "dense": solvers, "schur": reduced, "explicit": n + 1}.get(backend, n)
+
+
+def _distinct(block: Block, numbers: tuple[int, ...]) -> tuple[tuple[int, ...], dict[int, int]]:
+    """Sets that differ in an unknown of an image, and the other ones with the set that they repeat.
+
+    Images without such unknowns (RPC, frames) have the same unknowns with all sets, as have named single unknowns.
+    """
+    first: dict[tuple[tuple[str, ...], ...], int] = {}
+    repeated = {}
+    for number in numbers:
+        options = replace(block.options, eop_set=number)
+        names = tuple(tuple(one.parameters.names) for one in image_models(block.images, options))
+        if first.setdefault(names, number) != number:
+            repeated[number] = first[names]
+    return tuple(n for n in numbers if n not in repeated), repeated
+
+
+def _target(block: Block, given: float | None, best: SetResult | None) -> tuple[float, str]:
+    """RMSE to reach, m, and its source: "given", "predicted" or "pixel"."""
+    if given is not None:
+        return given, "given"
+    if best is not None and math.isfinite(best.limit_m):
+        return best.limit_m, "predicted"
+    return ground_sampling_m(block), "pixel"
 
 
 def reached(row: Row, target_m: float) -> bool:

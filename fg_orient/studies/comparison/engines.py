@@ -1,146 +1,62 @@
-"""Backends of a comparison: each computes a row from EOP set and solver, also for a failure."""
+"""Engines of a comparison: each computes a row from EOP set and solver, also for a failure.
+
+The block is adjusted once with each set as :func:`fg_orient.adjust` does it, with all statistics. The other engines
+solve the same compiled problem, without statistics, each from the start values; under a loss with its final weights.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, cast
 
 import numpy as np
 
-from factors._preparation import working_clock
 from factors.arrays import Array
 from fg_orient.adjustment.dense import assemble
-from fg_orient.adjustment.linear import registry
-from fg_orient.adjustment.linear.l_curve import l_curve_of
-from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, numerical_rank, singular_values, unit_columns
-from fg_orient.adjustment.problem import Problem, compile_problem
+from fg_orient.adjustment.explicit_optimisers import ExplicitRun
+from fg_orient.adjustment.graph import GraphBackend
+from fg_orient.adjustment.images_first import images_first
+from fg_orient.adjustment.linear.system import singular_values
+from fg_orient.adjustment.loop import LoopResult
+from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.adjustment.solve import eliminates_points, first_sentence
 from fg_orient.model.block import Block
-from fg_orient.model.errors import FgOrientError, finding
-from fg_orient.model.names import EOP_SETS, Status
-from fg_orient.model.parameters import eop_codes
+from fg_orient.model.errors import FgOrientError
+from fg_orient.model.machine import measured
+from fg_orient.model.names import Status
+from fg_orient.model.options import Backend, Optimizer
+from fg_orient.orientation.conclusion import accuracy_at
 from fg_orient.orientation.orient import adjust
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality.accuracy import PointDifferences
 from fg_orient.quality.deficiency import judge_observability
 from fg_orient.quality.observability import affordable, analyse_block
-from fg_orient.studies.comparison.model import AXES, GRAPH_SOLVER, Curve, Direction, Row, Spectrum
-from fg_orient.studies.two_stage import Kind, TwoStage
-from fg_orient.studies.two_stage_results import TwoStageResult
+from fg_orient.studies.comparison import reference, work
+from fg_orient.studies.comparison.advice import SetResult, of_failure, of_solution
+from fg_orient.studies.comparison.model import (
+    AXES,
+    GRAPH_SOLVER,
+    Direction,
+    Row,
+    Spectrum,
+)
+from fg_orient.studies.comparison.published_rows import axes, conditioning, one_line, row, spectra_of
+from fg_orient.studies.comparison.solving import Engine, Engines, timed
+from fg_orient.studies.comparison.work import Limits, Sparsity
 
-#: Cramer's rule takes u^2 determinants of order u - 1: minutes per solution beyond this many unknowns.
-CRAMER_LIMIT = 120
-
-
-def row(eop_set: int, solver: str, backend: str, kind: int | None = None, **values: Any) -> Row:
-    """Make a row."""
-    return Row(eop_set, EOP_SETS[eop_set].name, solver, backend, kind, **values)
-
-
-def one_line(error: FgOrientError) -> str:
-    """Problems of an error in one line."""
-    return " | ".join(map(str, error.problems))
-
-
-def spectra_of(design: Array, eop_set: int, system: str) -> tuple[Spectrum, Spectrum]:
-    """Singular values of a design matrix, raw and with columns of unit length (a zero column stays zero)."""
-    return (
-        Spectrum(eop_set, system, "raw", singular_values(design)),
-        Spectrum(eop_set, system, "columns", singular_values(unit_columns(design))),
-    )
-
-
-def _conditioning(raw: Spectrum, columns: Spectrum, n_rows: int) -> dict[str, Any]:
-    """Columns of a row that describe its matrix; numerical rank of A as in MATLAB."""
-    order = len(raw.values)
-    return {
-        "cond_raw": raw.condition, "cond_scaled": columns.condition, "order": order,
-        "rank": numerical_rank(raw.values, max(n_rows, order)),
-    }  # fmt: skip
-
-
-def _reason_to_leave_out(solver: str, order: int, *, iterated: bool) -> str:
-    """Reason for not trying an adjustment; "" if it is tried."""
-    if order > MAX_UNKNOWNS:
-        return str(finding("linear.too_large", place=solver, value=order, limit=MAX_UNKNOWNS))
-    if solver == "cramer_inverse" and order > CRAMER_LIMIT:
-        return str(finding("compare.slow", place=solver, value=order, limit=CRAMER_LIMIT))
-    if iterated and registry.solver(solver).family == "tikhonov":
-        return str(finding("compare.damped", place=solver))
-    return ""
-
-
-class Published:
-    """The published two-stage procedure with one EOP set, one-iteration bundle.
-
-    Parameters
-    ----------
-    block : Block
-    eop_set : int
-    as_run : bool
-        As the authors' program works.
-    """
-
-    def __init__(self, block: Block, eop_set: int, as_run: bool) -> None:
-        self.eop_set, self.failure = eop_set, ""
-        self.spectra, self.curves = list[Spectrum](), list[Curve]()
-        try:
-            self.stage = TwoStage(block, as_run=as_run)
-            self.order = len(block.images) * len(eop_codes(eop_set)) + 3 * len(self.stage.check_ids)
-            _ = self.stage.pre_adjusted  # its time is not that of the first solver
-        except FgOrientError as error:
-            self.failure = one_line(error)
-
-    def run(self, kind: int, solver: str) -> Row:
-        """Adjust with one type and solver."""
-        new = partial(row, self.eop_set, solver, "faithful", kind)
-        if self.failure:
-            return new(failure=self.failure)
-        if reason := _reason_to_leave_out(solver, self.order, iterated=False):
-            return new(failure=reason, left_out=True, order=self.order)
-        start = working_clock()
-        try:
-            with np.errstate(all="ignore"):  # large corrections overflow; the result is then reported as failed
-                bundle = self.stage.bundle(self.eop_set, cast(Kind, kind), solver)
-        except FgOrientError as error:
-            return new(failure=one_line(error))
-        return new(seconds=working_clock() - start, **self._values(bundle, kind))
-
-    def _values(self, bundle: TwoStageResult, kind: int) -> dict[str, Any]:
-        """Columns of a row; the spectra and the L-curve of a type are those of its first solver."""
-        kappa, system = bundle.solution.kappa, f"published {kind}"
-        values: dict[str, Any] = {
-            "failure": bundle.failure, "iterations": 1, "order": bundle.n_unknowns, "notes": bundle.solution.notes,
-            "kappa": np.nan if kappa is None else kappa,
-        }  # fmt: skip
-        if bundle.system is not None:
-            design, _ = bundle.system.require_design("spectrum")
-            pair = spectra_of(design, self.eop_set, system)
-            if all(other.system != system for other in self.spectra):
-                self.spectra += pair
-            values |= _conditioning(*pair, len(design))
-            if kappa is not None and all(other.type != kind for other in self.curves):
-                self.curves.append(Curve(self.eop_set, kind, l_curve_of(bundle.system)))
-        if not bundle.failure:
-            redundancy = bundle.n_observations - bundle.n_unknowns
-            values["m0_rad"] = float(np.sqrt(bundle.v @ bundle.v / redundancy)) if redundancy > 0 else np.nan
-            values |= _axes("control", bundle.accuracy.gcp_rmse) | _axes("check", bundle.accuracy.icp_rmse)
-        return values
-
-
-def _axes(role: str, rmse: Array) -> dict[str, float]:
-    """RMSE of a role: the largest axis (nan if any is) and the three."""
-    named = {f"{role}_rmse_{axis}_m": float(value) for axis, value in zip(AXES, rmse, strict=True)}
-    return {f"{role}_rmse_m": float(np.max(rmse))} | named
+#: Image unknowns up to which the condition of the reduced matrix is computed.
+CONDITIONED = 1000
 
 
 class Adjustments:
-    """:func:`fg_orient.adjust` with one EOP set: graph, and dense with any solver.
+    """Adjustment of the block with one EOP set: as by :func:`fg_orient.adjust`, and by each engine.
 
     Parameters
     ----------
     block : Block
     eop_set : int
+    limits : Limits
 
     Raises
     ------
@@ -148,60 +64,148 @@ class Adjustments:
         The block cannot be adjusted with any set.
     """
 
-    def __init__(self, block: Block, eop_set: int) -> None:
+    def __init__(self, block: Block, eop_set: int, limits: Limits) -> None:
         self.block, self.eop_set = replace(block, options=replace(block.options, eop_set=eop_set)), eop_set
-        self.problem = compile_problem(self.block)
+        self._limits = limits
+        self.failure, self.solution = "", cast(Solution | None, None)
+        try:
+            with np.errstate(all="ignore"), measured() as effort:
+                self.solution = adjust(self.block)
+            self.problem = _least_squares(self.solution)
+            self.result: SetResult = of_solution(eop_set, self.solution, effort.processor_s)
+        except FgOrientError as error:
+            self.failure, self.problem = one_line(error), compile_problem(self.block)
+            self.result = of_failure(eop_set, self.failure, self.problem)
+        self.sparsity = Sparsity(self.problem)
         self.spectra: tuple[Spectrum, ...] = ()
         self.directions = directions_of(self.problem)
         self.matrix: dict[str, Any] = {"order": self.problem.n_unknowns}
-        if self.problem.n_unknowns <= MAX_UNKNOWNS:
+        # five decompositions, and the matrix; the largest part of the time of small blocks
+        svd = replace(self.sparsity.dense("svd"), seconds=5.0 * self.sparsity.dense("svd").operations / work.RATE)
+        if not limits.reason("svd", svd):
             self._describe()
 
     def _describe(self) -> None:
         """Singular values at the start: with and without priors; raw, columns of unit length, prior sigmas."""
-        design = assemble(self.problem, self.problem.start)[1]
+        design = self._at_start[1]
         physical = _per_physical_unit(self.problem, design)
         raw, columns = spectra_of(physical, self.eop_set, "adjustment")
         spectra = [raw, columns, Spectrum(self.eop_set, "adjustment", "priors", singular_values(design))]
-        self.matrix |= _conditioning(raw, columns, len(design))
+        self.matrix |= conditioning(raw, columns, len(design))
         if self.block.options.priors:
             free = _without_priors(self.problem, design)
             spectra += spectra_of(_per_physical_unit(self.problem, free), self.eop_set, "no priors")
             spectra.append(Spectrum(self.eop_set, "no priors", "priors", singular_values(free)))
         self.spectra = tuple(spectra)
 
-    def graph(self) -> tuple[Solution | None, Row]:
-        """Adjust through the graph: solution, if there is one, and row."""
-        return self._run(GRAPH_SOLVER, "graph", {"backend": "graph"})
+    @cached_property
+    def _at_start(self) -> tuple[Array, Array]:
+        """Residuals (n,) and Jacobian (n, u) at the start; columns of shared unknowns are summed."""
+        return _rows_at(self.problem, self.problem.start)
 
-    def dense(self, solver: str, reference: Solution | None) -> Row:
-        """Adjust with dense matrices and one solver; ``reference`` is the graph's solution."""
-        reason = _reason_to_leave_out(solver, self.problem.n_unknowns, iterated=True)
-        if reason:
-            return row(self.eop_set, solver, "dense", failure=reason, left_out=True, **self.matrix)
-        solution, row_ = self._run(solver, "dense", {"backend": "dense", "solver": solver})
-        if solution is None or reference is None:
-            return row_
-        ours, theirs = solution.state, reference.state
-        apart = np.abs(ours.ground - theirs.ground)
-        return replace(
-            row_, difference_sigmas=float(np.abs(ours.image - theirs.image).max()),
-            difference_m=float(np.nanmax(apart)) if np.isfinite(apart).any() else np.nan,
+    def engines(self, backend: str, solvers: tuple[str, ...]) -> list[Engine]:
+        """Ways to solve the problem with a backend; ``solvers`` are those of full matrices."""
+        return Engines(self.problem, self.sparsity).of(backend, solvers)
+
+    def run(self, engine: Engine) -> Row:
+        """Row of an engine."""
+        new = partial(
+            row, self.eop_set, engine.solver, engine.backend, optimizer=engine.optimizer,
+            notes=(engine.note,) if engine.note else (), **self.matrix,
         )  # fmt: skip
-
-    def _run(self, solver: str, backend: str, options: dict[str, Any]) -> tuple[Solution | None, Row]:
-        new = partial(row, self.eop_set, solver, backend, **self.matrix)
+        if reason := self.failure or engine.impossible:
+            return new(failure=reason, left_out=not self.failure)
+        predicted = engine.work()
+        new = partial(new, **predicted.columns())
+        if reason := self._limits.reason(f"{engine.backend} {engine.solver}", predicted):
+            return new(failure=reason, left_out=True)
+        options = replace(self.problem.block.options, optimizer=cast(Optimizer, engine.optimizer))
+        if engine.backend in ("dense", "schur", "graph"):
+            options = replace(options, backend=cast(Backend, engine.backend))
+        problem = replace(self.problem, block=replace(self.problem.block, options=options))
         try:
-            with np.errstate(all="ignore"):  # a step with a singular matrix may overflow; the loop then reports it
-                solution = adjust(self.block, **options)
+            result, effort = timed(engine, problem)
         except FgOrientError as error:
-            return None, new(failure=one_line(error))
-        new = partial(new, iterations=solution.iterations, seconds=solution.seconds.structure + solution.seconds.solve)
-        if solution.status is Status.NOT_CONVERGED:
-            return None, new(failure=solution.reason)
-        accuracy = _accuracy("control", solution.accuracy.control) | _accuracy("check", solution.accuracy.check)
-        notes = (solution.reason,) if solution.status is Status.NOT_TRUSTWORTHY else ()
-        return solution, new(sigma0=solution.sigma0, notes=notes, **accuracy)
+            return new(failure=one_line(error))
+        except RuntimeError as error:
+            return new(failure=first_sentence(error))
+        values: dict[str, Any] = {"iterations": result.iterations or len(result.log), **vars(effort)}
+        if not result.converged:
+            return new(failure=str(result.end), **values)
+        return new(**values, **self._of_state(result), **self._of_step(engine, problem), **self._of_reduced(engine))
+
+    def _of_state(self, result: LoopResult[State]) -> dict[str, Any]:
+        """Columns of a row that describe the solution."""
+        problem, state = self.problem, result.state
+        accuracy = accuracy_at(problem, state)
+        redundancy = problem.redundancy
+        sigma0 = float(np.sqrt(2.0 * result.error / redundancy)) if redundancy > 0 else np.nan
+        out = {"sigma0": sigma0, **_accuracy("control", accuracy.control), **_accuracy("check", accuracy.check)}
+        if self.solution is None or self.solution.status is Status.NOT_CONVERGED:
+            return out
+        theirs = self.solution.state
+        apart = np.abs(state.ground - theirs.ground)
+        return out | {
+            "difference_sigmas": float(np.abs(state.image - theirs.image).max()),
+            "difference_m": float(np.nanmax(apart)) if np.isfinite(apart).any() else np.nan,
+        }
+
+    @cached_property
+    def _common(self) -> tuple[State, Array | None]:
+        """State at which all engines are linearised, and the exact Gauss-Newton step of the images from there.
+
+        The graph intersects its points again before it linearises: its state is taken for all.
+        """
+        problem, state = self.problem, self.problem.start
+        if self.problem.n_unknowns > reference.LIMIT:
+            return state, None
+        if not images_first(problem) and eliminates_points(problem):
+            backend = GraphBackend(problem, grouped=False)
+            values = backend.values(state)
+            backend.linearised(values)
+            state = backend.state(values)
+        residual, design = _rows_at(problem, state)
+        step = reference.exact(design, -residual)
+        return state, None if step is None else step[: problem.n_free_unknowns]
+
+    def _of_step(self, engine: Engine, problem: Problem) -> dict[str, float]:
+        """Forward error of the first step of Gauss-Newton, of the unknowns of the images in prior sigmas."""
+        state, exact = self._common
+        if exact is None or engine.optimizer != "gauss-newton":
+            return {}
+        if engine.backend == "explicit" and engine.solver == GRAPH_SOLVER:
+            after = ExplicitRun(problem, engine.optimizer).step(state)
+        else:
+            after = engine.run(problem, state, 1).state
+        step = problem.image_vector(after) - problem.image_vector(state)
+        return {"forward_error": reference.forward_error(step, exact)}
+
+    @cached_property
+    def _cond_reduced(self) -> float:
+        """Condition number of the reduced normal matrix at the solution, from its inverse; nan without it."""
+        if self.solution is None or self.solution.cofactors is None or self.problem.ties is not None:
+            return np.nan
+        if self.problem.n_image_unknowns > CONDITIONED:
+            return np.nan
+        return float(np.linalg.cond(self.solution.cofactors.joint(tuple(range(self.problem.n_images)), ())))
+
+    def _of_reduced(self, engine: Engine) -> dict[str, float]:
+        return {"cond_reduced": self._cond_reduced} if engine.backend in ("schur", "graph") else {}
+
+
+def _least_squares(solution: Solution) -> Problem:
+    """Problem of a solution; under a loss the least squares with the weights at the solution."""
+    problem = solution.weighted
+    if solution.weights is None:
+        return problem
+    options = replace(problem.block.options, loss="none", gnc=False, robust_scale="prior", robust_start="huber")
+    return replace(problem, block=replace(problem.block, options=options))
+
+
+def _rows_at(problem: Problem, state: State) -> tuple[Array, Array]:
+    """Residuals (n,) and Jacobian (n, u), shared unknowns once."""
+    residual, design = assemble(problem, state)
+    return residual, design if problem.ties is None else problem.ties.columns(design)
 
 
 def directions_of(compiled: Problem) -> tuple[Direction, ...]:
@@ -218,7 +222,7 @@ def directions_of(compiled: Problem) -> tuple[Direction, ...]:
 
 def _accuracy(role: str, differences: PointDifferences) -> dict[str, float]:
     statistics = differences.statistics()
-    return _axes(role, np.array([statistics.get(f"rmse_ecef_{axis}_m", np.nan) for axis in AXES]))
+    return axes(role, np.array([statistics.get(f"rmse_ecef_{axis}_m", np.nan) for axis in AXES]))
 
 
 def _per_physical_unit(compiled: Problem, design: Array) -> Array:

@@ -4,29 +4,31 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, astuple
+from dataclasses import asdict, astuple, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
 from factors._preparation import working_clock
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
 from fg_orient.formats.project import read_project
-from fg_orient.model.errors import NoSolutionError, as_record, finding
+from fg_orient.model.errors import Finding, NoSolutionError, as_record, finding
 from fg_orient.model.names import Progress
 from fg_orient.report.paper import available
 from fg_orient.result.plain import dumps, plain, write_rows
 from fg_orient.result.provenance import provenance
-from fg_orient.studies.comparison import plots
+from fg_orient.studies.comparison import plots, reference
+from fg_orient.studies.comparison.advice import SetResult
 from fg_orient.studies.comparison.compare import compare
 from fg_orient.studies.comparison.model import COLUMNS, SELECTIONS, Comparison
 from fg_orient.studies.comparison.report import render, summaries, verdict
 
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2
 #: Contents of a comparison folder.
 COMPARISON: Final = Contents(
     "compare.csv",
-    ("compare.csv", "spectra.csv", "directions.csv", "l_curves.csv", "result.json", "*.svg", "report.html"),
+    ("compare.csv", "sets.csv", "spectra.csv", "directions.csv", "l_curves.csv", "result.json", "*.svg", "report.html"),
 )
+SET_COLUMNS: Final = tuple(f.name for f in fields(SetResult))
 SPECTRUM_COLUMNS: Final = ("eop_set", "system", "scaling", "index", "singular_value")
 DIRECTION_COLUMNS: Final = ("eop_set", "image", "direction", "held_by")
 #: ``rule``: empty for a point of the curve, else the rule that chose this kappa.
@@ -77,7 +79,10 @@ def compare_project(
     given = dict(options or {})
     for name in [name for name in SELECTIONS if name in given]:  # before any file is read
         SELECTIONS[name](given[name])
+    memory_limit = given.pop("memory_limit_gb", None)
     block = read_project(project)
+    if memory_limit is not None:
+        block = replace(block, options=replace(block.options, memory_limit_gb=memory_limit))
     read_s = working_clock() - start
     shared = given.get("workers", 0) > 1 or given.get("cluster") is not None
     kept = Path(out).absolute().with_name(f".{Path(out).name}.sets") if shared else None
@@ -112,6 +117,7 @@ def write_folder(folder: Path, comparison: Comparison, record: Mapping[str, Any]
         File name to SVG text.
     """
     write_rows(folder / "compare.csv", COLUMNS, (list(row.as_dict().values()) for row in comparison.rows))
+    write_rows(folder / "sets.csv", SET_COLUMNS, ([getattr(s, n) for n in SET_COLUMNS] for s in comparison.sets))
     write_rows(folder / "spectra.csv", SPECTRUM_COLUMNS, (
         (s.eop_set, s.system, s.scaling, index, float(value))
         for s in comparison.spectra for index, value in enumerate(s.values)
@@ -137,6 +143,13 @@ def _curve_rows(comparison: Comparison) -> Iterator[tuple[object, ...]]:
             yield (*key, choice.rule, choice.kappa, choice.residual_norm, choice.solution_norm)
 
 
+def _remarks(comparison: Comparison) -> list[Finding]:
+    """Findings on missing packages."""
+    found = [] if available() else [finding("compare.no_figures")]
+    missing = not reference.available() and any((r.order or 0) <= reference.LIMIT for r in comparison.rows)
+    return [*found, finding("compare.no_reference")] if missing else found
+
+
 def _record(comparison: Comparison, project: Path, out: Path, command: Sequence[str]) -> dict[str, Any]:
     """Content of ``result.json`` without the times."""
     record: dict[str, Any] = plain({
@@ -145,6 +158,11 @@ def _record(comparison: Comparison, project: Path, out: Path, command: Sequence[
         "name": comparison.block.name,
         "verdict": verdict(comparison),
         "target_m": comparison.target_m,
+        "target_from": comparison.target_from,
+        "time_limit_s": comparison.time_limit_s,
+        "advice": None if comparison.advice is None else asdict(comparison.advice),
+        "sets": [asdict(one) for one in comparison.sets],
+        "repeated": [{"eop_set": n, "same_as": of} for n, of in comparison.repeated.items()],
         "eop_sets": comparison.eop_sets,
         "solvers": comparison.solvers,
         "backends": comparison.backends,
@@ -152,7 +170,7 @@ def _record(comparison: Comparison, project: Path, out: Path, command: Sequence[
         "as_run": comparison.as_run,
         "look_polynomial": comparison.block.options.look_polynomial,
         "summary": [asdict(line) for line in summaries(comparison)],
-        **as_record([] if available() else [finding("compare.no_figures")]),
+        **as_record(_remarks(comparison)),
         "rows": [row.as_dict() for row in comparison.rows],
         "directions": [asdict(direction) for direction in comparison.directions],
         "out": out.name,

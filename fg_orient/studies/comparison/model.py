@@ -1,4 +1,4 @@
-"""Comparison of EOP sets, solvers and backends: rows, singular values, directions, L-curves, and its selections."""
+"""Comparison of EOP sets, engines and solvers: rows, sets, singular values, directions, L-curves."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from importlib.util import find_spec
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar, get_args
 
 import numpy as np
 
@@ -15,13 +15,34 @@ from fg_orient.adjustment.linear import registry
 from fg_orient.adjustment.linear.l_curve import Choice, LCurve
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import TIME_LIMIT_S
+from fg_orient.model.options import Optimizer
 from fg_orient.model.parameters import eop_set_number
 
-BACKENDS: Final = ("faithful", "dense", "graph")
+if TYPE_CHECKING:
+    from fg_orient.studies.comparison.advice import Advice, SetResult
+
+#: Engines: the published procedure; :func:`fg_orient.adjust` on full matrices, on arrays with eliminated points, on the
+#: graph with a factor for each image point, on the graph with eliminated points.
+BACKENDS: Final = ("faithful", "dense", "schur", "explicit", "graph")
 TYPES: Final = (1, 2)
-#: Name of the graph backend's solver in the tables.
+#: Optimisers of the graphs and of our loop on arrays.
+OPTIMIZERS: Final = get_args(Optimizer)
+OPTIMIZER_WORDS: Final = {
+    "gauss-newton": "Gauss-Newton", "levenberg-marquardt": "Levenberg-Marquardt", "dogleg": "Dogleg",
+}  # fmt: skip
+#: Methods for the reduced system of the Schur backend, with their labels.
+REDUCED_LABELS: Final = {
+    "dense": "full Cholesky, LAPACK", "banded": "band Cholesky, LAPACK", "graph": "sparse Cholesky, GTSAM",
+    "iterative": "conjugate gradients", "implicit": "conjugate gradients, no matrix",
+}  # fmt: skip
+#: Names of the solvers of the graphs in the tables: GTSAM's optimisers, and our loop over its elimination.
 GRAPH_SOLVER: Final = "gtsam"
+LOOP_SOLVER: Final = "gtsam_loop"
+GRAPH_LABELS: Final = {GRAPH_SOLVER: "GTSAM", LOOP_SOLVER: "GTSAM elimination, our loop"}
 AXES: Final = ("x", "y", "z")
+#: Note of a row of the Schur backend with the method that the program itself takes.
+OWN_CHOICE: Final = "the program's own choice"
 #: A singular value below eps times the largest is rounding: this condition number of N means "at least this".
 LARGEST_CONDITION: Final = float(np.finfo(float).eps ** -2)
 _NAN: Final = float("nan")
@@ -35,10 +56,14 @@ class Row:
     ----------
     eop_set, eop_set_name : int, str
     solver : str
-        Name in the registry of ``fg_orient.adjustment.linear``; "gtsam" for the graph.
-    backend : "faithful", "dense" or "graph"
+        Name in the registry of ``fg_orient.adjustment.linear``; method for the reduced system ("schur"); "gtsam" or
+        "gtsam_loop" for the graphs.
+    backend : str
+        One of :data:`BACKENDS`.
     type : int or None
         Pre-adjustment of the published procedure: 1 look angles, 2 look angles and EOPs.
+    optimizer : str
+        "" for the published procedure.
     control_rmse_m, check_rmse_m : float
         Largest of the three ECEF axes, as published (Terlemezoğlu 2019, eq. 2.72); nan without points.
     control_rmse_x_m ... check_rmse_z_m : float
@@ -55,13 +80,24 @@ class Row:
     m0_rad : float
         ``sqrt(v^T v / redundancy)`` of the look angles, for the published procedure.
     iterations : int
-    seconds : float
-        Wall-clock time of this adjustment, without statistics if they are timed separately.
+    processor_s : float
+        Processor time of this adjustment, all threads, without statistics.
+    peak_bytes : float
+        Rise of the resident memory in the adjustment; nan where the system does not tell.
+    operations, factor_elements, fill : float
+        Predicted: operations of the linear algebra of one iteration, elements of the factor, and those of them that are
+        zero in the normal matrix (``work``).
+    forward_error : float
+        Relative error of the first step against a solution with 256 bits (``reference``): of the unknowns of the images
+        in prior sigmas, of the published procedure of all unknowns times the lengths of their columns. nan for large or
+        singular systems, and for damped steps.
+    cond_reduced : float
+        Condition number of the reduced normal matrix at the solution, unknowns of the images in prior sigmas.
     reached : bool
         Both RMSE are at most the target (control points alone without check points).
     difference_sigmas, difference_m : float
-        Dense minus graph: largest difference of an orientation unknown in prior sigmas, and of a
-        coordinate of a ground point; nan if one of the two solutions is missing.
+        Largest difference of an orientation unknown in prior sigmas, and of a coordinate of a ground point, from
+        :func:`fg_orient.adjust` with the options of the block; nan if one of the two solutions is missing.
     failure : str
         Reason for a missing solution; "" if there is one.
     left_out : bool
@@ -75,6 +111,7 @@ class Row:
     solver: str
     backend: str
     type: int | None = None
+    optimizer: str = ""
     control_rmse_m: float = _NAN
     check_rmse_m: float = _NAN
     control_rmse_x_m: float = _NAN
@@ -91,13 +128,24 @@ class Row:
     sigma0: float = _NAN
     m0_rad: float = _NAN
     iterations: int = 0
-    seconds: float = _NAN
+    processor_s: float = _NAN
+    peak_bytes: float = _NAN
+    operations: float = _NAN
+    factor_elements: float = _NAN
+    fill: float = _NAN
+    forward_error: float = _NAN
+    cond_reduced: float = _NAN
     reached: bool = False
     difference_sigmas: float = _NAN
     difference_m: float = _NAN
     failure: str = ""
     left_out: bool = False
     notes: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> Key:
+        """Engine."""
+        return Key(self.backend, self.type, self.solver, self.optimizer)
 
     def as_dict(self) -> dict[str, Any]:
         """Columns by name."""
@@ -198,6 +246,16 @@ class Comparison:
         Wall-clock time of the comparison.
     labels : dict
         Solver name to its label.
+    repeated : dict
+        Sets that have the unknowns of another set, to that set; they are not compared.
+    time_limit_s : float
+        Predicted processor seconds above which an adjustment is not tried.
+    target_from : str
+        "given", "predicted" (limit of the RMSE at the check points) or "pixel".
+    sets : tuple of SetResult
+        The adjustment with each set as by :func:`fg_orient.adjust`.
+    advice : Advice or None
+        Recommended set and engine.
     directions : tuple of Direction
         Directions that no observation determines, set by set.
     curves : tuple of Curve
@@ -215,6 +273,11 @@ class Comparison:
     as_run: bool
     seconds: float
     labels: dict[str, str] = field(default_factory=dict)
+    repeated: dict[int, int] = field(default_factory=dict)
+    time_limit_s: float = TIME_LIMIT_S
+    target_from: str = "given"
+    sets: tuple[SetResult, ...] = ()
+    advice: Advice | None = None
     directions: tuple[Direction, ...] = ()
     curves: tuple[Curve, ...] = ()
 
@@ -233,17 +296,42 @@ class Comparison:
         return tuple(r for r in self.rows if all(getattr(r, name) == value for name, value in wanted.items()))
 
 
-def groups(rows: Sequence[Row]) -> dict[tuple[str, int | None, str], list[Row]]:
-    """Rows by backend, type and solver, in order of appearance."""
-    out: dict[tuple[str, int | None, str], list[Row]] = {}
+class Key(NamedTuple):
+    """Engine of a row."""
+
+    backend: str
+    type: int | None
+    solver: str
+    optimizer: str
+
+    def name(self, labels: Mapping[str, str]) -> str:
+        """Name in words; ``labels``: solver name to its label."""
+        label = labels.get(self.solver, self.solver)
+        optimizer = OPTIMIZER_WORDS.get(self.optimizer, self.optimizer)
+        match self.backend:
+            case "schur":
+                own = REDUCED_LABELS.get(self.solver, label)
+                return f"arrays · {own}" if self.optimizer == OPTIMIZERS[0] else f"arrays · {own}, {optimizer}"
+            case "explicit":
+                return f"explicit graph · {label}, {optimizer}"
+            case "graph":
+                return f"graph · {label}, {optimizer}"
+            case "faithful":
+                return f"published {self.type} · {label}"
+        return f"{self.backend} · {label}"
+
+
+def groups(rows: Sequence[Row]) -> dict[Key, list[Row]]:
+    """Rows by engine, in order of appearance."""
+    out: dict[Key, list[Row]] = {}
     for row in rows:
-        out.setdefault((row.backend, row.type, row.solver), []).append(row)
-    return dict(sorted(out.items(), key=lambda item: (BACKENDS.index(item[0][0]), item[0][1] or 0)))
+        out.setdefault(row.key, []).append(row)
+    return dict(sorted(out.items(), key=lambda item: (BACKENDS.index(item[0].backend), item[0].type or 0)))
 
 
-def tried(comparison: Comparison) -> dict[tuple[str, int | None, str], list[Row | None]]:
-    """Rows by EOP set of each backend, type and solver of which any adjustment was tried; None for a missing row."""
-    out: dict[tuple[str, int | None, str], list[Row | None]] = {}
+def tried(comparison: Comparison) -> dict[Key, list[Row | None]]:
+    """Rows by EOP set of each engine that was tried with any set; None for a missing row."""
+    out: dict[Key, list[Row | None]] = {}
     for key, rows in groups(comparison.rows).items():
         if not all(row.left_out for row in rows):
             by_set = {row.eop_set: row for row in rows}
@@ -315,7 +403,15 @@ def target(given: float | None) -> float | None:
     return given
 
 
+def time_limit(given: float) -> float:
+    """Limit of the processor time, s."""
+    if not given > 0.0:
+        raise InputError.of("compare.time_limit", option="time_limit_s", value=given)
+    return given
+
+
 #: Arguments of ``compare`` to functions that check them and raise InputError.
 SELECTIONS: Final[dict[str, Callable[[Any], Any]]] = {
     "eop_sets": eop_sets, "solvers": solver_names, "backends": backend_names, "types": types, "target_m": target,
+    "time_limit_s": time_limit,
 }  # fmt: skip

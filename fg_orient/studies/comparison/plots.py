@@ -65,13 +65,6 @@ def figures(comparison: Comparison) -> dict[str, str]:
     return out
 
 
-def row_name(comparison: Comparison, backend: str, kind: int | None, solver: str) -> str:
-    """Name a group of rows."""
-    label = comparison.labels.get(solver, solver)
-    words = {"faithful": f"published {kind}", "dense": "dense", "graph": "graph"}
-    return f"{words[backend]} · {label}"
-
-
 def _heat_map(comparison: Comparison, role: str) -> Figure | None:
     """EOP set x solver: RMSE relative to the target; failed adjustments hatched."""
     grouped, sets = tried(comparison), comparison.eop_sets
@@ -83,7 +76,7 @@ def _heat_map(comparison: Comparison, role: str) -> Figure | None:
     axes = figure.add_subplot()
     image = _coloured(axes, np.array(values), np.array(failed), comparison.target_m)
     axes.set_xticks(range(len(sets)), [str(n) for n in sets])
-    axes.set_yticks(range(len(grouped)), [row_name(comparison, *key) for key in grouped])
+    axes.set_yticks(range(len(grouped)), [key.name(comparison.labels) for key in grouped])
     axes.set_xlabel("EOP set")
     axes.tick_params(length=0)
     _separate(axes, [key[:2] for key in grouped])
@@ -204,15 +197,13 @@ def _l_curves(comparison: Comparison) -> Figure | None:
 
 
 def _seconds(comparison: Comparison) -> Figure | None:
-    """Median and range of the run times over the EOP sets."""
-    timed = {row_name(comparison, *key): [r.seconds for r in rows if math.isfinite(r.seconds) and not r.failure]
-             for key, rows in groups(comparison.rows).items()}  # fmt: skip
-    timed = {name: values for name, values in timed.items() if values}
+    """Median and range of the processor times over the EOP sets."""
+    solved = groups([r for r in comparison.rows if math.isfinite(r.processor_s) and not r.failure])
+    timed = {key.name(comparison.labels): [r.processor_s for r in rows] for key, rows in solved.items()}
     if not timed:
         return None
-    x = Axis(
-        "seconds per adjustment: median and range over the EOP sets", limits_of([*chain(*timed.values())]), log=True
-    )
+    title = "processor seconds per adjustment: median and range over the EOP sets"
+    x = Axis(title, limits_of([*chain(*timed.values())]), log=True)
     chart = broad("run times", x, Axis(limits=(-0.5, len(timed) - 0.5), down=True, names=[*timed]))
     for k, values in enumerate(timed.values()):
         chart.add("line", "limit", [min(values), max(values)], [k, k])

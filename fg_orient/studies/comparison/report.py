@@ -9,22 +9,30 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from fg_orient.model.errors import sentences
+from fg_orient.model.names import Status
 from fg_orient.report.chart import INK, short
 from fg_orient.report.page import environment
 from fg_orient.report.paper import PAPER
+from fg_orient.result.plain import dumps
+from fg_orient.studies.comparison.advice import SetResult
 from fg_orient.studies.comparison.model import (
-    GRAPH_SOLVER,
     LARGEST_CONDITION,
+    REDUCED_LABELS,
     Comparison,
     Direction,
+    Key,
     Row,
     groups,
     tried,
 )
-from fg_orient.studies.comparison.plots import row_name
 
 #: Upper ends of the steps, as multiples of the target, and their classes: blue at the target, orange beyond.
 STEPS: Final = ((0.01, "b3"), (0.1, "b2"), (1.0, "b1"), (10.0, "o1"), (100.0, "o2"), (math.inf, "o3"))
+#: Engines of an adjustment, in words.
+ENGINES: Final = {
+    "graph": "The graph with eliminated points (GTSAM)", "explicit": "The graph with explicit points (GTSAM)",
+    "schur": "Arrays with eliminated points", "dense": "Full matrices (scaled, iterated)",
+}  # fmt: skip
 #: Outcomes of an adjustment: sign, words and meaning.
 OUTCOMES: Final = {
     "reached": ("✓", "at the target", "RMSE of the worst ECEF axis at most the target, at control and check points"),
@@ -65,7 +73,7 @@ def heat_map(comparison: Comparison, role: str) -> list[tuple[str, bool, list[Ce
     before: tuple[str, int | None] | None = None
     for key, rows in tried(comparison).items():
         cells = [_cell(row, role, comparison.target_m) for row in rows]
-        out.append((row_name(comparison, *key), before not in (None, key[:2]), cells))
+        out.append((key.name(comparison.labels), before not in (None, key[:2]), cells))
         before = key[:2]
     return out if any(cell.kind[0] in "bo" for _, _, cells in out for cell in cells) else []
 
@@ -100,7 +108,8 @@ def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[s
     condition_heads, conditions = _conditions(comparison)
     parts = (("failures", "Without solution", False), ("left-out", "Not tried", True))
     return shell.get_template("compare.html.j2").render(
-        r=record, verdict=verdict(comparison), problems=sentences(record), counts=counts(comparison),
+        r=record, verdict=verdict(comparison), chosen=_chosen(comparison), problems=sentences(record),
+        counts=counts(comparison),
         figures={name: Markup(inline(text, name)) for name, text in drawn.items()}, outcomes=OUTCOMES,
         heats={role: rows for role in ("control", "check") if (rows := heat_map(comparison, role))},
         summaries=summaries(comparison), steps=steps(comparison.target_m), conditions=conditions,
@@ -133,10 +142,19 @@ def _lines(comparison: Comparison, eop_set: int) -> list[dict[str, Any]]:
     """Rows of one set with name and outcome."""
     return [
         row.as_dict()
-        | {"name": row_name(comparison, row.backend, row.type, row.solver)}
+        | {"name": row.key.name(comparison.labels)}
         | dict(zip(("sign", "outcome"), OUTCOMES[outcome(row)][:2], strict=True))
         for row in comparison.select(eop_set=eop_set)
     ]
+
+
+def _chosen(comparison: Comparison) -> list[dict[str, Any]]:
+    """Rows of the recommended set, without the published procedure."""
+    advice = comparison.advice
+    if advice is None or advice.eop_set is None:
+        return []
+    rows = [line for line in _lines(comparison, advice.eop_set) if line["backend"] != "faithful"]
+    return [line | {"recommended": Key(*(line[k] for k in Key._fields)) == advice.key} for line in rows]
 
 
 def _conditions(comparison: Comparison) -> tuple[list[str], list[tuple[int, list[tuple[str, str]]]]]:
@@ -171,8 +189,7 @@ def _reasons(comparison: Comparison, left_out: bool) -> list[tuple[str, int, lis
     by_text: dict[str, tuple[str, list[int]]] = {}
     for row in comparison.rows:
         if row.failure and row.left_out == left_out:
-            label = comparison.labels.get(row.solver, GRAPH_SOLVER)
-            text = f"{row.backend}, {label}: {row.failure}"
+            text = f"{row.key.name(comparison.labels)}: {row.failure}"
             key = re.sub(r"[0-9.e+-]+", "#", text)
             by_text.setdefault(key, (text, []))[1].append(row.eop_set)
     return [(text, len(sets), sorted(set(sets))) for text, sets in by_text.values()]
@@ -187,7 +204,9 @@ class Summary:
 
     Parameters
     ----------
-    backend, type, solver, label : str, int or None, str, str
+    backend, type, solver, optimizer : str, int or None, str, str
+    label, name : str
+        Of the solver; of the engine.
     tried, solved, reached : int
         Numbers of EOP sets.
     missed : tuple of int
@@ -201,7 +220,9 @@ class Summary:
     backend: str
     type: int | None
     solver: str
+    optimizer: str
     label: str
+    name: str
     tried: int
     solved: int
     reached: int
@@ -213,17 +234,22 @@ class Summary:
 
 def summaries(comparison: Comparison) -> list[Summary]:
     """One line per backend, type and solver."""
-    return [_summary(key, rows, comparison.labels.get(key[2], key[2])) for key, rows in groups(comparison.rows).items()]
+    return [_summary(key, rows, comparison.labels) for key, rows in groups(comparison.rows).items()]
 
 
-def _summary(key: tuple[str, int | None, str], rows: Sequence[Row], label: str) -> Summary:
+def _summary(key: Key, rows: Sequence[Row], labels: Mapping[str, str]) -> Summary:
     tried = [r for r in rows if not r.left_out]
     solved = [r for r in tried if not r.failure]
     return Summary(
-        *key, label, len(tried), len(solved), sum(r.reached for r in tried),
+        *key, _label(key, labels), key.name(labels), len(tried), len(solved), sum(r.reached for r in tried),
         tuple(r.eop_set for r in tried if not r.reached), tuple(r.eop_set for r in tried if r.failure),
         _largest(r.control_rmse_m for r in solved), _largest(r.check_rmse_m for r in solved),
     )  # fmt: skip
+
+
+def _label(key: Key, labels: Mapping[str, str]) -> str:
+    own = REDUCED_LABELS.get(key.solver, "") if key.backend == "schur" else ""
+    return own or labels.get(key.solver, key.solver)
 
 
 def _largest(values: Iterable[float]) -> float:
@@ -231,22 +257,68 @@ def _largest(values: Iterable[float]) -> float:
 
 
 def verdict(comparison: Comparison) -> dict[str, Any]:
-    """Outcome of the comparison: ``kind`` (good, warn, bad), ``title`` and ``text``, a list of sentences."""
+    """Recommendation: ``kind`` (good, warn, bad), and sentences: ``title``, ``text`` (reasons), ``details``."""
+    advice, details = comparison.advice, _details(comparison)
+    best = next((s for s in comparison.sets if advice is not None and s.eop_set == advice.eop_set), None)
+    if advice is None or best is None:
+        if any(not row.failure for row in comparison.rows):  # of the published procedure
+            return {"kind": "warn", "title": details[0] if details else "", "text": details[1:], "details": []}
+        why = [] if advice is None else [f"{_capital(reason)}." for reason in advice.set_reason]
+        return {"kind": "bad", "title": "No adjustment has a solution", "text": why, "details": details}
+    row = next((r for r in comparison.select(eop_set=best.eop_set) if r.key == advice.key), None)
+    engine = f" with {row.key.name(comparison.labels)}" if row is not None else ""
+    text = [f"Set: {'. '.join(map(_capital, advice.set_reason))}."]
+    text += [f"Engine: {advice.solver_reason[0]}.", *(f"{_capital(reason)}." for reason in advice.solver_reason[1:])]
+    text += _accuracy_words(comparison, best, row)
+    given = ", ".join(f"{name} = {dumps(value)}" for name, value in (advice.options or {}).items())
+    text.append(f"In the project file: {given}.")
+    if comparison.repeated:
+        of = sorted(set(comparison.repeated.values()))
+        text.append(f"Not compared: sets {ranges(comparison.repeated)}, in these images the same as {ranges(of)}.")
+    if best.status == Status.NOT_TRUSTWORTHY:
+        text.append(f"Not trustworthy: {best.reason}.")
+    good = row is not None and row.reached and best.status == Status.CONVERGED
+    title = f"Take EOP set {best.eop_set} ({best.name}){engine}"
+    return {"kind": "good" if good else "warn", "title": title, "text": text, "details": details}
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _accuracy_words(comparison: Comparison, best: SetResult, row: Row | None) -> list[str]:
+    """Accuracy of the recommended row beside the target, and the source of the target."""
+    target = comparison.target_m
+    source = {
+        "given": f"the target is {target:.3g} m",
+        "predicted": f"predicted {best.predicted_m:.3g} m at the check points, at most {target:.3g} m in 95 % of cases",
+        "pixel": f"no check points have a predicted accuracy: the target is one pixel, {target:.3g} m",
+    }[comparison.target_from]
+    if row is None:
+        return [f"Accuracy: {source}."]
+    values = {"check": row.check_rmse_m, "control": row.control_rmse_m}
+    shown = ", ".join(f"{role} {value:.3g} m" for role, value in values.items() if math.isfinite(value))
+    words = "within it" if row.reached else "beyond it"
+    out = [f"Accuracy (RMSE of the worst ECEF axis): {source}; actual {shown}, {words}."]
+    if sum(s.n_check > 0 for s in comparison.sets) > 1:
+        out.append("The check points chose the set: they no longer test it independently.")
+    return out
+
+
+def _details(comparison: Comparison) -> list[str]:
+    """Sentences on the sets at the target, by engine, and on what was not tried."""
     lines, total = summaries(comparison), len(comparison.eop_sets)
     tried = [line for line in lines if line.tried]
-    sentences = [f"The graph (GTSAM): {_reached(line, total)}." for line in lines if line.backend == "graph"]
-    dense = [line for line in tried if line.backend == "dense"]
-    sentences += _of_solvers("Dense matrices (scaled, iterated)", comparison, dense)
+    out = []
+    for backend, words in ENGINES.items():
+        own = [line for line in tried if line.backend == backend]
+        out += _of_solvers(f"{words}", comparison, own)
     for kind in comparison.types:
         published = [line for line in tried if line.backend == "faithful" and line.type == kind]
-        sentences += _of_solvers(f"The published procedure, type {kind}", comparison, published)
-    sentences += _remarks(comparison, lines)
-    best = max(lines, key=lambda line: (line.backend == "graph", line.reached), default=None)
-    if best is None or not any(line.solved for line in lines):
-        return {"kind": "bad", "title": "No adjustment has a solution", "text": sentences}
-    name = {"graph": "the graph", "dense": "dense matrices", "faithful": "the published procedure"}[best.backend]
-    title = f"With {name}, {_of(best.reached, total)} EOP sets are at the target of {comparison.target_m:.3g} m"
-    return {"kind": "good" if best.reached == total else "warn", "title": title, "text": sentences}
+        out += _of_solvers(f"The published procedure, type {kind}", comparison, published)
+    if not total:
+        return out
+    return out + _remarks(comparison, lines)
 
 
 def _of(count: int, total: int) -> str:
@@ -289,7 +361,7 @@ def _of_solvers(name: str, comparison: Comparison, lines: list[Summary]) -> list
     always = sum(all(n not in s.missed for s in lines) for n in sets)
     never = [n for n in sets if all(n in s.missed for s in lines)]
     best = max(s.reached for s in lines)
-    names = "; ".join(s.label for s in lines if s.reached == best)
+    names = "; ".join(s.name.partition(" · ")[2] for s in lines if s.reached == best)
     text = f"{name}: {_of(always, len(sets))} sets at the target with every solver"
     text += f"; the others depend on the solver, most with {names} ({_of(best, len(sets))})"
     return [f"{text}; with none: {ranges(never)}." if never else f"{text}."]
@@ -301,11 +373,11 @@ def _remarks(comparison: Comparison, lines: list[Summary]) -> list[str]:
     sigmas = _largest(r.difference_sigmas for r in comparison.rows)
     if math.isfinite(sigmas):
         metres = _largest(r.difference_m for r in comparison.rows)
-        out.append(f"Dense and graph differ by at most {sigmas:.1e} prior sigmas and {metres:.1e} m.")
+        out.append(f"Engines differ from the adjustment by at most {sigmas:.1e} prior sigmas and {metres:.1e} m.")
     if any(s.solved for s in lines) and not any(math.isfinite(s.worst_check_m) for s in lines):
         out.append("There are no check points: the target is judged at control points alone, which says little.")
     left_out = [r for r in comparison.rows if r.left_out]
     if left_out:
-        names = dict.fromkeys(f"{r.backend} {comparison.labels.get(r.solver, r.solver)}" for r in left_out)
+        names = dict.fromkeys(r.key.name(comparison.labels) for r in left_out)
         out.append(f"Not tried ({len(left_out)} rows; each says why): {'; '.join(names)}.")
     return out

@@ -1,0 +1,90 @@
+"""Folder of a study of sizes: tables, figures for papers, page and record, whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+import io
+import shutil
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from fg_orient.formats.atomic import Contents, require_free
+from fg_orient.model.errors import as_record
+from fg_orient.model.installation import stamp
+from fg_orient.model.names import Progress
+from fg_orient.report.figures import CAPTIONS_FILE, draw_figures, require_matplotlib
+from fg_orient.result.plain import dumps, plain
+from fg_orient.studies.comparison.scale import scale, sizes_of
+from fg_orient.studies.comparison.scale_page import captions, charts, growth_files, page
+
+SCHEMA_VERSION: Final = 1
+#: Tables of the folder, by key of the record.
+TABLES: Final = {"rows": "scale.csv", "orderings": "orderings.csv", "exponents": "exponents.csv"}
+#: Contents of the folder.
+SCALE: Final = Contents(
+    "scale.csv", (*TABLES.values(), "result.json", "scale.md", CAPTIONS_FILE, "*.svg", "*.pdf")
+)  # fmt: skip
+
+
+def scale_to(
+    out: str | Path, *, overwrite: bool = False, options: Mapping[str, Any] | None = None,
+    callback: Progress | None = None, command: Sequence[str] = (),
+) -> dict[str, Any]:  # fmt: skip
+    """Run the study and write the folder.
+
+    Parameters
+    ----------
+    out : path
+        Folder to write. A hidden folder next to it contains the finished sizes until it is written.
+    overwrite : bool
+        Replace an existing folder of this kind when the new one is complete.
+    options : mapping, optional
+        Arguments of :func:`fg_orient.studies.comparison.scale.scale`.
+    callback : callable, optional
+        Called with (done, of, text) after each size.
+    command : sequence of str
+        The command line, for the record.
+
+    Returns
+    -------
+    dict
+        The record of the study.
+
+    Raises
+    ------
+    InputError
+        An option or the output folder is unusable; matplotlib is missing.
+    """
+    require_matplotlib()
+    target = Path(out)
+    require_free(target, overwrite=overwrite, contents=SCALE)
+    given = dict(options or {})
+    sizes_of(given.get("sizes", "10"))
+    kept = target.absolute().with_name(f".{target.name}.sizes")
+    found = scale(callback=callback, folder=kept, **given)
+    record: dict[str, Any] = plain({
+        "schema": SCHEMA_VERSION, "kind": "scale", **found, "date": datetime.now(UTC).date().isoformat(),
+        "command": " ".join(stamp(command)["command"]), "out": target.name, "provenance": stamp(command),
+        **as_record([]),
+    })  # fmt: skip
+    files = {name: _table(record[key]) for key, name in TABLES.items()}
+    files |= {"result.json": (dumps(record, indent=1) + "\n").encode(), "scale.md": page(record).encode()}
+    grown = growth_files(record)
+    draw_figures(
+        charts(record), lambda shown: captions([*dict.fromkeys(Path(name).stem for name in grown), *shown]), target,
+        overwrite=overwrite, contents=SCALE, more=files | grown,
+    )  # fmt: skip
+    shutil.rmtree(kept, ignore_errors=True)
+    return record | {"out": str(out)}
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> bytes:
+    """CSV table of records with the same keys; empty cells for missing numbers."""
+    stream = io.StringIO()
+    if rows:
+        writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({k: "" if v is None else v for k, v in row.items()} for row in rows)
+    return stream.getvalue().encode()
