@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from factors._contract import Equation, check_blocks, evaluate
+from factors._contract import Equation, NotFiniteError, check_blocks, evaluate
 from factors.arrays import Array
 from fg_orient.adjustment.linear.registry import solve
 from fg_orient.adjustment.linear.registry import solver as find_solver
@@ -24,6 +24,7 @@ from fg_orient.adjustment.loop import Step, share_at_radius
 from fg_orient.adjustment.problem import ExtraArgument, Problem, State
 from fg_orient.adjustment.robust import Robust, control_squares, squares, together, two_ray_rows
 from fg_orient.adjustment.rows import linearised, refuse, residuals, rows_by_image
+from fg_orient.model.arrays import wrong
 from fg_orient.model.block import ExtraObservation
 from fg_orient.model.errors import InputError
 
@@ -93,7 +94,13 @@ def extra_blocks(
         else np.ascontiguousarray(state.ground[a.index]) if a.constant is None else a.constant
         for a in arguments
     ]  # fmt: skip
-    blocks = extra.equation.kernel(extra.record, problem.extra_setup(extra), *x, jacobian)
+    try:
+        blocks = extra.equation.kernel(extra.record, problem.extra_setup(extra), *x, jacobian)
+    except NotFiniteError:
+        raise
+    except (ValueError, IndexError) as error:
+        expected = f"constants of the equation {extra.equation.name}"
+        raise wrong(f"{extra.label}, record", f"shape {extra.record.shape}", expected) from error
     sizes = tuple(a.size for a in arguments) if jacobian else ()
     check_blocks(extra.equation.name, extra.label, blocks if jacobian else blocks[:1], sizes, extra.n_residuals)
     if not jacobian:

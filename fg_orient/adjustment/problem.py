@@ -25,7 +25,6 @@ from fg_orient.adjustment.rows import (
     image_models,
     recomputed,
     release,
-    require_finite,
     residuals,
     unchanged_rows,
     whitened_records,
@@ -360,7 +359,6 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
     observations = block.observations if keep.all() else block.observations.take(keep)
     if not len(observations):
         raise InputError.of("block.no_rays", file=block.name, place="image points", value=0)
-    require_finite(block, observations, control_rows)
     if not block.georeferenced and any(image.sensor.georeferenced for image in block.images):
         raise InputError.of("frame.mixed", file=block.name, place="images")
     origin = initial.local_origin(block.images)

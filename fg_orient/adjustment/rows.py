@@ -212,8 +212,7 @@ def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel,
     """
     starts: dict[tuple[str, str], float] = {}
     for image in images:
-        if not hasattr(image.sensor, "image_model"):
-            raise InputError.of("adjust.no_model", place=f"image {image.id}", value=type(image.sensor).__name__)
+        image.require_model()
         for (shared, part), value in image.sensor.shared_starts().items():
             if starts.setdefault((shared, part), value) != value:
                 raise InputError.of("frame.shared", place=f"image {image.id}, {part}", value=value, id=shared)
@@ -223,22 +222,6 @@ def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel,
     if wrong:
         raise InputError.of("parameters.unknown", place="image_unknowns", value=", ".join(wrong))
     return models
-
-
-def require_finite(block: Block, observations: ImagePoints, control: Index) -> None:
-    """Raise InputError for the first point with invalid pixels, coordinates or sigmas."""
-    pixels = np.stack([observations.line, observations.sample], axis=1)
-    sigmas = np.stack([observations.sigma_line_px, observations.sigma_sample_px], axis=1)
-    bad = observations.point[~(np.isfinite(pixels) & np.isfinite(sigmas) & (sigmas > 0.0)).all(axis=1)]
-    known = block.points.known
-    sigma_m = known.sigma_enu_m[control]
-    with np.errstate(invalid="ignore"):
-        weighted = (np.isfinite(sigma_m) & (sigma_m > 0.0)).all(axis=1)
-    usable = (known.fixed[control] | weighted) & np.isfinite(known.ecef_m[control]).all(axis=1)
-    bad = np.concatenate([bad, control[~usable]])
-    if len(bad):
-        point = block.points.ids[int(bad[0])]
-        raise InputError.of("block.not_finite", file=block.name, place=f"point {point}", value=f"{len(bad)} value(s)")
 
 
 def groups(models: Sequence[ImageModel]) -> list[list[int]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +16,10 @@ from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import bundle_checks as checks
 from fg_orient.closerange.bundle_block import Built, build
 from fg_orient.closerange.bundle_result import BundleResult, result_of, without_rejected
-from fg_orient.closerange.fitting import as_points, require_sigmas
+from fg_orient.closerange.fitting import as_points, as_positions, as_sigmas
 from fg_orient.closerange.options import COMMON, DEFAULTS
 from fg_orient.closerange.photo import NAMES, PhotoInterior
+from fg_orient.model.arrays import array, names, wrong
 from fg_orient.model.block import Options
 from fg_orient.model.constraint import Constraint
 from fg_orient.model.declaration import require_declared
@@ -78,11 +79,15 @@ class BundlePhoto:
     observed_centre_m: Array | None = None
 
     def __post_init__(self) -> None:
-        names = (*self.unknown, *self.shared)
-        for name in (n for n in names if n not in NAMES or names.count(n) > 1):
+        object.__setattr__(self, "rotation", array(self.rotation, f"photo {self.name}, rotation", (3, 3)))
+        object.__setattr__(self, "centre_m", as_points(self.centre_m, 3, f"photo {self.name}, centre_m")[0])
+        if not np.abs(self.rotation @ self.rotation.T - np.eye(3)).max() <= 1e-6:
+            raise self.fault("rotation", self.rotation.tolist(), "a rotation matrix")
+        unknown = (*self.unknown, *self.shared)
+        for name in (n for n in unknown if n not in NAMES or unknown.count(n) > 1):
             raise self.fault(f"unknown {name}", name, f"different ones of {', '.join(NAMES)}")
         for name, (value, sigma) in self.observed.items():
-            if name not in names or not (np.isfinite(value) and 0.0 < sigma < float("inf")):
+            if name not in unknown or not (np.isfinite(value) and 0.0 < sigma < float("inf")):
                 raise self.fault(f"observed {name}", f"{value} +- {sigma}", "value and sigma of unknown parameters")
         for place in ("sigma_centre_m", "sigma_turn_rad"):
             given = getattr(self, place)
@@ -163,17 +168,23 @@ def adjust_bundle(
         Another option.
     """
     measured = as_points(image, 2, "image")
-    given = np.broadcast_to(np.asarray(sigma, float), measured.shape)
-    require_sigmas(given)
-    which, of = np.asarray(photo, np.intp), np.asarray(point, np.intp)
+    given, points = as_sigmas(sigma, measured), names(ids, "ids")
+    start = as_points(start_m, 3, "points")
+    if len(start) != len(points):
+        raise wrong("ids", len(points), f"a name for each of the {len(start)} start coordinates")
+    if not photos:
+        raise wrong("photos", 0, "one or more")
+    which = as_positions(photo, "photo", measured, len(photos))
+    of = as_positions(point, "point", measured, len(points))
+    if residual not in get_args(Residual):
+        raise wrong("residual", residual, f"one of {', '.join(get_args(Residual))}")
     n_unknowns = 3 * len(ids) + sum(6 + len(p.unknown) for p in photos)
     chosen = backend if backend != "auto" else "dense" if n_unknowns <= MAX_UNKNOWNS else "graph"
     require_declared(more, "adjust_bundle", Options, only=COMMON)
     common = DEFAULTS | {"optimizer": optimizer} | {name: value for name, value in more.items() if value is not None}
     options = Options(backend=chosen, priors=False, **common)  # type: ignore[arg-type]
     with one_blas_thread():
-        start = as_points(start_m, 3, "points")
-        built = build(photos, tuple(ids), start, which, of, measured, given, control or {}, constraints,
+        built = build(photos, points, start, which, of, measured, given, control or {}, constraints,
                       residual == "condition", options)  # fmt: skip
         return result_of(built, _solved(built, callback))
 

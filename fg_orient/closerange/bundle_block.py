@@ -22,7 +22,10 @@ from fg_orient.adjustment.constraints import missed_most, prepared
 from fg_orient.adjustment.native import with_observations
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
+from fg_orient.closerange.fitting import as_points, as_sigmas
 from fg_orient.closerange.photo import CAMERA, NAMES, PhotoInterior, camera_of
+from fg_orient.model.arrays import array
+from fg_orient.model.arrays import names as require_names
 from fg_orient.model.block import (
     Block,
     Coordinates,
@@ -219,14 +222,7 @@ def build(
     sigma: Array, control: Control, constraints: Sequence[Constraint], is_condition: bool, options: Options,
 ) -> Built:  # fmt: skip
     """Block of a bundle; see :func:`fg_orient.closerange.bundle.adjust_bundle`."""
-    rows = (len(image),)
-    fits = which.shape == rows and of.shape == rows and len(ids) == len(start) and len(photos) > 0
-    if not fits or min(which.min(), of.min()) < 0 or which.max() >= len(photos) or of.max() >= len(ids):
-        raise InputError.of("closerange.bundle", place="photo, point", value=f"shapes {which.shape}, {of.shape}",
-                            expected="one photo and one point of those given for each image point")  # fmt: skip
-    for place, names in (("photos", [p.name for p in photos]), ("ids", list(ids))):
-        if len(set(names)) != len(names):
-            raise InputError.of("closerange.bundle", place=place, value="a name twice", expected="different names")
+    require_names([p.name for p in photos], "photos")
     _require_members(photos, ids, constraints, control)
     exact = tuple(c for c in constraints if c.kind in SIZES and not c.surplus)
     constraints = [c for c in constraints if c not in exact]
@@ -275,9 +271,9 @@ def _points(ids: tuple[str, ...], start: Array, control: Control) -> GroundPoint
     fixed, roles = np.zeros(len(ids), bool), [Role.TIE] * len(ids)
     for j, name in enumerate(ids):
         if name in control:
-            place, sigma = (np.broadcast_to(np.asarray(v, float), (3,)) for v in control[name])
-            if not (np.isfinite(place).all() and np.isfinite(sigma).all() and ((sigma > 0.0).all() or not sigma.any())):
-                raise InputError.of("closerange.sigma", place=f"control {name}", value=sigma.tolist())
+            place = as_points(control[name][0], 3, f"control {name}")[0]
+            given = array(control[name][1], f"control {name}")
+            sigma = as_sigmas(given, place, f"control {name}") if given.any() else np.zeros(3)
             at[j], fixed[j], roles[j] = place, not sigma.any(), Role.CONTROL
             if not fixed[j]:
                 spread[j] = sigma

@@ -29,6 +29,7 @@ from factors.cameras.dlt import DLT, N_DISTORTION, RECORD
 from factors.cameras.image_corrections import NAMES
 from fg_orient.closerange import fitting
 from fg_orient.closerange.photo import Photo, YAxis, corrections_of
+from fg_orient.model.arrays import array
 from fg_orient.model.distributions import normal_quantile, t_quantile
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.rectification.transformation import Scaling
@@ -155,13 +156,12 @@ def fit_dlt(
     """
     ground = fitting.as_points(ground_m, 3, "ground")
     measured = fitting.as_points(image, 2, "image")
-    size = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, float), measured.shape)
+    size = fitting.as_sigmas(1.0 if sigma is None else sigma, measured)
     for unknown in [name for name in distortion if name not in DISTORTION or not iterate]:
         raise InputError.of("closerange.distortion", place="distortion", value=unknown, known=", ".join(DISTORTION))
     least = (11 + len(distortion) + 1) // 2
     if len(ground) != len(measured) or len(ground) < least:
         raise InputError.of("closerange.few", place="DLT", value=len(ground), least=least)
-    fitting.require_sigmas(size)
     codes = np.array([DISTORTION.index(name) for name in distortion], float)
     source, target = Scaling.of(ground, shared=True), Scaling.of(measured, shared=True)
     scale = target.scale / size
@@ -174,7 +174,7 @@ def fit_dlt(
     _require_spatial(ground, rows(state, True)[1][:, :11])
     if len(codes):
         centre = (
-            recover(direct, np.zeros(3)).principal if about is None else target.normalised(np.asarray(about, float))
+            recover(direct, np.zeros(3)).principal if about is None else target.normalised(array(about, "about", (2,)))
         )
         records[:, RECORD.centre] = centre
     if iterate:

@@ -18,10 +18,11 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.arrays import Array
+from factors.arrays import Array, Index
 from fg_orient.adjustment.dense import DenseRows, RowsBackend
 from fg_orient.adjustment.dense import equation_rows as equation_rows
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
+from fg_orient.model.arrays import array, require_positions, wrong
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.model.names import LARGEST, SMALLEST
 
@@ -191,12 +192,34 @@ def plain_rms(values: Array) -> list[float | None]:
 
 def as_points(values: npt.ArrayLike, width: int, place: str) -> Array:
     """Finite numbers (n, width), at most ``LARGEST`` in size; InputError for anything else."""
-    out = np.atleast_2d(np.ascontiguousarray(values, dtype=float))
-    if out.ndim != 2 or out.shape[1] != width or not len(out) or not np.isfinite(out).all():
+    out = np.atleast_2d(array(values, place))
+    if out.ndim != 2 or out.shape[1] != width or not len(out):
         raise InputError.of("closerange.points", place=place, value=f"shape {out.shape}", width=width)
-    if np.abs(out).max() > LARGEST:
-        value = float(out.flat[np.abs(out).argmax()])
-        raise InputError.of("closerange.range", place=place, value=value, limit=LARGEST)
+    for bad, code, more in (
+        (~np.isfinite(out), "closerange.points", {"width": width}),
+        (np.abs(out) > LARGEST, "closerange.range", {"limit": LARGEST}),
+    ):
+        if bad.any():
+            k = int(bad.any(axis=1).argmax())
+            raise InputError.of(code, place=f"{place}, row {k}", value=float(out[k][bad[k]][0]), **more)
+    return out
+
+
+def as_positions(values: npt.ArrayLike, place: str, like: Array, count: int | None = None) -> Index:
+    """Positions of photos or points, one for each row of ``like`` (n, k); below ``count``, if it is given."""
+    out = array(values, place, (len(like),), np.intp)
+    require_positions(out, place, f"{place}s", count)
+    return out
+
+
+def as_sigmas(values: npt.ArrayLike, like: Array, place: str = "sigma") -> Array:
+    """Standard deviations of each element of ``like`` (n, k), from an array that fits it; others are refused."""
+    given = array(values, place)
+    try:
+        out = np.broadcast_to(given, like.shape)
+    except ValueError:
+        raise wrong(place, f"shape {given.shape}", f"one number, or an array that fits {like.shape}") from None
+    require_sigmas(out, place)
     return out
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array, Index, Mask
-from fg_orient.closerange.fitting import UNDETERMINED, as_points, require_sigmas, unit_weight
+from fg_orient.closerange.fitting import UNDETERMINED, as_points, as_positions, as_sigmas, unit_weight
 from fg_orient.closerange.photo import Photo
 from fg_orient.model.errors import InputError, NoSolutionError
 
@@ -90,10 +90,9 @@ def intersect_photos(
     The linear equations with weight 1 give the start; then Gauss-Newton on the ideal image coordinates. Reweighting
     uses slopes at the measured instead of the computed coordinates.
     """
-    which, of = np.asarray(photo, np.intp), np.asarray(point, np.intp)
     measured = as_points(image, 2, "image")
-    size = np.broadcast_to(np.asarray(sigma, float), measured.shape)
-    require_sigmas(size)
+    which, of = as_positions(photo, "photo", measured, len(photos)), as_positions(point, "point", measured)
+    size = as_sigmas(sigma, measured)
     n = int(of.max()) + 1
     names = [str(k + 1) for k in range(n)] if ids is None else list(ids)
     _refuse(np.bincount(of, minlength=n) < 2, names, "closerange.one_ray")

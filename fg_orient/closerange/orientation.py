@@ -310,10 +310,9 @@ def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma
     Start in closed form (Umeyama 1991), which is the solution for equal sigmas; then ``factors.conditions.similarity``.
     """
     source, target = fitting.as_points(model, 3, "model"), fitting.as_points(ground_m, 3, "ground")
-    sigma = np.broadcast_to(np.asarray(sigma_m, float), target.shape)
+    sigma = fitting.as_sigmas(sigma_m, target, "sigma_m")
     if len(source) != len(target) or len(source) < LEAST_ABSOLUTE:
         raise InputError.of("closerange.few", place="absolute orientation", value=len(source), least=LEAST_ABSOLUTE)
-    fitting.require_sigmas(sigma, "sigma_m")
     from_, to = Scaling.of(source, shared=True), Scaling.of(target, shared=True)
     a, b = from_.normalised(source), to.normalised(target)
     size = float(to.scale[0])

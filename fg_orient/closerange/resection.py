@@ -105,10 +105,9 @@ def resect(
     """
     ground = fitting.as_points(ground_m, 3, "ground")
     measured = fitting.as_points(image, 2, "image")
-    size = np.broadcast_to(np.asarray(sigma, float), measured.shape)
+    size = fitting.as_sigmas(sigma, measured)
     if len(ground) != len(measured) or len(ground) < LEAST:
         raise InputError.of("closerange.few", place="resection", value=len(ground), least=LEAST)
-    fitting.require_sigmas(size)
     tangents = interior.tangents(measured)
     poses = start_poses(ground, tangents)
     if not poses:

@@ -14,7 +14,7 @@ from factors.cameras.frame_camera import CAMERA
 from factors.conditions import surfaces
 from factors.conditions.surfaces import RECORD
 from fg_orient.adjustment.constraint_rows import linear_round
-from fg_orient.closerange.fitting import Conditions, as_points, foot_points
+from fg_orient.closerange.fitting import Conditions, as_points, as_sigmas, foot_points
 from fg_orient.model.errors import InputError
 
 Kind = Literal["sphere", "spheroid", "ellipsoid", "quadric"]
@@ -74,7 +74,7 @@ class Surface:
     def foot_points(self, points_m: npt.ArrayLike, sigma_m: npt.ArrayLike = 1.0) -> Array:
         """Nearest points (n, 3) of the surface, m, weighted by sigmas; nan if not unique."""
         points = as_points(points_m, 3, "points")
-        sigma = np.broadcast_to(np.asarray(sigma_m, float), points.shape)
+        sigma = as_sigmas(sigma_m, points, "sigma_m")
         return foot_points(self.conditions, points - self.centre, sigma) + self.centre
 
     def distances(self, points_m: npt.ArrayLike) -> Array:

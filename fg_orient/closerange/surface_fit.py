@@ -169,8 +169,7 @@ def fit_surface(
     if method not in METHODS:
         raise InputError.of("closerange.method", place="method", value=method, known=", ".join(METHODS))
     points = fitting.as_points(points_m, 3, "points")
-    sigma = np.broadcast_to(np.asarray(1.0 if sigma_m is None else sigma_m, float), points.shape)
-    fitting.require_sigmas(sigma, "sigma_m")
+    sigma = fitting.as_sigmas(1.0 if sigma_m is None else sigma_m, points, "sigma_m")
     offset = points.mean(axis=0)
     size = float(np.linalg.norm(points - offset, axis=1).max()) or 1.0
     normalised = (points - offset) / size

@@ -31,7 +31,7 @@ from fg_orient.formats.text_files import sha256_of
 from fg_orient.geodesy import COORDINATE_COLUMNS, Kind, Operation, crs_kind, to_ecef_with_operation
 from fg_orient.model.block import Coordinates, GroundPoints, GroundSystem, ImagePoints, WithheldCoordinates
 from fg_orient.model.errors import Finding, InputError, finding
-from fg_orient.model.names import Role
+from fg_orient.model.names import LARGEST, SMALLEST, Role
 
 SIGMA_COLUMNS: Final = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
 _SIGMA_XYZ: Final = ("sigma_x_m", "sigma_y_m", "sigma_z_m")
@@ -133,7 +133,7 @@ def _sigmas(table: Table, check: Mask, measured: Mask) -> tuple[Array, Mask]:
     table.refuse(fixed & check, "points.fixed_check", SIGMA_COLUMNS[0], value=_id)
     values = table.numbers(*SIGMA_COLUMNS, rows=measured & ~some)
     for name, column in zip(SIGMA_COLUMNS, values.T, strict=True):
-        table.refuse(column <= 0.0, "points.sigma_not_positive", name)
+        table.refuse((column < SMALLEST) | (column > LARGEST), "points.sigma_not_positive", name)
     values[~(values > 0.0)] = np.nan
     return values, fixed
 
@@ -383,7 +383,8 @@ def read_observations(
         outside = np.isfinite(last[:, j]) & ((values[:, j] < -0.5) | (values[:, j] > last[:, j]))
         fields = {"image": lambda row: row.cells["image"], "axis": axis, "last": last[:, j]}
         table.refuse(outside, "observations.outside", axis, **fields)
-        table.refuse(values[:, 2 + j] <= 0.0, "observations.sigma_not_positive", COLUMNS[4 + j])
+        sigma = values[:, 2 + j]
+        table.refuse((sigma < SMALLEST) | (sigma > LARGEST), "observations.sigma_not_positive", COLUMNS[4 + j])
     table.report(faults)
     if faults or sizes is None or point_ids is None:
         return None

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.arrays import Array, Index, Mask
-from fg_orient.model.errors import Finding
+from fg_orient.model import arrays
+from fg_orient.model.errors import Finding, InputError
 from fg_orient.model.names import Role
 from fg_orient.model.options import Options as Options
 
@@ -24,13 +25,12 @@ if TYPE_CHECKING:
     from fg_orient.sensors.base import Sensor
 
 
-def _read_only(record: object, **kinds: type) -> None:
-    """Replace arrays of a frozen record by read-only copies of the given types."""
-    for name, kind in kinds.items():
-        given = getattr(record, name)
-        array: npt.NDArray[Any] = np.array(given, dtype=kind)
-        array.setflags(write=False)
-        object.__setattr__(record, name, array)
+def _set(record: object, **values: object) -> None:
+    """Replace fields of a frozen record; arrays become read-only."""
+    for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
+        object.__setattr__(record, name, value)
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,17 @@ class Image:
     pixels: str = ""
     pixels_origin: tuple[float, float] | None = None
 
+    def __post_init__(self) -> None:
+        if fault := arrays.name_fault(self.id):
+            raise arrays.wrong("id", repr(self.id), fault)
+        if self.pixels_origin is not None:
+            arrays.require_size(arrays.array(self.pixels_origin, "pixels_origin", (2,)), "pixels_origin")
+
+    def require_model(self) -> None:
+        """Raise InputError for a sensor without image model."""
+        if not hasattr(self.sensor, "image_model"):
+            raise InputError.of("adjust.no_model", place=f"image {self.id}", value=type(self.sensor).__name__)
+
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
@@ -59,6 +70,11 @@ class Coordinates:
         Sigmas East, North, Up at the point itself; nan for fixed points and rows without coordinates.
     fixed : (n,) bool array
         Constant in the adjustment: such a point has no residual.
+
+    Raises
+    ------
+    InputError
+        Wrong types or shapes.
     """
 
     ecef_m: Array
@@ -66,7 +82,9 @@ class Coordinates:
     fixed: Mask
 
     def __post_init__(self) -> None:
-        _read_only(self, ecef_m=np.float64, sigma_enu_m=np.float64, fixed=np.bool_)
+        ecef_m = arrays.array(self.ecef_m, "ecef_m", (-1, 3))
+        sigma = arrays.array(self.sigma_enu_m, "sigma_enu_m", ecef_m.shape)
+        _set(self, ecef_m=ecef_m, sigma_enu_m=sigma, fixed=arrays.array(self.fixed, "fixed", (len(ecef_m),), np.bool_))
 
     def take(self, rows: Index) -> Coordinates:
         """Selected rows."""
@@ -91,11 +109,38 @@ class GroundPoints:
     known : Coordinates
         One row per id; rows of control points hold coordinates, those of check points never, those of tie points
         start values or nan.
+
+    Raises
+    ------
+    InputError
+        Wrong types, unknown roles, lengths that differ. A block refuses repeated ids and impossible values, too.
     """
 
     ids: tuple[str, ...]
     roles: tuple[Role, ...]
     known: Coordinates
+
+    def __post_init__(self) -> None:
+        ids, roles = arrays.sequence(self.ids, "ids"), _roles(self.roles)
+        if not isinstance(self.known, Coordinates):
+            raise arrays.wrong("known", type(self.known).__name__, "Coordinates")
+        for place, count in (("ids", len(ids)), ("roles", len(roles))):
+            if count != len(self.known.fixed):
+                raise arrays.wrong(place, count, f"one for each of the {len(self.known.fixed)} rows of coordinates")
+        _set(self, ids=ids, roles=roles)
+
+    @cached_property
+    def require_possible(self) -> None:
+        """InputError for impossible or repeated ids and impossible coordinates; checked once."""
+        known, place = self.known, "points"
+        arrays.names(self.ids, f"{place}.ids")
+        control = np.fromiter((role is Role.CONTROL for role in self.roles), bool, len(self.roles))
+        missing = np.asarray(np.isnan(known.ecef_m).all(axis=1))
+        arrays.require_size(known.ecef_m, f"{place}.known.ecef_m", missing=missing)
+        arrays.require_sigmas(known.sigma_enu_m, f"{place}.known.sigma_enu_m", missing=True)
+        arrays.refuse(missing & control, f"{place}.known.ecef_m", known.ecef_m, "coordinates of each control point")
+        arrays.refuse(np.isnan(known.sigma_enu_m).any(axis=1) & control & ~known.fixed, f"{place}.known.sigma_enu_m",
+                      known.sigma_enu_m, "standard deviations of each control point that is not fixed")  # fmt: skip
 
     def where(self, role: Role) -> Index:
         """Indices of the points with this role."""
@@ -110,6 +155,18 @@ class GroundPoints:
         """Remove the coordinates of the points ``gone`` (n,), which get this role."""
         roles = tuple(role if away else r for away, r in zip(gone, self.roles, strict=True))
         return GroundPoints(self.ids, roles, self.known.only(~gone))
+
+
+def _roles(given: tuple[Role, ...]) -> tuple[Role, ...]:
+    """Roles of texts or roles; InputError for other ones."""
+    known, allowed = {str(role): role for role in Role}, f"one of {', '.join(Role)} for each point"
+    roles = arrays.sequence(given, "roles")
+    if not set(map(type, roles)) <= {Role}:
+        k = next((k for k, role in enumerate(roles) if not isinstance(role, str) or role not in known), None)
+        if k is not None:
+            raise arrays.wrong(f"roles, row {k}", repr(roles[k]), allowed)
+        roles = tuple(known[role] for role in roles)
+    return roles
 
 
 @dataclass(frozen=True)
@@ -139,6 +196,11 @@ class ImagePoints:
         Pixels; (0, 0) is the centre of the first pixel.
     sigma_line_px, sigma_sample_px : (n,) arrays
         Their standard deviations.
+
+    Raises
+    ------
+    InputError
+        Wrong types, lengths that differ. A block refuses impossible values, too.
     """
 
     image: Index
@@ -149,8 +211,19 @@ class ImagePoints:
     sigma_sample_px: Array
 
     def __post_init__(self) -> None:
-        _read_only(self, image=np.intp, point=np.intp)
-        _read_only(self, line=np.float64, sample=np.float64, sigma_line_px=np.float64, sigma_sample_px=np.float64)
+        point = arrays.array(self.point, "point", (-1,), np.intp)
+        read = {"image": arrays.array(self.image, "image", point.shape, np.intp), "point": point}
+        for name in ("line", "sample", "sigma_line_px", "sigma_sample_px"):
+            read[name] = arrays.array(getattr(self, name), name, point.shape)
+        _set(self, **read)
+
+    @cached_property
+    def require_possible(self) -> None:
+        """InputError for pixels that are not finite and for impossible standard deviations; checked once."""
+        part = "observations"
+        for name in ("line", "sample"):
+            arrays.require_size(getattr(self, name), f"{part}.{name}")
+            arrays.require_sigmas(getattr(self, f"sigma_{name}_px"), f"{part}.sigma_{name}_px")
 
     def __len__(self) -> int:
         return len(self.line)
@@ -183,6 +256,11 @@ class ExtraObservation:
         Length of the residual.
     label : str
         Named in messages.
+
+    Raises
+    ------
+    InputError
+        No registered equation, another number of unknowns than that of its arguments, impossible values.
     """
 
     equation: Equation
@@ -191,6 +269,20 @@ class ExtraObservation:
     setup: Array | None
     n_residuals: int
     label: str
+
+    def __post_init__(self) -> None:
+        arguments = getattr(self.equation, "arguments", None)
+        if arguments is None:
+            raise arrays.wrong(f"{self.label}, equation", repr(self.equation), "a registered equation")
+        unknowns = arrays.sequence(self.unknowns, f"{self.label}, unknowns")
+        if len(unknowns) != len(arguments):
+            raise arrays.wrong(f"{self.label}, unknowns", repr(unknowns), f"names of {len(arguments)} unknowns")
+        for name in ("record",) if self.setup is None else ("record", "setup"):
+            values = arrays.array(getattr(self, name), f"{self.label}, {name}")
+            if not np.isfinite(values).all():
+                raise arrays.wrong(f"{self.label}, {name}", "values that are not finite", "finite numbers")
+        if self.n_residuals < 0:
+            raise arrays.wrong(f"{self.label}, n_residuals", self.n_residuals, "a whole number from 0")
 
 
 @dataclass(frozen=True)
@@ -245,6 +337,12 @@ class Block:
         images and points; their keys are those of :func:`fg_orient.factor_graph`.
     ground : GroundSystem
         CRS and zero level of the point table, for outputs.
+
+    Raises
+    ------
+    InputError
+        Parts of another type, an image or a point twice, positions beyond the images or points, values that are not
+        finite, impossible standard deviations, control points without coordinates, unknown withheld points.
     """
 
     name: str
@@ -258,9 +356,34 @@ class Block:
     extra: tuple[ExtraObservation, ...] = ()
     ground: GroundSystem = GroundSystem()
 
+    def __post_init__(self) -> None:
+        for place, kind in (("points", GroundPoints), ("observations", ImagePoints), ("options", Options),
+                            ("withheld", WithheldCoordinates)):  # fmt: skip
+            if not isinstance(getattr(self, place), kind):
+                raise arrays.wrong(place, type(getattr(self, place)).__name__, kind.__name__)
+        _set(self, images=arrays.sequence(self.images, "images"), extra=arrays.sequence(self.extra, "extra"))
+        others = np.array([not isinstance(image, Image) for image in self.images], bool)
+        arrays.refuse(others, "images", self.images, "an Image")
+        arrays.names([image.id for image in self.images], "images")
+        for name, count in (("image", len(self.images)), ("point", len(self.points.ids))):
+            positions = getattr(self.observations, name)
+            arrays.require_positions(positions, f"observations.{name}", f"{name}s", count)
+        for part in (self.points, self.observations):
+            _ = part.require_possible
+        foreign = set(self.withheld.ids).difference(self.points.ids) if self.withheld.ids else set()
+        if foreign:
+            raise arrays.wrong("withheld", min(foreign), "ids of the block's points")
+
     def __repr__(self) -> str:
         counts = f"{len(self.images)} images, {len(self.points.ids)} points, {len(self.observations)} image points"
         return f"<Block {self.name[:60]}: {counts}>"
+
+    def require_adjustable(self) -> None:
+        """Raise InputError without images, or for an image whose sensor cannot be adjusted."""
+        if not self.images:
+            raise arrays.wrong("images", 0, "one or more")
+        for image in self.images:
+            image.require_model()
 
     @property
     def georeferenced(self) -> bool:

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from factors.arrays import Array
+from fg_orient.model import arrays
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import LARGEST, SMALLEST
 
@@ -74,9 +75,17 @@ class Constraint:
     offset: Array = field(default_factory=lambda: np.eye(3))
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "members", tuple(self.members))
+        object.__setattr__(self, "members", arrays.sequence(self.members, "members"))
+        for name in self.members:
+            if fault := arrays.name_fault(name):
+                raise arrays.wrong("members", repr(name), fault)
         if self.kind not in LEAST:
             raise self.fault("kind", self.kind, f"one of {', '.join(KINDS)}")
+        for place in ("value_m", "sigma"):
+            if getattr(self, place) is not None:
+                arrays.array(getattr(self, place), f"{self.label}, {place}", ())
+        for name, pair in self.observed.items():
+            arrays.array(pair, f"{self.label}, observed {name}", (2,))
         n, least = len(self.members), LEAST[self.kind]
         if n < least or (self.kind in EXACT and n != least) or len(set(self.members)) != n:
             raise self.fault("members", n, f"{least}{'' if self.kind in EXACT else ' or more'} different ones")
@@ -91,8 +100,8 @@ class Constraint:
                 raise self.fault(f"observed {name}", f"{value} +- {sigma}", expected)
         if self.axis not in AXES:
             raise self.fault("axis", self.axis, "x, y or z")
-        turn = np.asarray(self.offset, float)
-        if turn.shape != (3, 3) or np.abs(turn @ turn.T - np.eye(3)).max() > 1e-9 or np.linalg.det(turn) < 0.0:
+        turn = arrays.array(self.offset, f"{self.label}, offset", (3, 3))
+        if not np.abs(turn @ turn.T - np.eye(3)).max() <= 1e-9 or np.linalg.det(turn) < 0.0:
             raise self.fault("offset", turn.tolist(), "a rotation matrix")
 
     @property

@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from factors.arrays import Array, Mask
+from fg_orient.model.arrays import wrong
 from fg_orient.model.block import Block, Image, Options
 from fg_orient.model.declaration import require_declared
 from fg_orient.model.errors import InputError
@@ -63,7 +64,9 @@ def with_options(block: Block, caller: str, **given: Any) -> Block:
     TypeError
         A name is not an option; the message names the ``caller``.
     """
-    require_declared(given, caller, type(block.options))
+    if not isinstance(block, Block):
+        raise wrong("block", repr(block), "a Block, for instance that of read_project")
+    require_declared(given, caller, Options)
     values: dict[str, Any] = {
         name: tuple(v) if isinstance(v, Sequence) and not isinstance(v, str) else v
         for name, v in given.items()

@@ -28,6 +28,7 @@ from factors._contract import Argument, Equation
 from factors.arrays import Array, Index
 from fg_orient.adjustment.problem import Problem, State, participates
 from fg_orient.adjustment.rows import image_models
+from fg_orient.model.arrays import wrong
 from fg_orient.model.block import Block, Coordinates, ExtraObservation
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role, Status
@@ -71,6 +72,8 @@ class EarlierResult:
             chosen = points_within(given, LIMIT, common) if points else None
             joint = None if chosen is None else joint_cofactors_of(given, chosen)
             return EarlierResult(given.block.name, given.result, joint)
+        if not isinstance(given, Result | str | Path):
+            raise wrong("start", repr(given), "a Solution, a Result or the path of a result folder")
         result = given if isinstance(given, Result) else read_result(given)
         place = str(result.record.get("name")) if isinstance(given, Result) else str(given)
         return EarlierResult(place, result, result.joint)

@@ -19,6 +19,7 @@ from fg_orient.adjustment.rows import image_models
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
+from fg_orient.model.parameters import with_options
 from fg_orient.orientation.solution import Solution
 from fg_orient.orientation.waiting import (
     determined_images,
@@ -60,7 +61,7 @@ class Incremental:
     """
 
     def __init__(self, block: Block) -> None:
-        _require_supported(block)
+        _require_supported(with_options(block, "Incremental"))
         none = np.zeros(0, np.intp)
         self._block = replace(block, images=(), observations=block.observations.take(none))
         self._models: tuple[ImageModel, ...] = ()

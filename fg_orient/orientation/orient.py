@@ -128,6 +128,7 @@ def adjust(
     TypeError
         An argument is not an option.
     """
+    block = with_options(block, "adjust")
     block = with_options(
         block if options is None else replace(block, options=options), "adjust", eop_set=eop_set, priors=priors,
         datum=datum, backend=backend, loss=loss, snoop=snoop, variance_components=variance_components, **more,
@@ -142,6 +143,7 @@ def adjust(
     named = None if callable(optimizer) else optimizer
     block = with_options(block, "adjust", optimizer=named)
     require_possible(block.options)
+    block.require_adjustable()
     doubts.require_acceptances(block.options.accept)
     block = vendor_datum.with_datum(block)
     regularisation.require_possible(block)
@@ -244,6 +246,7 @@ def factor_graph(block: Block, points: Literal["eliminated", "explicit"] = "elim
     RankDeficientError
         Without priors some directions are not observable.
     """
+    with_options(block, "factor_graph").require_adjustable()
     return _factor_graph(vendor_datum.with_datum(with_observations(block)), points)
 
 

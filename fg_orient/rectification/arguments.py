@@ -8,15 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array
+from fg_orient.model.arrays import array
 from fg_orient.model.errors import InputError
 
 
 def numbers(place: str, values: npt.ArrayLike) -> Array:
     """One number or more as an array, finite or not; InputError for anything else."""
-    try:
-        out = np.asarray(values, float)
-    except (TypeError, ValueError):
-        raise InputError.of("rectify.numbers", place=place, value="no numbers") from None
+    out = array(values, place)
     if not out.size:
         raise InputError.of("rectify.numbers", place=place, value="none")
     return out

@@ -24,6 +24,7 @@ from factors.arrays import Array, Index, Mask
 from factors.cameras.plane import RECORD
 from fg_orient.adjustment.dense import RowsBackend, equation_rows
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
+from fg_orient.model import arrays
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rectification.arguments import finite, numbers
 from fg_orient.rectification.transformation import Scaling, Transformation, TransformationModel
@@ -70,10 +71,15 @@ class Observations:
     ids: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        n = len(self.source)
-        shapes = self.source.shape in ((n, 2), (n, 3)) and self.target.shape == (n, 2) == self.sigma.shape
-        if not shapes or len(self.ids) != n or not n:
-            raise InputError.of("rectify.points", value=f"{self.source.shape}, {self.target.shape}")
+        n, ids = len(self.target), arrays.names(self.ids, "ids")
+        object.__setattr__(self, "ids", ids)
+        for name, fits, size in (
+            ("target", self.target.shape == (n, 2) and n > 0, self.target.shape),
+            ("source", self.source.shape in ((n, 2), (n, 3)), self.source.shape),
+            ("sigma", self.sigma.shape == (n, 2), self.sigma.shape), ("ids", len(ids) == n, len(ids)),
+        ):  # fmt: skip
+            if not fits:
+                raise InputError.of("rectify.points", place=name, value=f"{size}, {n} targets")
         for name, values in (("source", self.source), ("target", self.target), ("sigma", self.sigma)):
             bad = ~np.isfinite(values).all(axis=1) | (name == "sigma" and (values <= 0.0).any(axis=1))
             if bad.any():

@@ -17,6 +17,7 @@ from factors.arrays import Array
 from fg_orient.formats.tables import Table, require_table
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.geodesy import crs_kind, from_geographic
+from fg_orient.model.arrays import wrong
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.fit import Observations, TransformationFit, fit, plain_rmse, require_redundancy
 from fg_orient.rectification.outliers import Pruning, Rule, prune
@@ -195,6 +196,8 @@ def fit_points(
     InputError, NoSolutionError
         See :func:`fg_orient.rectification.fit.fit`.
     """
+    if not isinstance(points, MapPoints):
+        raise wrong("points", type(points).__name__, "MapPoints, for instance those of read_map_points")
     way = require_direction(model, direction)
     every = observations(points, model, way)
     require_redundancy(model, int(np.count_nonzero(~points.check)))

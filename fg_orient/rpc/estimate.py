@@ -14,6 +14,7 @@ from factors.arrays import Array
 from fg_orient.adjustment.linear.registry import solve
 from fg_orient.adjustment.linear.ridge import regularised
 from fg_orient.adjustment.linear.system import LinearSystem
+from fg_orient.model.arrays import array
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rpc.fit import RfmFit
 from fg_orient.rpc.form import RfmForm
@@ -221,6 +222,7 @@ def _solution(system: LinearSystem, penalty: Array) -> Array:
 
 def require_points(points: ControlPoints, form: RfmForm, kappa: float) -> None:
     """Refuse fewer equations than coefficients if there is no penalty, and an invalid kappa."""
+    array(kappa, "kappa", ())
     if not (np.isfinite(kappa) and kappa >= 0.0):
         raise InputError.of("linear.kappa_value", place="kappa", value=kappa)
     equations = 2 * len(points)

@@ -17,6 +17,7 @@ import numpy as np
 from factors.arrays import Array, Index, Mask
 from factors.cameras.rfm_project import RANGE
 from fg_orient.formats.tables import Table, require_table
+from fg_orient.model.arrays import array, require_size, wrong
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 from fg_orient.sensors.rpc import COORDINATES
@@ -44,10 +45,14 @@ class ControlPoints:
     ground: Array
 
     def __post_init__(self) -> None:
-        n = len(self.line)
-        fits = self.line.shape == self.sample.shape == (n,) and self.ground.shape == (n, 3) and n > 0
-        if not fits or not np.isfinite(self.columns).all():
-            raise InputError.of("rfm.points", place="control points", value=f"{n} lines, ground {self.ground.shape}")
+        line = array(self.line, "line", (-1,))
+        read = {"line": line, "sample": array(self.sample, "sample", line.shape),
+                "ground": array(self.ground, "ground", (len(line), 3))}  # fmt: skip
+        if not len(line):
+            raise InputError.of("rfm.points", place="control points", value="0 points")
+        for name, values in read.items():
+            require_size(values, name)
+            object.__setattr__(self, name, values)
 
     def __len__(self) -> int:
         return len(self.line)
@@ -84,6 +89,8 @@ class Scaling:
         InputError
             All points have the same value of a coordinate.
         """
+        if not isinstance(points, ControlPoints):
+            raise wrong("points", type(points).__name__, "ControlPoints")
         if not normalise:
             return cls(np.zeros(5), np.ones(5))
         low, high = points.columns.min(axis=0), points.columns.max(axis=0)

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array, Index, Mask
+from fg_orient.model import arrays
 from fg_orient.model.block import Image, ImagePoints
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.base import Sensor
@@ -180,7 +181,11 @@ def intersect(
         A pixel lies outside its image, rays are parallel or meet behind a sensor, or the number of rows of pixels or
         of corrections is not that of the sensors.
     """
-    lines, samples = (np.asarray(a, float) for a in (line, sample))
+    if not isinstance(sensors, Sequence) or not sensors:
+        raise arrays.wrong("sensors", repr(sensors), "two sensors or more")
+    lines, samples = arrays.array(line, "line"), arrays.array(sample, "sample")
+    if not lines.size:
+        raise arrays.wrong("line", f"shape {lines.shape}", "one point or more")
     if lines.shape != samples.shape or lines.ndim not in (1, 2) or len(lines) != len(sensors):
         raise InputError.of("initial.pixel_count", place="line, sample", sensors=len(sensors),
                             value=f"shapes {lines.shape} and {samples.shape}")  # fmt: skip

@@ -19,6 +19,7 @@ from fg_orient.formats.atomic import Contents, in_all_forms, require_free, stage
 from fg_orient.formats.dimap_write import write_dimap1
 from fg_orient.formats.points_write import write_observations, write_points, write_project
 from fg_orient.formats.table_write import require_writer, write_table
+from fg_orient.model.arrays import wrong
 from fg_orient.model.names import COMPONENTS, TABLE_FORM
 from fg_orient.model.parameters import UNITS, parameter_name
 from fg_orient.result.plain import write_rows
@@ -77,8 +78,16 @@ class Scenario(Generic[Chosen]):
         truth : Truth
             True ground points (ECEF, m), pixels without noise, corrections of each sensor in its own form.
         """
-        simulation = self.draw(options or self.usual, None)
+        simulation = self.draw(self._chosen(options), None)
         return simulation.block(), simulation.truth
+
+    def _chosen(self, options: Chosen | None) -> Chosen:
+        """Given or default options; InputError for other ones."""
+        if options is None:
+            return self.usual
+        if not isinstance(options, type(self.usual)):
+            raise wrong("options", type(options).__name__, type(self.usual).__name__)
+        return options
 
     def write(
         self, out: str | Path, options: Chosen | None = None, *, overwrite: bool = False,
@@ -110,7 +119,7 @@ class Scenario(Generic[Chosen]):
         InputError
             The folder exists, or cannot be written. Nothing remains of a folder that was not completed.
         """
-        target, chosen = Path(out), options or self.usual
+        target, chosen = Path(out), self._chosen(options)
         require_free(target, overwrite=overwrite, contents=CONTENTS)
         form = getattr(chosen, "tables", TABLE_FORM)
         require_writer(target / f"points.{form}")

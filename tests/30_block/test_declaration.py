@@ -15,7 +15,10 @@ import pytest
 
 import fg_orient as fg
 import fg_orient.orientation.run
+from fg_orient.formats.exchange.survey import no_image_points
+from fg_orient.formats.points import no_points
 from fg_orient.formats.schema import ProjectFile, validate
+from fg_orient.model.block import WithheldCoordinates
 from fg_orient.model.declaration import Names, Option, Three, declared
 from fg_orient.model.errors import InputError
 from fg_orient.model.options import Options, Reading
@@ -24,7 +27,7 @@ from fg_orient.simulate.options import BlockOptions, MixedOptions, ZonguldakOpti
 from tests.support.command import in_process
 
 ALL = declared(Options, Reading)
-BLOCK = fg.Block("b", (), None, None, None)  # type: ignore[arg-type]
+BLOCK = fg.Block("b", (), no_points(Path("b")).points, no_image_points(), WithheldCoordinates())
 
 
 def other(option: Option) -> Any:
@@ -162,6 +165,7 @@ exec(compile(source.replace(before, field + before), spec.origin, "exec"), modul
 
 import fg_orient as fg
 from tests.support.command import in_process
+from tests.support.pinhole import pinhole_block
 from fg_orient.formats.schema import ProjectFile, validate
 content = {"schema": 1, "name": "n", "images": [{"id": "a", "metadata": "a"}],
            "points": {"file": "p", "crs": "EPSG:4979"}, "observations": {"file": "o"}, "adjustment": {"further": 4}}
@@ -172,7 +176,7 @@ try:
 except fg.InputError as error:
     print(*error.problems)
 print(" ".join(in_process("adjust", "--help").stdout.split()).count("A further option; default: 3."))
-for call in (fg.Options, lambda **more: fg.adjust(fg.Block("b", (), None, None, None), **more)):
+for call in (fg.Options, lambda **more: fg.adjust(pinhole_block(2, 1, 2)[0], **more)):
     try:
         call(further=0)
     except fg.InputError as error:

@@ -162,8 +162,8 @@ BAD = {
     "penalty": (lambda p: fit_true(p, RfmForm(1), penalty="all"), "rfm.penalty"),
     "kappa": (lambda p: fit_true(p, RfmForm(1), kappa=-1.0), "linear.kappa_value"),
     "solver": (lambda p: fit_linear(p, RfmForm(1), solver="magic"), "linear.solver"),
-    "not finite": (lambda p: ControlPoints(p.line * np.nan, p.sample, p.ground), "rfm.points"),
-    "sizes": (lambda p: ControlPoints(p.line[1:], p.sample, p.ground), "rfm.points"),
+    "not finite": (lambda p: ControlPoints(p.line * np.nan, p.sample, p.ground), "argument.value"),
+    "sizes": (lambda p: ControlPoints(p.line[1:], p.sample, p.ground), "argument.value"),
 }
 
 

@@ -93,18 +93,21 @@ def test_values_that_are_not_finite_are_refused_at_the_python_border(twin: Block
     o, known = twin.observations, twin.points.known
     first = int(twin.points.where(Role.CONTROL)[0])
     row = np.arange(len(twin.points.ids))[:, None] == first
-    if fault == "line":
-        broken = replace(twin, observations=replace(o, line=np.where(o.point == first, np.nan, o.line)))
-    elif fault == "sigma_sample_px":
-        broken = replace(twin, observations=replace(o, sigma_sample_px=np.where(o.point == first, 0.0, 0.3)))
-    elif fault == "control coordinate":
-        points = replace(twin.points, known=replace(known, ecef_m=np.where(row, np.inf, known.ecef_m)))
-        broken = replace(twin, points=points)
-    else:
-        points = replace(twin.points, known=replace(known, sigma_enu_m=np.where(row, -1.0, known.sigma_enu_m)))
-        broken = replace(twin, points=points)
-    with pytest.raises(fg.InputError, match=f"point {twin.points.ids[first]}") as caught:
-        fg.adjust(broken, eop_set=10)
+    seen = int(np.argmax(o.point == first))
+    place, changed = {
+        "line": (f"observations.line, row {seen}:",
+                 {"observations": lambda: replace(o, line=np.where(o.point == first, np.nan, o.line))}),
+        "sigma_sample_px": (f"observations.sigma_sample_px, row {seen}:",
+                            {"observations": lambda: replace(o, sigma_sample_px=np.where(o.point == first, 0.0, 0.3))}),
+        "control coordinate": (f"points.known.ecef_m, row {first}:",
+                               {"known": lambda: replace(known, ecef_m=np.where(row, np.inf, known.ecef_m))}),
+        "control sigma": (f"points.known.sigma_enu_m, row {first}:",
+                          {"known": lambda: replace(known, sigma_enu_m=np.where(row, -1.0, known.sigma_enu_m))}),
+    }[fault]  # fmt: skip
+    made = {name: make() for name, make in changed.items()}
+    given = {"points": replace(twin.points, **made)} if "known" in made else made
+    with pytest.raises(fg.InputError, match=place) as caught:
+        replace(twin, **given)
     assert "\n" not in str(caught.value.problems[0])
 
 

@@ -201,7 +201,7 @@ def test_each_bad_check_point_is_named(tmp_path: Path, rng: np.random.Generator)
     ("sigma", "code"),
     [(1e-300, "rectify.sigma_absurd"), ([[1e-12, 1.0]] + [[1.0, 1.0]] * 11, "rectify.sigma_absurd"),
      ([[1.0, 1.0]] * 11 + [[1e300, 1.0]], "rectify.sigma_absurd"), (np.inf, "rectify.points"),
-     (-1.0, "rectify.points"), ([1.0, 2.0, 3.0], "rectify.points"), ("few", "rectify.numbers")],
+     (-1.0, "rectify.points"), ([1.0, 2.0, 3.0], "rectify.points"), ("few", "argument.value")],
 )  # fmt: skip
 def test_absurd_sigmas_are_refused(sigma: object, code: str) -> None:
     points = strip(500.0, 0.0, n=12)

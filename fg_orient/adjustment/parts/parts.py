@@ -26,6 +26,7 @@ from fg_orient.adjustment.rows import some_rows
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
 from fg_orient.model.parameters import ImageParameters
 from fg_orient.sensors.base import ImageModel, Sensor
 
@@ -108,14 +109,15 @@ def part_problem(name: str, arrays: dict[str, npt.NDArray[Any]]) -> Problem:
         codes, sigma = setups[:, first[k] : first[k + 1]]
         parameters = ImageParameters(tuple(codes.astype(int).tolist()), sigma, (), (), ())
         models.append(cast(ImageModel, PartModel(registered()[equation], parameters)))
-    ids, nowhere = tuple(i.decode() for i in arrays["ids"].tolist()), np.zeros((0, 3))
-    unknown = Coordinates(nowhere, nowhere, np.zeros(0, bool))
-    nothing = np.zeros(len(arrays["image"]))
-    observations = ImagePoints(arrays["image"], arrays["point"], nothing, nothing, nothing, nothing)
+    ids = tuple(i.decode() for i in arrays["ids"].tolist())
+    nowhere = np.full((len(ids), 3), np.nan)
+    unknown = Coordinates(nowhere, nowhere, np.zeros(len(ids), bool))
+    nothing, one = np.zeros(len(arrays["image"])), np.ones(len(arrays["image"]))
+    observations = ImagePoints(arrays["image"], arrays["point"], nothing, nothing, one, one)
     options = Options(**(json.loads(arrays["options"].tobytes()) | {"priors": False}))
     block = Block(
-        name, tuple(Image(i, cast(Sensor, None)) for i in images), GroundPoints(ids, (), unknown), observations,
-        WithheldCoordinates((), lambda: unknown), options,
+        name, tuple(Image(i, cast(Sensor, None)) for i in images),
+        GroundPoints(ids, (Role.TIE,) * len(ids), unknown), observations, WithheldCoordinates(), options,
     )  # fmt: skip
     start = State(np.zeros((len(models), int(np.diff(first).max()))), arrays["start"])
     return Problem(

@@ -149,8 +149,6 @@ covariance.no_such: unknown image, parameter, point or observation
     -> write the name as "image:left", "image:left.x_0", "point:12", "observation:left/12" or "residual:left/12"
 covariance.not_unknown: this is not an unknown of the adjustment, so it has no covariance
     -> ask for adjusted points only
-block.not_finite: pixels, coordinates or sigmas are not finite, or sigmas not positive
-    -> correct them or leave the point out
 block.no_rays: no image point takes part in the adjustment
     -> measure points in at least two images; excluded check points determine nothing
 block.no_control: no control point is measured in any image: the block has no datum
@@ -190,7 +188,7 @@ parallel.no_parts: a work folder is for a block in parts, and this block is not 
     -> give parts, workers or a scheduler, or leave the work folder out
 parallel.backend: parts are adjusted by the Schur backend, not by {value}
     -> leave the backend out, or adjust without parts and workers
-parallel.dask: several workers need dask, which is not installed
+parallel.dask: several workers need dask and cryptography, which are not installed
     -> pip install "fg-orient[cluster]", or one worker
 parallel.unreachable: no scheduler answers at this address
     -> start dask scheduler and workers, see docs/parallel.md

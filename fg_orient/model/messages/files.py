@@ -251,7 +251,7 @@ points.no_coordinates: the {role} point has no coordinates
     -> give its coordinates, or make it a tie point
 points.tie_coordinates: a tie point has no known coordinates
     -> empty the cell, or make it a control or check point
-points.sigma_not_positive: the standard deviation is not above zero
+points.sigma_not_positive: the standard deviation is not above zero, or its size is impossible
     -> give it in metres; a point without uncertainty has the word fixed in all three sigma columns
 points.fixed_partly: only some of the three sigma columns contain the word fixed
     -> write fixed in all three sigma columns, or in none
@@ -277,7 +277,7 @@ observations.twice: the point is measured twice in this image, first on {first}
     -> keep one measurement
 observations.outside: the pixel is outside image {image}
     -> {axis} runs from -0.5 to {last:g}; (0, 0) is the centre of the first pixel
-observations.sigma_not_positive: the standard deviation is not above zero
+observations.sigma_not_positive: the standard deviation is not above zero, or its size is impossible
     -> give it in pixels
 observations.seen_once: {count} check or tie point(s) are measured in one image only, which does not determine their
     position
