@@ -1,8 +1,8 @@
 """Cells of a large table by columns, without a string for each cell; rows of numbers as text.
 
-A CSV table is regular if it is ASCII without quotes and blanks, comments are before the header only, and every record
-has the number of cells of the header. Cells are then slices of its bytes between separators. A column of numbers is
-read by orjson, ten times faster than by ``float``. Any other table is read line by line (``fg_orient.formats.tables``).
+A CSV table is regular if it is ASCII without quotes, apostrophes and blanks, comments are before the header only, and
+every record has as many cells as the header. Cells are then slices of its bytes between separators. Numbers are read by
+orjson, ten times faster than by ``float``. Any other table is read line by line (``fg_orient.formats.tables``).
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ ROWS: Final = 2_000
 #: Bytes up to which texts are compared as numbers; an odd number that mixes the bytes of longer ones than 8.
 WIDEST: Final = 64
 _ODD: Final = np.uint64(0x9E3779B97F4A7C15)
-#: Characters that make a table irregular: quotes, and what ``strip`` removes from ASCII text.
-IRREGULAR: Final = '"\t\v\f\x1c\x1d\x1e\x1f '
+#: Characters that make a table irregular: quotes, apostrophes, and what ``strip`` removes from ASCII text.
+IRREGULAR: Final = "\"'\t\v\f\x1c\x1d\x1e\x1f "
 _COMMA, _LINE_END, _COMMENT = b",\n#"
 #: Of texts that consist of these characters, ``float`` accepts exactly those that are numbers in a table.
 OF_NUMBERS: Final = b"0123456789eE+.-"

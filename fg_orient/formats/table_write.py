@@ -1,6 +1,7 @@
 """The writer of tables: columns of text and numbers to the form of the end of the file name.
 
 In CSV, numbers have the fewest digits that read back to the same double. A value that is not finite is an empty cell.
+Texts that a spreadsheet would interpret as a formula begin with an apostrophe, which our readers remove.
 """
 
 from __future__ import annotations
@@ -29,9 +30,10 @@ WORDS: Final = frozenset((
 ))  # fmt: skip
 #: Columns of whole numbers, with empty cells.
 WHOLE: Final = frozenset(("degree", "n_rays", "round", "dimension", "readmitted"))
-#: Marks of cells, each after a NUL, that may need quotes; first characters that spreadsheets interpret as a formula.
-_ODD: Final = (*',"#\r\n', "\0=", "\0+", "\0@", "\0-")
-_FORMULA: Final = re.compile(r"[=@]|[+-](?![0-9.]+(?:e[+-]?[0-9]+)?$)")
+#: Marks of cells, each after a NUL, that may need quotes or an apostrophe.
+_ODD: Final = (*',"#\r\n', "\0=", "\0+", "\0@", "\0-", "\0\t", "\0'")
+#: Begin of a text that spreadsheets interpret as a formula, after any apostrophes; not of signed numbers.
+_FORMULA: Final = re.compile(r"'*(?:[=@\t]|[+-](?![0-9.]+(?:e[+-]?[0-9]+)?\Z))")
 
 
 def write_table(path: Path, columns: Mapping[str, Column], comments: Sequence[str] = ()) -> None:
@@ -143,7 +145,7 @@ def _text(value: Any, whole: bool = False) -> str:
 def _quoted(cells: list[str]) -> list[bytes]:
     joined = "\0".join(cells)
     together = [] if _is_odd(joined) else joined.encode().split(b"\0")
-    return together if len(together) == len(cells) else [quoted(cell).encode() for cell in cells]
+    return together if len(together) == len(cells) else [own_cell(cell).encode() for cell in cells]
 
 
 def _is_odd(cells: str) -> bool:
@@ -153,7 +155,15 @@ def _is_odd(cells: str) -> bool:
 
 
 def quoted(cell: str) -> str:
-    """Text of a cell of CSV; in quotes if a reader or a spreadsheet would misinterpret it."""
-    if not _is_odd(cell) or not (_FORMULA.match(cell) or any(mark in cell for mark in ',"#\r\n')):
-        return cell
-    return '"' + cell.replace('"', '""') + '"'
+    """Text of a cell of CSV; in quotes if a reader would misinterpret it."""
+    return '"' + cell.replace('"', '""') + '"' if any(mark in cell for mark in ',"#\r\n') else cell
+
+
+def own_cell(cell: str) -> str:
+    """Text of a cell of our own tables, which no spreadsheet takes for a formula; see :func:`cell_text`."""
+    return quoted(f"'{cell}" if _FORMULA.match(cell) else cell)
+
+
+def cell_text(cell: str) -> str:
+    """Inverse of :func:`own_cell`, quotes aside: the text without the apostrophe before what looks like a formula."""
+    return cell[1:] if cell[:1] == "'" and _FORMULA.match(cell, 1) else cell

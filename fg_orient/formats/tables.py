@@ -21,7 +21,7 @@ import numpy.typing as npt
 from factors.arrays import Array, Index, Mask
 from fg_orient.formats.columns import Cells, regular
 from fg_orient.formats.faults import MAX_FAULTS, Faults, did_you_mean
-from fg_orient.formats.table_write import is_binary
+from fg_orient.formats.table_write import cell_text, is_binary
 from fg_orient.formats.text_files import delimited, read_text
 
 #: Texts that are read as numbers, and numbers with a decimal comma.
@@ -340,7 +340,7 @@ def _records(
     """Line numbers and cells by column of the records; records with a wrong number of cells are left out and noted."""
     width = len(names)
     split = {n: delimited(n, line, faults, width) for n, line in zip(numbers, lines, strict=True)}
-    rows = {n: cells for n, cells in split.items() if cells is not None}
+    rows = {n: list(map(cell_text, cells)) for n, cells in split.items() if cells is not None}
     return list(rows), {name: Cells([cells[k] for cells in rows.values()]) for k, name in enumerate(names)}
 
 

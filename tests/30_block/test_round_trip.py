@@ -15,6 +15,7 @@ from fg_orient.formats.faults import Faults
 from fg_orient.formats.points import read_observations, read_points
 from fg_orient.formats.points_write import write_observations, write_points, write_project
 from fg_orient.formats.project import read_project
+from fg_orient.formats.table_write import cell_text
 from fg_orient.model.block import Options
 from fg_orient.model.names import Role
 
@@ -48,7 +49,7 @@ def test_points(tmp_path_factory, ids, data):
     xyz[tie], sigma[tie | fixed] = np.nan, np.nan
     write_points(path, ids, roles, xyz, sigma, kind="geocentric", fixed=fixed, comments=["a, b"])
     rows = rows_of(path, comments=1)
-    assert [(row["id"], row["role"]) for row in rows] == [
+    assert [(cell_text(row["id"]), row["role"]) for row in rows] == [
         (name, str(role)) for name, role in zip(ids, roles, strict=True)
     ]
     assert [row["sigma_up_m"] == "fixed" for row in rows] == fixed.tolist()
@@ -80,7 +81,7 @@ def test_observations(tmp_path_factory, images, points, data):
     sigma = np.array([[data.draw(sigmas) for _ in range(2)] for _ in pairs])
     write_observations(path, [p[0] for p in pairs], [p[1] for p in pairs], pixels, sigma)
     rows = rows_of(path)
-    assert [(row["image"], row["id"]) for row in rows] == pairs
+    assert [(cell_text(row["image"]), cell_text(row["id"])) for row in rows] == pairs
     names = ("line", "sample", "sigma_line_px", "sigma_sample_px")
     np.testing.assert_array_equal([[float(row[name]) for name in names] for row in rows], np.hstack([pixels, sigma]))
     faults = Faults(str(path))

@@ -139,9 +139,16 @@ def write_matches(survey: Survey, paths: tuple[Path, ...], settings: Settings) -
 
 def _plain(images: Sequence[str], k: int) -> str:
     """Name of an image that the name of a file can contain."""
-    if _BETWEEN in images[k] or "/" in images[k] or "\\" in images[k] or images[k].startswith("_"):
+    if _BETWEEN in images[k] or images[k].startswith("_"):
         raise InputError.of("match.image", value=images[k])
-    return images[k]
+    return _inside(images[k])
+
+
+def _inside(image: str) -> str:
+    """Name of an image; InputError if a file named after it could lie outside the folder."""
+    if "/" in image or "\\" in image:
+        raise InputError.of("match.image", value=image)
+    return image
 
 
 FORMAT = Format(
@@ -219,7 +226,7 @@ def write_ties(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> N
         own = np.flatnonzero(o.image == k)
         cells = zip(o.sample[own].tolist(), o.line[own].tolist(), o.point[own].tolist(), strict=True)
         rows = [f"{x!r},{y!r},{names[p]}" for x, y, p in cells]
-        write_lines(paths[0] / f"{PREFIX}{image}.csv", [HEADER, *rows])
+        write_lines(paths[0] / f"{PREFIX}{_inside(image)}.csv", [HEADER, *rows])
 
 
 MICMAC = Format(

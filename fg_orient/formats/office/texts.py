@@ -15,6 +15,7 @@ from fg_orient.formats.faults import Faults
 from fg_orient.formats.office.decisions import Assumption
 from fg_orient.formats.office.numbers import is_number
 from fg_orient.formats.office.workbook import Cell, Rows
+from fg_orient.formats.table_write import cell_text
 from fg_orient.formats.text_files import read_data
 from fg_orient.model.errors import InputError
 
@@ -138,7 +139,7 @@ def _cells(line: str, mark: str) -> list[Cell]:
         cells = next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])
     except csv.Error:
         cells = line.split(mark)
-    out = [cell.strip() for cell in cells]
+    out = [cell_text(cell.strip()) for cell in cells]
     while len(out) > 1 and out[-1] == "":
         out.pop()
     return [*out]

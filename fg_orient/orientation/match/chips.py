@@ -106,7 +106,8 @@ def read_control(path: Path) -> Control:
     survey, _ = read_survey((path,), format_of(path, place="<control>"), Settings())
     folders, faults, chips = (path.with_suffix(""), path.parent), [], []
     for k, name in enumerate(survey.ids):
-        found = [f / f"{name}{end}" for f in folders for end in ENDS if (f / f"{name}{end}").is_file()]
+        found = [f / f"{name}{end}" for f in folders for end in ENDS
+                 if Path(name).name == name and (f / f"{name}{end}").is_file()]  # fmt: skip
         complete = survey.located[k] and np.isfinite([survey.coordinates[k], survey.sigma_enu_m[k]]).all()
         if not complete or not found:
             missing = f"chip {name}.tif" if complete else "coordinates with height and sigmas"

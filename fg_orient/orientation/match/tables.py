@@ -13,7 +13,7 @@ from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.points import COLUMNS, SIGMA_COLUMNS
 from fg_orient.formats.points_write import write_observations, write_points
 from fg_orient.formats.project import NEW_OBSERVATIONS, OWN, ProjectImages
-from fg_orient.formats.table_write import is_binary, quoted, texts
+from fg_orient.formats.table_write import is_binary, own_cell, texts
 from fg_orient.formats.tables import require_table
 from fg_orient.formats.toml import entries
 from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind
@@ -53,13 +53,14 @@ def require_tables(path: Path, project: ProjectImages, *, overwrite: bool) -> No
     Raises
     ------
     InputError
-        A table of another format or of binary form, or one with matched points, which only ``overwrite`` replaces.
+        A file that is not a table with ids, a table of another format or of binary form, or one with matched points,
+        which only ``overwrite`` replaces.
     """
     for name, entry in (("points", project.points), ("observations", project.observations)):
         if entry.file is None:
             continue
         file = path.parent / entry.file
-        if entry.format != OWN or is_binary(file):
+        if entry.format != OWN or is_binary(file) or (file.exists() and "id" not in _header(_lines(file))):
             raise InputError.of("match.table_form", file=path, place=f"{name}.file", value=entry.file)
         if file.exists() and not overwrite and any(_matched(line) for line in _lines(file)):
             raise InputError.of("match.matched", file=file, option="overwrite")
@@ -135,13 +136,18 @@ def _matched(line: str) -> bool:
     return any(_OWN_ID.match(cell.strip()) for cell in line.split(",")[:2])
 
 
+def _header(lines: list[str]) -> list[str]:
+    """Names of the columns of a CSV table; none of an empty file."""
+    header = next((line for line in lines if line.strip() and not line.startswith("#")), "")
+    return [cell.strip().strip('"') for cell in header.split(",")]
+
+
 def _append(file: Path, columns: dict[str, list[str]]) -> None:
     """Add records to a CSV table in the order of its columns; records of matched points are replaced."""
     lines = [line for line in _lines(file) if not _matched(line)]
     while lines and not lines[-1].strip():
         del lines[-1]
-    header = next((line for line in lines if line.strip() and not line.startswith("#")), "")
-    order = [cell.strip().strip('"') for cell in header.split(",")]
+    order = _header(lines)
     n = len(next(iter(columns.values())))
-    cells = [[quoted(cell) for cell in columns[name]] if name in columns else [""] * n for name in order]
+    cells = [[own_cell(cell) for cell in columns[name]] if name in columns else [""] * n for name in order]
     write_lines(file, [*lines, *(",".join(row) for row in zip(*cells, strict=True))])
