@@ -9,12 +9,15 @@ This module extends internal classes of numba, which may change: pyproject.toml 
 
 from __future__ import annotations
 
-from contextlib import suppress
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from numba.core import compiler, sigutils, typing
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined]
 from numba.core.environment import Environment
@@ -24,6 +27,9 @@ from numba.core.runtime.nrt import rtsys
 from factors._libraries import Flags, KernelLibrary, PartLibrary, Result, Steps, signatures_kept
 from factors._preparation import preparing, report_compilation
 from factors._sources import stamp
+
+#: Right to write of the group and of others.
+_OF_OTHERS: Final = stat.S_IWGRP | stat.S_IWOTH
 
 
 class _Part(NamedTuple):
@@ -85,6 +91,48 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
         return Result(*result._replace(library=library, entry_point=entry))
 
 
+class _PrivateFiles(IndexDataCacheFile):  # type: ignore[misc]
+    """Files of a kernel that no other user can have written: they hold pickled code, which is run.
+
+    Folders and files of other users, or that others can write, are not read. In our own ones, writing takes this right
+    from others, so that also under a umask of 002 the next run reads them.
+    """
+
+    def _load_index(self) -> Any:
+        if os.path.exists(self._index_path) and not (_is_private(self._cache_path) and _is_private(self._index_path)):
+            return {}
+        return super()._load_index()
+
+    def _load_data(self, name: str) -> Any:
+        if not _is_private(self._data_path(name)):
+            raise PermissionError(self._data_path(name))
+        return super()._load_data(name)
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[Any]:
+        _make_private(self._cache_path)
+        if not _is_private(self._cache_path):
+            raise PermissionError(self._cache_path)
+        with super()._open_for_write(filepath) as stream:
+            yield stream
+        _make_private(filepath)
+
+
+def _is_private(path: str) -> bool:
+    """Whether only this user, root or the owner of the program can write a file or folder."""
+    if not hasattr(os, "getuid"):  # Windows: a user's folders are private
+        return True
+    status = os.stat(path)
+    return status.st_uid in (os.getuid(), 0, os.stat(__file__).st_uid) and not status.st_mode & _OF_OTHERS
+
+
+def _make_private(path: str) -> None:
+    """Take the right to write from others, if the file or folder is ours."""
+    status = os.stat(path)
+    if status.st_mode & _OF_OTHERS and hasattr(os, "getuid") and status.st_uid == os.getuid():
+        os.chmod(path, stat.S_IMODE(status.st_mode) & ~_OF_OTHERS)
+
+
 class _Cache(FunctionCache):  # type: ignore[misc]
     """Kernels on disk; if a file cannot be read or written, the kernel is compiled and the run continues."""
 
@@ -125,7 +173,10 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
             self._opened = True
             with suppress(RuntimeError):  # no folder is writable
                 self._cache = _Cache(self.py_func)
-                self._cache._cache_file._source_stamp = stamp(self.py_func, self.targetoptions)
+                file = self._cache._cache_file
+                self._cache._cache_file = _PrivateFiles(
+                    file._cache_path, file._index_name.removesuffix(".nbi"), stamp(self.py_func, self.targetoptions)
+                )
         return self._cache if isinstance(self._cache, _Cache) else None
 
     def get_call_template(self, args: Any, kws: Any) -> Any:

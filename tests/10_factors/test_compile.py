@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from factors import _compile
+from factors._kernel import Kernel
 from factors._preparation import on_compilation
 from factors._sources import stamp
 from factors.cameras import pushbroom
@@ -311,3 +312,28 @@ def test_a_function_does_not_take_the_rounding_of_its_first_caller() -> None:
     for compile_ in (_compile.compiled, _compile.inlined, _compile.exact, _compile.threaded):
         options = compile_(lambda x: x * x).targetoptions  # type: ignore[attr-defined]
         assert {"fastmath", "forceinline"} <= options.keys()
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="rights of POSIX")
+@pytest.mark.parametrize("opened", ["folder", "index", "data"])
+def test_files_that_others_can_write_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, opened: str) -> None:
+    """They are compiled again; writing takes the right from others, and the next run reads them."""
+    monkeypatch.setattr(numba.core.config, "CACHE_DIR", str(tmp_path))
+
+    def runs() -> int:
+        """Kernels read from disk by a new kernel."""
+        kernel = _compile.compiled(_doubled)
+        assert isinstance(kernel, Kernel)
+        assert kernel(2.0) == 4.0
+        return sum(kernel.stats.cache_hits.values())
+
+    assert (runs(), runs()) == (0, 1)
+    (index,), (data,) = tmp_path.rglob("*.nbi"), tmp_path.rglob("*.nbc")
+    {"folder": index.parent, "index": index, "data": data}[opened].chmod(0o777)
+    assert runs() == 0
+    assert all(not path.stat().st_mode & 0o022 for path in (index.parent, index, data))
+    assert runs() == 1
+
+
+def _doubled(x: float) -> float:
+    return 2.0 * x
