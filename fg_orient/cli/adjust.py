@@ -20,7 +20,18 @@ from fg_orient.cli.command import (
     require_project,
 )
 from fg_orient.cli.log import session
-from fg_orient.cli.output import answer, folded, note, number, say, show_components, table, tell, tell_findings
+from fg_orient.cli.output import (
+    answer,
+    folded,
+    note,
+    number,
+    say,
+    show_components,
+    table,
+    tell,
+    tell_findings,
+    warn_of_scheduler,
+)
 from fg_orient.cli.progress import progress, progress_bar
 from fg_orient.model.errors import InputError, read
 from fg_orient.model.names import EXIT_CODE, Status
@@ -76,6 +87,7 @@ def adjust(
     """
     execution = {"parts": parts, "workers": workers, "cluster": scheduler, "work_dir": work_dir}
     require_project(project)
+    warn_of_scheduler(scheduler)
     from fg_orient.formats.atomic import require_free
     from fg_orient.formats.project import require_files
 

@@ -19,7 +19,7 @@ import typer
 
 from fg_orient.cli.log import session
 from fg_orient.model.declaration import declared
-from fg_orient.model.errors import Finding, findings_of
+from fg_orient.model.errors import Finding, finding, findings_of
 from fg_orient.model.options import Options, Reading
 
 if TYPE_CHECKING:
@@ -73,6 +73,16 @@ def tell(kind: str, found: Finding | str, *, as_result: bool = False) -> None:
     session().tell(kind, text=text)
     if not (session().quiet and kind == "note"):
         (say if as_result else note)(f"{kind}: {text}")
+
+
+def warn_of_scheduler(address: str | None) -> None:
+    """Warn of the scheduler of a cluster that does not ask for a certificate."""
+    if address is not None and not address.startswith("tls://"):
+        tell("warning", finding(
+            "parallel.open (warning): everyone who reaches this scheduler or its workers can run code there -> start "
+            "them with certificates and give the address tls://..., see docs/parallel.md",
+            option="cluster", value=address,
+        ))  # fmt: skip
 
 
 def tell_findings(record: Mapping[str, Any], *, as_result: bool = False) -> None:

@@ -16,7 +16,7 @@ from fg_orient.cli.command import (
     option,
     require_project,
 )
-from fg_orient.cli.output import answer, say, table, tell_findings
+from fg_orient.cli.output import answer, say, table, tell_findings, warn_of_scheduler
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import ALL_SETS, TIME_LIMIT_S
@@ -88,6 +88,7 @@ def compare(
         "target_m": target, "time_limit_s": time_limit, "workers": workers, "cluster": scheduler, **options,
     }  # fmt: skip
     require_project(project)
+    warn_of_scheduler(scheduler)
     from fg_orient.studies.comparison.folder import compare_project
 
     with progress_bar("reading the project") as callback:

@@ -31,7 +31,7 @@ REQUIRED: Final = (
 #: Those of the extras.
 OPTIONAL: Final = (
     "rasterio", "pyogrio", "shapely", "opencv-python-headless", "pandas", "openpyxl", "pyarrow", "matplotlib", "dask",
-    "laspy", "lazrs", "python-flint",
+    "laspy", "lazrs", "python-flint", "cryptography",
 )  # fmt: skip
 _HOME: Final = Path(__file__).resolve().parents[2]
 _OURS: Final = _HOME / "factors"

@@ -29,10 +29,15 @@ def problem() -> Problem:
 
 @contextmanager
 def processes(count: int) -> Iterator[Any]:
-    """Give a client of processes on this machine."""
+    """Give a client of processes on this machine; meanwhile dask's configuration has its certificate."""
     pytest.importorskip("distributed")
+    import dask.config
+
     with warnings.catch_warnings(), opened(Execution(workers=count)) as pool:
-        yield pool.client
+        own = pool.client.security
+        parts = {"ca-file": own.tls_ca_file, "client.cert": own.tls_client_cert, "client.key": own.tls_client_key}
+        with dask.config.set({f"distributed.comm.tls.{name}": text for name, text in parts.items()}):
+            yield pool.client
 
 
 @pytest.fixture(scope="module")

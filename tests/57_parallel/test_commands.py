@@ -72,6 +72,18 @@ def test_adjust_names_what_is_wrong(project: Path, tmp_path: Path, words: Any, c
     assert (ended.code, problem["code"], problem["place"]) == (2, code, place)
 
 
+@pytest.mark.behaviour
+@pytest.mark.parametrize("command", ["adjust", "compare"])
+def test_a_scheduler_without_certificates_is_warned_of(
+    project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    monkeypatch.setattr(execution, "CONNECT_S", 0.3)
+    for scheme, warned in (("tcp", True), ("tls", False)):
+        ended = run(command, project, "--out", tmp_path / "out", "--scheduler", f"{scheme}://127.0.0.1:9")
+        assert ended.code == 2
+        assert ("can run code there" in ended.stderr) == warned
+
+
 @pytest.mark.consistency
 @pytest.mark.slow
 def test_compare_shares_the_sets(project: Path, client: Any, tmp_path: Path) -> None:

@@ -207,6 +207,23 @@ def test_workers_share_a_study(client: Any) -> None:
 
 
 @pytest.mark.behaviour
+def test_own_processes_answer_on_this_machine_with_a_certificate_only(client: Any) -> None:
+    """Scheduler and workers; neither a client without a certificate nor one with another certificate is let in."""
+    import distributed
+
+    address = client.scheduler.address
+    assert all(one.startswith("tls://127.0.0.1:") for one in (address, *client.scheduler_info()["workers"]))
+    strangers: list[tuple[str, dict[str, Any]]] = [
+        (address.replace("tls://", "tcp://"), {}), (address, {"security": distributed.Security.temporary()}),
+    ]  # fmt: skip
+    for place, more in strangers:
+        with pytest.raises(OSError):
+            distributed.Client(place, timeout=5, set_as_default=False, **more)
+    with distributed.Client(address, timeout=30, set_as_default=False) as own:  # the certificate of the configuration
+        assert own.submit(operator.add, 1, 2).result() == 3
+
+
+@pytest.mark.behaviour
 def test_the_end_of_every_worker_is_said() -> None:
     """As dask says it; the slow test below ends them."""
     lost = pytest.importorskip("distributed").KilledWorker("task", "tcp://127.0.0.1:9", 1)

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from fg_orient.adjustment.parts import tasks
 from fg_orient.adjustment.parts.pool import Cluster, Pool
-from fg_orient.model.errors import InputError
+from fg_orient.model.errors import InputError, finding
 
 #: Seconds to wait for the answer of a scheduler.
 CONNECT_S: Final = 10.0
@@ -80,7 +80,7 @@ def opened(execution: Execution) -> Iterator[Pool]:
     if execution.cluster is None and execution.workers <= 1:
         yield Pool()
         return
-    if find_spec("distributed") is None:
+    if find_spec("distributed") is None or (execution.cluster is None and find_spec("cryptography") is None):
         raise InputError.of("parallel.dask", option="cluster" if execution.cluster is not None else "workers")
     if execution.cluster is not None and not isinstance(execution.cluster, str):
         yield Cluster(execution.cluster)
@@ -93,6 +93,12 @@ def _connected(address: str) -> Any:
     """Client of a running scheduler; InputError if it does not answer."""
     try:
         return import_module("distributed").Client(address, timeout=CONNECT_S, set_as_default=False)
+    except TypeError as error:  # dask, of a certificate that its configuration does not name
+        raise InputError(finding(
+            "parallel.certificate (failure): dask's configuration names no certificate for this scheduler -> set "
+            "distributed.comm.tls (ca-file, client.cert, client.key), see docs/parallel.md",
+            option="scheduler", value=address,
+        )) from error  # fmt: skip
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError.of("parallel.unreachable", option="scheduler", value=address) from error
 
@@ -101,6 +107,8 @@ def _connected(address: str) -> Any:
 def _local(workers: int) -> Iterator[Any]:
     """Client of processes on this machine, one thread each.
 
+    They listen on the loopback address, and only this client and its workers have the key and the certificate, made for
+    this run and kept in memory: dask runs the code that it is sent, and every user of a machine can reach its ports.
     dask does not limit their memory: the need of a block is estimated before, and a paused worker would never continue.
     """
     import dask.config
@@ -112,6 +120,7 @@ def _local(workers: int) -> Iterator[Any]:
         dask.config.set({"distributed.scheduler.work-stealing": False}),
         distributed.LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+            host="127.0.0.1", protocol="tls://", security=distributed.Security.temporary(),
             scheduler_kwargs={"dashboard": False}, memory_limit=0, env=one,
             silence_logs=logging.CRITICAL, local_directory=scratch,
         ) as cluster,
