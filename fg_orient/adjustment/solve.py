@@ -171,11 +171,9 @@ def eliminates_points(problem: Problem) -> bool:
     an inner datum fixes the motions that control points would fix. Under a loss the rays of points that extra
     observations name would need separate weights.
     """
-    if needs_rows(problem):
-        return False
     points = int(np.count_nonzero(np.bincount(problem.observations.point)))
-    all_of_them = no_point_is_named(problem.block)
-    return points_are_eliminated(problem.block.options, all_of_them, len(problem.named_points()) < points)
+    all_of_them, some = no_point_is_named(problem.block), len(problem.named_points()) < points
+    return not needs_rows(problem) and points_are_eliminated(problem.block.options, all_of_them, some)
 
 
 def points_are_eliminated(options: Options, all_of_them: bool, some: bool) -> bool:
@@ -312,12 +310,11 @@ def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:
     try:
         return run(job)
     except RuntimeError:
-        few = len(job.problem.observations) <= EXPLICIT_LIMIT
-        if job.problem.regularisation is not None and job.backend == "graph" and job.options.backend == "auto":
-            # GTSAM's Cholesky refuses pivots of very different size, which a small kappa gives
-            job.start_again("schur")
+        few, auto = len(job.problem.observations) <= EXPLICIT_LIMIT, job.options.backend == "auto"
+        if auto and job.backend == "graph" and job.problem.regularisation is not None:
+            job.start_again("schur")  # GTSAM's Cholesky refuses pivots of very different size: a small kappa
             return _run_schur(job)
-        if not few or (job.backend != "graph" and job.options.backend != "auto"):
+        if not few or (job.backend != "graph" and not auto):
             raise
     job.start_again("graph")
     return _run_explicit(job)

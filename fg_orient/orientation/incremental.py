@@ -383,6 +383,7 @@ def _require_supported(block: Block) -> None:
         ("loss", options.loss, options.loss == "none"),
         ("datum", options.datum, options.datum in ("auto", "control", "priors")),
         ("snoop", options.snoop, not options.snoop),
+        ("regularisation", options.regularisation, options.regularisation == "none"),
         ("extra", f"{len(block.extra)} observations", not block.extra),
     ):
         if not good:

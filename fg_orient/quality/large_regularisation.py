@@ -7,13 +7,13 @@ solution and kappa, the resolution is ``I - (kappa + p) Q``; p is 1 with priors,
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from factors.arrays import Array
-from fg_orient.adjustment.linear.kappa import Given, KappaChoice
+from fg_orient.adjustment.linear.kappa import BESIDE_PRIORS, Given, KappaChoice
 from fg_orient.adjustment.linear.kappa_graph import SAMPLED, on_curves
 from fg_orient.adjustment.linear.sampled import PROBES, SampledRidge
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
@@ -23,9 +23,6 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.regularised import Regularisation
 from fg_orient.model.errors import InputError
 from fg_orient.quality.cofactors import PointCofactors
-
-#: Rules that use the trace of the hat matrix and the residuals only: priors are then a part of the penalty.
-WITH_PRIORS: Final = ("gcv", "discrepancy")
 
 
 def large_regularisation(problem: Problem) -> Regularisation:
@@ -52,7 +49,7 @@ def _choice(problem: Problem) -> KappaChoice:
     options = problem.block.options
     if options.kappa_rule == "bayes":
         return KappaChoice(1.0, "bayes")
-    possible = [rule for rule in SAMPLED if not options.priors or rule in WITH_PRIORS]
+    possible = [rule for rule in SAMPLED if not options.priors or rule in BESIDE_PRIORS]
     if options.kappa_rule not in possible:
         known = ", ".join(("bayes", *possible))
         raise InputError.of("regularise.rule_large", option="kappa_rule", value=options.kappa_rule, known=known)

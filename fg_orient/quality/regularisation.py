@@ -27,7 +27,7 @@ from typing import Final
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.adjustment.linear.kappa import Given, KappaChoice, choose_kappa
+from fg_orient.adjustment.linear.kappa import BESIDE_PRIORS, Given, KappaChoice, choose_kappa
 from fg_orient.adjustment.linear.shrinkage import SHRINKAGE, shrinkage_penalties
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, LinearSystem, Rest, column_lengths
 from fg_orient.adjustment.penalty import NORMAL_LIMIT, penalties, without_penalties
@@ -37,7 +37,6 @@ from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.block import Block
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.quality.elimination import UNOBSERVABLE, reduced_system
-from fg_orient.quality.large_regularisation import WITH_PRIORS, large_regularisation
 from fg_orient.quality.penalties import penalty_rows
 
 #: Movement of a held direction, in units of the norm, by a residual of one sigma.
@@ -77,9 +76,12 @@ def with_regularisation(problem: Problem) -> Problem:
     """
     if problem.block.options.regularisation == "none":
         return problem
+    require_possible(problem.block)
     problem = without_penalties(problem)
     with one_blas_thread():
         if problem.n_free_unknowns > MAX_UNKNOWNS:
+            from fg_orient.quality.large_regularisation import large_regularisation  # loads scipy.optimize
+
             chosen = large_regularisation(problem)
         else:
             chosen = _chosen(problem, reduced_system(problem, problem.start))
@@ -205,8 +207,8 @@ def _by_rule(problem: Problem, standard: LinearSystem) -> KappaChoice:
     if not options.priors or options.kappa_rule == "bayes":
         return choice
     plain = options.penalty == "deviation" and options.regularised_units == "prior_sigmas"
-    if options.kappa_rule not in WITH_PRIORS or not plain or options.regularisation != "tikhonov":
-        known = ", ".join(("bayes", *WITH_PRIORS))
+    if options.kappa_rule not in BESIDE_PRIORS or not plain or options.regularisation != "tikhonov":
+        known = ", ".join(("bayes", *BESIDE_PRIORS))
         raise InputError.of("regularise.rule_priors", option="kappa_rule", value=options.kappa_rule, known=known)
     note = ("the priors are a penalty of 1, which is subtracted",)
     return replace(choice, kappa=max(choice.kappa - 1.0, 0.0), notes=(*choice.notes, *note))

@@ -152,6 +152,7 @@ def significance(
         Probability of a false alarm among all coefficients.
     """
     problem = known.problem
+    _require_unbiased(problem)
     f = problem.redundancy
     if f <= 0:
         raise NoSolutionError.of("statistics.no_redundancy", place=problem.block.name, value=f)
@@ -179,12 +180,19 @@ def group_test(
 ) -> GroupTest:
     """F test of the unknowns at places (d,) in ``problem.image_columns``; others as of :func:`significance`."""
     problem, q = known.problem, known.cofactors.unknowns(index)
+    _require_unbiased(problem)
     m0, f = (sigma0, float(problem.redundancy)) if freedom is None else (1.0, freedom.together(index))
     x = problem.image_columns(known.state)[index]
     if not problem.block.options.priors:
         return together(name, x, q, m0, f)
     statistic, d, f = under_priors(x, q.matrix, m0, f, freedom is None)
     return GroupTest(name, d, statistic, float(f_tail(d, f, statistic)) if d else 1.0, f)
+
+
+def _require_unbiased(problem: Problem) -> None:
+    """Raise NoSolutionError for regularised unknowns: their tests assume an estimate without bias."""
+    if problem.regularisation is not None:
+        raise NoSolutionError.of("statistics.significance_regularised", place=problem.block.name)
 
 
 def under_priors(x: Array, q: Array, m0: float, f: float, estimated: bool) -> tuple[float, int, float]:

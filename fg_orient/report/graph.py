@@ -27,6 +27,7 @@ from fg_orient.model.block import Block
 from fg_orient.model.names import Progress
 from fg_orient.quality.deficiency import compiled_problem
 from fg_orient.quality.free_network import without_priors
+from fg_orient.quality.regularisation import with_regularisation
 from fg_orient.report.chart import Axis, Chart, cut
 from fg_orient.report.figures import CAPTIONS_FILE, draw_figures, require_matplotlib
 from fg_orient.report.words import printable
@@ -101,7 +102,7 @@ def write_graph(
     target = Path(out)
     require_free(target, overwrite=overwrite, contents=GRAPH)
     inner = block.options.datum == "inner"
-    problem = compiled_problem(with_observations(without_priors(block) if inner else block))
+    problem = with_regularisation(compiled_problem(with_observations(without_priors(block) if inner else block)))
     drawn = structures(problem)
     charts: dict[str, Callable[[], Sequence[Chart | None]]] = {
         "graph": lambda: [graph_chart(drawn.part)],

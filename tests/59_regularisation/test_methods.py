@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -13,7 +14,8 @@ from fg_orient.adjustment.penalty import Penalty
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.model.block import Block
-from fg_orient.model.errors import InputError, RankDeficientError
+from fg_orient.model.errors import InputError, NoSolutionError, RankDeficientError
+from fg_orient.model.parameters import with_options
 from fg_orient.quality import regularisation
 from tests.support.dense_reduced import DEFICIENT, Array, dense_of, explicit_step, regularised, twin
 
@@ -197,3 +199,21 @@ def test_a_penalty_that_contradicts_the_observations_is_named(block: Block) -> N
     solution = fg.adjust(block, eop_set=15, priors=False, regularisation="tikhonov", kappa=1e4)
     assert solution.verdict.code == "verdict.sigma0_regularised"
     assert 0.0 < solution.verdict.data["share"] < 1.0
+
+
+@pytest.mark.behaviour
+def test_tests_of_unknowns_refuse_a_biased_estimate(block: Block) -> None:
+    solution = fg.adjust(block, eop_set=15, priors=False, regularisation="tikhonov")
+    with pytest.raises(NoSolutionError) as error:
+        solution.significance()
+    assert [one.code for one in error.value.problems] == ["statistics.significance_regularised"]
+
+
+@pytest.mark.consistency
+def test_factor_graph_of_a_block_has_the_penalties(block: Block) -> None:
+    """GTSAM's own optimiser on the graph that a user gets ends at the solution of ``adjust``."""
+    options: dict[str, Any] = {"eop_set": 19, "priors": False, "regularisation": "tikhonov", "kappa": 0.5}
+    graph = fg.factor_graph(with_options(block, "test", **options))
+    found = gtsam.GaussNewtonOptimizer(graph.graph, graph.values).optimize()
+    ours, own = fg.adjust(block, **options), graph.solution(found)
+    np.testing.assert_allclose(own.state.image, ours.state.image, rtol=0.0, atol=1e-6)

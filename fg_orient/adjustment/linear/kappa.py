@@ -22,6 +22,8 @@ from fg_orient.model.errors import InputError
 
 #: Modules of this package that register rules when imported.
 _MODULES: Final = ("kappa", "kappa_graph")
+#: Rules that use the trace of the hat matrix and the residuals only: further priors are then a part of the penalty.
+BESIDE_PRIORS: Final = ("gcv", "discrepancy")
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,8 @@ statistics.global_weighted: the global test needs least squares: a loss down-wei
 statistics.significance_weighted: tests of unknowns need least squares: under a loss sigma0 does not estimate the unit
     weight, and too many unknowns look significant
     -> search for gross errors first, then adjust without them and with loss none
+statistics.significance_regularised: tests of unknowns need an estimate without bias; this one is regularised
+    -> leave <regularisation> out and keep the priors
 statistics.reliability_weighted: minimal detectable biases belong to a least-squares test: the weights of a loss change
     the significance level and the power of this test
     -> adjust with loss none; redundancy numbers with the weights are in residual_cofactors
