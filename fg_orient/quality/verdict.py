@@ -94,7 +94,7 @@ def _doubt(problem: Problem, estimate: Estimate, unavailable: tuple[Finding, ...
     if f > 0 and weights is not None:
         return _doubt_of_weights(problem, weights)
     sigma0 = float(np.sqrt(estimate.chi2 / f)) if f > 0 else 0.0
-    if sigma0 <= limit:
+    if not sigma0 > limit:  # without redundancy the limit is nan
         return None
     share = regularisation.share_of_penalty(problem, estimate.state, estimate.chi2)
     if share is None:

@@ -310,6 +310,7 @@ def deficient_summary(error: RankDeficientError, block: Block) -> dict[str, Any]
         "reason": "some unknowns are determined neither by observations nor by priors",
         **as_record([finding("absent.nothing_adjusted", figures=["sigma0", "accuracy"])]),
         **_choices(block.options),
+        "regularisation": None,  # nothing was adjusted
         "backend": block.options.backend,
         "solver": block.options.solver,
         "iterations": 0,

@@ -173,7 +173,7 @@ def test_size_of_the_image() -> None:
 @pytest.mark.behaviour
 def test_pixels_outside_are_refused(sensor: RpcSensor) -> None:
     with pytest.raises(
-        OutOfImage, match=r"synthetic, line 20000\.6, sample 0: pixel outside.*lines run from -0\.5 to 20000\.5"
+        OutOfImage, match=r"synthetic, line 20000\.6, sample 0: the pixel is outside.*lines run from -0\.5 to 20000\.5"
     ):
         sensor.locate([0.0, 20000.6], [0.0, 0.0], height_m=0.0)
 

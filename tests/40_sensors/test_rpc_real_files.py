@@ -219,7 +219,7 @@ def test_dimap_models_agree_with_their_own_model_to_the_ground(real_data: Path) 
         back = np.stack(model.project(*model.locate_directly(line, sample, h), h)) - [line, sample]
         worst = np.abs(back).max(axis=1)
         print(f"{path.name}: line {worst[0]:.4f}, sample {worst[1]:.4f} px")
-        assert any("disagree" in str(note) for note in model.notes) == (path.name == CONTRADICTORY)
+        assert any("differ by up to" in str(note) for note in model.notes) == (path.name == CONTRADICTORY)
         if path.name == CONTRADICTORY:
             assert worst.max() > 100.0
         else:

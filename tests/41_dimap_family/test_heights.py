@@ -122,7 +122,7 @@ def test_covariance_of_an_intersection_by_simulation() -> None:
     noise = rng.normal(size=(2, 2, n)) * sigma[:, :, None]
     line, sample = (at[:, k, None] + noise[:, k] for k in (0, 1))
     found = initial.intersect(sensors, line, sample) - truth.ecef_m[0]
-    points = ImagePoints(np.arange(2), np.zeros(2), at[:, 0], at[:, 1], sigma[:, 0], sigma[:, 1])
+    points = ImagePoints(np.arange(2), np.zeros(2, int), at[:, 0], at[:, 1], sigma[:, 0], sigma[:, 1])
     (c,) = initial.intersection_covariances(block.images, points, truth.ecef_m[:1])
     error = np.sqrt((np.outer(np.diag(c), np.diag(c)) + c**2) / n)
     assert (np.abs(np.cov(found.T) - c) < 5.0 * error).all()

@@ -96,7 +96,10 @@ def test_hrs_corners_with_extrapolated_attitude(real_data: Path) -> None:
     corners = [r for r in frame_records(sensor) if r["sample"] == 0.0]
     assert [r["line"] for r in corners] == [0.0, 96167.0]
     assert max(r["misfit_m"] for r in corners) <= 0.15
-    assert [str(note).rsplit(" by ", 1)[1] for note in sensor.notes[-2:]] == ["0.016 s", "0.176 s"]
+    assert [str(note).rsplit(" by ", 1)[1] for note in sensor.notes[-2:]] == [
+        "0.016 s with the last rate",
+        "0.176 s with the last rate",
+    ]
 
 
 @pytest.mark.behaviour
@@ -104,7 +107,7 @@ def test_hrs_corners_with_extrapolated_attitude(real_data: Path) -> None:
 def test_hrs_columns_beyond_the_look_angles_are_refused(real_data: Path) -> None:
     sensor = read_sensor(real_data / HRS)
     sensor.locate(100.0, 299.0, height_m=0.0)
-    with pytest.raises(OutOfImage, match=r"sample 300: pixel outside .* samples from -0\.5 to 299\.5"):
+    with pytest.raises(OutOfImage, match=r"sample 300: the pixel is outside .* samples from -0\.5 to 299\.5"):
         sensor.locate(100.0, 300.0, height_m=0.0)
 
 

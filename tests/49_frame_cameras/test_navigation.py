@@ -64,7 +64,10 @@ def test_residuals_vanish_at_direct_georeferencing() -> None:
     assert np.abs(centre - (receiver + body @ lever)).max() < 1e-9
     assert np.abs(rotation - TOP_FORWARD @ body.T).max() < 1e-15
     camera = Interior(100, 100, 100.0, np.zeros(2)).camera(rotation, centre, {"rotation_x": 1.0})
-    block = replace(small()[0], images=(replace(small()[0].images[0], sensor=FrameSensor(camera, 100, 100)),), extra=())
+    block = small()[0]
+    first = replace(block.images[0], sensor=FrameSensor(camera, 100, 100))
+    seen = block.observations.take(np.flatnonzero(block.observations.image == 0))
+    block = replace(block, images=(first,), observations=seen, extra=())
     fix = Fix(block.images[0].id, "1", 0.0, receiver, np.ones(3), body, np.ones(3))
     position, attitude = with_navigation(block, [fix], Mounting(lever)).extra
     setup, x = np.array([[0.0], [1.0]]), np.zeros(1)

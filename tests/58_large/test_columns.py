@@ -72,7 +72,7 @@ def test_table_longer_than_a_chunk_reads_back(tmp_path: Path, monkeypatch: pytes
     assert table.words["id"] == ids and len(table) == 40
     np.testing.assert_array_equal(table.figures["x_m"], values)
     (tmp_path / "t.csv").write_text("id,x_m\na,1\nb\n")
-    with pytest.raises(InputError, match=r"line 3: .* each of the 2 columns 1 cells"):
+    with pytest.raises(InputError, match=r"line 3: .*does not have 2 cells, one for each column"):
         read_table(tmp_path / "t.csv")
 
 

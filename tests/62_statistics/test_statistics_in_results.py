@@ -136,7 +136,7 @@ def test_limit_is_said(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fg_orient.adjustment.cofactors.AUTO_LIMIT", 10)
     solution = fg.adjust(grid)
     assert statistics.image_columns(solution) == {}
-    assert 'ask with option statistics "full"' in str(statistics.missing(solution)[0])
+    assert 'request them with option statistics "full"' in str(statistics.missing(solution)[0])
 
 
 @pytest.mark.oracle

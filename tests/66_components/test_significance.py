@@ -348,7 +348,7 @@ def test_parts_are_drawn_once_and_hold_every_control_point(twin: Block) -> None:
     assert folds == folds_of(twin, 5)
     assert sorted(j for fold in folds for j in fold) == sorted(twin.points.where(Role.CONTROL).tolist())
     for count in (1, 38, -1):
-        with pytest.raises(fg.InputError, match="37 are seen"):
+        with pytest.raises(fg.InputError, match="37 measured control points"):
             folds_of(twin, count)
 
 
@@ -405,7 +405,11 @@ def test_command_reduces_a_project(tmp_path: Path) -> None:
         assert in_process("reduce", project, *wrong).code == 2
     refused = in_process("reduce", project, "--cross-validation", "999")
     assert refused.code == 2
-    assert "--cross-validation" in refused.stderr and "37 are seen" in refused.stderr and "loo" in refused.stderr
+    assert (
+        "--cross-validation" in refused.stderr
+        and "37 measured control points" in refused.stderr
+        and "loo" in refused.stderr
+    )
     assert "folds" not in refused.stderr
     ended = in_process("adjust", project, "--variance-components", "--eop-set", "A0", "--json", "--out", tmp_path / "r")
     assert ended.code == 0

@@ -190,7 +190,7 @@ def test_differences_that_chance_does_not_give_are_doubts() -> None:
     d[:] = 0.0
     d[6, 1] = -5.0 * scale
     (told,) = (f for f in of_check_points(with_joint(d)) if f.code == "verdict.check_far")
-    assert told.data["size"] == pytest.approx(5.0) and "limit 4.1" in str(told) and "c6" in str(told)
+    assert told.data["size"] == pytest.approx(5.0) and "is 4.1" in str(told) and "c6" in str(told)
     assert points(d).beyond.probability is None  # no joint covariance: the number is not tested
     unavailable = replace(points(d), cofactors_enu_m2=np.full((10, 3, 3), np.nan)).beyond
     assert (unavailable.n, unavailable.by_chance, unavailable.sentence) == (0, True, "")

@@ -9,7 +9,9 @@ import pytest
 pytestmark = pytest.mark.repository
 
 #: Tables that a comparison writes.
-OWN_TABLES = ("compare.csv", "spectra.csv", "directions.csv", "l_curves.csv")
+OWN_TABLES = (
+    "compare.csv", "spectra.csv", "directions.csv", "l_curves.csv", "sets.csv", "scale.csv", "orderings.csv", "exponents.csv",
+)  # fmt: skip
 
 
 def test_no_published_number_is_computed_from_a_file(repository: Path) -> None:
