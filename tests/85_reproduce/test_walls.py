@@ -10,7 +10,8 @@ pytestmark = pytest.mark.repository
 
 #: Tables that a comparison writes.
 OWN_TABLES = (
-    "compare.csv", "spectra.csv", "directions.csv", "l_curves.csv", "sets.csv", "scale.csv", "orderings.csv", "exponents.csv",
+    "compare.csv", "spectra.csv", "directions.csv", "l_curves.csv", "sets.csv",
+    "scale.csv", "orderings.csv", "exponents.csv",
 )  # fmt: skip
 
 

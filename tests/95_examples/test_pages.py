@@ -47,6 +47,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("README.md", "fg-orient match"): "the twin has no pixels; docs/how-to/two-images.md runs it on rendered ones",
     ("docs/parallel.md", "head:8786"): "needs a cluster of several machines",
     ("docs/parallel.md", "dask scheduler"): "needs a cluster of several machines",
+    ("docs/parallel.md", "export "): "names certificates of such a cluster",
     ("docs/compare.md", "--scale"): "takes minutes; tests/65_compare/test_scale.py runs small sizes",
     ("docs/rfm.md", "--data SPOT6_"): "reads a file that is not published; tests/45_rfm reproduces these tables",
 }
