@@ -131,7 +131,9 @@ def test_solution_and_cofactors_in_parts(problem: Problem, optimizer: str, loss:
 
 
 @pytest.mark.consistency
-@pytest.mark.parametrize(("optimizer", "loss"), [("gauss-newton", "none"), ("dogleg", "huber")])
+@pytest.mark.parametrize(
+    ("optimizer", "loss"), [("gauss-newton", "none"), pytest.param("dogleg", "huber", marks=pytest.mark.slow)]
+)
 def test_parts_that_are_opened_again_give_the_same_bits(problem: Problem, optimizer: str, loss: str) -> None:
     """Records are computed part by part, and one or three of five parts are open at once."""
     chosen = with_options(problem, optimizer=optimizer, loss=loss)

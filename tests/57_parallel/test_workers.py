@@ -149,6 +149,7 @@ def test_workers_that_die_change_nothing(problem: Problem, client: Any, alone: S
     assert len(before - set(client.run(os.getpid).values())) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.consistency
 def test_fronts_do_not_depend_on_the_workers(
     problem: Problem, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -48,6 +48,7 @@ def at(problem: Problem, state: State, j: int, place: Array) -> State:
     return State(state.image, ground)
 
 
+@pytest.mark.slow
 @pytest.mark.oracle
 def test_no_subset_of_rays_gives_a_smaller_cost() -> None:
     """Against the least-squares position of every subset of two and more rays, by scipy."""

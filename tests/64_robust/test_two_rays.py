@@ -40,7 +40,7 @@ def across(problem: Problem, state: State, pairs: Array) -> Array:
 
 @pytest.mark.truth
 @pytest.mark.parametrize("options", [{"loss": "tls", "gnc": True}, {"loss": "tukey", "max_iterations": 200}])
-@pytest.mark.parametrize("share", [0.05, 0.1])
+@pytest.mark.parametrize("share", [0.05, pytest.param(0.1, marks=pytest.mark.slow)])
 def test_regions_of_points_with_two_rays_hold(options: dict[str, Any], share: float) -> None:
     """Across the rays 95 % in the limits of the binomial distribution; good points in all directions; no wrong ray.
 
@@ -104,6 +104,7 @@ def test_an_error_along_the_plane_of_parallel_rays_costs_both() -> None:
         assert moved.weights.image[lost] == pytest.approx(FLOOR, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.consistency
 def test_rivals_are_the_same_on_all_backends() -> None:
     block, _, _ = spoiled(1, 0.1)

@@ -95,6 +95,7 @@ def test_limit_of_the_predicted_rmse_against_a_simulation(twin: Block) -> None:
     assert 2.0 * total.mean() ** 2 / total.var() == pytest.approx(freedom, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.behaviour
 def test_mixed_block_has_its_answer() -> None:
     """Satellite, RPC and frame images with shared unknowns: engines that cannot are rows with the reason."""

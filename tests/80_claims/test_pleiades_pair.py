@@ -51,7 +51,7 @@ def rmse(example: ModuleType, real_data: Path, every: int) -> dict[int, np.ndarr
 
 
 @pytest.mark.truth
-@pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.slow), 8])
+@pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.slow), 24])
 def test_medians_and_maxima(example: ModuleType, real_data: Path, every: int) -> None:
     found = rmse(example, real_data, every)
     median = {k: np.median(v, axis=0) for k, v in found.items()}
