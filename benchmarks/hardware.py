@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -22,6 +21,7 @@ import numpy.typing as npt
 from numba import njit
 
 from fg_orient.kernels.vectors import LANES
+from fg_orient.model.machine import processor_name
 
 Array = npt.NDArray[np.float64]
 
@@ -53,13 +53,9 @@ class Hardware:
 
 def this_machine() -> dict[str, Any]:
     """Processor, bits of its vectors, cores, Python and load."""
-    name, information = platform.processor(), Path("/proc/cpuinfo")
-    if information.exists():
-        lines = [line for line in information.read_text().splitlines() if line.startswith("model name")]
-        name = lines[0].split(":")[1].strip() if lines else name
     return {
-        "processor": name, "cores": os.cpu_count(), "vector_bits": 64 * LANES, "python": platform.python_version(),
-        "load": os.getloadavg()[0],
+        "processor": processor_name(), "cores": os.cpu_count(), "vector_bits": 64 * LANES,
+        "python": platform.python_version(), "load": os.getloadavg()[0],
     }  # fmt: skip
 
 

@@ -157,8 +157,11 @@ class Problem:
 
     def image_vector(self, state: State) -> Array:
         """Unknowns of all images, one after the other; shared unknowns once, as ``ties`` numbers them."""
-        wide = self.image_columns(state)
-        return wide if self.ties is None else wide[self.ties.place]
+        return self.free(self.image_columns(state))
+
+    def free(self, wide: Array) -> Array:
+        """Rows of all image unknowns, those of shared unknowns once, as ``ties`` numbers them."""
+        return wide if self.ties is None else np.asarray(wide[self.ties.place])
 
     def image_matrix(self, vector: Array) -> Array:
         """Matrix ``State.image`` of a vector as from :meth:`image_vector`."""

@@ -55,7 +55,7 @@ def epsg_code(text: str) -> str:
     zone = _UTM.fullmatch(words)
     if zone:
         number = int(zone[1])
-        return f"EPSG:{(32600 if zone[2] in 'Nn' else 32700) + number}" if 1 <= number <= 60 else ""
+        return utm_code(number, north=zone[2] in "Nn") if 1 <= number <= 60 else ""
     proj = offline_pyproj()
     code = _CODE.fullmatch(words)
     try:
@@ -68,6 +68,11 @@ def epsg_code(text: str) -> str:
     parts = crs.sub_crs_list or [crs if len(crs.axis_info) < 3 or crs.to_epsg() else crs.to_2d()]
     codes = [_code_of(_without_null_shift(part)) for part in parts]
     return "" if None in codes else f"EPSG:{'+'.join(map(str, codes))}"
+
+
+def utm_code(zone: int, *, north: bool) -> str:
+    """EPSG code of a zone (1 to 60) of UTM on WGS84."""
+    return f"EPSG:{(32600 if north else 32700) + zone}"
 
 
 def with_codes(text: str) -> str:

@@ -15,6 +15,7 @@ import ctypes
 import gc
 import math
 import os
+import platform
 import sys
 import time
 from collections.abc import Iterator
@@ -203,3 +204,13 @@ def measured() -> Iterator[Effort]:
     effort.processor_s = time.process_time() - start
     with suppress(OSError, StopIteration):
         effort.peak_bytes = max(status_bytes("VmHWM") - before, 0.0)
+
+
+def processor_name() -> str:
+    """Name of the processor, as the system tells it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines()
+    except OSError:
+        lines = []
+    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return named[0] if named else platform.processor() or platform.machine()

@@ -79,8 +79,7 @@ def large_record(problem: Problem, state: State, cofactors: PointCofactors | Non
     x, nothing = problem.image_vector(state), np.full(z, np.nan)
     q = nothing
     if cofactors is not None:
-        wide = np.concatenate([np.diag(cofactors.joint((k,), ())) for k in range(problem.n_images)])
-        q = wide if problem.ties is None else wide[problem.ties.place]
+        q = problem.free(np.concatenate([np.diag(cofactors.joint((k,), ())) for k in range(problem.n_images)]))
     solve = NormalEquations.of(without_penalties(problem), state).factor(chosen.kappa + p)
     share = 1.0 - (chosen.kappa + p) * q
     columns: dict[str, Array] = {

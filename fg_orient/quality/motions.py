@@ -135,7 +135,7 @@ class _Part:
     def effect(self, problem: Problem, rows: Rows, effect_of: Effect | None) -> Array:
         """Effect (q, 7) of each motion on the observations, in sigmas."""
         if effect_of is not None:
-            return effect_of(_free(problem, self.moves), self.shift)
+            return effect_of(problem.free(self.moves), self.shift)
         observed = self.control[problem.observed[self.control]]
         w = problem.control_weights(observed)
         at_control = np.einsum("nij,njd->nid", w, self.shift[observed]).reshape(-1, 7)
@@ -179,11 +179,6 @@ class _Part:
         return np.asarray(c * SHIFT_M / (typical if typical > NEW * far.max() else float(far.max())))
 
 
-def _free(problem: Problem, wide: Array) -> Array:
-    """Return the rows of all image unknowns, shared unknowns once."""
-    return wide if problem.ties is None else np.asarray(wide[problem.ties.place])
-
-
 def free_motions(problem: Problem, rows: Rows, effect_of: Effect | None, images: Index) -> FreeMotions:
     """Motions of a part of the block that its observations do not fix.
 
@@ -214,7 +209,7 @@ def free_motions(problem: Problem, rows: Rows, effect_of: Effect | None, images:
         limit = sigmas / (SHIFT_M * np.sqrt(len(part.points)))
         names = _named(part.candidates(problem), followed @ _weakest(effect @ followed, size @ followed, limit), size)
     c = np.array([part.scaled(c) for _, c in names]).reshape(-1, 7).T
-    moves, change = _free(problem, part.moves @ c), np.linalg.norm(effect @ c, axis=0)
+    moves, change = problem.free(part.moves @ c), np.linalg.norm(effect @ c, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         strength = change / np.linalg.norm(moves, axis=0)
     words = tuple(w for w, _ in names)

@@ -162,8 +162,7 @@ def _raw_condition(s: Array, vt: Array, model: ImageModel) -> float:
     Product of two norms, ``|J D| |D^-1 J^+|`` with ``J = U S V^T``. The inverse is computed in prior sigmas, where it
     is accurate, so that condition numbers far above 1 / eps are correct.
     """
-    factors, own = model.per_line()[0], model.parameters.own
-    unit = (model.parameters.sigma * np.where(np.isfinite(factors), factors, 1.0))[own]
+    unit = model.raw_sigma[model.parameters.own]
     return float(np.linalg.norm(s[:, None] * vt / unit, 2) * np.linalg.norm(unit[:, None] * vt.T / s, 2))
 
 

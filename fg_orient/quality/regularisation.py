@@ -98,8 +98,8 @@ def _chosen(problem: Problem, system: LinearSystem) -> Regularisation:
     options = problem.block.options
     units = _units(problem, system)
     design, observed = system.require_design("regularisation")
-    design = design / units
-    _, s, vt = np.linalg.svd(design)
+    system = LinearSystem.from_design(design / units, observed, system.rest)
+    _, s, vt = system.decomposition
     if s[0] == 0.0:
         raise InputError.of("regularise.zero", place=problem.block.name)
     z, rank = len(s), int(np.count_nonzero(s > options.rank_cut * s[0]))
@@ -108,8 +108,7 @@ def _chosen(problem: Problem, system: LinearSystem) -> Regularisation:
     penalty = penalty_rows(problem)
     if penalty is not None:
         _require_complete(problem, penalty / units, vt[rank:].T)
-    standard = standard_form(design, observed, None if penalty is None else penalty / units, system.rest,
-                             options.rank_cut)  # fmt: skip
+    standard = standard_form(system, None if penalty is None else penalty / units, options.rank_cut)
     kappa, choice = None, None
     if options.regularisation in ("tikhonov", "truncated"):
         choice = None if options.kappa is not None else _by_rule(problem, standard)
@@ -120,6 +119,7 @@ def _chosen(problem: Problem, system: LinearSystem) -> Regularisation:
     else:
         held, shrunk = np.arange(z) >= rank, np.zeros(rank)
         if options.regularisation == "truncated":
+            assert kappa is not None
             held |= s**2 < kappa
         elif options.regularisation in SHRINKAGE:
             shrunk = shrinkage_penalties(options.regularisation, standard)[0]
@@ -129,7 +129,7 @@ def _chosen(problem: Problem, system: LinearSystem) -> Regularisation:
         own = np.flatnonzero((shrunk > 0.0) & ~held[:rank])
         rows = np.vstack([rows, np.sqrt(shrunk[own])[:, None] * vt[own] * units])
     prior = np.eye(z) if options.priors else np.zeros((0, z))
-    values = np.linalg.svd(np.vstack([design * units, rows, prior]), compute_uv=False)
+    values = np.linalg.svd(np.vstack([design, rows, prior]), compute_uv=False)
     condition = float(values[0] / values[-1]) if values[-1] > 0.0 else np.inf
     return Regularisation(
         options.regularisation, kappa, "" if choice is None else choice.rule, choice, s, rank, gap, units, rows,
@@ -144,10 +144,7 @@ def _units(problem: Problem, system: LinearSystem) -> Array:
         return column_lengths(system)
     if kind == "prior_sigmas":
         return np.ones(len(system))
-    factors = [model.per_line()[0] for model in problem.models]
-    raw = np.concatenate([p.sigma * np.where(np.isfinite(f), f, 1.0)
-                          for p, f in zip(problem.parameters, factors, strict=True)])  # fmt: skip
-    return np.asarray(raw if problem.ties is None else raw[problem.ties.place])
+    return problem.free(np.concatenate([model.raw_sigma for model in problem.models]))
 
 
 def _require_complete(problem: Problem, penalty: Array, null: Array) -> None:
@@ -162,21 +159,23 @@ def _require_complete(problem: Problem, penalty: Array, null: Array) -> None:
         )
 
 
-def standard_form(design: Array, observed: Array, penalty: Array | None, rest: Rest, cut: float) -> LinearSystem:
+def standard_form(system: LinearSystem, penalty: Array | None, cut: float) -> LinearSystem:
     """System with the penalty |y|^2 and full rank; see the module docstring.
 
     Parameters
     ----------
-    design : (r, z) array
-    observed : (r,) array
+    system : LinearSystem
+        With A (r, z).
     penalty : (k, z) array or None
         L; None: the identity.
-    rest : Rest
-        Rows of the system beside these.
     cut : float
         Share of the largest singular value up to which directions are removed.
     """
-    if penalty is not None:
+    design, observed = system.require_design("standard form")
+    rest = system.rest
+    if penalty is None:
+        left, s, _ = system.decomposition
+    else:
         _, s, vt = np.linalg.svd(penalty)
         rank = int(np.count_nonzero(s > cut * s[0]))
         free = design @ vt[rank:].T
@@ -185,7 +184,7 @@ def standard_form(design: Array, observed: Array, penalty: Array | None, rest: R
         design = (design - q @ (q.T @ design)) @ np.linalg.pinv(penalty, rcond=cut)
         observed = observed - q @ (q.T @ observed)
         rest = Rest(rest.rows - q.shape[1], rest.squares)
-    left, s, _ = np.linalg.svd(design, full_matrices=False)
+        left, s, _ = np.linalg.svd(design, full_matrices=False)
     keep = s > cut * s[0]
     beta = left[:, keep].T @ observed
     outside = max(float(observed @ observed - beta @ beta), 0.0)

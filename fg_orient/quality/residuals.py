@@ -135,7 +135,7 @@ class ResidualCofactors:
             return np.zeros(0)
         sizes = np.diff(problem.first).tolist()
         wide = np.concatenate([np.diag(q)[:size] for q, size in zip(self.rays.images, sizes, strict=True)])
-        return np.asarray(1.0 - (wide if problem.ties is None else wide[problem.ties.place]))
+        return np.asarray(1.0 - problem.free(wide))
 
     @cached_property
     def extra(self) -> tuple[Array, ...]:

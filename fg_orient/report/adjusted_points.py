@@ -25,7 +25,7 @@ from fg_orient.formats.heights import ZeroLevel, coordinates_in
 from fg_orient.formats.point_clouds import library, write_las, write_ply
 from fg_orient.formats.table_write import save_table
 from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind
-from fg_orient.geodesy.crs import with_codes, wkt
+from fg_orient.geodesy.crs import utm_code, with_codes, wkt
 from fg_orient.model.block import GroundSystem
 from fg_orient.model.errors import Finding, InputError, finding, findings_of, judged
 from fg_orient.model.names import Role, Status
@@ -178,7 +178,7 @@ def _system(
         return GroundSystem()
     stated = result.record.get("ground") or {}
     lon, lat = place[len(place) // 2].tolist()
-    utm = f"EPSG:{(32600 if lat >= 0.0 else 32700) + int((lon + 180.0) // 6.0) % 60 + 1}"
+    utm = utm_code(int((lon + 180.0) // 6.0) % 60 + 1, north=lat >= 0.0)
     chosen = crs or stated.get("crs") or utm
     if geoid or crs:
         return ZeroLevel(geoid=Path(geoid) if geoid else None).system(chosen)

@@ -66,6 +66,12 @@ class ImageModel(ABC):
         """Factors (k,) from the unknowns in physical units to coefficients per line, nan if not applicable; units."""
         return np.full(len(self.parameters), np.nan), ("",) * len(self.parameters)
 
+    @property
+    def raw_sigma(self) -> Array:
+        """Prior sigmas (k,) of the coefficients per line; of unknowns without such a form in physical units."""
+        factors = self.per_line()[0]
+        return np.asarray(self.parameters.sigma * np.where(np.isfinite(factors), factors, 1.0))
+
     def is_valid(self, ground_m: Array) -> Mask:
         """Whether the sensor's model may be used at ground points (n, 3) ECEF m: (n,)."""
         return np.ones(len(ground_m), bool)

@@ -9,7 +9,6 @@ operations, and by GTSAM's time for one elimination.
 from __future__ import annotations
 
 import math
-import platform
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -29,6 +28,7 @@ from fg_orient.adjustment.solve import first_sentence
 from fg_orient.model.block import Block
 from fg_orient.model.distributions import t_quantile
 from fg_orient.model.errors import FgOrientError, InputError
+from fg_orient.model.machine import processor_name
 from fg_orient.model.names import TIME_LIMIT_S, Progress
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.options import LEAST_CONTROL
@@ -108,7 +108,7 @@ def scale(
     return {
         "sizes": [one["block"] for one in results], "rows": rows,
         "orderings": [row for one in results for row in one["orderings"]], "exponents": exponents(rows),
-        "crossings": crossings(rows), "processor": processor(), "time_limit_s": time_limit_s,
+        "crossings": crossings(rows), "processor": processor_name(), "time_limit_s": time_limit_s,
         "memory_limit_gb": memory_limit_gb,
     }  # fmt: skip
 
@@ -288,13 +288,3 @@ def _crossing(sizes: Sequence[int], gap: Sequence[float]) -> dict[str, Any]:
     k = above[-1]
     x, share = np.log(np.array(sizes[k : k + 2], float)), gap[k] / (gap[k] - gap[k + 1])
     return {"image_points": float(np.exp(x[0] + share * (x[1] - x[0]))), "always": ""}
-
-
-def processor() -> str:
-    """Name of the processor, as the system tells it."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines()
-    except OSError:
-        lines = []
-    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return named[0] if named else platform.processor() or platform.machine()

@@ -21,7 +21,7 @@ from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError
 from fg_orient.model.names import EOP_SETS, CellKey, Role
 from fg_orient.report.chart import SERIES, Axis, Chart, broad, large, round_down, short
-from fg_orient.report.maps import KM_PER_DEGREE
+from fg_orient.report.maps import KM_PER_DEGREE, shrink_at
 from fg_orient.studies.reproduce.reproduction import Reproduction, Row
 from fg_orient.studies.reproduce.spot6 import NO_POINTS, control_points
 from fg_orient.studies.tables_twin import POINT_SETS, twin
@@ -102,8 +102,7 @@ def _spot6() -> SourceFigure:
     if points is None:
         return SourceFigure(name, title, missing=NO_POINTS)
     lon, lat, _ = points.ground.T
-    shrink = math.cos(math.radians(float(lat.mean())))
-    place = KM_PER_DEGREE * np.column_stack([shrink * (lon - lon.mean()), lat - lat.mean()])
+    place = KM_PER_DEGREE * np.column_stack([shrink_at(float(lat.mean())) * (lon - lon.mean()), lat - lat.mean()])
     chart = _map(place, title)
     chart.add("dots", "control", *place.T, label=f"control ({len(place)})")
     return SourceFigure(name, title, "The authors' points, from their middle.", (chart,))
