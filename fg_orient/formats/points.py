@@ -29,6 +29,7 @@ from fg_orient.formats.scenes import Scene, check_positions
 from fg_orient.formats.tables import Row, Table, read_table
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.geodesy import COORDINATE_COLUMNS, Kind, Operation, crs_kind, to_ecef_with_operation
+from fg_orient.model.arrays import having_role
 from fg_orient.model.block import Coordinates, GroundPoints, GroundSystem, ImagePoints, WithheldCoordinates
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import LARGEST, SMALLEST, Role
@@ -69,24 +70,19 @@ def parse_points(path: Path, crs: str, faults: Faults, *, incomplete: bool = Fal
     if incomplete:
         table_roles = zip(table.cells["role"], roles, located.tolist(), strict=True)
         roles = tuple(role if name else (Role.CONTROL if has else Role.TIE) for name, role, has in table_roles)
-    table.refuse(_are(roles, None), "points.role", "role", value=lambda row: repr(row.cells["role"]))
-    tie = _are(roles, Role.TIE)
-    measured = ~(tie | _are(roles, None))
+    table.refuse(having_role(roles, None), "points.role", "role", value=lambda row: repr(row.cells["role"]))
+    tie = having_role(roles, Role.TIE)
+    measured = ~(tie | having_role(roles, None))
     wrong = np.zeros(len(table), bool)
     for name, is_filled in filled.items():
         table.refuse(is_filled & tie & ~wrong, "points.tie_coordinates", name)
         wrong |= is_filled
     given = _coordinates(table, kind, measured, located, incomplete)
     stated = np.any([filled[name] for name in SIGMA_COLUMNS], axis=0) | (not incomplete)
-    sigma, fixed = _sigmas(table, _are(roles, Role.CHECK), measured & stated)
+    sigma, fixed = _sigmas(table, having_role(roles, Role.CHECK), measured & stated)
     table.report(faults)
     known_roles = tuple(role or Role.TIE for role in roles)
     return Survey(crs, ids, known_roles, given, sigma, fixed, lines=table.lines, unit=table.unit)
-
-
-def _are(roles: Sequence[Role | None], wanted: Role | None) -> Mask:
-    """Points (n,) that have a role."""
-    return np.fromiter((role is wanted for role in roles), bool, len(roles))
 
 
 def _columns_fit(table: Table, kind: Kind, faults: Faults) -> bool:
@@ -158,7 +154,7 @@ def located(survey: Survey, faults: Faults) -> tuple[Coordinates, Operation | No
         try:
             ecef[rows], operation = to_ecef_with_operation(
                 survey.crs, *survey.coordinates[rows].T, labels=[survey.place(k) for k in rows.tolist()],
-                deciding=_are(survey.roles, Role.CONTROL)[rows],
+                deciding=having_role(survey.roles, Role.CONTROL)[rows],
             )  # fmt: skip
         except InputError as error:
             faults.take(*(replace(p, file=faults.file) for p in error.problems))
@@ -284,7 +280,7 @@ def point_file(
         row = {name: k for k, name in enumerate(again.ids)}
         return located(again, noted)[0].take(np.array([row[name] for name in wanted], np.intp))
 
-    control = np.array([role is Role.CONTROL for role in survey.roles], bool)
+    control = having_role(survey.roles, Role.CONTROL)
     points = GroundPoints(survey.ids, survey.roles, coordinates.only(control))
     remarks = _remarks(str(path), survey, operation)
     return PointFile(path, (level or ZeroLevel()).system(given.crs), digest, points, operation, remarks, opened)

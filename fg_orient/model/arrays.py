@@ -5,7 +5,9 @@ Rows are counted from 0, as in Python.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Collection, Sequence
+from itertools import repeat
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +15,7 @@ import numpy.typing as npt
 
 from factors.arrays import Array, Index, Mask
 from fg_orient.model.errors import InputError, finding
-from fg_orient.model.names import LARGEST, SMALLEST
+from fg_orient.model.names import LARGEST, SMALLEST, Role
 
 #: Kinds of numpy's types that are accepted for each kind of value; no text, no masks as numbers, no truncation.
 _ACCEPTED: Final[dict[type, tuple[str, str]]] = {
@@ -97,6 +99,11 @@ def require_positions(values: Index, place: str, of: str, count: int | None = No
         last = "" if count is None else f" to {count - 1}"
         beyond = values < 0 if count is None else (values < 0) | (values >= count)
         refuse(beyond, place, values, f"positions of {of}, from 0{last}")
+
+
+def having_role(roles: Sequence[Role | None], wanted: Role | None) -> Mask:
+    """Points (n,) that have a role."""
+    return np.fromiter(map(operator.is_, roles, repeat(wanted)), bool, len(roles))
 
 
 def sequence(values: Any, place: str) -> tuple[Any, ...]:

@@ -134,7 +134,7 @@ class GroundPoints:
         """InputError for impossible or repeated ids and impossible coordinates; checked once."""
         known, place = self.known, "points"
         arrays.names(self.ids, f"{place}.ids")
-        control = np.fromiter((role is Role.CONTROL for role in self.roles), bool, len(self.roles))
+        control = arrays.having_role(self.roles, Role.CONTROL)
         missing = np.asarray(np.isnan(known.ecef_m).all(axis=1))
         arrays.require_size(known.ecef_m, f"{place}.known.ecef_m", missing=missing)
         arrays.require_sigmas(known.sigma_enu_m, f"{place}.known.sigma_enu_m", missing=True)
@@ -144,7 +144,7 @@ class GroundPoints:
 
     def where(self, role: Role) -> Index:
         """Indices of the points with this role."""
-        return np.flatnonzero([r is role for r in self.roles])
+        return np.flatnonzero(arrays.having_role(self.roles, role))
 
     def take(self, rows: Index) -> GroundPoints:
         """Selected points."""

@@ -30,6 +30,8 @@ def feature_records(solution: AdjustmentResult) -> list[dict[str, Any]]:
         ``largest_w``. Numbers are None without redundancy numbers.
     """
     problem, known = solution.problem, solution.residuals
+    if not problem.on_features:
+        return []
     ids, o, on = problem.block.points.ids, problem.observations, problem.on_features
     row_of = {ids[j]: row for row, j in enumerate(o.point.tolist()) if ids[j] in on}
     by_feature: dict[str, list[tuple[float, float, str, str]]] = {}

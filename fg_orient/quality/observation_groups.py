@@ -13,6 +13,7 @@ import numpy as np
 
 from factors.arrays import Array, Index
 from fg_orient.adjustment.problem import Problem, participates
+from fg_orient.model.arrays import having_role
 from fg_orient.model.block import Block, Coordinates
 from fg_orient.model.declaration import declared
 from fg_orient.model.distributions import chi_square_median
@@ -91,7 +92,7 @@ def _image_labels(block: Block, groups: tuple[str, ...]) -> list[str | None]:
         sensors = [_sensor_name(image.sensor) for image in block.images]
         return [f"image points of {sensors[k]}" for k in o.image]
     if "image_by_role" in groups:
-        measured = np.array([role is Role.CONTROL for role in block.points.roles])
+        measured = having_role(block.points.roles, Role.CONTROL)
         return ["image, control points" if known else "image, other points" for known in measured[o.point]]
     return ["image" if "image" in groups else None] * len(o)
 

@@ -130,10 +130,9 @@ def payload(result: Result, used: int = 0) -> Payload | None:
     if not located.any():
         return None
     kept, more = chosen_points(result)
-    rays, words, width = chosen_rays(result, kept, used)
-    words = " ".join(filter(None, (words, more)))
-    place = {name: k for k, name in enumerate(result.points.words["id"])}
-    of_ray = np.fromiter((place[result.residuals.words["id"][k]] for k in rays.tolist()), np.intp, len(rays))
+    point = points_of_rays(result)
+    rays, words, width = chosen_rays(result, kept, point, used)
+    words, of_ray = " ".join(filter(None, (words, more))), point[rays]
     role = _role_numbers(result)
     if words:  # tie points without an image point in the page are left out
         seen = np.zeros(len(located), bool)
@@ -162,23 +161,26 @@ def payload(result: Result, used: int = 0) -> Payload | None:
     return Payload(data, words)
 
 
-def chosen_rays(result: Result, points: Mask, used: int = 0) -> tuple[Index, str, Width]:
+def points_of_rays(result: Result) -> Index:
+    """Row of the point of each image point (n,)."""
+    place = {name: k for k, name in enumerate(result.points.words["id"])}
+    return np.fromiter(map(place.__getitem__, result.residuals.words["id"]), np.intp, len(result.residuals))
+
+
+def chosen_rays(result: Result, points: Mask, of_ray: Index, used: int = 0) -> tuple[Index, str, Width]:
     """Select the image points of the page; return their rows, a sentence on the other image points, and the width.
 
     Flagged image points come first, then all image points of points that are drawn at random. ``points`` (N,): those of
-    :func:`chosen_points`.
+    :func:`chosen_points`. ``of_ray`` (n,): row of the point of each image point.
     """
     n, known = len(result.residuals), int(np.count_nonzero(points & (_role_numbers(result) < 2)))
     budget = BUDGET - used
     if n <= LIMIT and n * FINE.ray + len(result.points) * _point_bytes(result, FINE) + known * KNOWN <= budget:
         return np.arange(n), "", FINE
-    names = result.residuals.words["id"]
-    place = {name: k for k, name in enumerate(result.points.words["id"])}
-    of_ray = np.fromiter(map(place.__getitem__, names), np.intp, n)
     each, rays = _point_bytes(result, COARSE), n / max(int(np.count_nonzero(np.bincount(of_ray))), 1)
     room = max(budget - known * (each + KNOWN), 0)
     ratio = np.nan_to_num(np.abs(result.normalised[0]).max(axis=1), nan=0.0)
-    order = np.random.default_rng(SEED).permutation(len(place))[of_ray]
+    order = np.random.default_rng(SEED).permutation(len(result.points))[of_ray]
     most, largest = int(room / (COARSE.ray + each)), int(room / (COARSE.ray + each / rays))
     rows, flagged = _flagged_first(ratio > FLAG, ratio, most, min(LIMIT, largest), order)
     words = (

@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from factors.arrays import Array, Index, Mask
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
+from fg_orient.model.arrays import having_role
 from fg_orient.model.block import (
     Block,
     Coordinates,
@@ -236,7 +237,7 @@ class Ground:
     @cached_property
     def known(self) -> Mask:
         """Whether a point has measured coordinates (n,): all except the tie points."""
-        return np.array([role is not Role.TIE for role in self.roles])
+        return ~having_role(self.roles, Role.TIE)
 
     @cached_property
     def measured(self) -> Array:

@@ -146,10 +146,11 @@ def test_large_blocks_keep_what_is_flagged(result: Result, monkeypatch: pytest.M
     data = {**payload.payload(planted).data, "images": []}  # type: ignore[union-attr]
     assert len(payload.Payload(data, "").json()) < bytes_of_points + 2000  # names of the columns
     monkeypatch.setattr(payload, "LIMIT", 20)
-    rows, words, width = payload.chosen_rays(planted, payload.chosen_points(planted)[0])
+    kept, of_ray = payload.chosen_points(planted)[0], payload.points_of_rays(planted)
+    rows, words, width = payload.chosen_rays(planted, kept, of_ray)
     assert width == payload.COARSE
     assert {3, 50, 90} <= set(rows.tolist()) and len(rows) == 20 == len(set(rows.tolist()))
-    assert rows.tolist() == payload.chosen_rays(planted, payload.chosen_points(planted)[0])[0].tolist()
+    assert rows.tolist() == payload.chosen_rays(planted, kept, of_ray)[0].tolist()
     assert "20 of 94 image points: all 3 with a residual beyond 3 σ" in words and "seed 1" in words
     page = render(planted)
     drawn = json.loads(elements(page)[0][1])
@@ -157,12 +158,13 @@ def test_large_blocks_keep_what_is_flagged(result: Result, monkeypatch: pytest.M
     roles = [drawn["roles"][k] for k in unpacked(drawn["points"]["role"]).astype(int)]
     assert (roles.count("control"), roles.count("check")) == (37, 10)
     monkeypatch.setattr(payload, "LIMIT", 2)
-    assert payload.chosen_rays(planted, payload.chosen_points(planted)[0])[0].tolist() == [3, 50, 90]
+    assert payload.chosen_rays(planted, kept, of_ray)[0].tolist() == [3, 50, 90]
     # 23 of 47 control and check points, and two image points, fit into these bytes
     monkeypatch.setattr(payload, "BUDGET", 2 * 23 * (each + payload.KNOWN))
     room = payload.BUDGET - 23 * (less + payload.KNOWN)
     monkeypatch.setattr(payload, "COARSE", payload.COARSE._replace(ray=room / 2 - less))
-    rows, words, _ = payload.chosen_rays(planted, payload.chosen_points(planted)[0])
+    kept = payload.chosen_points(planted)[0]
+    rows, words, _ = payload.chosen_rays(planted, kept, of_ray)
     assert rows.tolist() == [3, 90] and "the largest 2 of 3 with a residual beyond 3 σ" in words
     kept, words = payload.chosen_points(planted)
     known = np.array([role != "tie" for role in planted.points.words["role"]])

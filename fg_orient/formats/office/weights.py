@@ -14,6 +14,7 @@ from fg_orient.formats.office.decisions import Choice, Decisions, Question
 from fg_orient.formats.office.table import Table, id_column
 from fg_orient.formats.office.words import LENGTHS, role_of
 from fg_orient.formats.points import FIXED
+from fg_orient.model.arrays import having_role
 from fg_orient.model.names import Role
 
 #: Standard deviations in m of surveys; below the second one a value without a unit is taken as m.
@@ -90,7 +91,7 @@ def roles_and_sigmas(
         fixed[at] |= held
     if tables and not stated:
         decisions.note("roles", "all points with coordinates are control", "no column names roles", "role_column")
-    tie = np.array([role is Role.TIE for role in roles], bool)
+    tie = having_role(roles, Role.TIE)
     return roles, np.where(tie[:, None], UNKNOWN, sigma), fixed & ~tie
 
 
