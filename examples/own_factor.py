@@ -51,6 +51,7 @@ def kernel(record, setup, a, b, want):  # type: ignore[no-untyped-def]
 DISTANCE = register_equation(Equation(
     "my_distance", kernel, residual,
     (Argument("from", "m", is_point=True), Argument("to", "m", is_point=True)), "this example",
+    n_constants=TAPE.size,
 ))  # fmt: skip
 
 

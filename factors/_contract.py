@@ -58,6 +58,8 @@ class Equation:
         fit or a value is not finite. It gives the same numbers without allocation; factors use it if it exists.
     arrays : bool, optional
         Kernel and residual are plain numpy and also take N records (N, d) at once: (N, m), (N, m, k).
+    n_constants : int
+        Least size of a record. Compiled equations read these numbers without checking the size.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Equation:
     source: str
     fill: Callable[..., bool] | None = None
     arrays: bool = False
+    n_constants: int = 0
 
 
 @compiled
@@ -115,7 +118,7 @@ def register(equation: Equation) -> Equation:
 
 def register_condition(
     name: str, residual: Callable[..., Any], jacobians: Callable[..., Any], arguments: tuple[Argument, ...],
-    source: str,
+    source: str, n_constants: int = 0,
 ) -> Equation:  # fmt: skip
     """Register an equation by its residual and ``jacobians(record, setup, value, x_1, ...)``: one array or a tuple."""
 
@@ -125,7 +128,7 @@ def register_condition(
         blocks = jacobians(record, setup, value, *x) if want else tuple(np.empty((0, 0)) for _ in x)
         return value, *(blocks if isinstance(blocks, tuple) else (blocks,))
 
-    return register(Equation(name, kernel, residual, arguments, source))
+    return register(Equation(name, kernel, residual, arguments, source, n_constants=n_constants))
 
 
 def registered() -> dict[str, Equation]:

@@ -104,6 +104,7 @@ PLUMB_LINE = register_condition(
     jacobians_plumb_line,
     (Argument("plumb line", "m"), _POINT),
     "Ayhan 1996, eq. 113",
+    n_constants=FACTOR.size,
 )
 CIRCLE = register_condition(
     "constraint_circle",
@@ -111,6 +112,7 @@ CIRCLE = register_condition(
     jacobians_circle,
     (Argument("circle", "m, 1, m"), _POINT),
     "Ayhan 1996, eqs. 115-116",
+    n_constants=CIRCLE_RECORD.size,
 )
 HORIZONTAL_CIRCLE = register_condition(
     "constraint_horizontal_circle",
@@ -118,6 +120,7 @@ HORIZONTAL_CIRCLE = register_condition(
     jacobians_horizontal,
     (Argument("circle", "m"), _POINT),
     "Ayhan 1996, eq. 117",
+    n_constants=FACTOR.size,
 )
 EQUAL_ATTITUDE = register_condition(
     "constraint_equal_attitude",
@@ -125,4 +128,5 @@ EQUAL_ATTITUDE = register_condition(
     jacobians_attitude,
     (Argument("rotation", "rad"), Argument("rotation", "rad")),
     "Ayhan 1996, eq. 112",
+    n_constants=ATTITUDE_RECORD.size,
 )

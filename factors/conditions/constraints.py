@@ -166,23 +166,30 @@ def jacobians_element(record: Array, setup: Array, value: Array, x: Array) -> Ar
 
 _POINT: Final = Argument("point", "m", is_point=True)
 DISTANCE = register_condition(
-    "constraint_distance", residual_distance, jacobians_distance, (_POINT, _POINT), "Ayhan 1996, eqs. 111, 118"
-)
+    "constraint_distance", residual_distance, jacobians_distance, (_POINT, _POINT),
+    "Ayhan 1996, eqs. 111, 118", n_constants=LENGTH.size,
+)  # fmt: skip
 PARALLEL = register_condition(
-    "constraint_parallel", residual_parallel, jacobians_parallel, (_POINT,) * 4, "Ayhan 1996, section 2.4.2"
-)
+    "constraint_parallel", residual_parallel, jacobians_parallel, (_POINT,) * 4,
+    "Ayhan 1996, section 2.4.2", n_constants=DIRECTION.size,
+)  # fmt: skip
 PERPENDICULAR = register_condition(
-    "constraint_perpendicular", residual_perpendicular, jacobians_perpendicular, (_POINT,) * 4, "sine of the deviation"
-)
+    "constraint_perpendicular", residual_perpendicular, jacobians_perpendicular, (_POINT,) * 4,
+    "sine of the deviation", n_constants=FACTOR.size,
+)  # fmt: skip
 EQUAL = register_condition(
-    "constraint_equal", residual_equal, jacobians_equal, (_POINT,) * 4, "difference of two distances"
-)
+    "constraint_equal", residual_equal, jacobians_equal, (_POINT,) * 4,
+    "difference of two distances", n_constants=FACTOR.size,
+)  # fmt: skip
 PLANE = register_condition(
-    "constraint_plane", residual_plane, jacobians_plane, (Argument("plane", "1, m"), _POINT), "Ayhan 1996, eq. 116"
-)
+    "constraint_plane", residual_plane, jacobians_plane, (Argument("plane", "1, m"), _POINT),
+    "Ayhan 1996, eq. 116", n_constants=FIGURE.size,
+)  # fmt: skip
 LINE = register_condition(
-    "constraint_line", residual_line, jacobians_line, (Argument("line", "m, 1"), _POINT), "Ayhan 1996, eq. 113"
-)
+    "constraint_line", residual_line, jacobians_line, (Argument("line", "m, 1"), _POINT),
+    "Ayhan 1996, eq. 113", n_constants=FIGURE.size,
+)  # fmt: skip
 OBSERVED_ELEMENT = register_condition(
-    "observed_element", residual_element, jacobians_element, (Argument("x", "any"),), "Ayhan 1996, eqs. 81-89"
-)
+    "observed_element", residual_element, jacobians_element, (Argument("x", "any"),),
+    "Ayhan 1996, eqs. 81-89", n_constants=ELEMENT.size,
+)  # fmt: skip

@@ -79,5 +79,9 @@ def jacobian_height(record: Array, setup: Array, value: Array, ground: Array) ->
 
 _GROUND: Final = Argument("ground", "m", is_point=True)
 _SOURCE: Final = "docs/equations.md 7, stochastic weights"
-CONTROL_POINT = register_condition("control_point", residual_point, jacobian_point, (_GROUND,), _SOURCE)
-HEIGHT_CONTROL = register_condition("height_control", residual_height, jacobian_height, (_GROUND,), _SOURCE)
+CONTROL_POINT = register_condition(
+    "control_point", residual_point, jacobian_point, (_GROUND,), _SOURCE, n_constants=POINT.size
+)
+HEIGHT_CONTROL = register_condition(
+    "height_control", residual_height, jacobian_height, (_GROUND,), _SOURCE, n_constants=HEIGHT.size
+)

@@ -93,5 +93,4 @@ def jacobian(record: Array, setup: Array, value: Array, ground: Array) -> Array:
 
 CURVE_CONTROL: Final = register_condition(
     "curve_control", residual, jacobian, (Argument("ground", "m", is_point=True),),
-    "Mulawa & Mikhail 1988; Habib et al. 2003",
-)  # fmt: skip
+    "Mulawa & Mikhail 1988; Habib et al. 2003", n_constants=RECORD.size)  # fmt: skip

@@ -129,6 +129,7 @@ ANTENNA_POSITION = register_condition(
     position_jacobian,
     (Argument("image", "prior sigma"),),
     "Terlemezoğlu 2019, eq. 2.2; shift and drift: Ackermann 1994",
+    n_constants=POSITION.size,
 )
 INERTIAL_ATTITUDE = register_condition(
     "inertial_attitude",
@@ -136,4 +137,5 @@ INERTIAL_ATTITUDE = register_condition(
     attitude_jacobian,
     (Argument("image", "prior sigma"),),
     "Terlemezoğlu 2019, eq. 2.2, as a rotation vector",
+    n_constants=ATTITUDE.size,
 )

@@ -111,6 +111,7 @@ SPHERE = register_condition(
     jacobians_sphere,
     (Argument("centre and radius", "m"), _POINT),
     "Ayhan 1996, eqs. 135-141",
+    n_constants=1,
 )
 ELLIPSOID = register_condition(
     "surface_ellipsoid",
@@ -118,6 +119,7 @@ ELLIPSOID = register_condition(
     jacobians_ellipsoid,
     (Argument("corrections", "steps"), _POINT),
     "Ayhan 1996, eqs. 142-154; free axes: the same in rotated coordinates",
+    n_constants=RECORD.size,
 )
 QUADRIC = register_condition(
     "surface_quadric",
@@ -125,4 +127,5 @@ QUADRIC = register_condition(
     jacobians_quadric,
     (Argument("coefficients", "1"), _POINT),
     "Ayhan 1996, eq. 125",
+    n_constants=1,
 )

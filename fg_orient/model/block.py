@@ -260,7 +260,7 @@ class ExtraObservation:
     Raises
     ------
     InputError
-        No registered equation, another number of unknowns than that of its arguments, impossible values.
+        No registered equation, another number of unknowns than its arguments, a short record, impossible values.
     """
 
     equation: Equation
@@ -281,6 +281,9 @@ class ExtraObservation:
             values = arrays.array(getattr(self, name), f"{self.label}, {name}")
             if not np.isfinite(values).all():
                 raise arrays.wrong(f"{self.label}, {name}", "values that are not finite", "finite numbers")
+        if np.size(self.record) < self.equation.n_constants:
+            expected = f"at least the {self.equation.n_constants} constants of {self.equation.name}"
+            raise arrays.wrong(f"{self.label}, record", f"{np.size(self.record)} numbers", expected)
         if self.n_residuals < 0:
             raise arrays.wrong(f"{self.label}, n_residuals", self.n_residuals, "a whole number from 0")
 

@@ -212,6 +212,7 @@ CASES: dict[str, tuple[Callable[[], object], str]] = {
     "extra observation: unknown kind": (lambda: fg.adjust(extra(unknowns=("pont:1",))), "own"),
     "extra observation: unknowns too many": (lambda: fg.adjust(extra(unknowns=("point:1", "point:2"))), "own"),
     "extra observation: record with nan": (lambda: extra(record=np.full(12, np.nan)), "record"),
+    "extra observation: record cut off": (lambda: extra(record=np.zeros(11)), "record"),
     "extra observation: record too short": (lambda: fg.adjust(extra(record=np.zeros(2))), "record"),
     "extra observation: no equation": (lambda: extra(equation=None), "equation"),
     "extra observation: n_residuals -1": (lambda: extra(n_residuals=-1), "n_residuals"),

@@ -21,12 +21,15 @@ Derived = tuple[Example, tuple[np.ndarray, ...]]
 
 
 def complex_step(equation: Equation, example: Example, which: int) -> np.ndarray:
-    """Jacobian of the residual with respect to one argument, to rounding."""
-    columns = []
+    """Jacobian of the residual with respect to one argument, to rounding.
+
+    The record ends after the equation's ``n_constants``: Python, unlike the compiled form, refuses to read behind them.
+    """
+    columns, record = [], example.record[: equation.n_constants or None]
     for c in range(len(example.unknowns[which])):
         z = [u.astype(complex) for u in example.unknowns]
         z[which][c] += 1e-30j
-        columns.append(equation.residual(example.record, example.setup, *z).imag / 1e-30)
+        columns.append(equation.residual(record, example.setup, *z).imag / 1e-30)
     return np.stack(columns, axis=1)
 
 
