@@ -348,7 +348,7 @@ SENSORS = {"sensors": Several(
 
 
 def read_dem(path: Path | None, vertical_crs: str) -> RasterDem | None:
-    """Read a DEM with the options ``--dem`` and ``--dem-vertical-crs``."""
+    """Open a DEM with the options ``--dem`` and ``--dem-vertical-crs``."""
     if path is None:
         if vertical_crs:
             raise InputError.of("dem.missing", option="dem", value="none given")
@@ -357,10 +357,7 @@ def read_dem(path: Path | None, vertical_crs: str) -> RasterDem | None:
 
 
 def open_dem(path: Path, vertical_crs: str = "") -> RasterDem:
-    """Read a DEM; warn of heights that are impossible on land."""
+    """Open a DEM; heights that are impossible on land cause a warning when they are read."""
     from fg_orient.sensors.surface import RasterDem
 
-    surface = RasterDem(path, vertical_crs=vertical_crs)
-    for one in surface.notes:
-        tell("warning", one)
-    return surface
+    return RasterDem(path, vertical_crs=vertical_crs, warn=functools.partial(tell, "warning"))

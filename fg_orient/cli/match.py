@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,11 +14,10 @@ from fg_orient.cli.command import (
     VerticalCrs,
     command,
     command_line,
-    open_dem,
     option,
     require_project,
 )
-from fg_orient.cli.output import answer, number, say, table, tell_findings
+from fg_orient.cli.output import answer, number, say, table, tell, tell_findings
 from fg_orient.cli.progress import progress_bar
 from fg_orient.orientation.match.options import MatchOptions
 
@@ -47,14 +47,13 @@ def match(
     least-squares matching, with a factor that the y-parallaxes give.
     """
     require_project(project)
-    if dem is not None:
-        open_dem(dem, dem_vertical_crs)  # warns of implausible heights
     from fg_orient.orientation.match.job import match_project
 
     with progress_bar("matching") as callback:
         record = match_project(
             project, out, options=MatchOptions(**options), dem=dem, vertical_crs=dem_vertical_crs, workers=workers,
             overwrite=overwrite, resume=resume, control=control, progress=callback, command=command_line(),
+            warn=partial(tell, "warning"),
         )  # fmt: skip
     answer(record, _show)
 

@@ -17,6 +17,8 @@ NEAREST, BILINEAR, CUBIC = 0, 1, 2
 #: Values of a knot: DEM row, DEM column; line and sample as c0 + c1 t + c2 t^2 of the scaled height t.
 KNOT = Record(row=1, column=1, line="line_0 line_1 line_2", sample="sample_0 sample_1 sample_2")
 SCALING = Record(offset=1, scale=1)
+#: Part of a raster of heights: its first row and column.
+PART = Record(row=1, column=1)
 LIMITS = Record(first_line=1, last_line=1, first_sample=1, last_sample=1)
 #: Largest distance, in pixels, at which a kernel may need values.
 REACH = 2
@@ -37,8 +39,8 @@ def surface_height(heights: Any, row: float, column: float) -> Any:
 
 @compiled
 def pixel_positions(
-    first_row: int, first_column: int, step: int, knots: Array, heights: Array, scaling: Array, limits: Array,
-    line: Array, sample: Array,
+    first_row: int, first_column: int, step: int, knots: Array, heights: Array, part: Array, scaling: Array,
+    limits: Array, line: Array, sample: Array,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Fill line and sample (R, C) of the map pixels of a window; nan where there is no height or no image.
 
@@ -51,7 +53,9 @@ def pixel_positions(
     knots : (M, N, 8) array
         See ``KNOT``; bilinear between knots.
     heights : (P, Q) array
-        DEM, m.
+        DEM, m: all its cells that the window needs.
+    part : (2,) array
+        First row and column of ``heights`` in the DEM, ``PART``.
     scaling : (2,) array
         Offset and scale of the height, ``SCALING``: t = (height - offset) / scale.
     limits : (4,) array
@@ -78,15 +82,16 @@ def pixel_positions(
                     b[m] = knots[i, j + 1, m] * (1.0 - u) + knots[i + 1, j + 1, m] * u
             for m in range(KNOT.size):
                 k[m] = a[m] * (1.0 - v) + b[m] * v
-            h = surface_height(heights, k[KNOT.row], k[KNOT.column])
+            row, column = k[KNOT.row] - part[PART.row], k[KNOT.column] - part[PART.column]  # exact: whole numbers
+            h = surface_height(heights, row, column)
             t = 0.0 if np.isnan(h) else (h - scaling[SCALING.offset]) / scaling[SCALING.scale]
             x = k[KNOT.line_0] + t * (k[KNOT.line_1] + t * k[KNOT.line_2])
             y = k[KNOT.sample_0] + t * (k[KNOT.sample_1] + t * k[KNOT.sample_2])
             inside = limits[LIMITS.first_line] <= x <= limits[LIMITS.last_line]
             inside = inside and limits[LIMITS.first_sample] <= y <= limits[LIMITS.last_sample]
             if np.isnan(h):
-                covered = 0.0 <= k[KNOT.row] <= heights.shape[0] - 1.0
-                covered = covered and 0.0 <= k[KNOT.column] <= heights.shape[1] - 1.0
+                covered = 0.0 <= row <= heights.shape[0] - 1.0
+                covered = covered and 0.0 <= column <= heights.shape[1] - 1.0
                 if covered and inside:
                     holes += 1
                     if hole_row < 0:

@@ -9,6 +9,7 @@ map, so the pixels do not depend on the size of the windows.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -21,7 +22,7 @@ from fg_orient.kernels.resampling import KNOT, SCALING
 from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import finite, number, positive
 from fg_orient.rectification.ortho_models import MapModel
-from fg_orient.sensors.surface import RasterDem
+from fg_orient.sensors.dem import RasterDem, range_below
 
 Bounds = tuple[float, float, float, float]
 
@@ -100,6 +101,8 @@ class MapGrid:
         }  # fmt: skip
 
 
+#: Points along a side of a map that bound its part of a DEM.
+SIDE: Final = 9
 #: Largest allowed difference from the model, pixels of the image and cells of the DEM.
 ERROR_PX: Final = 0.01
 FIRST_STEP: Final = 64
@@ -115,13 +118,13 @@ class LevelSurface:
 
     def __init__(self, height_m: float) -> None:
         number("height", height_m, "m")
-        self.heights_m = np.full((2, 2), height_m)
+        self.range_m = float(height_m), float(height_m)
+        self.shape = 2, 2
         self.path = f"height {height_m:g} m"
 
-    @property
-    def range_m(self) -> tuple[float, float]:
-        """Lowest and highest height."""
-        return float(self.heights_m[0, 0]), float(self.heights_m[0, 0])
+    def window(self, row: int, column: int, rows: int, columns: int) -> Array:
+        """Heights (rows, columns)."""
+        return np.full((rows, columns), self.range_m[0])
 
 
 Surface = RasterDem | LevelSurface
@@ -149,8 +152,53 @@ class Lattice:
     scaling: Array
     error_px: float
 
+    def extent(self, axis: int, first: tuple[int, int], shape: tuple[int, int]) -> tuple[float, float]:
+        """Lowest and highest value of a component of the knots around a window of the map; nan without values."""
+        (i, m), (j, n) = (
+            (at // self.step, (at + size - 1) // self.step + 2) for at, size in zip(first, shape, strict=True)
+        )
+        values = self.knots[i:m, j:n, axis]
+        return float(np.fmin.reduce(values, axis=None)), float(np.fmax.reduce(values, axis=None))
 
-def lattice(grid: MapGrid, model: MapModel, surface: Surface, limits: Array) -> Lattice | None:
+    def density(self) -> tuple[float, float]:
+        """Largest number of DEM cells, and of image pixels, along an axis for a map pixel along an axis."""
+        found = []
+        for axes in ((KNOT.row, KNOT.column), (KNOT.line_0, KNOT.sample_0)):
+            sides = [
+                sum(float(np.nanmax(np.abs(np.diff(self.knots[..., k], axis=along)), initial=0.0)) for along in (0, 1))
+                for k in axes
+            ]
+            found.append(max(sides) / self.step)
+        return found[0], found[1]
+
+
+def height_range(
+    surface: Surface, crs: str, bounds: Bounds | None, outline: Callable[[float], tuple[Array, Array]], start_m: float
+) -> tuple[float, float]:
+    """Lowest and highest height of a surface on a map; nan without heights.
+
+    Parameters
+    ----------
+    surface : RasterDem or LevelSurface
+    crs : str
+        Of the map.
+    bounds : left, bottom, right, top, optional
+        Of the map; otherwise it is bounded by the image.
+    outline : callable
+        Map coordinates (N,) that bound the image at a height; ``start_m`` is an approximate height.
+    """
+    if isinstance(surface, LevelSurface):
+        return surface.range_m
+    if bounds is None:
+        return range_below(surface, lambda height: to_geographic(crs, *outline(height)), start_m)
+    sides = np.linspace(bounds[0], bounds[2], SIDE), np.linspace(bounds[1], bounds[3], SIDE)
+    x, y = (a.ravel() for a in np.meshgrid(*sides))
+    return surface.range_over(*to_geographic(crs, x, y))
+
+
+def lattice(
+    grid: MapGrid, model: MapModel, surface: Surface, limits: Array, heights_m: tuple[float, float]
+) -> Lattice | None:
     """Knots whose interpolation error is at most ``ERROR_PX``.
 
     Parameters
@@ -160,13 +208,15 @@ def lattice(grid: MapGrid, model: MapModel, surface: Surface, limits: Array) -> 
     surface : RasterDem or LevelSurface
     limits : (4,) array
         First and last line, first and last sample inside the image.
+    heights_m : (float, float)
+        Lowest and highest height of the map.
 
     Returns
     -------
     Lattice or None
         With a step of ``LEAST_STEP`` the error may be larger. None if no knot is near the image.
     """
-    low, high = surface.range_m
+    low, high = heights_m
     scaling = SCALING.pack(offset=0.5 * (low + high), scale=0.5 * max(high - low, LEAST_RANGE_M))
     step = FIRST_STEP
     while True:

@@ -19,16 +19,36 @@ from factors.arrays import Array
 from fg_orient.formats.atomic import require_free_files, staged_file
 from fg_orient.formats.gdal import TIFF_MARKS, opened, rasterio_of
 from fg_orient.formats.sensor import read_sensor
-from fg_orient.geodesy import from_geographic, same_crs
-from fg_orient.kernels.resampling import BILINEAR, CUBIC, LIMITS, NEAREST, REACH, pixel_positions, resample
+from fg_orient.geodesy import ecef_to_geodetic, from_geographic, same_crs
+from fg_orient.kernels.resampling import (
+    BILINEAR,
+    CUBIC,
+    KNOT,
+    LIMITS,
+    NEAREST,
+    PART,
+    REACH,
+    pixel_positions,
+    resample,
+)
 from fg_orient.model.errors import InputError, as_record
 from fg_orient.model.names import Progress
-from fg_orient.rectification.grid import CACHE_BYTES, TILE, Bounds, Lattice, LevelSurface, MapGrid, Surface, lattice
+from fg_orient.rectification.grid import (
+    CACHE_BYTES,
+    TILE,
+    Bounds,
+    Lattice,
+    LevelSurface,
+    MapGrid,
+    Surface,
+    height_range,
+    lattice,
+)
 from fg_orient.rectification.options import OrthoOptions
 from fg_orient.rectification.ortho_models import BORDER, MapModel, PointModel, SensorModel, read_correction
 from fg_orient.rectification.transformation import read_transformation
 from fg_orient.sensors.base import Sensor
-from fg_orient.sensors.surface import RasterDem
+from fg_orient.sensors.dem import RasterDem
 
 
 def orthorectify(
@@ -79,10 +99,19 @@ def orthorectify(
         size = (source.height, source.width)
         _require_fitting(source, model, image)
         empty = _nodata(source, nodata, image)
-        grid = _grid(model, surface, size, crs, resolution, bounds)
+
+        def outline(height_m: float) -> tuple[Array, Array]:
+            return model.outline(size, (height_m, height_m))
+
+        if bounds is not None and resolution is not None:
+            MapGrid.over(bounds, resolution, crs)  # its errors first
+        heights = height_range(surface, crs, bounds, outline, model.mean_height_m)
+        if not math.isfinite(heights[0]):
+            raise InputError.of("ortho.no_overlap", file=image, what=surface.path)
+        grid = _grid(model, surface, size, crs, resolution, bounds, heights)
         last_line, last_sample = (n - 0.5 for n in size)
         limits = LIMITS.pack(first_line=-0.5, last_line=last_line, first_sample=-0.5, last_sample=last_sample)
-        knots = lattice(grid, model, surface, limits)
+        knots = lattice(grid, model, surface, limits, heights)
         if knots is None:
             raise InputError.of("ortho.no_overlap", file=image, what=surface.path)
         _require_writable(Path(out), overwrite=overwrite)
@@ -149,12 +178,13 @@ def _holds(kind: np.dtype[Any], value: float) -> bool:
 
 
 def _grid(
-    model: MapModel, surface: Surface, size: tuple[int, int], crs: str, resolution: float | None, bounds: Bounds | None
-) -> MapGrid:
+    model: MapModel, surface: Surface, size: tuple[int, int], crs: str, resolution: float | None,
+    bounds: Bounds | None, heights_m: tuple[float, float],
+) -> MapGrid:  # fmt: skip
     """Grid over the common ground of image and surface, or over the bounds."""
     if resolution is not None and bounds is not None:
         return MapGrid.over(bounds, resolution, crs)
-    x, y = model.outline(size, surface.range_m)
+    x, y = model.outline(size, heights_m)
     if resolution is None:
         resolution = _pixel_size(x, y, size)
     if bounds is not None:
@@ -182,6 +212,8 @@ def _pixel_size(x: Array, y: Array, size: tuple[int, int]) -> float:
 
 # --- windows ----------------------------------------------------------------------------------------
 
+#: Cells of the DEM, and pixels of the image, for a window of the map.
+WINDOW_CELLS: Final = 6_000_000
 #: Kernel and its slope a, by name.
 RESAMPLING: Final = {
     "nearest": (NEAREST, 0.0), "bilinear": (BILINEAR, 0.0), "cubic": (CUBIC, -0.5), "cubic-sharp": (CUBIC, -1.0),
@@ -194,17 +226,18 @@ def fill(
 ) -> tuple[int, int]:  # fmt: skip
     """Write all windows; number of map pixels inside the image, and of those with a value in its first band."""
     settings = grid.profile(bands=source.count, dtype=source.dtypes[0], nodata=nodata, compress=options.compress)
-    heights = np.ascontiguousarray(surface.heights_m)
-    corners = [(r, c) for r in range(0, grid.rows, options.window) for c in range(0, grid.columns, options.window)]
+    edge = window_edge(options.window, knots)
+    corners = [(r, c) for r in range(0, grid.rows, edge) for c in range(0, grid.columns, edge)]
     seen = filled = 0
     with rasterio.open(target, "w", **settings) as sink:
         for done, (row, column) in enumerate(corners):
             if progress is not None:
                 progress(done, len(corners), "windows")
-            shape = min(options.window, grid.rows - row), min(options.window, grid.columns - column)
+            shape = min(edge, grid.rows - row), min(edge, grid.columns - column)
             line, sample = np.empty(shape), np.empty(shape)
+            heights, part = _heights(surface, knots, (row, column), shape)
             holes, hole_row, hole_column = pixel_positions(
-                row, column, knots.step, knots.knots, heights, knots.scaling, limits, line, sample
+                row, column, knots.step, knots.knots, heights, part, knots.scaling, limits, line, sample
             )
             if holes and not options.allow_holes:
                 raise InputError.of("ortho.hole", file=surface.path, row=hole_row, column=hole_column)
@@ -214,6 +247,25 @@ def fill(
     if progress is not None:
         progress(len(corners), len(corners), "windows")
     return seen, filled
+
+
+def window_edge(wanted: int, knots: Lattice) -> int:
+    """Edge of the windows, map pixels: the wanted one, or less if a window needs too many cells or pixels."""
+    most = max(1, int(math.sqrt(WINDOW_CELLS) / max(1.0, *knots.density())))
+    return min(wanted, most if most < TILE else most // TILE * TILE)
+
+
+def _heights(surface: Surface, knots: Lattice, first: tuple[int, int], shape: tuple[int, int]) -> tuple[Array, Array]:
+    """Heights of the surface that a window of the map needs, and their first row and column."""
+    box = []
+    for axis, n in zip((KNOT.row, KNOT.column), surface.shape, strict=True):
+        low, high = knots.extent(axis, first, shape)
+        if not (low <= n - 1.0 and high >= 0.0):
+            return np.empty((0, 0)), PART.pack(row=0.0, column=0.0)
+        begin = min(max(math.floor(low), 0), max(n - 2, 0))
+        box.append((begin, max(min(math.floor(high) + 2, n), begin + 1)))
+    (top, bottom), (left, right) = box
+    return surface.window(top, left, bottom - top, right - left), PART.pack(row=float(top), column=float(left))
 
 
 def _window(
@@ -334,11 +386,21 @@ def rectify_image(
         chosen = _system(crs or (surface.crs if isinstance(surface, RasterDem) else ""), image)
         sensor = read_sensor(model, extrapolate_attitude_s=extrapolate_attitude_s)
         correction = None if result is None else read_correction(result, sensor, image_id)
-        geometry = SensorModel(sensor, correction, chosen, surface.range_m[1])
+        geometry = SensorModel(sensor, correction, chosen, _top(surface, sensor, chosen, bounds))
     record = orthorectify(image, geometry, surface, out, crs=chosen, resolution=resolution, bounds=bounds,
                           options=options, overwrite=overwrite, progress=progress)  # fmt: skip
     record |= as_record(surface.notes if isinstance(surface, RasterDem) else ())
     return record if sensor is None else record | {"notes": list(map(str, sensor.notes))}
+
+
+def _top(surface: Surface, sensor: Sensor, crs: str, bounds: Bounds | None) -> float:
+    """Highest height of the map; 0 if there is none."""
+
+    def outline(height_m: float) -> tuple[Array, Array]:
+        lon, lat, _ = ecef_to_geodetic(sensor.locate(*sensor.corners(), height_m=height_m))
+        return from_geographic(crs, lon, lat)
+
+    return max(float(np.nan_to_num(height_range(surface, crs, bounds, outline, sensor.mean_height_m)[1])), 0.0)
 
 
 def _require_other(out: Path, *inputs: Path) -> None:

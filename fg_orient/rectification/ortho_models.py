@@ -110,6 +110,8 @@ class MapModel(Protocol):
     needs_heights: bool
     #: Lines and samples of the image; None if unavailable.
     size: tuple[int, int] | None
+    #: Approximate height of the ground.
+    mean_height_m: float
 
     def pixels(self, x: Array, y: Array, height_m: Array) -> Array:
         """Line and sample (n, 2) of n points of the map; nan if there is no such pixel."""
@@ -146,6 +148,7 @@ class SensorModel:
     def __init__(self, sensor: Sensor, correction: Any, crs: str, top_m: float) -> None:
         self.sensor, self.correction, self.crs = sensor, correction, crs
         self.size: tuple[int, int] | None = (sensor.n_lines, sensor.n_samples)
+        self.mean_height_m = float(sensor.mean_height_m)
         self._quick: QuickProjection | None = None
         if isinstance(sensor, PushbroomSensor):
             from fg_orient.sensors.correction import Correction
@@ -192,6 +195,7 @@ class PointModel:
         self._t = transformation
         self._forward = transformation.source_names == ("sample", "line")
         self.needs_heights = transformation.model.dimension == 3
+        self.mean_height_m = float(transformation.source.offset[2]) if self.needs_heights else 0.0
 
     def pixels(self, x: Array, y: Array, height_m: Array) -> Array:
         """See ``MapModel``; the inverse of image-to-map by Newton's method."""

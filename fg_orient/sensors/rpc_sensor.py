@@ -30,7 +30,7 @@ from fg_orient.model.parameters import ImageParameters, require_unknowns
 from fg_orient.sensors.base import ImageModel, Sensor, placed, same_length
 from fg_orient.sensors.correction import HeightSurface
 from fg_orient.sensors.rpc import RpcModel, span
-from fg_orient.sensors.surface import on_surface
+from fg_orient.sensors.surface import levels_below, on_surface
 
 if TYPE_CHECKING:
     from fg_orient.model.block import ImagePoints, Options
@@ -134,12 +134,14 @@ class RpcSensor(Sensor):
     ) -> Array:
         """Ground points (N, 3) ECEF m; a rational function has curved lines of sight.
 
-        On a DEM, a ray follows first the chord over all heights of the DEM, then the chord about the height of its
-        first hit. The ground point comes from the model at the last height, so that its pixel is exact.
+        On a DEM, a ray follows first the chord over the heights of the DEM below it, then the chord about the height
+        of its first hit. The ground point comes from the model at the last height, so that its pixel is exact.
         """
         line, sample, h = same_length(line, sample, 0.0 if height_m is None else height_m)
         if dem is not None:
-            low, high = (np.full(len(line), end) for end in dem.range_m)
+            valid = self.model.validity.height_m
+            levels = levels_below(*self.rays(line, sample, correction), dem)
+            low, high = (np.where(np.isfinite(level), level, end) for level, end in zip(levels, valid, strict=True))
             for margin in DEM_MARGINS_M:
                 p, u = self.rays(line, sample, correction, (low - margin, high + margin))
                 h = np.ascontiguousarray(ellipsoid.geodetic_array(on_surface(p, u, dem, self.file))[:, 2])

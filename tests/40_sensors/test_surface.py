@@ -10,7 +10,7 @@ import pyproj
 import pytest
 
 from factors.geometry import ellipsoid
-from fg_orient.model.errors import InputError
+from fg_orient.model.errors import Finding, InputError
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.surface import RasterDem, on_surface
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
@@ -170,9 +170,14 @@ def test_heights_that_no_land_has_are_nodata_and_told(sensor: PushbroomSensor, t
     heights = np.full((SIZE, SIZE), 300.0)
     heights[:3] = -32767.0
     heights[-1, -2:] = 9001.0
-    dem = RasterDem(write(tmp_path / "dem.tif", heights, "EPSG:4326", corner))
+    told_at_once: list[Finding] = []
+    dem = RasterDem(write(tmp_path / "dem.tif", heights, "EPSG:4326", corner), warn=told_at_once.append)
+    assert dem.notes == (), "nothing is read yet"
     assert dem.range_m == (300.0, 300.0) and int(np.isnan(dem.heights_m).sum()) == 3 * SIZE + 2
     (told,) = dem.notes
     assert told.code == "dem.implausible" and f"{3 * SIZE + 2} cells" in told.message
+    assert [one.code for one in told_at_once] == ["dem.implausible"]
     heights[:3], heights[-1, -2:] = -500.0, 9000.0
-    assert RasterDem(write(tmp_path / "plausible.tif", heights, "EPSG:4326", corner)).notes == ()
+    plausible = RasterDem(write(tmp_path / "plausible.tif", heights, "EPSG:4326", corner))
+    assert plausible.range_m == (-500.0, 9000.0)
+    assert [one.code for one in plausible.notes] == ["dem.cliffs"]

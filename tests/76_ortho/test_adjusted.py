@@ -143,15 +143,23 @@ def test_commands_warn_of_heights_that_no_land_has(twin: Twin, tmp_path: Path) -
     shutil.copyfile(project / "dem.tif", dem)
     with rasterio.open(dem, "r+") as raster:
         heights = raster.read(1)
-        heights[0, 0] = -32767.0
+        heights[32::64, 32::64] = -32767.0  # some in each square of cells that a command reads
         raster.write(heights, 1)
     points = (project / "points.csv").read_text("utf-8").splitlines()
     kept = [f"{line.split(',')[0]},tie,,,,,," if line.split(",")[1:2] == ["check"] else line for line in points]
     (project / "points.csv").write_text("\n".join(kept) + "\n", "utf-8")
-    result, told = tmp_path / "result", "1 cells have heights below"
+    result, told = tmp_path / "result", "cells have heights below"
     done = [
         run(
-            "rectify", "ortho", project / "left.tif", project / "left.DIM", "--dem", dem, "--out", tmp_path / "map.tif"
+            "rectify",
+            "ortho",
+            project / "left.tif",
+            project / "left.DIM",
+            "--dem",
+            dem,
+            "--out",
+            tmp_path / "map.tif",
+            "--allow-holes",
         ),
         run("adjust", project / "project.toml", "--dem-control", dem, "--dem-sigma", 300, "--out", result),
         run("replay", result, "--project", project / "project.toml", "--out", tmp_path / "again"),

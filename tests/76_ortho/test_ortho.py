@@ -273,7 +273,7 @@ def test_knots_come_closer_until_the_bound_is_kept(twin: Twin) -> None:
     """A coarse map has more pixels between knots: the step shrinks, and what it states holds at random places."""
     grid = MapGrid.over((395_000.0, 4_565_000.0, 410_000.0, 4_580_000.0), 30.0, CRS)
     limits = np.array([-0.5, 11999.5, -0.5, 11999.5])
-    found = lattice(grid, twin.left, twin.dem, limits)
+    found = lattice(grid, twin.left, twin.dem, limits, twin.dem.range_m)
     assert found is not None and found.step < FIRST_STEP and found.error_px <= ERROR_PX
     rng = np.random.default_rng(11)
     row, column = rng.uniform(0, grid.rows - 1, 300), rng.uniform(0, grid.columns - 1, 300)
@@ -306,4 +306,4 @@ def test_progress_ends_at_the_number_of_windows(picture: Path) -> None:
 @pytest.mark.behaviour
 def test_knots_far_from_the_image_are_none(twin: Twin) -> None:
     grid = MapGrid.over((495_000.0, 4_565_000.0, 500_000.0, 4_580_000.0), 30.0, CRS)
-    assert lattice(grid, twin.left, twin.dem, np.array([-0.5, 11999.5, -0.5, 11999.5])) is None
+    assert lattice(grid, twin.left, twin.dem, np.array([-0.5, 11999.5, -0.5, 11999.5]), twin.dem.range_m) is None

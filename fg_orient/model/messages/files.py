@@ -126,10 +126,13 @@ dem.vertical_unit: the DEM's heights are not in metres
     -> convert them to metres
 dem.unreadable: the DEM cannot be read
     -> give a raster that GDAL reads
-dem.implausible (warning): {count} cells have heights below {low:g} or above {high:g} m ({least:g} to {most:g}) and are
-    treated as nodata, although the file does not declare this
+dem.implausible (warning): {count} cells have heights below {low:g} or above {high:g} m ({least:g} to {most:g}, in the
+    part that was read) and are treated as nodata, although the file does not declare this
     -> declare a nodata value, for instance with gdal_edit -a_nodata
-dem.not_covered: a viewing ray meets nodata or comes from outside the DEM below its highest point
+dem.cliffs (warning): cells of {height:g} m form vertical steps of up to {step:.0f} m to their neighbours, at row {row},
+    column {column}. Such cells are probably an undeclared nodata value, but are used as heights
+    -> if so, declare it, for instance with gdal_edit -a_nodata
+dem.not_covered: a viewing ray meets nodata or comes from outside the DEM below its highest point near the ray
     -> use a DEM without holes that covers the image footprint and the terrain between the footprint and the sensor
 geodesy.not_epsg: the coordinate reference system is not an EPSG code
     -> write EPSG:n, or EPSG:n+m with a vertical CRS, for instance EPSG:4979 or EPSG:32636

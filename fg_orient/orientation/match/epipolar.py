@@ -205,10 +205,10 @@ def dem_range(dem: Any, pair: Pair, line: Array, sample: Array, sigma_m: float) 
 
     Parameters
     ----------
-    dem : HeightSurface
+    dem : RasterDem
     pair : Pair
     line, sample : (n,) arrays
-        Pixels of a, located at the lowest, mean and highest height of the DEM.
+        Pixels of a, located at the lowest, mean and highest height of the DEM in the range of the pair.
     sigma_m : float
         Standard deviation of the heights; the range is widened by three of them.
 
@@ -217,8 +217,12 @@ def dem_range(dem: Any, pair: Pair, line: Array, sample: Array, sigma_m: float) 
     (float, float) or None
         Lowest and highest ellipsoidal height, m; None if the DEM has no height there.
     """
+    ends = [ecef_to_geodetic(pair.ground(line, sample, h))[:2] for h in (pair.low_m, pair.high_m)]
+    low, high = dem.range_over(*np.hstack(ends))
+    if not np.isfinite(low):
+        return None
     heights = []
-    for h in (dem.range_m[0], 0.5 * sum(dem.range_m), dem.range_m[1]):
+    for h in (low, 0.5 * (low + high), high):
         lon, lat, _ = ecef_to_geodetic(pair.ground(line, sample, h))
         heights.append(dem.height_m(lon, lat))
     found = np.concatenate(heights)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Final
@@ -30,7 +30,7 @@ from fg_orient.orientation.match.record import record_of, write_report
 from fg_orient.orientation.match.tables import NEW_POINTS, ControlRows, require_tables, write_tables
 from fg_orient.orientation.match.tasks import Setup, cell_task, cell_windows, coarse_task, work_of
 from fg_orient.orientation.match.tracks import LEAST_SIGMA_PX, PairResult, accept, tie_points
-from fg_orient.sensors.surface import RasterDem
+from fg_orient.sensors.dem import RasterDem, range_below
 
 #: Contents of the folder of the report.
 CONTENTS: Final = Contents("match.json", ("match.json", "report.html"))
@@ -53,6 +53,7 @@ def match_project(
     control: str | Path | None = None,
     progress: Progress | None = None,
     command: Sequence[str] = (),
+    warn: Callable[[Finding], None] | None = None,
 ) -> dict[str, Any]:
     """Measure tie points in the pixels of a project's images and add them to its tables.
 
@@ -79,6 +80,8 @@ def match_project(
         Called with the number of finished tasks, the number of all tasks, and a text.
     command : sequence of str
         Words of the command line, for the record.
+    warn : callable, optional
+        Called with warnings of the elevation model.
 
     Returns
     -------
@@ -102,7 +105,7 @@ def match_project(
     known = None if control is None else read_control(Path(control))
     if known is not None:
         _coordinates(known, read, path)  # its errors before the work
-    surface = None if dem is None else RasterDem(dem, vertical_crs=vertical_crs)
+    surface = None if dem is None else RasterDem(dem, vertical_crs=vertical_crs, warn=warn)
     low, high = _heights(read, chosen, surface)
     setup = Setup(str(path), places, low, high, chosen, "" if dem is None else str(dem), vertical_crs)
     pairs = overlapping(read, places, low, high)
@@ -180,9 +183,16 @@ def _heights(read: ProjectImages, options: MatchOptions, dem: RasterDem | None) 
     """Lowest and highest height of the ground: given, of the DEM, or of the sensor models."""
     low, high = options.lowest_m, options.highest_m
     if dem is not None:
-        lowest, highest = dem.range_m
+        sensors = [image.sensor for image in read.images]
+
+        def outline(height_m: float) -> tuple[Array, Array]:
+            ground = np.concatenate([one.locate(*one.corners(), height_m=height_m) for one in sensors])
+            return ecef_to_geodetic(ground)[:2]
+
+        lowest, highest = range_below(dem, outline, float(np.median([one.mean_height_m for one in sensors])))
         margin = 3.0 * options.dem_sigma_m
-        low, high = lowest - margin if low is None else low, highest + margin if high is None else high
+        if np.isfinite(lowest):
+            low, high = lowest - margin if low is None else low, highest + margin if high is None else high
     low, high = height_range(tuple(i.sensor for i in read.images), low, high)
     if not low < high:
         raise InputError.of("options.value", option="lowest_m, highest_m", value=f"{low:g}, {high:g}",
