@@ -59,6 +59,27 @@ def _sums(sample_time_s: Array, samples: Array, time_s: Array, first: Index, div
     return out
 
 
+def centred(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
+    """Interpolate (n, c) samples at N times by polynomials through as many samples before as after the time: -> (N, c).
+
+    Eight samples, near the ends of the list six, four or two: the interpolation of CSM line-scan states.
+    """
+    n = len(sample_time_s)
+    before = np.clip(np.searchsorted(sample_time_s, time_s, side="right") - 1, 0, n - 2)
+    half = np.minimum(MAX_SAMPLES // 2, np.minimum(before + 1, n - 1 - before))
+    out = np.empty((len(time_s), samples.shape[1]))
+    for size in np.unique(half):
+        rows = np.flatnonzero(half == size)
+        near = before[rows] - size + 1 + np.arange(2 * size)[:, None]
+        listed, at = sample_time_s[near], time_s[rows]
+        weight = np.ones((2 * size, len(rows)))
+        for d, e in np.ndindex(2 * size, 2 * size):
+            if d != e:
+                weight[d] *= (at - listed[e]) / (listed[d] - listed[e])
+        out[rows] = np.add.reduce(weight[:, :, None] * samples[near], axis=0)
+    return out
+
+
 def linear(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
     """Piecewise linear interpolation, constant beyond the ends: (n, c), (N,) -> (N, c)."""
     return np.stack([np.interp(time_s, sample_time_s, column) for column in samples.T], axis=1)

@@ -4,8 +4,8 @@ Each map converts the directions of N lines of sight to the true directions of t
 the time of exposure. Sizes on the ground from 700 km: aberration 18 m (v/c = 2.5e-5), light time 1.1 m cos(latitude),
 refraction 1.8 m at a zenith angle of 30 degrees.
 
-Sources: classical addition of velocities (Greslou et al. 2008, appendix); refraction by the bent ray over a plane
-layered atmosphere (Saastamoinen 1972; Noerdlinger 1999 for the direction of the shift).
+Sources: classical addition of velocities (Greslou et al. 2008, appendix); refraction by the bent ray over a
+spherically layered atmosphere (Saastamoinen 1972; Noerdlinger 1999 for the direction of the shift).
 """
 
 from __future__ import annotations
@@ -23,7 +23,10 @@ EARTH_RATE_RAD_S: Final = 7.2921151467e-5
 #: this times the column of air, 101325 Pa / (1.225 kg/m3 x 9.80665 m/s2) = 8434 m.
 REFRACTIVITY: Final = 2.77e-4
 COLUMN_M: Final = 8434.5
-#: Least cosine of the zenith angle: beyond it the layers are not plane (error of 1 cm at 65 degrees).
+#: Mean height of the refracting air (standard atmosphere: integral of the pressure over the height, divided by the
+#: pressure) relative to the Earth's radius: layers are spheres.
+MEAN_HEIGHT: Final = 7313.0 / 6_371_000.0
+#: Least cosine of the zenith angle: beyond it the first order in that ratio is not sufficient.
 STEEPEST_COSINE: Final = 0.1
 
 
@@ -74,7 +77,9 @@ def zenith_excess_m(height_m: Array) -> Array:
 def refraction_shift(direction: Array, up: Array, height_m: Array) -> Array:
     """Shift (N, 3) m on the ground from the end of the straight line of sight to the end of the bent line.
 
-    Horizontal and towards the point below the sensor: ``D tan z / cos^2 z`` with D of :func:`zenith_excess_m`.
+    Horizontal and towards the point below the sensor: ``D tan z / cos^2 z (1 - m (3 / cos^2 z - 1))`` with D of
+    :func:`zenith_excess_m` and m = ``MEAN_HEIGHT``. It is the first order in n - 1 and in height / radius of
+    ``R^2 sin z int (n - 1) r / (r^2 - R^2 sin^2 z)^(3/2) dr`` over spherical layers of index n.
 
     Parameters
     ----------
@@ -84,7 +89,8 @@ def refraction_shift(direction: Array, up: Array, height_m: Array) -> Array:
     """
     cosine = np.maximum(-np.einsum("ni,ni->n", direction, up), STEEPEST_COSINE)
     horizontal = direction + np.einsum("ni,ni->n", -direction, up)[:, None] * up
-    return np.asarray(-(zenith_excess_m(height_m) / cosine**3)[:, None] * horizontal)
+    spheres = 1.0 - MEAN_HEIGHT * (3.0 / cosine**2 - 1.0)
+    return np.asarray(-(zenith_excess_m(height_m) / cosine**3 * spheres)[:, None] * horizontal)
 
 
 def turns(start: Array, end: Array) -> Array:

@@ -255,6 +255,7 @@ def _value(option: Option, values: dict[str, Any]) -> Any:
         return parts  # no numbers: refused with all other values
 
 
+LIGHT = declared(Reading)["light"]
 EXTRAPOLATE = declared(Reading)["extrapolate_attitude_s"]
 ModelOf = Annotated[str, option("Model to use if the file contains both.", "auto|rigorous|rpc")]
 Result = Annotated[Path | None, option("Result folder of adjust with the orientation of the image.", "DIR")]
@@ -268,6 +269,7 @@ Extrapolate = Annotated[
     float,
     option(EXTRAPOLATE.short_help, EXTRAPOLATE.metavar, flag=EXTRAPOLATE.flag, min=0.0, max=MAX_EXTRAPOLATION_S),
 ]
+Light = Annotated[str, option(LIGHT.short_help, LIGHT.metavar, flag=LIGHT.flag)]
 Project = Annotated[Path, argument("PROJECT.toml", "Project file.")]
 Scheduler = Annotated[str | None, option("Scheduler of a running dask cluster, instead of processes.", "ADDRESS")]
 ImageSize = Annotated[
@@ -311,24 +313,34 @@ def require_project(path: Path) -> None:
         raise no_project_file(path)
 
 
+def effects_of(text: str) -> tuple[str, ...]:
+    """Return the names of effects on light of ``--light``."""
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
 class Sensors(NamedTuple):
-    """Reading of sensors with the options ``--model``, ``--extrapolate-attitude`` and ``--result``."""
+    """Reading of sensors with the options ``--model``, ``--extrapolate-attitude``, ``--light`` and ``--result``."""
 
     model: str
     extrapolate_attitude: float
+    light: str
     result: Path | None
 
     def read(self, path: Path) -> Any:
         """Read a sensor."""
         from fg_orient.formats.sensor import read_sensor
 
-        return self._oriented(read_sensor(path, model=self.model, extrapolate_attitude_s=self.extrapolate_attitude))
+        sensor = read_sensor(
+            path, model=self.model, extrapolate_attitude_s=self.extrapolate_attitude, light=effects_of(self.light)
+        )
+        return self._oriented(sensor)
 
     def project(self, path: Path) -> Block:
         """Read a project."""
         from fg_orient.formats.project import read_project
 
-        block = read_project(path, extrapolate_attitude_s=self.extrapolate_attitude or None)
+        block = read_project(path, extrapolate_attitude_s=self.extrapolate_attitude or None,
+                             light=effects_of(self.light) or None)  # fmt: skip
         return replace(block, images=tuple(replace(i, sensor=self._oriented(i.sensor, i.id)) for i in block.images))
 
     def _oriented(self, sensor: Any, image_id: str = "") -> Any:
@@ -343,7 +355,8 @@ class Sensors(NamedTuple):
 
 #: Options of sensors, in place of the parameter ``sensors`` of a command.
 SENSORS = {"sensors": Several(
-    {"model": (ModelOf, "auto"), "extrapolate_attitude": (Extrapolate, 0.0), "result": (Result, None)}, Sensors
+    {"model": (ModelOf, "auto"), "extrapolate_attitude": (Extrapolate, 0.0), "light": (Light, ""),
+     "result": (Result, None)}, Sensors
 )}  # fmt: skip
 
 

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from fg_orient.cli.command import Extrapolate, Overwrite, Result, argument, command, command_line, option
+from fg_orient.cli.command import (
+    Extrapolate,
+    Light,
+    Overwrite,
+    Result,
+    argument,
+    command,
+    command_line,
+    effects_of,
+    option,
+)
 from fg_orient.cli.log import session
 from fg_orient.cli.output import answer, note, number, say, table, tell, tell_findings
 from fg_orient.cli.progress import progress_bar
@@ -164,6 +174,7 @@ def ortho(
     ] = None,
     bounds: Annotated[str, option("Left,bottom,right,top; default: the whole common area.", "L,B,R,T")] = "",
     extrapolate_attitude: Extrapolate = 0.0,
+    light: Light = "",
     overwrite: Overwrite = False,
 ) -> None:
     """Rectify an image on a DEM (or a plane) to a GeoTIFF: by its sensor, adjusted or not, or by points."""
@@ -176,7 +187,7 @@ def ortho(
         record = rectify_image(
             image, model, out, dem=dem, height_m=height, result=result, image_id=image_id, crs=crs,
             resolution=resolution, bounds=limits, options=OrthoOptions(**options), overwrite=overwrite,
-            progress=progress, extrapolate_attitude_s=extrapolate_attitude,
+            progress=progress, extrapolate_attitude_s=extrapolate_attitude, light=effects_of(light),
         )  # fmt: skip
     answer(record, _show_ortho)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.command import Extrapolate, Overwrite, Result, Sensors, argument, command, open_dem, option
+from fg_orient.cli.command import Extrapolate, Light, Overwrite, Result, Sensors, argument, command, open_dem, option
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.declaration import declared
@@ -186,6 +186,7 @@ def fit(
         option("Lines, samples and heights of the grid for IMAGE; default 20 20 5.", "L S H"),
     ] = None,
     extrapolate_attitude: Extrapolate = 0.0,
+    light: Light = "",
     result: Result = None,
     out: Annotated[Path | None, option("Write the RPC.")] = None,
     to: To = None,
@@ -221,7 +222,7 @@ def fit(
         names = {"normalise": "no_normalise"}
         foreign = {names.get(name, name): value for name, value in options.items() if name not in of_form}
         _refuse(source, foreign, "a sensor")
-        sensor = Sensors("auto", extrapolate_attitude, result).read(source)
+        sensor = Sensors("auto", extrapolate_attitude, light, result).read(source)
         if heights is None:
             raise InputError.of("rpc.no_heights", file=source, option="heights")
         from fg_orient.rpc.fitting import fit_image

@@ -116,17 +116,23 @@ def _ephemeris(root: XmlNode, layout: Layout, epoch: np.datetime64) -> Ephemeris
     points = root.every(layout.points, MIN_EPHEMERIS_POINTS)
     time, position, velocity = layout.state
     time_s = times([point.one(time) for point in points], epoch)
-    vectors = []
-    for code, tag, quantity, (low, high) in (
-        ("dimap.radius", position, METRES, RADIUS_M),
-        ("dimap.speed", velocity, METRES_PER_SECOND, SPEED_M_S),
-    ):
-        vectors.append(np.array([_vector(point.one(tag), quantity) for point in points]))
-        norm = np.linalg.norm(vectors[-1], axis=1)
+    position_m, velocity_m_s = (
+        np.array([_vector(point.one(tag), quantity) for point in points])
+        for tag, quantity in ((position, METRES), (velocity, METRES_PER_SECOND))
+    )
+    require_states(points, position_m, velocity_m_s)
+    return Ephemeris(time_s, position_m, velocity_m_s)
+
+
+def require_states(nodes: Sequence[XmlNode], position_m: Array, velocity_m_s: Array) -> None:
+    """Refuse a distance (n, 3) or speed (n, 3) that is impossible for an Earth observation satellite."""
+    for code, vectors, (low, high) in (
+        ("dimap.radius", position_m, RADIUS_M), ("dimap.speed", velocity_m_s, SPEED_M_S)
+    ):  # fmt: skip
+        norm = np.linalg.norm(vectors, axis=1)
         wrong = np.flatnonzero((norm < low) | (norm > high))
         if len(wrong):
-            raise points[int(wrong[0])].fault(code, f"{norm[wrong[0]]:.6g}", low=low, high=high)
-    return Ephemeris(time_s, vectors[0], vectors[1])
+            raise nodes[int(wrong[0])].fault(code, f"{norm[wrong[0]]:.6g}", low=low, high=high)
 
 
 def _vector(node: XmlNode, quantity: Quantity) -> Array:

@@ -299,7 +299,8 @@ def _images(project: ProjectFile, folder: Path, file: str) -> tuple[dict[str, Im
 
     images: dict[str, Image | None] = {}
     problems: list[Finding] = []
-    seconds = project.values_of(Reading)["extrapolate_attitude_s"]
+    read = project.values_of(Reading)
+    how = {"extrapolate_attitude_s": read["extrapolate_attitude_s"], "light": tuple(read["light"])}
     for k, entry in enumerate(project.images):
         images.setdefault(entry.id, None)
         missing = _missing(project, k, Path(file))
@@ -307,7 +308,7 @@ def _images(project: ProjectFile, folder: Path, file: str) -> tuple[dict[str, Im
             problems.append(missing)
             continue
         try:
-            sensor = sensor_reader.read_sensor(folder / entry.metadata, extrapolate_attitude_s=seconds)
+            sensor = sensor_reader.read_sensor(folder / entry.metadata, **how)
             pixels = "" if entry.pixels is None else str(folder / entry.pixels)
             images[entry.id] = Image(entry.id, sensor, pixels, entry.pixels_origin)
         except InputError as error:

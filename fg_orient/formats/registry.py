@@ -145,9 +145,14 @@ class Format:
     read_rpc, write_rpc : callables, optional
         Path and ``Reading`` to ``RpcModel``; path and model.
     read_image : callable, optional
-        Path to the sensor of an image; the keyword ``extrapolate_attitude_s`` is passed if ``extrapolates``.
+        Path to the sensor of an image; the keywords ``extrapolate_attitude_s`` and ``light`` are
+        passed if ``extrapolates`` and ``chooses_light``.
     extrapolates : bool
         ``read_image`` takes the keyword ``extrapolate_attitude_s``.
+    chooses_light : bool
+        ``read_image`` takes the keyword ``light``: names of effects on light (``fg_orient.sensors.light_sizes``).
+    beside_rpc : bool
+        Its files may also contain an RPC, which the model "rpc" chooses.
     """
 
     name: str
@@ -171,6 +176,8 @@ class Format:
     write_rpc: Callable[[Path, RpcModel], None] | None = None
     read_image: Callable[..., Any] | None = None
     extrapolates: bool = False
+    chooses_light: bool = False
+    beside_rpc: bool = False
 
     @property
     def verified(self) -> bool:

@@ -13,7 +13,9 @@ from fg_orient.model.plugins import raised_in, told
 MODELS: Final = ("auto", "rigorous", "rpc")
 
 
-def read_sensor(path: str | Path, *, model: str = "auto", extrapolate_attitude_s: float = 0.0) -> Any:
+def read_sensor(
+    path: str | Path, *, model: str = "auto", extrapolate_attitude_s: float = 0.0, light: tuple[str, ...] = ()
+) -> Any:
     """Read a metadata file of any supported format and bind it to its sensor model.
 
     Parameters
@@ -28,6 +30,9 @@ def read_sensor(path: str | Path, *, model: str = "auto", extrapolate_attitude_s
     extrapolate_attitude_s : float
         Maximum time, s, by which attitudes that do not cover the image are extrapolated with the
         last rate (:class:`fg_orient.sensors.pushbroom.PushbroomSensor`); RPC have none.
+    light : tuple of str
+        Effects on light ("aberration", "light_time", "refraction", or "none") in place of the usual ones of the format.
+        Formats whose effects are fixed ignore it.
 
     Returns
     -------
@@ -43,8 +48,8 @@ def read_sensor(path: str | Path, *, model: str = "auto", extrapolate_attitude_s
     if model not in MODELS:
         raise InputError.of("sensor.model", file=path, place="model", value=model, known=", ".join(MODELS))
     form = format_claiming(path, "image")
-    if form is not None and (model != "rpc" or not form.extrapolates):
-        return _read(form, path, extrapolate_attitude_s)
+    if form is not None and (model != "rpc" or not form.beside_rpc):
+        return _read(form, path, extrapolate_attitude_s, light)
     if form is None and path.suffix.lower() == ".toml":
         known = " or ".join(f'"{f.name}"' for f in formats("image").values() if ".toml" in f.suffixes)
         value = repr(parse_toml(path).get("kind"))
@@ -63,10 +68,11 @@ def read_sensor(path: str | Path, *, model: str = "auto", extrapolate_attitude_s
     return read_dimap_sensor(path)  # raises: it names the kind of the file
 
 
-def _read(form: Format, path: Path, extrapolate_attitude_s: float) -> Any:
+def _read(form: Format, path: Path, extrapolate_attitude_s: float, light: tuple[str, ...]) -> Any:
     """Read an image; unexpected exceptions of a user's own reader are reported with its file and line."""
     assert form.read_image is not None  # a format of images
-    how = {"extrapolate_attitude_s": extrapolate_attitude_s} if form.extrapolates else {}
+    how: dict[str, Any] = {"extrapolate_attitude_s": extrapolate_attitude_s} if form.extrapolates else {}
+    how |= {"light": light} if form.chooses_light else {}
     if form.read_image.__module__.startswith("fg_orient."):
         return form.read_image(path, **how)
     if not path.exists():

@@ -299,6 +299,12 @@ class Reading(Checked):
         "Extrapolate attitudes with the last rate by at most this time. Lines without attitudes are refused.",
         within=(0.0, MAX_EXTRAPOLATION_S), unit="s",
     )
+    light: Names = option(
+        (), UNKNOWNS,
+        "Effects on light in images whose format leaves the choice (DigitalGlobe, CSM, lattice): aberration, "
+        "light_time, refraction, or none.",
+        such=("aberration", "refraction"), left_out="the usual effects of the format",
+    )
     points_seen_once: Literal["error", "drop"] = option(
         "error", ADJUSTMENT, "Refuse check and tie points with a single image point, or drop them."
     )

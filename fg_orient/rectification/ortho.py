@@ -331,6 +331,7 @@ def rectify_image(
     result: Path | None = None, image_id: str = "", crs: str = "", resolution: float | None = None,
     bounds: Bounds | None = None, options: OrthoOptions | None = None, overwrite: bool = False,
     progress: Progress | None = None, extrapolate_attitude_s: float = 0.0,
+    light: tuple[str, ...] = (),
 ) -> dict[str, Any]:  # fmt: skip
     """Orthorectify an image.
 
@@ -350,7 +351,7 @@ def rectify_image(
         Coordinate system of the map; default that of the transformation or of the DEM.
     resolution, bounds, options, overwrite, progress
         See :func:`fg_orient.rectification.ortho.orthorectify`.
-    extrapolate_attitude_s : float
+    extrapolate_attitude_s, light
         See :func:`fg_orient.formats.sensor.read_sensor`.
 
     Returns
@@ -384,7 +385,7 @@ def rectify_image(
         raise InputError.of("ortho.no_heights", file=model, option="dem")
     if geometry is None:
         chosen = _system(crs or (surface.crs if isinstance(surface, RasterDem) else ""), image)
-        sensor = read_sensor(model, extrapolate_attitude_s=extrapolate_attitude_s)
+        sensor = read_sensor(model, extrapolate_attitude_s=extrapolate_attitude_s, light=light)
         correction = None if result is None else read_correction(result, sensor, image_id)
         geometry = SensorModel(sensor, correction, chosen, _top(surface, sensor, chosen, bounds))
     record = orthorectify(image, geometry, surface, out, crs=chosen, resolution=resolution, bounds=bounds,

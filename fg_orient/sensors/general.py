@@ -11,6 +11,9 @@ correction of 1 km or 1e-3 rad changes it by less than 1e-8 rad).
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -18,10 +21,21 @@ from factors.arrays import Array
 from factors.cameras import look
 from factors.geometry import ellipsoid, interpolation, light, orbital, polynomials, rotations
 from fg_orient.model.errors import Finding, InputError
+from fg_orient.sensors.base import ImageModel
 from fg_orient.sensors.correction import Correction, HeightSurface
-from fg_orient.sensors.metadata import AngleAttitude, GeneralMetadata, QuaternionList, QuaternionPolynomial
-from fg_orient.sensors.pushbroom import LineStates, PushbroomSensor
+from fg_orient.sensors.light_sizes import light_sizes
+from fg_orient.sensors.metadata import (
+    AngleAttitude,
+    GeneralMetadata,
+    LightEffects,
+    QuaternionList,
+    QuaternionPolynomial,
+)
+from fg_orient.sensors.pushbroom import LineStates, PushbroomModel, PushbroomSensor
 from fg_orient.sensors.surface import landed
+
+if TYPE_CHECKING:
+    from fg_orient.model.block import Options
 
 #: Iterations of ground point, distance and line of sight: on slopes the error is 0.3 mm after two, 1e-7 m after three.
 _ROUNDS = 3
@@ -52,6 +66,14 @@ class GeneralPushbroom(PushbroomSensor):
     def _bind_attitude(self, seconds: float) -> tuple[Finding, ...]:
         self.states([0.0, self.n_lines - 1.0])
         return ()
+
+    def with_effects(self, effects: LightEffects) -> GeneralPushbroom:
+        """Sensor of the same image with other effects on light."""
+        return GeneralPushbroom(replace(self.metadata, effects=effects))
+
+    def image_model(self, options: Options) -> ImageModel:
+        """See :class:`GeneralModel`."""
+        return GeneralModel(self, options)
 
     # --- the chain ---------------------------------------------------------------------------
 
@@ -90,8 +112,7 @@ class GeneralPushbroom(PushbroomSensor):
             angles = interpolation.linear(source.time_s, source.angles_rad, t)
             return np.asarray(frame @ orbital.attitude_matrices(angles))
         assert isinstance(source, QuaternionList)  # a description contains lists
-        q = interpolation.quaternion_linear(source.time_s, source.quaternion, t)
-        matrices = rotations.quaternion_matrices(np.ascontiguousarray(q))
+        matrices = rotations.quaternion_matrices(np.ascontiguousarray(source.at(t)))
         return matrices if source.frame == "ITRF" else np.asarray(self._earth(t) @ matrices)
 
     def states(self, line: npt.ArrayLike) -> LineStates:
@@ -160,3 +181,13 @@ class GeneralPushbroom(PushbroomSensor):
             ground = landed(p, u, height_m, dem, (line, sample), self.file)
             to_ground = ground - self.states(line).position_m
         return ground
+
+
+class GeneralModel(PushbroomModel):
+    """Image model of a general pushbroom: the model of every pushbroom, with the sizes of the effects on light."""
+
+    sensor: GeneralPushbroom
+
+    def facts(self) -> dict[str, Any]:
+        """Entries of every pushbroom and ``light``, see :func:`fg_orient.sensors.light_sizes.light_sizes`."""
+        return super().facts() | {"light": light_sizes(self.sensor)}

@@ -12,19 +12,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
 from factors.arrays import Array
 from factors.cameras import look
-from factors.geometry import polynomials
+from factors.geometry import interpolation, polynomials
 from fg_orient.model.errors import Finding
 from fg_orient.sensors.earth_rotation import EarthRotation
 
 Frame = Literal["ITRF", "GCRS", "EME2000"]
 #: Target frame of attitudes: an orbital frame, or a frame of the Earth or of the stars.
 AttitudeFrame = Literal["orbital", "ITRF", "GCRS", "EME2000"]
+#: Interpolation of states in time. usual: Lagrange through the eight nearest samples, quaternions linear. lagrange:
+#: quaternions as well. centred: Lagrange for both with as many samples before as after the time, up to eight, fewer
+#: near the ends of the list (CSM line-scan states).
+Scheme = Literal["usual", "lagrange", "centred"]
+#: Difference of two line times, in lines, that is rounding.
+SAME_LINE: Final = 1e-6
 #: Definition of the orbital frame: from position and Earth-fixed or inertial velocity, or from Kepler angles.
 OrbitalFrame = Literal["earth-fixed velocity", "inertial velocity", "kepler"]
 
@@ -37,6 +43,38 @@ class LineTiming:
     reference_time_s: float
     line_period_s: float
 
+    def time_s(self, line: Array) -> Array:
+        """Times of N lines, s."""
+        return np.asarray(self.reference_time_s + self.line_period_s * (line - self.reference_line))
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentTiming(LineTiming):
+    """``t(line) = start_time_s[k] + period_s[k] (line - start_line[k])``, k the last segment that has begun.
+
+    ``start_line``, ``start_time_s``, ``period_s`` (n,), lines increasing; the first segment also applies before its
+    start. The fields of :class:`LineTiming` describe the first segment.
+    """
+
+    start_line: Array
+    start_time_s: Array
+    period_s: Array
+
+    @classmethod
+    def of(cls, start_line: Array, start_time_s: Array, period_s: Array) -> LineTiming:
+        """Timing of n segments; one rate, without jumps, is a plain :class:`LineTiming`."""
+        first = float(start_line[0]), float(start_time_s[0]), float(period_s[0])
+        plain = LineTiming(*first)
+        off_lines = (plain.time_s(start_line) - start_time_s) / period_s
+        if np.abs(off_lines).max() < SAME_LINE and np.abs(period_s / period_s[0] - 1.0).max() < SAME_LINE * 1e-4:
+            return plain
+        return cls(*first, start_line, start_time_s, period_s)
+
+    def time_s(self, line: Array) -> Array:
+        """Times of N lines, s."""
+        k = np.clip(np.searchsorted(self.start_line, line, side="right") - 1, 0, None)
+        return np.asarray(self.start_time_s[k] + self.period_s[k] * (line - self.start_line[k]))
+
 
 @dataclass(frozen=True)
 class Ephemeris:
@@ -46,6 +84,14 @@ class Ephemeris:
     position_m: Array
     velocity_m_s: Array
     frame: Frame = "ITRF"
+    scheme: Scheme = "usual"
+
+    def at(self, time_s: Array) -> Array:
+        """Position and velocity (N, 6) at N times."""
+        samples = np.hstack([self.position_m, self.velocity_m_s])
+        if self.scheme == "centred":
+            return interpolation.centred(self.time_s, samples, time_s)
+        return interpolation.lagrange(self.time_s, samples, time_s)
 
 
 @dataclass(frozen=True)
@@ -64,13 +110,22 @@ class AngleAttitude:
 class QuaternionList:
     """Sampled quaternions body to ``frame``, scalar part first: ``time_s`` (n,), ``quaternion`` (n, 4).
 
-    They are linear in time and then normalised. Signs are aligned (``factors.geometry.interpolation.sign_aligned``):
-    neighbours have a positive product.
+    They are interpolated component by component and then normalised. Signs are aligned
+    (``factors.geometry.interpolation.sign_aligned``): neighbours have a positive product.
     """
 
     time_s: Array
     quaternion: Array
     frame: Frame = "ITRF"
+    scheme: Scheme = "usual"
+
+    def at(self, time_s: Array) -> Array:
+        """Unit quaternions (N, 4) at N times."""
+        if self.scheme == "usual":
+            return interpolation.quaternion_linear(self.time_s, self.quaternion, time_s)
+        scheme = interpolation.centred if self.scheme == "centred" else interpolation.lagrange
+        q = scheme(self.time_s, self.quaternion, time_s)
+        return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))
 
 
 @dataclass(frozen=True)

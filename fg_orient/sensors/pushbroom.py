@@ -121,8 +121,7 @@ class PushbroomSensor(Sensor):
         self.notes: tuple[Finding, ...] = metadata.notes + self._bind_attitude(extrapolate_attitude_s)
 
     def _line_time(self, line: Array) -> Array:
-        timing = self.metadata.timing
-        return np.asarray(timing.reference_time_s + timing.line_period_s * (line - timing.reference_line))
+        return self.metadata.timing.time_s(line)
 
     def _bind_attitude(self, seconds: float) -> tuple[Finding, ...]:
         """Check the ephemeris, extrapolate the attitudes and restrict the lines to them; notes state both."""
@@ -193,8 +192,7 @@ class PushbroomSensor(Sensor):
 
     def _orbit(self, t: Array) -> tuple[Array, Array]:
         """Position and velocity (N, 3) of the state vectors at N times."""
-        orbit = self.metadata.ephemeris
-        state = interpolation.lagrange(orbit.time_s, np.hstack([orbit.position_m, orbit.velocity_m_s]), t)
+        state = self.metadata.ephemeris.at(t)
         return state[:, :3], state[:, 3:]
 
     def _require_listed(self, code: str, line: Array, listed_s: Array, table: str = "") -> None:
@@ -216,7 +214,7 @@ class PushbroomSensor(Sensor):
             angles = interpolation.linear(source.time_s, source.angles_rad, t)
             return angles, np.broadcast_to(np.eye(3), (len(t), 3, 3))
         if isinstance(source, QuaternionList):
-            q = interpolation.quaternion_linear(source.time_s, source.quaternion, t)
+            q = source.at(t)
         else:
             q = interpolation.quaternion_polynomial(source.coefficients, source.offset_s, source.scale_s, t)
         ecef_from_body = rotations.quaternion_matrices(q) @ V2_BODY_FROM_BODY

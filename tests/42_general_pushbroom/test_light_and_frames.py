@@ -72,11 +72,13 @@ def test_light_time_is_the_earth_at_emission() -> None:
     assert 1.0 < np.linalg.norm(shift) < 1.5
 
 
-@pytest.mark.oracle
-@pytest.mark.parametrize(("zenith_deg", "bound_m"), [(0.0, 1e-6), (15.0, 0.01), (30.0, 0.02), (45.0, 0.06)])
-def test_refraction_against_a_traced_ray(zenith_deg: float, bound_m: float) -> None:
-    """Snell's law through 4000 spherical shells of the standard atmosphere, n r sin z constant; 1 % of the shift."""
-    h = np.linspace(0.0, 80_000.0, 8001)
+def traced_shift_m(zenith_deg: float, ground_m: float) -> tuple[float, np.ndarray, np.ndarray]:
+    """Ray through spherical shells of the standard atmosphere: n r sin z is constant (Snell's law).
+
+    Returns the distance on the ground from the end of the straight line of sight to the end of the bent one, and the
+    direction (2,) and vertical (2,) at the end of the straight line.
+    """
+    h = np.linspace(ground_m, 85_000.0, 17_001)
     t = np.where(h < 11_000.0, 288.15 - 0.0065 * h, 216.65)
     pressure = np.where(h < 11_000.0, 101_325.0 * (t / 288.15) ** 5.25588,
                         22_632.0 * np.exp(-(h - 11_000.0) / 6341.6))  # fmt: skip
@@ -84,19 +86,27 @@ def test_refraction_against_a_traced_ray(zenith_deg: float, bound_m: float) -> N
     r = 6_371_000.0 + h
     z = np.radians(zenith_deg)  # at the ground
     sine = n[0] * r[0] * np.sin(z) / (n * r)
-    angle = np.trapezoid(sine / np.sqrt(1.0 - sine**2) / r, r)  # at the centre, ground to 80 km
+    angle = np.trapezoid(sine / np.sqrt(1.0 - sine**2) / r, r)  # at the centre, ground to 85 km
     top = r[-1] * np.array([np.sin(angle), np.cos(angle)])
     out = angle + np.arcsin(r[0] * n[0] * np.sin(z) / (n[-1] * r[-1]))  # direction of the ray in space
     u = -np.array([np.sin(out), np.cos(out)])
     # where the straight sight meets the ground, and where the bent one does: (0, r0)
     b, c = u @ top, top @ top - r[0] ** 2
     straight = top + (-b - np.sqrt(b * b - c)) * u
-    expected = np.arctan2(straight[0], straight[1]) * r[0]
-    direction = np.array([[u[0], 0.0, u[1]]])
-    up = np.array([[straight[0], 0.0, straight[1]]]) / r[0]
-    shift = light.refraction_shift(direction, up, np.zeros(1))[0]
-    assert -shift[0] == pytest.approx(expected, abs=bound_m)
-    assert zenith_deg == 0.0 or abs(expected) > 0.5
+    return float(np.arctan2(straight[0], straight[1]) * r[0]), u, straight / r[0]
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("ground_m", [0.0, 2000.0, 4000.0])
+@pytest.mark.parametrize("zenith_deg", [5.0, 15.0, 30.0, 45.0, 60.0])
+def test_refraction_against_a_traced_ray(zenith_deg: float, ground_m: float) -> None:
+    expected, u, up = traced_shift_m(zenith_deg, ground_m)
+    direction, vertical = np.array([[u[0], 0.0, u[1]]]), np.array([[up[0], 0.0, up[1]]])
+    shift = light.refraction_shift(direction, vertical, np.array([ground_m]))[0]
+    assert -shift[0] == pytest.approx(expected, rel=0.01)
+    assert abs(expected) > 0.05
+    nadir = light.refraction_shift(-vertical, vertical, np.array([ground_m]))
+    assert np.abs(nadir).max() < 1e-12
 
 
 def series(days: int = 6) -> EarthOrientation:

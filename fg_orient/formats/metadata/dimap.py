@@ -94,5 +94,5 @@ def read_sensor(path: Path, *, extrapolate_attitude_s: float = 0.0) -> Pushbroom
 
 FORMAT = Format(
     name="dimap-metadata", title="DIMAP metadata", sniff=_is_rigorous, read_image=read_sensor,
-    extrapolates=True,
+    extrapolates=True, beside_rpc=True,
 )  # fmt: skip

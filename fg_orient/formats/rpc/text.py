@@ -130,8 +130,9 @@ def read_rpc_isd(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     section, fields = root.maybe("RPB"), RpcFields(root.file, reading)
     if section is None:
         raise InputError.of("rpc.missing", file=root.file, field="element RPB")
-    spec, image = section.one("SPECID"), section.one("IMAGE")
-    fields.require_order(spec.place, spec.text())
+    spec, image = section.maybe("SPECID"), section.one("IMAGE")
+    if spec is not None:  # the Ames Stereo Pipeline leaves it out
+        fields.require_order(spec.place, spec.text())
     for key, name in _RPB_KEYS.items():
         tag = key.upper()
         node = image.one(f"{tag}List/{tag}") if key.endswith("Coef") else image.maybe(tag)

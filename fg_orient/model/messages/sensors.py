@@ -61,6 +61,16 @@ earth.quaternion: a quaternion must have norm 1 within 1e-4
     -> give the scalar part first, as q0
 earth.two_frames: orbit and attitudes are in two different inertial frames
     -> transform them to one frame
+digitalglobe.numbered: the records of a list must be numbered 1, 2, 3, ...; this one should be {expected}
+    -> use the original file
+digitalglobe.count: the list has {n} records {name}
+    -> the file is truncated or damaged: use the original file
+digitalglobe.distortion: the rigorous model of a camera with optical distortion is not read
+    -> use the RPC of the file: <model> rpc
+digitalglobe.arrays: an image of level 1B has one detector array
+    -> use the RPC of the file: <model> rpc
+lattice.count: the lattice has {n} {what}
+    -> the file is truncated or damaged: use the original file
 earth.seconds: times must be seconds since 0 h UTC of the day of the image
     -> subtract the day
 frame.camera: this value of the camera is not possible
