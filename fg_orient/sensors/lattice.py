@@ -2,7 +2,8 @@
 
 A pushbroom looks with one camera all the time. The directions of row r and column c are therefore ``R_r k_c``: the
 rotations R_r of the rows and the directions k_c of the columns are fitted to the lattice by least squares, and the
-largest difference is stated. The image is then a general pushbroom with the same unknowns as every other one.
+largest difference is stated. Cubic splines lead from row to row and from column to column. The image is then a general
+pushbroom with the same unknowns as every other one.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 MOST_PX: Final = 0.5
 #: Smallest numbers of rows and columns: a cubic.
 LEAST: Final = 4
+#: States between two rows: the splines through the rows become tables that the sensor interpolates.
+DENSE: Final = 40
 _ROUNDS: Final = 3
 
 
@@ -74,16 +77,22 @@ class Lattice:
             The lattice is too small, does not cover the image, or is not the lattice of one camera.
         """
         self._require_cover()
-        time_s = self.line_period_s * self.line
-        velocity = np.gradient(self.position_m, time_s, axis=0, edge_order=2)
-        turns, camera, worst_px = self._factors(velocity)
-        tangents = self._tangents(camera)
-        quaternion = sign_aligned(turns.as_quat()[:, [3, 0, 1, 2]])
+        from scipy.interpolate import CubicSpline
+
+        rows_s = self.line_period_s * self.line
+        orbit = CubicSpline(rows_s, self.position_m)
+        turns, camera, worst_px = self._factors(orbit(rows_s[len(rows_s) // 2], 1))
+        quaternion = CubicSpline(rows_s, sign_aligned(turns.as_quat()[:, [3, 0, 1, 2]]))
+        time_s = np.linspace(rows_s[0], rows_s[-1], DENSE * (len(rows_s) - 1) + 1)
+        sample = np.arange(self.n_samples, dtype=float)
+        tangents = CubicSpline(self.sample, camera[:, :2] / -camera[:, 2:])(sample)
         return GeneralMetadata(
             file=self.file, mission=self.mission, instrument=self.instrument, format=self.format,
             epoch=np.datetime64("1970-01-01", "D"), n_lines=self.n_lines, n_samples=self.n_samples,
-            timing=LineTiming(0.0, 0.0, self.line_period_s), ephemeris=Ephemeris(time_s, self.position_m, velocity),
-            attitude=QuaternionList(time_s, quaternion, scheme="lagrange"), look=tangents, offset_m=np.zeros(3),
+            timing=LineTiming(0.0, 0.0, self.line_period_s),
+            ephemeris=Ephemeris(time_s, orbit(time_s), orbit(time_s, 1)),
+            attitude=QuaternionList(time_s, sign_aligned(quaternion(time_s)), scheme="lagrange"),
+            look=DirectionTable(sample, *np.ascontiguousarray(tangents.T)), offset_m=np.zeros(3),
             mounting=np.eye(3), effects=effects,
             notes=(finding("lattice.fit (note): the lattice of {rows} x {columns} lines of sight is the lattice of one "
                            "camera to {worst_px:.4f} px", rows=len(self.line), columns=len(self.sample),
@@ -109,7 +118,7 @@ class Lattice:
         direction = self.direction / np.linalg.norm(self.direction, axis=2, keepdims=True)
         middle = len(self.line) // 2
         up = -light.unit(direction[middle].mean(axis=0)[None])[0]
-        forward = velocity[middle] - (velocity[middle] @ up) * up
+        forward = velocity - (velocity @ up) * up
         forward /= np.linalg.norm(forward)
         camera = direction[middle] @ np.stack([forward, np.cross(up, forward), up], axis=1)
         for _ in range(_ROUNDS):
@@ -126,11 +135,3 @@ class Lattice:
                 file=self.file, place="directions", value=f"{worst:.3g} px", most=MOST_PX,
             )  # fmt: skip
         return turns, camera, worst
-
-    def _tangents(self, camera: Array) -> DirectionTable:
-        """Directions of every sample: cubic splines through the columns."""
-        from scipy.interpolate import CubicSpline
-
-        sample = np.arange(self.n_samples, dtype=float)
-        tangents = CubicSpline(self.sample, camera[:, :2] / -camera[:, 2:])(sample)
-        return DirectionTable(sample, *np.ascontiguousarray(tangents.T))

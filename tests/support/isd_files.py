@@ -15,19 +15,24 @@ TLC = ((0.0, 0.0), (8000.0, 0.4), (20_000.0, 1.18))
 RADIUS_M, RATE_RAD_S = 6_378_137.0 + 617_000.0, 1.085e-3
 
 
-def states(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, Rotation]:
-    """Earth-fixed positions, velocities (n, 3), and rotations Earth-fixed from spacecraft, at times about 0."""
+def orbit(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Earth-fixed positions and velocities (n, 3) at times about 0."""
     angle = 0.7 + RATE_RAD_S * time_s
     plane = Rotation.from_euler("zx", [1.2, 1.7]).as_matrix()
     turn = np.array([Rotation.from_euler("z", -EARTH_RATE * t).as_matrix() for t in time_s])
     p = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1) * RADIUS_M @ plane.T
     v = np.stack([-np.sin(angle), np.cos(angle), 0.0 * angle], axis=1) * RADIUS_M * RATE_RAD_S @ plane.T
     p, v = np.einsum("nij,nj->ni", turn, p), np.einsum("nij,nj->ni", turn, v)
-    v = v - np.cross([0.0, 0.0, EARTH_RATE], p)
+    return p, v - np.cross([0.0, 0.0, EARTH_RATE], p)
+
+
+def states(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, Rotation]:
+    """Orbit, and rotations Earth-fixed from spacecraft: near the ground point at time -1, then at a constant rate."""
+    p, v = orbit(np.array([-1.0]))
     z, x = -p[0] / np.linalg.norm(p[0]), v[0] / np.linalg.norm(v[0])
     y = np.cross(z, x) / np.linalg.norm(np.cross(z, x))
     start = Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=1)) * Rotation.from_euler("xy", [0.2, -0.15])
-    return p, v, Rotation.from_rotvec(np.outer(time_s, [3e-4, -1.2e-3, 2e-4])) * start
+    return *orbit(time_s), Rotation.from_rotvec(np.outer(time_s, [3e-4, -1.2e-3, 2e-4])) * start
 
 
 def isd_text() -> str:

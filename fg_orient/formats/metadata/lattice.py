@@ -126,7 +126,8 @@ def _grid(cells: Array, file: str) -> tuple[Array, Array, Array]:
     cells = cells[np.lexsort((cells[:, 1], cells[:, 0]))]
     line, sample = np.unique(cells[:, 0]), np.unique(cells[:, 1])
     shape = len(line), len(sample)
-    if len(cells) != shape[0] * shape[1] or np.abs(cells[:, 0].reshape(shape) - line[:, None]).max() > SAME_PX:
+    whole = np.stack(np.meshgrid(line, sample, indexing="ij"), axis=2).reshape(-1, 2)
+    if not np.array_equal(cells[:, :2], whole):
         raise InputError.of("lattice.grid (failure): the pixels of the directions are not a lattice -> give each line "
                             "with each sample once", file=file, place="pixels of the lattice",
                             value=f"{len(cells)} directions of {shape[0]} lines and {shape[1]} samples")  # fmt: skip
