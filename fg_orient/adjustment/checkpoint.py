@@ -23,6 +23,7 @@ from fg_orient.adjustment.loop import Carried, IterationRecord
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import some_rows
 from fg_orient.formats.atomic import write_bytes
+from fg_orient.formats.load import load_npz
 from fg_orient.model.declaration import declared
 from fg_orient.model.errors import InputError
 from fg_orient.model.options import Options
@@ -100,8 +101,7 @@ class Checkpoint:
         if not (self.resume and self.path.exists()):
             return None
         try:
-            with np.load(io.BytesIO(self.path.read_bytes()), allow_pickle=False) as content:
-                arrays = dict(content)
+            arrays = load_npz(self.path, "checkpoint.unreadable")
             if int(arrays["format"]) != FORMAT:
                 raise InputError.of("checkpoint.unreadable", file=self.path, value=f"format {arrays['format']}")
             belongs_to, backend, carried = str(arrays["fingerprint"]), str(arrays["backend"]), _carried(arrays)

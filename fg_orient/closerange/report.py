@@ -5,7 +5,6 @@ The page is made from ``closerange.json`` alone, so that ``fg-orient report DIR`
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Collection, Sequence
 from functools import partial
@@ -18,6 +17,7 @@ from factors.arrays import Array
 from fg_orient.closerange.report_maps import columns, deviation_views, distance_histogram, scene_of, views_of
 from fg_orient.closerange.report_words import KINDS, photo_rows, problems, significant, suspects, unit_of, verdict
 from fg_orient.formats.atomic import write_text
+from fg_orient.formats.load import foreign_bytes, load_json
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Progress
 from fg_orient.report import figures
@@ -216,10 +216,7 @@ def is_closerange(folder: Path) -> bool:
 def read_record(folder: Path) -> dict[str, Any]:
     """Record of a folder; InputError if it is missing or damaged, or of a version that has no report."""
     path = folder / RECORD_FILE
-    try:
-        record = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError.of("report.damaged", file=path, value=error) from None
+    record = load_json(path, "report.damaged")
     if not isinstance(record, dict) or "report" not in record:
         raise InputError.of("report.damaged", file=path, value="written by an earlier version")
     return record
@@ -227,8 +224,10 @@ def read_record(folder: Path) -> dict[str, Any]:
 
 def write_report(folder: str | Path) -> Path:
     """Write ``report.html`` of a close-range folder, whole or not at all; path of the file."""
-    path = Path(folder) / REPORT_FILE
-    write_text(path, render(read_record(Path(folder))))
+    path, record = Path(folder) / REPORT_FILE, read_record(Path(folder))
+    with foreign_bytes("report.damaged", Path(folder) / RECORD_FILE):
+        page = render(record)
+    write_text(path, page)
     return path
 
 

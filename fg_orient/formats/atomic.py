@@ -119,7 +119,8 @@ RESULT_TABLES: Final = in_all_forms("eop", "points", "residuals", "accuracy", "o
 #: Result folder of ``adjust``.
 RESULT: Final = Contents(
     "result.json",
-    ("result.json", *RESULT_TABLES, "iterations.jsonl", "arrays.npz", "covariance.npz", "report.html", "rpc/*_RPC.TXT",
+    ("result.json", *RESULT_TABLES, "iterations.jsonl", "arrays.npz", "covariance.npz", "manifest.json",
+     "report.html", "rpc/*_RPC.TXT",
      "figures/*.svg", "figures/*.pdf", "figures/captions.md"),
 )  # fmt: skip
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal, cast
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.formats.exchange.gis import libraries
+from fg_orient.formats.exchange.gis import libraries, require_plain_layers
 from fg_orient.formats.gdal import plain_case
+from fg_orient.formats.load import foreign_bytes
 from fg_orient.formats.tables import Table, require_table
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind, to_ecef
@@ -77,13 +78,10 @@ def _refuse_sigmas(table: Table, names: Sequence[str], values: Array) -> None:
 
 def _of_geopackage(path: Path, crs: str) -> tuple[list[str], list[str], Array, Array]:
     pyogrio, shapely = libraries(path)
-    if not path.is_file():
-        raise InputError.of("table.missing_file", file=path)
-    try:
-        with plain_case():
-            meta, _, geometry, columns = pyogrio.raw.read(path, layer=LAYER)
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
-        raise InputError.of("interchange.gpkg", file=path, value=str(error).split(";")[0]) from None
+    require_plain_layers(path, (LAYER,), "interchange.gpkg")
+    with foreign_bytes("interchange.gpkg", path), plain_case():
+        meta, _, geometry, columns = pyogrio.raw.read(path, layer=LAYER)
+        shapes = shapely.from_wkb(geometry)
     if meta["crs"] and not same_horizontal(meta["crs"], crs):
         raise InputError.of("interchange.crs_differs", file=path, place="CRS", value=meta["crs"], given=crs)
     fields: dict[str, Any] = dict(zip(meta["fields"], columns, strict=True))
@@ -91,7 +89,7 @@ def _of_geopackage(path: Path, crs: str) -> tuple[list[str], list[str], Array, A
         if column not in fields:
             raise InputError.of("interchange.columns", file=path, place=f"layer {LAYER}", column=column)
     names, kinds, sigmas, vertices = list[str](), list[str](), list[Array](), list[Array]()
-    for k, shape in enumerate(shapely.from_wkb(geometry)):
+    for k, shape in enumerate(shapes):
         kind = "line" if "kind" not in fields or fields["kind"][k] is None else str(fields["kind"][k])
         sigma = np.array([fields[name][k] for name in SIGMAS], float)
         if shape is None or shape.geom_type != "LineString" or not shape.has_z or kind not in KINDS:

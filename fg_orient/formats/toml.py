@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+from fg_orient.formats.load import load_bytes
 from fg_orient.model.declaration import toml
 from fg_orient.model.errors import FgOrientError, InputError
+from fg_orient.model.limits import exceeded, limit
+
+#: Part of a dotted key, and what follows it: the time and memory to read such a key grow with the square of its parts.
+_PART: Final = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
 
 
 def no_project_file(path: Path) -> FgOrientError:
@@ -25,23 +31,30 @@ def parse_toml(path: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        It cannot be read, or is not TOML.
+        It cannot be read, is not TOML, or exceeds a limit.
     """
+    if not path.is_file():
+        raise no_project_file(path)
     try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except (FileNotFoundError, IsADirectoryError):
-        raise no_project_file(path) from None
-    except OSError as error:
-        raise InputError.of("project.unreadable", file=path, value=error.strerror) from None
+        text = load_bytes(path, "toml_bytes", "project.unreadable").decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         byte = f"byte 0x{error.object[error.start]:02x}"
         raise InputError.of("project.encoding", file=path, place=f"line {line}", value=byte) from None
+    most = int(limit("toml_depth"))
+    deep = re.search(rf"{_PART}(?:\.[ \t]*+{_PART}){{{most},}}", text)
+    if deep:
+        place = f"line {text.count(chr(10), 0, deep.start()) + 1}"
+        raise exceeded("toml_depth", f"more than {most} parts", file=path, place=place, unit="levels")
     try:
         return tomllib.loads(text.replace("\r\n", "\n"))
     except tomllib.TOMLDecodeError as error:
         message, _, place = str(error).rstrip(")").rpartition(" (at ")
         raise InputError.of("project.syntax", file=path, place=place, value=message or place) from None
+    except ValueError as error:  # a number with thousands of digits
+        raise InputError.of("project.syntax", file=path, value=error) from None
+    except RecursionError:
+        raise exceeded("toml_depth", "nested arrays or tables", file=path, unit="levels") from None
 
 
 def entries(values: Mapping[str, object]) -> list[str]:

@@ -15,7 +15,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,14 +22,15 @@ from lxml import etree
 
 from factors.arrays import Array
 from fg_orient.formats.columns import finite
-from fg_orient.formats.registry import read_bytes
+from fg_orient.formats.load import load_bytes
 from fg_orient.formats.tables import DECIMAL_COMMA, NUMBER
 from fg_orient.model.errors import InputError
+from fg_orient.model.limits import within_memory
 
 #: No quantity of a metadata file is larger; beyond it squares overflow.
 LARGEST = 1e30
-#: Largest file that is parsed; the largest real product read so far has 2.5 MB.
-MAX_BYTES = 64 * 2**20
+#: Bytes of a parsed document for each mark: half of an element with its texts, an attribute.
+_OBJECTS = {b"<": 200, b"=": 200}
 
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
 _TIME = re.compile(r"([0-9]{4}-[0-9]{2}-[0-9]{2})T([0-9]{2}):([0-9]{2}):([0-9]{2}(?:\.[0-9]+)?)Z?")
@@ -268,15 +268,8 @@ def element(name: str, content: Any) -> etree._Element:
     return made
 
 
-def read_xml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> XmlNode:
-    """Parse a file with the hardened parser and give its root.
-
-    Parameters
-    ----------
-    path : path
-        The file; messages show it as given.
-    max_bytes : int
-        Size limit; raise it for larger files that you trust.
+def read_xml(path: str | os.PathLike[str]) -> XmlNode:
+    """Parse a file with the hardened parser and give its root; messages show the path as given.
 
     Raises
     ------
@@ -284,11 +277,9 @@ def read_xml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> Xml
         The file is missing, unreadable, too large, not XML, malformed, or holds a DOCTYPE.
     """
     file = os.fspath(path)
-    data = read_bytes(path, max_bytes + 1, "xml.unreadable")
-    if len(data) > max_bytes:
-        size = Path(path).stat().st_size
-        raise InputError.of("xml.too_large", file=file, value=f"{size} bytes", limit=max_bytes)
+    data = load_bytes(path, "xml_bytes", "xml.unreadable")
     _refuse_other_content(data, file)
+    within_memory(sum(data.count(mark) * size for mark, size in _OBJECTS.items()), len(data), file=file)
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False,
         dtd_validation=False, huge_tree=False, recover=False,

@@ -32,6 +32,7 @@ from fg_orient.geodesy import (
 )
 from fg_orient.geodesy.heights import with_vertical
 from fg_orient.model.errors import InputError
+from fg_orient.model.limits import within
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -52,6 +53,7 @@ def epsg_code(text: str) -> str:
     ``EPSG:n``, or ``EPSG:n+m`` if it has a vertical part; "" if it is not a CRS of EPSG.
     """
     words = text.strip()
+    within("crs_characters", len(words), place="CRS", unit="characters")
     zone = _UTM.fullmatch(words)
     if zone:
         number = int(zone[1])

@@ -27,6 +27,8 @@ _LONGEST: Final = 80
 DECISIVE: Final = ("doubt", "failure")
 #: Items of a list that a finding keeps.
 _MOST: Final = 50
+#: Control characters but for blanks, marks of the direction of writing, lone surrogates.
+_UNSHOWN: Final = re.compile("[\\x00-\\x08\\x0e-\\x1f\\x7f-\\x9f\\u202a-\\u202e\\u2066-\\u2069\\ud800-\\udfff]")
 _OPTION: Final = re.compile(r"<([a-z][a-z0-9_]*)>")
 
 
@@ -164,7 +166,13 @@ def finding(
     text = str(value)
     seen = text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
     plain = {name: _plain(item) for name, item in data.items()}
-    return Finding(code, CATALOGUE[code].severity, str(file), str(place), seen, str(option), plain)
+    file, place, seen, option = (_shown(str(one)) for one in (file, place, seen, option))
+    return Finding(code, CATALOGUE[code].severity, file, place, seen, option, plain)
+
+
+def _shown(text: str) -> str:
+    """Text with escapes in place of what a terminal cannot show or obeys: control characters, lone surrogates."""
+    return _UNSHOWN.sub(lambda found: found[0].encode("unicode_escape", "surrogatepass").decode(), text)
 
 
 @cache
@@ -181,7 +189,7 @@ def _plain(item: Any) -> Any:
     item = item.item() if hasattr(item, "item") and getattr(item, "ndim", 0) == 0 else item
     if isinstance(item, (list, tuple)):
         return [_plain(one) for one in item[:_MOST]]
-    return item if item is None or type(item) in (bool, int, float, str) else str(item)
+    return item if item is None or type(item) in (bool, int, float) else _shown(str(item))
 
 
 def as_record(findings: Sequence[Finding]) -> dict[str, Any]:

@@ -6,7 +6,6 @@ names of folders are not compared; all other values must agree to the last bit.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from fg_orient.model.installation import versions
 from fg_orient.orientation.run import run_project
 from fg_orient.result.plain import read_table
 from fg_orient.result.provenance import relative
-from fg_orient.result.record import RESULT_FILE
+from fg_orient.result.record import RESULT_FILE, read_record
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.loop import Callback
@@ -137,7 +136,7 @@ def replay(
         start=None if start is None else path.parent / start["folder"],
         start_prior=start is not None and start["prior"],
     )  # fmt: skip
-    n, differences = compare_records(old, json.loads(_text(out)) if new["out"] else new)
+    n, differences = compare_records(old, read_record(out) if new["out"] else new)
     return Replay(
         new["out"], new["status"], tuple(changes.values()), len(known), n, differences,
         compare_tables(folder, out) if new["out"] else {}, _versions(old["provenance"]),
@@ -145,22 +144,16 @@ def replay(
     )  # fmt: skip
 
 
-def _text(folder: Path) -> str:
-    return (folder / RESULT_FILE).read_text("utf-8")
-
-
 def _read(folder: Path) -> tuple[Record, Record]:
     """Record of a result, and its entry for the repetition."""
-    file = folder / RESULT_FILE
-    if not file.is_file():
-        raise InputError.of("report.no_result", file=folder, place="DIR", value=f"no {RESULT_FILE}")
+    record = read_record(folder)
     try:
-        record = json.loads(_text(folder))
         kept = record["provenance"]
         if not all(kept[name] for name in ("inputs", "versions", "repeat", "command")):
             raise KeyError("provenance")
         return record, kept["repeat"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (KeyError, TypeError) as error:
+        file = folder / RESULT_FILE
         raise InputError.of("replay.record", file=file, place="provenance", value=error) from None
 
 

@@ -23,6 +23,7 @@ from fg_orient.orientation.orient import Stage, adjust
 from fg_orient.quality.deficiency import Evidence
 from fg_orient.report import write_page
 from fg_orient.report.pictures import rasters_of
+from fg_orient.result.manifest import write_manifest
 from fg_orient.result.plain import plain
 from fg_orient.result.provenance import ground_system, how_to_repeat
 from fg_orient.result.record import Result, write_record
@@ -138,6 +139,7 @@ def run_project(
         with staged_folder(out, overwrite=overwrite) as staging, writing(out):
             result.write(staging)
             write_page(staging, result)
+            write_manifest(staging, result.record)
     except NoSolutionError as error:
         if any(p.code.startswith("parallel.") for p in error.problems):
             checkpoint.write()  # the workers failed, not the equations
@@ -189,3 +191,4 @@ def _write(folder: Path, result: Result, seconds: dict[str, float], start: float
     write_page(folder, result)
     result.record["seconds"] |= {"report": time.perf_counter() - mark, "total": time.perf_counter() - start}
     write_record(folder, result.record)
+    write_manifest(folder, result.record)

@@ -372,6 +372,7 @@ class Solution(AdjustmentResult):
         from fg_orient.formats.atomic import require_free, staged_folder, writing
         from fg_orient.report import write_page
         from fg_orient.report.pictures import rasters_of
+        from fg_orient.result.manifest import write_manifest
         from fg_orient.result.provenance import ground_system
 
         require_free(Path(folder), overwrite=overwrite)
@@ -381,6 +382,7 @@ class Solution(AdjustmentResult):
             result.record.update(rasters | ground_system(self.block, staging))
             result.write(staging)
             write_page(staging, result)
+            write_manifest(staging, result.record)
         return result
 
     def to_frame(self, table: str = "points") -> pandas.DataFrame:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.formats.atomic import require_free, staged_folder, writing
+from fg_orient.formats.load import load_json
 from fg_orient.formats.tables import require_table
 from fg_orient.model.errors import InputError
 from fg_orient.model.installation import stamp
@@ -97,8 +97,8 @@ def _of_table(path: Path) -> Array:
 
 
 def _of_folder(path: Path) -> tuple[Array, str]:
+    record = load_json(path / "result.json", "rectify.result")
     try:
-        record = json.loads((path / "result.json").read_text("utf-8"))
         rows, way, pruning = record["points"], record["direction"], record["pruning"]
         if way != DIRECTIONS[0]:
             raise InputError.of("rectify.direction", file=path, value=f"{way}: residuals in pixels")
@@ -106,7 +106,7 @@ def _of_folder(path: Path) -> tuple[Array, str]:
         chosen = not check and pruning is not None and len(pruning["dropped"]) > 0
         used = [[row["residual_easting_m"], row["residual_northing_m"]] for row in check or rows]
         differences = np.array(used, float)
-    except (OSError, ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
         raise InputError.of("rectify.result", file=path) from None
     if chosen:
         raise InputError.of("rectify.pruned", file=path, value=f"{len(pruning['dropped'])} point(s) left out")

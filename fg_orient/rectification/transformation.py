@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -16,11 +15,11 @@ import numpy.typing as npt
 from factors._contract import Equation
 from factors.arrays import Array
 from factors.cameras import plane
+from fg_orient.formats.load import load_json
 from fg_orient.model.errors import InputError
 
 SCHEMA: Final = 1
 #: Largest file that can be a transformation.
-_MAX_BYTES: Final = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -263,13 +262,10 @@ def read_transformation(path: Path) -> Transformation:
         It cannot be read or is not a transformation.
     """
     file = path / "transformation.json" if path.is_dir() else path
+    content = load_json(file, "rectify.saved")
     try:
-        if file.stat().st_size > _MAX_BYTES:
-            raise InputError.of("rectify.saved", file=file, value="too large")
-        return _from_dict(json.loads(file.read_text("utf-8")))
-    except OSError as error:
-        raise InputError.of("rectify.saved", file=file, value=error.strerror) from None
-    except (ValueError, KeyError, TypeError, AttributeError):
+        return _from_dict(content)
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
         raise InputError.of("rectify.saved", file=file) from None
 
 

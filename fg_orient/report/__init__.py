@@ -37,17 +37,16 @@ def write_report(folder: str | Path, truth: str | Path | None = None) -> tuple[P
     InputError
         The folder contains no result, or the truth is that of another project.
     """
+    from fg_orient.formats.load import foreign_bytes
     from fg_orient.result.record import read_any_result, read_result
 
-    comparison = None
-    if truth is None:
-        result = read_any_result(Path(folder))
-    else:
-        from fg_orient.report.tables import compare_truth
+    result, comparison = (read_any_result(Path(folder)) if truth is None else read_result(folder)), None
+    with foreign_bytes("report.damaged", folder):
+        if truth is not None:
+            from fg_orient.report.tables import compare_truth
 
-        result = read_result(folder)
-        comparison = compare_truth(result, Path(truth))
-    return write_page(Path(folder), result, comparison), comparison
+            comparison = compare_truth(result, Path(truth))
+        return write_page(Path(folder), result, comparison), comparison
 
 
 def write_page(folder: Path, result: Result, comparison: dict[str, Any] | None = None) -> Path:

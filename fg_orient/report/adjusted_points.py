@@ -22,6 +22,7 @@ from factors.arrays import Array, Mask
 from fg_orient.formats.atomic import require_free_files
 from fg_orient.formats.exchange.gis import GROUND, libraries, write_point_layer
 from fg_orient.formats.heights import ZeroLevel, coordinates_in
+from fg_orient.formats.load import foreign_bytes
 from fg_orient.formats.point_clouds import library, write_las, write_ply
 from fg_orient.formats.table_write import save_table
 from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind
@@ -133,15 +134,23 @@ def export_points(
         libraries(target)
     require_free_files(target, overwrite=overwrite)
     result = read_result(folder)
+    with foreign_bytes("report.damaged", folder):
+        return _export(result, target, Path(folder), chosen, with_codes(crs), geoid)
+
+
+def _export(
+    result: Result, target: Path, folder: Path, chosen: Selection, crs: str, geoid: str | Path | None
+) -> dict[str, Any]:
+    """Write the chosen points of a result; see :func:`export_points`."""
     rows, left_out = chosen.rows(result)
     if not len(rows):
         raise InputError.of("cloud.no_points", file=folder, value=in_words(left_out) or "none in the table")
-    system = _system(result, Path(folder), with_codes(crs), geoid, rows)
+    system = _system(result, folder, crs, geoid, rows)
     ecef = result.points.numbers("x_m", "y_m", "z_m", rows=rows)
     coordinates, heights = coordinates_in(system, ecef) if system.crs else (ecef, "")
     scales = set(result.points.words["sigma_scale"][k] for k in rows.tolist()) - {""}
     record = {
-        "file": str(out), "points": len(rows), "left_out": left_out, "crs": system.crs or None, "heights": heights,
+        "file": str(target), "points": len(rows), "left_out": left_out, "crs": system.crs or None, "heights": heights,
         "sigma_scale": scales.pop() if scales else None, "purpose": PURPOSE, **judged(_findings(result, folder)),
     }  # fmt: skip
     _write(target, result, rows, coordinates, record)

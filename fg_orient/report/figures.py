@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
+from fg_orient.formats.load import foreign_bytes
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Progress
 from fg_orient.report import maps, paper, plots, tables
@@ -128,12 +129,13 @@ def write_figures(
     if unknown := [kind for kind in formats if kind not in FORMATS]:
         raise InputError.of("options.value", place="formats", value=unknown[0], expected=" or ".join(FORMATS))
     result = read_result(Path(folder))
-    tried = planned(result)
-    charts = {name: partial(PLOTS[kind][1], result, images) for name, kind, images in tried}
-    return draw_figures(
-        charts, lambda drawn: captions(result, [one for one in tried if one[0] in drawn]),
-        out or Path(folder) / FOLDER, overwrite=overwrite, formats=formats, progress=progress,
-    )  # fmt: skip
+    with foreign_bytes("report.damaged", folder):
+        tried = planned(result)
+        charts = {name: partial(PLOTS[kind][1], result, images) for name, kind, images in tried}
+        return draw_figures(
+            charts, lambda drawn: captions(result, [one for one in tried if one[0] in drawn]),
+            out or Path(folder) / FOLDER, overwrite=overwrite, formats=formats, progress=progress,
+        )  # fmt: skip
 
 
 def require_matplotlib() -> None:

@@ -22,6 +22,7 @@ from factors.arrays import Array
 from fg_orient.formats.atomic import require_free_files, staged_file, write_text
 from fg_orient.formats.exchange.gis import GPKG_OPTIONS
 from fg_orient.formats.gdal import plain_case
+from fg_orient.formats.load import foreign_bytes
 from fg_orient.formats.table_write import WORDS
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.errors import InputError
@@ -79,11 +80,13 @@ def export(
     result = read_result(folder)
     if not np.isfinite(result.points.numbers("lon_deg", "lat_deg")).all(axis=1).any():
         raise InputError.of("report.no_map", file=folder, option="export")
-    layers = (points(result.points), error_vectors(result.points, vector_scale), footprints(result))
+    with foreign_bytes("report.damaged", folder):
+        layers = (points(result.points), error_vectors(result.points, vector_scale), footprints(result))
+        text = "" if package else geojson(layers)
     if package:
         write_geopackage(target, layers, str(result.record["provenance"]["date_time_utc"]))
     else:
-        write_text(target, geojson(layers))
+        write_text(target, text)
     return {layer.name: len(layer.geometries) for layer in layers}
 
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from fg_orient.model.block import Block
     from fg_orient.sensors.correction import HeightSurface
 
+#: Version of ``manifest.json``, which a folder with this record has.
+MANIFEST_SCHEMA: Final = 1
 #: Files of an earlier result that an adjustment starts from.
 EARLIER: Final = ("result.json", *in_all_forms("eop", "points"), "covariance.npz")
 
@@ -44,6 +46,7 @@ def provenance(block: Block, folder: Path, command: Sequence[str]) -> dict[str, 
     return {
         "inputs": [{"file": relative(source.path, folder), "sha256": source.sha256} for source in block.sources],
         **stamp(command),
+        "manifest": MANIFEST_SCHEMA,
         "platform": f"{platform.system()} {platform.machine()}",
         "options": dataclasses.asdict(block.options),
     }

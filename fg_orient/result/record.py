@@ -6,9 +6,8 @@ A run makes it from a solution (``fg_orient.result.summary.result_of``), writes 
 
 from __future__ import annotations
 
-import json
-import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
@@ -20,10 +19,12 @@ import numpy.typing as npt
 
 from factors.arrays import Array, Index
 from fg_orient.formats.atomic import RESULT
+from fg_orient.formats.load import load_bytes, load_json, load_npz, parse_json
 from fg_orient.formats.table_write import WHOLE, table_file
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import TABLE_FORM, Status
 from fg_orient.result.joint import JointCofactors
+from fg_orient.result.manifest import read_manifest, require_run
 from fg_orient.result.plain import Table, dumps, plain, read_table, table_of_rows
 
 if TYPE_CHECKING:
@@ -163,7 +164,7 @@ class Result:
         return out
 
     def write(self, folder: Path) -> None:
-        """Write all files but the page into an existing folder."""
+        """Write all files into an existing folder, except for the page and the manifest."""
         tables = {**self.tables, "accuracy": self.accuracy} if self.adjusted else self.tables
         for name, table in tables.items():
             table.write(folder / self.file(name))
@@ -268,22 +269,21 @@ def write_record(folder: Path, record: Mapping[str, Any]) -> None:
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """Read ``result.json`` of a result folder.
+    """Read ``result.json`` of a result folder whose files are those of its run.
 
     Raises
     ------
     InputError
-        It is missing or damaged.
+        It is missing or damaged; the folder is a part of a result, or was changed (``fg_orient.result.manifest``).
     """
     path = folder / RESULT_FILE
+    stated = read_manifest(folder)
     if not path.is_file():
         raise InputError.of("report.no_result", file=folder, place="DIR", value=f"no {RESULT_FILE}")
-    try:
-        record = json.loads(path.read_text("utf-8"))
-        if not isinstance(record, dict):
-            raise ValueError("no JSON object")
-    except (OSError, ValueError) as error:
-        raise InputError.of("report.damaged", file=path, value=error) from None
+    record = load_json(path, "report.damaged")
+    if not isinstance(record, dict):
+        raise InputError.of("report.damaged", file=path, value="no JSON object")
+    require_run(folder, stated, record)
     return record
 
 
@@ -302,6 +302,15 @@ def read_result(folder: str | Path) -> Result:
     return result
 
 
+@contextmanager
+def _damaged(file: Callable[[], Path]) -> Iterator[None]:
+    """Errors of content that is not that of a result, as InputErrors of a file."""
+    try:
+        yield
+    except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
+        raise InputError.of("report.damaged", file=file(), value=error or type(error).__name__) from None
+
+
 def read_any_result(folder: Path) -> Result:
     """Read a result folder, also the folder of a block whose unknowns were not determined.
 
@@ -314,29 +323,26 @@ def read_any_result(folder: Path) -> Result:
     names = [name for name in TABLES if (name == START_POINTS) != result.adjusted]
     names += ["outliers"] if table_file(folder, "outliers").is_file() else []
     file = ""
-    try:
+    with _damaged(lambda: folder / file):
         tables = {name: read_table(table_file(folder, name), *TABLES.get(name, ())) for name in names}
         if not result.adjusted:
             return Result(result.record, tables)
-        lines = (folder / (file := ITERATIONS_FILE)).read_text("utf-8").splitlines()
-        iterations = tuple(json.loads(line) for line in lines)
+        lines = load_bytes(folder / (file := ITERATIONS_FILE), "json_bytes", "report.damaged").splitlines()
+        iterations = tuple(parse_json(line, folder / file, "report.damaged") for line in lines)
         arrays = _read_arrays(folder / (file := ARRAYS_FILE), len(result.images))
-        files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.glob("rpc/*"))}
+        paths = sorted(folder.glob("rpc/*_RPC.TXT"))
+        files = {path.relative_to(folder).as_posix(): load_bytes(path, "rpc_bytes") for path in paths}
         joint = None
         if (folder / (file := COVARIANCE_FILE)).is_file():
-            with np.load(folder / file, allow_pickle=False) as stored:
-                joint = JointCofactors.of_arrays(stored)
+            joint = JointCofactors.of_arrays(load_npz(folder / file, "report.damaged"))
         return Result(result.record, tables, iterations, arrays, files, joint)
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError.of("report.damaged", file=folder / file, value=error) from None
 
 
 def _read_arrays(path: Path, n_images: int) -> dict[str, npt.NDArray[Any]]:
     """Return the arrays of a result; empty if the file does not exist."""
     if not path.is_file():
         return {}
-    with np.load(path, allow_pickle=False) as stored:
-        arrays = dict(stored)
+    arrays = load_npz(path, "report.damaged")
     if len(arrays["n_parameters"]) != n_images or len(arrays["image_cofactors"]) != n_images:
         raise ValueError(f"not of {n_images} images")
     return arrays

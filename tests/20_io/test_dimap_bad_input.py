@@ -83,7 +83,7 @@ CHANGES_2 = [
 #: Codes raised elsewhere: files below, raw attitudes and writers in their own modules.
 ELSEWHERE = {
     "dimap.speed_span", "dimap.speed_gap", "dimap.anchor", "dimap.not_writable", "dimap.other_format",
-    "xml.missing_file", "xml.not_a_file", "xml.unreadable", "xml.too_large", "xml.empty_file", "xml.not_xml",
+    "xml.missing_file", "xml.not_a_file", "xml.unreadable", "xml.empty_file", "xml.not_xml",
     "xml.html", "xml.malformed", "xml.doctype",
 }  # fmt: skip
 
@@ -194,11 +194,15 @@ def test_truncated_file_is_refused_with_its_line(dim1: Path, refused: Refused, p
     assert abs(line_of(problem) - (cut.count(b"\n") + 1)) <= 1
 
 
-def test_size_limit_holds_before_parsing_and_can_be_raised(dim1: Path, refused: Refused) -> None:
+def test_size_limit_holds_before_parsing_and_can_be_raised(
+    dim1: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
+) -> None:
     size = dim1.stat().st_size
-    problem = refused(dim1, "xml.too_large", value=f"{size} bytes", max_bytes=size - 1)
-    assert "max_bytes" in problem.remedy
-    assert read_dimap(dim1, max_bytes=size).mission == "SPOT 5"
+    monkeypatch.setenv("FG_ORIENT_LIMITS", f"xml_bytes={size - 1}")
+    problem = refused(dim1, "limits.exceeded", value=f"{size} bytes")
+    assert 'FG_ORIENT_LIMITS="xml_bytes=' in problem.remedy
+    monkeypatch.setenv("FG_ORIENT_LIMITS", f"xml_bytes={size}, memory_factor=1e3")
+    assert read_dimap(dim1).mission == "SPOT 5"
 
 
 ATTACKS = {

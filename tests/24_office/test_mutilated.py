@@ -155,26 +155,23 @@ def repacked(path: Path, change: Callable[[str, bytes], bytes]) -> None:
 
 def test_bombs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Small files that unpack to much, or state a huge sheet, are refused before they are in memory."""
-    from fg_orient.formats.office import workbook
-
-    monkeypatch.setattr(workbook, "MAX_BYTES", 4_000_000)
-    monkeypatch.setattr(workbook, "MAX_CELLS", 100_000)
+    monkeypatch.setenv("FG_ORIENT_LIMITS", "workbook_bytes=4e6 workbook_cells=1e5")
     path = folder / "a.xlsx"
     write_xlsx(path, A=points())
     repacked(path, lambda name, data: data + b" " * (5_000_000 * name.endswith("sheet1.xml")))
     assert path.stat().st_size < 20_000
-    assert "too large" in refused(folder)
+    assert "exceeds the limit of" in refused(folder)
     last = b'<row r="1048576"><c r="XFD1048576"><v>1</v></c></row></sheetData>'
     write_xlsx(path, A=points())
     repacked(path, lambda name, data: data.replace(b"</sheetData>", last))
-    assert "too large" in refused(folder)
+    assert "exceeds the limit of" in refused(folder)
     path.unlink()
     path = folder / "a.ods"
     for times in (b"2000000000", b"200000"):
         write_ods(path, A=points())
         long = b'<table:table-cell table:number-columns-repeated="' + times + b'" office'
         repacked(path, lambda _, data, long=long: data.replace(b"<table:table-cell office", long, 1))  # type: ignore[misc]
-        assert re.search("too large|damaged", refused(folder))
+        assert re.search("exceeds the limit|damaged", refused(folder))
     write_ods(path, A=points())
     repacked(path, lambda _, data: data.replace(b"?>", b'?><!DOCTYPE a [<!ENTITY b "c">]>', 1))
     assert "damaged" in refused(folder)

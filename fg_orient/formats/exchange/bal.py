@@ -45,6 +45,10 @@ from fg_orient.sensors.interior import Interior, converted
 _BEYOND: Final = {2: "k3", 3: "p1", 4: "p2"}
 
 
+#: No image point is farther from the middle of its image.
+FARTHEST_PX: Final = 1e9
+
+
 @dataclass(frozen=True, eq=False)
 class BalData:
     """Contents of a file, in its own conventions.
@@ -247,6 +251,9 @@ def _parse(raw: bytes, file: str) -> BalData:
     bad = np.argwhere((observed[:, :2] < 0) | (observed[:, :2] >= limits) | (observed[:, :2] % 1 != 0))
     if len(bad):
         _refuse(text, file, 3 + 4 * int(bad[0, 0]) + int(bad[0, 1]), "bal.index", last=int(limits[bad[0, 1]]) - 1)
+    far = np.argwhere(np.abs(observed[:, 2:]) > FARTHEST_PX)
+    if len(far):
+        _refuse(text, file, 5 + 4 * int(far[0, 0]) + int(far[0, 1]), "bal.number")
     cameras = values[4 * n : 4 * n + N_CAMERA * m].reshape(-1, N_CAMERA)
     short = np.flatnonzero(cameras[:, 6] <= 0.0)
     if len(short):

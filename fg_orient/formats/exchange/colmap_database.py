@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import quote
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +22,7 @@ from fg_orient.formats.atomic import staged_file
 from fg_orient.formats.exchange.colmap_text import FIRST_PIXEL
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.ties import matched_survey, pairs_of
+from fg_orient.formats.load import open_sqlite
 from fg_orient.formats.registry import TIES_ONLY, Format, Settings
 from fg_orient.model.errors import Finding, InputError, finding
 
@@ -32,6 +32,8 @@ PAIR: Final = 2147483647
 SIMPLE_PINHOLE: Final = 0
 #: Focal length of an unknown camera in longer sides of the image, as COLMAP guesses it.
 FOCAL_GUESS: Final = 1.2
+#: Tables that are read.
+_TABLES: Final = ("images", "keypoints", "matches", "two_view_geometries")
 _SCHEMA: Final = """
 CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, model INTEGER NOT NULL,
     width INTEGER NOT NULL, height INTEGER NOT NULL, params BLOB, prior_focal_length INTEGER NOT NULL);
@@ -51,11 +53,8 @@ def read_colmap_database(path: str | Path) -> Survey:
     path = Path(path)
     if not path.is_file():
         raise InputError.of("ties.missing", file=path.name, value=str(path), needed="a database of COLMAP")
-    try:
-        with closing(sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro", uri=True)) as opened:
-            return _read_database(opened, path.name)
-    except (sqlite3.Error, TypeError) as error:  # columns of SQLite may have any type
-        raise InputError.of("colmap.database", file=path.name, value=error) from None
+    with open_sqlite(path, _TABLES, "colmap.database") as opened:
+        return _read_database(opened, path.name)
 
 
 def _read_database(opened: sqlite3.Connection, file: str) -> Survey:

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -21,11 +22,10 @@ import numpy.typing as npt
 from factors.arrays import Array
 from fg_orient.formats.atomic import staged_file, write_text
 from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
-from fg_orient.formats.faults import Faults
 from fg_orient.formats.gdal import plain_case
+from fg_orient.formats.load import foreign_bytes, load_json, open_sqlite
 from fg_orient.formats.points import COLUMNS, SIGMA_COLUMNS
 from fg_orient.formats.registry import Format, Holds, Settings
-from fg_orient.formats.text_files import read_text
 from fg_orient.geodesy.crs import WGS84, same_horizontal
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
@@ -48,17 +48,7 @@ def read_geojson(paths: tuple[Path, ...], settings: Settings) -> Survey:
 
 def _content(path: Path) -> dict[str, Any]:
     """The collection; nan, infinity and other content than a collection in WGS84 are refused."""
-    faults = Faults(str(path))
-    text = read_text(path, faults)
-    faults.raise_if_any()
-
-    def refuse(word: str) -> NoReturn:
-        raise InputError.of("interchange.json", file=path, value=word)
-
-    try:
-        content = json.loads(text or "", parse_constant=refuse)
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise InputError.of("interchange.json", file=path, value=error) from None
+    content = load_json(path, "interchange.json")
     if not isinstance(content, dict) or not isinstance(content.get("features"), list):
         what = "it has no list of features"
         raise InputError.of("interchange.geojson", file=path, value=type(content).__name__, what=what)
@@ -157,22 +147,30 @@ def read_geopackage(paths: tuple[Path, ...], settings: Settings) -> Survey:
     """Read both layers; the second may be missing."""
     path = paths[0]
     pyogrio, shapely = libraries(path)
-    if not path.is_file():
-        raise InputError.of("table.missing_file", file=path)
-    try:
-        with plain_case():
-            layers = [str(name) for name, _ in pyogrio.list_layers(path)]
-            ground = _layer(pyogrio, path, GROUND) if GROUND in layers else None
-            image = _layer(pyogrio, path, IMAGE) if IMAGE in layers else None
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
-        raise InputError.of("interchange.gpkg", file=path, value=str(error).split(";")[0]) from None
-    if ground is None or "id" not in ground[2]:
+    require_plain_layers(path, (GROUND, IMAGE), "interchange.gpkg")
+    with foreign_bytes("interchange.gpkg", path), plain_case():
+        layers = [str(name) for name, _ in pyogrio.list_layers(path)]
+        ground = _layer(pyogrio, path, GROUND) if GROUND in layers else None
+        image = _layer(pyogrio, path, IMAGE) if IMAGE in layers else None
+    if ground is None or "id" not in ground[2] or ground[1] is None:
         raise InputError.of("interchange.layer", file=path, value=", ".join(layers), layer=GROUND)
     gathered = Gathering(path, settings.crs, ground[0]["crs"] or "")
-    _take_ground(gathered, shapely.from_wkb(ground[1]), ground[2])
-    if image is not None:
-        _take_image(gathered, image[2], path)
+    with foreign_bytes("interchange.gpkg", path):
+        _take_ground(gathered, shapely.from_wkb(ground[1]), ground[2])
+        if image is not None:
+            _take_image(gathered, image[2], path)
     return gathered.finished()
+
+
+def require_plain_layers(path: Path, layers: Sequence[str], code: str) -> None:
+    """Refuse a GeoPackage that is no database, or whose layers are views: GDAL would run what they contain.
+
+    GDAL reads a file by its content, whatever its name: other content may refer to other files and to addresses.
+    """
+    if not path.is_file():
+        raise InputError.of("table.missing_file", file=path)
+    with open_sqlite(path, layers, code):
+        pass
 
 
 def _take_ground(gathered: Gathering, geometry: Any, columns: dict[str, Any]) -> None:

@@ -8,11 +8,10 @@ from __future__ import annotations
 import bz2
 import gzip
 import re
-import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from typing import Any, Final, Literal, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +20,17 @@ from factors.arrays import Array, Index
 from fg_orient.formats.atomic import writing
 from fg_orient.formats.columns import finite
 from fg_orient.formats.faults import Faults
+from fg_orient.formats.load import foreign_bytes
 from fg_orient.formats.table_write import quoted
 from fg_orient.formats.tables import Row, number
 from fg_orient.formats.text_files import delimited, read_text
 from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.limits import within_memory
 
 Separator = Literal["comma", "blank", "either"]
+#: Bytes that are unpacked at once, and memory for each of them with the numbers read from it.
+_CHUNK: Final = 1 << 20
+_UNPACKED: Final = 5
 
 
 def cells_of(path: Path, faults: Faults, separator: Separator) -> list[tuple[int, list[str]]]:
@@ -229,10 +233,17 @@ def read_packed(path: Path, code: str) -> bytes:
 
     InputError with this ``code`` if it cannot be read.
     """
-    try:
-        raw = path.read_bytes()
-        if raw[:2] == b"\x1f\x8b":
-            return gzip.decompress(raw)
-        return bz2.decompress(raw) if raw[:3] == b"BZh" else raw
-    except (OSError, EOFError, ValueError, zlib.error) as error:
-        raise InputError.of(code, file=path.name, value=error) from None
+    if not path.is_file():
+        raise InputError.of(code, file=path.name, value="no such file")
+    with foreign_bytes(code, path.name), path.open("rb") as stream:
+        head, size = stream.read(3), path.stat().st_size
+        stream.seek(0)
+        if head[:2] != b"\x1f\x8b" and head != b"BZh":
+            return stream.read()
+        parts, total = [], 0
+        with (bz2.open if head == b"BZh" else gzip.open)(stream, "rb") as packed:
+            while data := packed.read(_CHUNK):
+                total += len(data)
+                within_memory(_UNPACKED * total, size, file=path.name)
+                parts.append(data)
+        return b"".join(parts)

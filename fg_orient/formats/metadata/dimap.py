@@ -12,7 +12,7 @@ from pathlib import Path
 from fg_orient.formats import dimap1, dimap2
 from fg_orient.formats.registry import Format, xml_root
 from fg_orient.formats.rpc.dimap import is_rpc
-from fg_orient.formats.xml import MAX_BYTES, read_xml
+from fg_orient.formats.xml import read_xml
 from fg_orient.sensors.metadata import PushbroomMetadata
 from fg_orient.sensors.pushbroom import PushbroomSensor
 
@@ -27,7 +27,7 @@ _PROFILE_PREFIXES = {
 }  # fmt: skip
 
 
-def read_dimap(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> PushbroomMetadata:
+def read_dimap(path: str | os.PathLike[str]) -> PushbroomMetadata:
     """Read the rigorous model from a DIMAP metadata file.
 
     Parameters
@@ -35,8 +35,6 @@ def read_dimap(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> P
     path : path
         ``METADATA.DIM`` of a SPOT 1-5 level 1A scene, or ``DIM_*.XML`` of a Pléiades 1A/1B or
         SPOT 6/7 sensor product, or ``PHRDIMAP_*.XML`` of CNES.
-    max_bytes : int
-        Size limit of the file.
 
     Returns
     -------
@@ -50,7 +48,7 @@ def read_dimap(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> P
     OutOfTimeRange
         Angular speeds (SPOT 1 to 4) do not cover more than 0.2 s of the image.
     """
-    root = read_xml(path, max_bytes=max_bytes)
+    root = read_xml(path)
     if root.tag == dimap2.PHR_ROOT:
         return dimap2.read_dimap_phr(root)
     if root.tag != "Dimap_Document":

@@ -54,7 +54,7 @@ def _adjusted(sensor: XmlNode) -> XmlNode | None:
 def _side(size: XmlNode, name: str) -> int:
     """Number of lines or samples."""
     text = size.element.get(name, "")
-    if not (text.isascii() and text.isdigit() and 0 < int(text) <= LARGEST_SIDE):
+    if not (text.isascii() and text.isdigit() and len(text) < 10 and 0 < int(text) <= LARGEST_SIDE):
         raise size.fault("metashape.size", f"{name} = {text!r}")
     return int(text)
 

@@ -10,15 +10,19 @@ from typing import Any, Final
 import numpy as np
 
 from fg_orient.formats.gdal import plain_case
+from fg_orient.formats.load import foreign_bytes, open_sqlite, require_plain
 from fg_orient.formats.office.decisions import Assumption
 from fg_orient.formats.office.texts import rows_of
 from fg_orient.formats.office.workbook import Cell, Rows, read_workbook
+from fg_orient.formats.registry import read_bytes
 from fg_orient.model.errors import InputError
 
 #: Ends of the names of files that may hold tables.
 TEXTS: Final = (".csv", ".txt", ".tsv", ".dat", ".xyz", ".asc", ".prn", ".gcp")
 WORKBOOKS: Final = (".xlsx", ".xlsm", ".ods")
 LAYERS: Final = (".gpkg", ".shp")
+#: First bytes of a Shapefile.
+SHAPEFILE_MARK: Final = b"\x00\x00\x27\x0a"
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,13 +99,22 @@ def _layers(path: Path) -> list[Sheet]:
 
     pyogrio, shapely = libraries(path)
     sheets = []
-    try:
-        with plain_case():
-            for name, kind in pyogrio.list_layers(path):
-                sheets.append(_layer(path, str(name), kind, pyogrio, shapely))
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, pyogrio.errors.FeatureError) as error:
-        raise InputError.of("office.layer", file=path, value=str(error).split(";")[0]) from None
+    with foreign_bytes("office.layer", path), plain_case():
+        _require_plain(path)
+        for name, kind in pyogrio.list_layers(path):
+            sheets.append(_layer(path, str(name), kind, pyogrio, shapely))
     return sheets
+
+
+def _require_plain(path: Path) -> None:
+    """Refuse a file whose content is not that of its name, or whose layers are views: GDAL would read what it names."""
+    if path.suffix.lower() == ".shp":
+        if read_bytes(path, 4) != SHAPEFILE_MARK:
+            raise ValueError("it is not a Shapefile")
+        return
+    with open_sqlite(path, (), "office.layer") as opened:
+        names = [str(name) for (name,) in opened.execute("SELECT table_name FROM gpkg_contents")]
+        require_plain(opened, names)
 
 
 def _layer(path: Path, name: str, kind: str | None, pyogrio: Any, shapely: Any) -> Sheet:

@@ -8,19 +8,20 @@ from __future__ import annotations
 
 import copy
 import zipfile
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, Final
 
 from lxml import etree
 
+from fg_orient.formats.load import foreign_bytes
 from fg_orient.model.errors import InputError
+from fg_orient.model.limits import limit, within, within_memory
 
-#: Largest unpacked workbook, bytes; most cells and rows of a sheet, blank ones between others included.
-MAX_BYTES: Final = 256_000_000
-MAX_CELLS: Final = 5_000_000
 _CHUNK: Final = 1 << 20
+#: Bytes of memory of a cell, and of an unpacked byte, at most.
+_CELL: Final = 100
+_BYTE: Final = 2
 _OFFICE: Final = "{urn:oasis:names:tc:opendocument:xmlns:office:1.0}"
 _TABLE: Final = "{urn:oasis:names:tc:opendocument:xmlns:table:1.0}"
 _TEXT: Final = "{urn:oasis:names:tc:opendocument:xmlns:text:1.0}"
@@ -37,33 +38,29 @@ def read_workbook(path: Path) -> dict[str, Rows]:
     InputError
         The file is damaged, encrypted or too large, or openpyxl (extra ``office``) is missing.
     """
-    try:
+    with foreign_bytes("office.workbook", path):
         with zipfile.ZipFile(path) as archive:
             _require_small(archive, path)
             if "content.xml" in archive.namelist():
                 with archive.open("content.xml") as stream:
                     return {name: _trimmed(rows, path, name) for name, rows in _ods_sheets(stream)}
         return _xlsx(path)
-    except OSError as error:
-        raise InputError.of("table.unreadable", file=path, value=error.strerror or error) from None
-    except (zipfile.BadZipFile, zlib.error, etree.LxmlError, KeyError, ValueError, TypeError, AttributeError,
-            IndexError, EOFError, RuntimeError, NotImplementedError, SyntaxError) as error:  # fmt: skip
-        raise InputError.of("office.workbook", file=path, value=error or type(error).__name__) from None
 
 
 def _require_small(archive: zipfile.ZipFile, path: Path) -> None:
     """Unpack all parts, ignore their stated sizes, and stop above the limit; refuse document types."""
-    total = 0
+    total, size = 0, path.stat().st_size
+    most = int(limit("workbook_bytes"))
     for info in archive.infolist():
         real = copy.copy(info)
-        real.file_size = MAX_BYTES + 1
+        real.file_size = most + 1
         real.CRC = None  # type: ignore[assignment]  # the size that the archive states is not believed
         with archive.open(real) as stream:
             head = True
             while data := stream.read(_CHUNK):
                 total += len(data)
-                if total > MAX_BYTES:
-                    raise InputError.of("office.too_large", file=path, value=f"more than {MAX_BYTES} bytes")
+                within("workbook_bytes", total, file=path)
+                within_memory(_BYTE * total, size, file=path)
                 if head and b"<!DOCTYPE" in data[:4096] and info.filename.lower().endswith(".xml"):
                     raise InputError.of("office.workbook", file=path, value="a document type in its XML")
                 head = False
@@ -94,14 +91,12 @@ def _xlsx(path: Path) -> dict[str, Rows]:
 def _trimmed(rows: Iterator[Any], path: Path, name: str) -> Rows:
     """Rows without empty cells at their ends and empty rows at the end."""
     out: Rows = []
-    cells = kept = 0
+    cells, kept, size = 0, 0, path.stat().st_size
     for row in rows:
         own = [_cell(value) for value in row]
         cells += max(len(own), 1)
-        if cells > MAX_CELLS:
-            raise InputError.of(
-                "office.too_large", file=path, place=f"sheet {name}", value=f"more than {MAX_CELLS} cells"
-            )
+        within("workbook_cells", cells, file=path, place=f"sheet {name}", unit="cells")
+        within_memory(_CELL * cells, size, file=path, place=f"sheet {name}")
         while own and own[-1] == "":
             own.pop()
         out.append(own)
@@ -159,8 +154,7 @@ def _ods_cells(row: Any) -> list[Any]:
         if value == "":
             blank += times
             continue
-        if len(cells) + blank + times > MAX_CELLS:
-            raise ValueError(f"more than {MAX_CELLS} cells in a row")
+        within("workbook_cells", len(cells) + blank + times, unit="cells in a row")
         cells += [""] * blank + [value] * times
         blank = 0
     return cells

@@ -19,7 +19,7 @@ import numpy as np
 from factors.arrays import Array
 from factors.cameras.rfm import EXPONENTS, N_TERMS, permutation
 from factors.cameras.rfm_project import RANGE
-from fg_orient.formats.registry import read_bytes
+from fg_orient.formats.load import load_bytes
 from fg_orient.formats.tables import NUMBER
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel
@@ -34,9 +34,6 @@ ERRORS: Final = ("ERR_BIAS", "ERR_RAND")
 FIRST_PIXEL: Final = 0.0
 #: Coefficient order where a file does not name one.
 USUAL_ORDER: Final = "RPC00B"
-#: No RPC text is longer.
-MAX_BYTES: Final = 16 * 2**20
-
 #: Names of ``_RPC.TXT``, and those of all coefficients of a polynomial.
 NAMES: Final = re.compile(
     rf"(?:{'|'.join(AXES)})_(?:OFF|SCALE)|{'|'.join(ERRORS)}|(?:{'|'.join(POLYNOMIALS)})_COEFF(?:_[^_]*)?"
@@ -168,7 +165,7 @@ def texts_of(model: RpcModel, first_pixel: float = FIRST_PIXEL) -> dict[str, str
 
 def read_text(path: str | os.PathLike[str]) -> str:
     """Read a text file; bytes that are not ASCII can only be remarks."""
-    return read_bytes(path, MAX_BYTES).decode("latin-1")
+    return load_bytes(path, "rpc_bytes", "rpc.unreadable").decode("latin-1")
 
 
 def printed(values: Iterable[float]) -> str:

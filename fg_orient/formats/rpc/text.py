@@ -42,7 +42,7 @@ _LINE = re.compile(r"\s*([A-Z][A-Z0-9_]*)\s*:\s*(\S+)(?:\s+[A-Za-z/]+)?\s*")
 _NUMBERS = re.compile(r"\s*(?:[-+.0-9eEdD]+\s+){20,}")
 _RPB_ENTRY = re.compile(r'^[ \t]*(\w+)[ \t]*=\s*(\([^)]*\)|"[^"\n]*"|[^;\n("]*);', re.MULTILINE)
 _GEOM_ENTRY = re.compile(r"^\s*([\w.]+):[ \t]*(.*)$", re.MULTILINE)
-_GEOM_COEFFICIENT = re.compile(r"(line|samp)_(num|den)_coeff_(\d+)")
+_GEOM_COEFFICIENT = re.compile(r"(line|samp)_(num|den)_coeff_([0-9]{1,4})")
 _GEOM_PARAMETER = re.compile(r"adjustment_\d+\.adj_param_\d+\.parameter")
 
 

@@ -13,8 +13,13 @@ xml.not_a_file: this is a folder or a device, not a file
     -> give the metadata file itself
 xml.unreadable: the file cannot be read
     -> check its permissions
-xml.too_large: the file is larger than the limit of {limit} bytes
-    -> read it from Python with a larger max_bytes if you trust it
+limits.variable: the environment variable must contain NAME=NUMBER with a known name and a positive number
+    -> known names: {known}
+limits.exceeded: this exceeds the limit of {limit}
+    -> if you trust the file, raise the limit by the environment variable FG_ORIENT_LIMITS="{name}=NUMBER"
+limits.memory: reading this file would need too much memory for its size, more than {allowed} ({factor:g} times its size
+    and {more})
+    -> if you trust the file, raise the limit by the environment variable FG_ORIENT_LIMITS="memory_factor=NUMBER"
 xml.empty_file: the file is empty
     -> copy or download it again
 xml.not_xml: the file is not XML

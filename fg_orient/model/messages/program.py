@@ -94,6 +94,20 @@ report.nothing_adjusted: nothing was adjusted, so there are neither coordinates 
     -> read report.html in the folder: it names the undetermined directions and the remedy
 report.damaged: the result cannot be read
     -> run fg-orient adjust again
+manifest.incomplete: the folder is only a part of a result: {count} of {n} file(s) are missing or too short
+    -> copy the whole folder again
+manifest.other_run: the record and the manifest of the folder belong to different runs
+    -> copy the whole folder of one run
+manifest.changed: the file is not the one that the run wrote: it was edited, or belongs to another run
+    -> restore the file, or run fg-orient adjust again
+manifest.added: the run did not write this file
+    -> move it to another folder
+manifest.outside: this is a link out of the result folder, or not a file
+    -> copy the file itself into the folder
+manifest.later: the folder was written by a later version of fg_orient, whose manifest has schema {known} at most here
+    -> update fg_orient
+manifest.damaged: the manifest of the result cannot be read
+    -> copy the whole folder again
 report.no_matplotlib: figures need matplotlib
     -> install the extra: pip install 'fg-orient[report]'
 report.no_map: the result has no geographic coordinates

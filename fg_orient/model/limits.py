@@ -1,0 +1,94 @@
+"""Limits of inputs: sizes, depths and memory above which a file is refused before its content is used.
+
+Real files are far below all of them. ``FG_ORIENT_LIMITS`` of the environment changes them, for files that the user
+trusts: ``FG_ORIENT_LIMITS="xml_bytes=500e6 memory_factor=100"``. Each message names the limit that it met.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from functools import cache
+from typing import Final
+
+from fg_orient.model.errors import InputError
+from fg_orient.model.machine import in_gb
+
+#: Environment variable with other limits: NAME=NUMBER, separated by blanks or commas.
+VARIABLE: Final = "FG_ORIENT_LIMITS"
+#: Limits by name.
+LIMITS: Final = {
+    # Memory to read a file: factor times its size, plus bytes. A file that states or implies more is refused.
+    "memory_factor": 20.0,
+    "memory_bytes": 200e6,
+    # Sizes of files, bytes.
+    "toml_bytes": 16e6,
+    "json_bytes": 1e9,
+    "xml_bytes": 64.0 * 2**20,
+    "rpc_bytes": 16.0 * 2**20,
+    "sqlite_bytes": 8e9,
+    "npz_bytes": 8e9,
+    # Depth of nested tables, lists and elements; parts of a dotted key.
+    "toml_depth": 64.0,
+    "json_depth": 64.0,
+    # Characters of a CRS: its code, PROJ string, WKT or PROJJSON.
+    "crs_characters": 100e3,
+    # Unpacked size, bytes, and cells of a workbook.
+    "workbook_bytes": 256e6,
+    "workbook_cells": 5e6,
+    # Steps of SQLite's virtual machine: for each query, and for each byte of the file.
+    "sqlite_steps": 50e6,
+    "sqlite_steps_per_byte": 50.0,
+}
+
+
+@cache
+def _given(text: str) -> dict[str, float]:
+    """Limits of the environment variable; InputError for an unknown name or a value that is not positive."""
+    found = {}
+    for word in re.split(r"[\s,]+", text.strip()):
+        name, _, number = word.partition("=")
+        if not word:
+            continue
+        try:
+            value = float(number)
+        except ValueError:
+            value = 0.0
+        if name not in LIMITS or not value > 0.0:
+            raise InputError.of("limits.variable", place=VARIABLE, value=word, known=", ".join(LIMITS))
+        found[name] = value
+    return found
+
+
+def limit(name: str) -> float:
+    """Value of a limit: given in the environment, or :data:`LIMITS`."""
+    return _given(os.environ.get(VARIABLE, "")).get(name, LIMITS[name])
+
+
+def within(name: str, value: float, *, file: object = "", place: object = "", unit: str = "bytes") -> None:
+    """Raise InputError if a value exceeds a limit."""
+    most = limit(name)
+    if value > most:
+        raise exceeded(name, f"{value:.0f} {unit}", file=file, place=place, unit=unit)
+
+
+def exceeded(name: str, value: object, *, file: object = "", place: object = "", unit: str = "bytes") -> InputError:
+    """Error of a value that exceeds a limit."""
+    return InputError.of(
+        "limits.exceeded", file=file, place=place, value=value, limit=f"{limit(name):.0f} {unit}", name=name
+    )
+
+
+def memory_for(size: float) -> float:
+    """Memory that reading a file of this size may need, bytes."""
+    return limit("memory_factor") * size + limit("memory_bytes")
+
+
+def within_memory(need: float, size: float, *, file: object, place: object = "") -> None:
+    """Raise InputError if the memory to read a file of ``size`` bytes is too large for it."""
+    allowed = memory_for(size)
+    if need > allowed:
+        raise InputError.of(
+            "limits.memory", file=file, place=place, value=in_gb(need), allowed=in_gb(allowed),
+            factor=limit("memory_factor"), more=in_gb(limit("memory_bytes")),
+        )  # fmt: skip

@@ -1,0 +1,122 @@
+"""Manifest of a result folder: the size and SHA-256 of each file, and the run that wrote them.
+
+A folder is copied, edited and renamed by people and programs. Commands that read a result compare it with
+``manifest.json``, and distinguish: a part of a folder, a changed file, files of another run, and a folder of a version
+without manifest (0.1), which is read without this check. The page and the figures are made of the other files; they are
+not listed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
+
+from fg_orient.formats.atomic import RESULT
+from fg_orient.formats.load import load_json
+from fg_orient.formats.text_files import sha256_of
+from fg_orient.model.errors import InputError
+from fg_orient.result.plain import dumps, plain
+from fg_orient.result.provenance import MANIFEST_SCHEMA
+
+MANIFEST_FILE: Final = "manifest.json"
+#: Files that are made of the others.
+_DERIVED: Final = ("report.html", "figures/*")
+
+
+def run_of(record: Mapping[str, Any]) -> str:
+    """Identifier of a run: the SHA-256 of its provenance, which names inputs, options, versions and time."""
+    text = json.dumps(plain(record.get("provenance")), sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
+
+
+def write_manifest(folder: Path, record: Mapping[str, Any]) -> None:
+    """Write the manifest of a complete folder; ``record`` is the content of its ``result.json``."""
+    files = {
+        name: {"bytes": (folder / name).stat().st_size, "sha256": sha256_of(folder / name)}
+        for name in _names(folder) if name != MANIFEST_FILE
+    }  # fmt: skip
+    content = {"schema": MANIFEST_SCHEMA, "run": run_of(record), "files": files}
+    (folder / MANIFEST_FILE).write_text(dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _names(folder: Path) -> list[str]:
+    """Files of a result in a folder, without those that are made of the others."""
+    found = {
+        path.relative_to(folder).as_posix() for pattern in RESULT.names if pattern not in _DERIVED
+        for path in folder.glob(pattern) if path.is_file()
+    }  # fmt: skip
+    return sorted(name for name in found if not any(PurePosixPath(name).match(one) for one in _DERIVED))
+
+
+def read_manifest(folder: Path) -> Mapping[str, Any] | None:
+    """Content of the manifest of a folder that has all of its files; None without one.
+
+    Raises
+    ------
+    InputError
+        It is damaged, of a later version, or lists a file that is missing or incomplete.
+    """
+    path = folder / MANIFEST_FILE
+    if not path.is_file():
+        return None
+    content = load_json(path, "manifest.damaged")
+    if isinstance(content, dict) and content.get("schema") != MANIFEST_SCHEMA and type(content.get("schema")) is int:
+        raise InputError.of("manifest.later", file=path, place="schema", value=content["schema"], known=MANIFEST_SCHEMA)
+    try:
+        files = {str(name): (int(one["bytes"]), str(one["sha256"])) for name, one in content["files"].items()}
+        run = str(content["run"])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError.of("manifest.damaged", file=path, value=error) from None
+    missing = []
+    for name, (size, _) in files.items():
+        file = folder / name
+        if not _is_plain(name):
+            raise InputError.of("manifest.damaged", file=path, place="files", value=name)
+        if not file.exists():
+            missing.append(name)
+        elif not file.resolve().is_relative_to(folder.resolve()) or not file.is_file():
+            raise InputError.of("manifest.outside", file=file)
+        elif file.stat().st_size < size:
+            missing.append(f"{name}: {file.stat().st_size} of {size} bytes")
+    if missing:
+        raise InputError.of("manifest.incomplete", file=folder, value=missing[0], count=len(missing), n=len(files))
+    return {"run": run, "files": files}
+
+
+def _is_plain(name: str) -> bool:
+    """Whether a name is one of a file of a result, which never leaves its folder."""
+    return ".." not in name.split("/") and any(PurePosixPath(name).match(pattern) for pattern in RESULT.names)
+
+
+def require_run(folder: Path, stated: Mapping[str, Any] | None, record: Mapping[str, Any]) -> None:
+    """Refuse a folder whose files are not those of its run.
+
+    Parameters
+    ----------
+    folder : Path
+    stated : mapping or None
+        From :func:`read_manifest`.
+    record : mapping
+        Content of its ``result.json``.
+
+    Raises
+    ------
+    InputError
+        The manifest is missing or of another run, or a file was changed or added.
+    """
+    provenance = record.get("provenance")
+    if stated is None:
+        if isinstance(provenance, dict) and "manifest" in provenance:
+            raise InputError.of("manifest.incomplete", file=folder, value=MANIFEST_FILE, count=1, n=1)
+        return
+    if stated["run"] != run_of(record):
+        raise InputError.of("manifest.other_run", file=folder, place=RESULT.mark)
+    for name, (_, digest) in stated["files"].items():
+        if sha256_of(folder / name) != digest:
+            raise InputError.of("manifest.changed", file=folder / name)
+    for name in _names(folder):
+        if name != MANIFEST_FILE and name not in stated["files"]:
+            raise InputError.of("manifest.added", file=folder / name)
